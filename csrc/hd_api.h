@@ -1,0 +1,340 @@
+/* The boundary between the C core and Python: everything that crosses it, and nothing else.
+ *
+ * This file is read twice, verbatim: by the C compiler (through hd_core.h, which adds guards and asserts) and by
+ * cffi. It therefore holds declarations and `#define NAME number` only.
+ *
+ * The model, in five sentences. A *table* is an immutable snapshot of the scene, compiled by Python into flat
+ * arrays that are already in the units a tick needs. A *state* is what the tick remembers: contacts, ringing modes,
+ * punctures, ramps; it lives in slots that belong to an object as long as the object keeps its id and kind. A *tick*
+ * is a function of table, state and one input, and gives one sample. The *servo* calls the tick on time, with a
+ * device on one side and rings on the other. Python compiles tables, sends commands and drains samples and events;
+ * it never runs inside a tick.
+ *
+ * Units are SI and stand in the names. Vectors are [x, y]. Times are CLOCK_MONOTONIC nanoseconds, or seconds where
+ * the name says so. Functions that can fail return HD_OK or a negative enum hd_status. Functions here are for the
+ * control side: none of them is called from the servo thread.
+ */
+
+enum hd_status {
+    HD_OK = 0,
+    HD_ERR_INVALID = -1, /* an argument or a table breaks its contract; hd_invalid_reason says which */
+    HD_ERR_FULL = -2,    /* a ring has no room; nothing was taken */
+    HD_ERR_MEMORY = -3,  /* no memory */
+    HD_ERR_SYSTEM = -4,  /* a system call failed; errno says why */
+    HD_ERR_TIMEOUT = -5, /* the servo did not take it in time */
+    HD_ERR_DENIED = -6   /* real-time rights were required and refused */
+};
+
+/* ---- What a table holds ------------------------------------------------------------------------------------ */
+
+/* A decaying sinusoid A exp(-B t) sin(w t), t >= 0, prepared for one tick period T. */
+struct hd_mode {
+    double rotor_re; /* exp((-B + i w) T) */
+    double rotor_im;
+    double decay_rate_per_s;            /* B */
+    double angular_frequency_rad_per_s; /* w */
+    double end_s;                       /* 5/B: sounds while t_k - t_last <= end_s */
+    double peak;                        /* first maximum of exp(-B t) sin(w t) */
+    double peak_time_s;                 /* where it is */
+    double amplitude_per_unit;          /* m/s^2 of A per unit of what excites it (m/s for a tap, 1 for a rupture) */
+    double force_per_unit;              /* N of coefficient per the same unit; 0: nothing is struck */
+};
+
+/* A flat surface that pushes back along its normal. */
+struct hd_surface {
+    double point_m[2];
+    double normal[2]; /* unit, out of the solid */
+    double stiffness_n_per_m;
+    double damping_n_s_per_m;
+    double half_width_m;    /* membranes; walls are unbounded and keep 0 */
+    double rupture_depth_m; /* membranes; 0: never ruptures */
+};
+
+/* Which object a record belongs to. `generation` is raised whenever the slot gets another object or another kind,
+ * `version` whenever the surface changes. */
+struct hd_key {
+    uint32_t slot;
+    uint32_t generation;
+    uint32_t version;
+    uint32_t heals; /* membranes: closes again when the probe withdraws */
+};
+
+struct hd_wall {
+    struct hd_key key;
+    struct hd_surface surface;
+    struct hd_mode tap;
+};
+
+struct hd_membrane {
+    struct hd_key key;
+    struct hd_surface surface;
+    struct hd_mode tap;
+    struct hd_mode rupture;
+};
+
+/* All fields of a scene are one affine law: F = force - stiffness p - damping v. */
+struct hd_field {
+    double force_n[2];
+    double stiffness_n_per_m;
+    double damping_n_s_per_m;
+};
+
+struct hd_table {
+    uint32_t revision;
+    uint32_t wall_count;
+    uint32_t membrane_count;
+    uint32_t display_force;     /* 0 or 1 */
+    uint32_t display_vibration; /* 0 or 1 */
+    uint32_t field_version;     /* raised whenever the field changes */
+    double period_s;
+    double max_force_n;         /* magnitude of the whole command */
+    double max_speed_m_per_s;   /* a step between two samples that implies more is a glitch */
+    double ramp_s;
+    double ramp_step; /* period_s / ramp_s: what a ramp moves on in a tick */
+    struct hd_field field;
+    struct hd_wall *walls;
+    struct hd_membrane *membranes;
+};
+
+/* ---- What a tick gives --------------------------------------------------------------------------------------- */
+
+enum hd_flag {
+    HD_FLAG_SKIPPED = 1,    /* periods were missed before this tick */
+    HD_FLAG_CONTACT = 2,    /* something is touched */
+    HD_FLAG_RINGING = 4,    /* a mode sounds */
+    HD_FLAG_SATURATED = 8,  /* the force limit changed the command or scaled a strike */
+    HD_FLAG_RAMPING = 16,   /* a ramp is under way */
+    HD_FLAG_FORCES_ON = 32, /* forces are enabled */
+    HD_FLAG_FAULT = 64,     /* a fault is latched */
+    HD_FLAG_GLITCH = 128,   /* the position jumped; contacts were resynchronised */
+    HD_FLAG_REPEATED = 256  /* no new sample came from the device */
+};
+
+/* One tick as telemetry carries it. */
+struct hd_sample {
+    uint64_t tick;
+    int64_t time_ns; /* the deadline of this tick */
+    double position_m[2];
+    double velocity_m_per_s[2];
+    double contact_force_n[2];   /* objects and fields, as displayed, before the limit */
+    double vibration_force_n[2]; /* modes, as displayed, before the limit */
+    double force_n[2];           /* the command, after every limit */
+    uint32_t revision;
+    uint32_t flags;
+    int32_t lateness_ns; /* wake-up after the deadline, saturating */
+    int32_t work_ns;     /* from wake-up to the force handed over, saturating */
+};
+
+enum hd_event_kind {
+    HD_EVENT_CONTACT = 1,
+    HD_EVENT_RELEASE = 2,
+    HD_EVENT_PUNCTURE = 3,
+    HD_EVENT_SATURATION = 4, /* value: the command that was wanted, N; once a contiguous stretch */
+    HD_EVENT_OVERRUN = 5,    /* value: periods missed */
+    HD_EVENT_FAULT = 6,      /* code: the faults latched now (0: cleared) */
+    HD_EVENT_REVISION = 7,   /* code: the revision in force from this tick on */
+    HD_EVENT_GLITCH = 8,     /* value: the speed that the jump implied, m/s */
+    HD_EVENT_DEVICE_LOST = 9,
+    HD_EVENT_DEVICE_FOUND = 10
+};
+
+struct hd_event {
+    uint64_t tick;
+    double before_tick_s; /* how long before the tick's time it happened */
+    int64_t time_ns;      /* the tick's time */
+    uint32_t kind;
+    uint32_t code;
+    uint32_t slot; /* HD_NO_SLOT where no object is meant */
+    uint32_t generation;
+    double speed_m_per_s;        /* along the normal, as estimated at the onset */
+    double true_speed_m_per_s;   /* the simulated handle's own; NaN on a real device */
+    double amplitude_m_per_s2;   /* of the strike, before scaling; 0: none */
+    double scale;                /* what the limit left of the strike, 0 to 1 */
+    double value;
+};
+
+#define HD_NO_SLOT 4294967295
+#define HD_PLAY_SLOT 4294967294
+
+enum hd_fault {
+    HD_FAULT_NONFINITE = 1, /* NaN or infinity in a sample or in a force */
+    HD_FAULT_CONTROL = 2,   /* the thread that serves commands did not beat for a second */
+    HD_FAULT_LEASE = 4,     /* a lease was not renewed in time */
+    HD_FAULT_DEVICE = 8     /* the device does not report */
+};
+
+/* ---- State and offline rendering ----------------------------------------------------------------------------- */
+
+struct hd_state; /* opaque */
+
+/* Zeroed state with room for `slot_capacity` objects, forces on; NULL without memory. */
+struct hd_state *hd_state_new(uint32_t slot_capacity);
+void hd_state_free(struct hd_state *state);
+/* Encoder step that the velocity estimator assumes; 0: positions are exact. */
+void hd_state_set_resolution(struct hd_state *state, double step_m);
+/* Forces on or off: the command comes in or fades out over the table's ramp. */
+void hd_state_enable(struct hd_state *state, int enabled);
+uint32_t hd_state_faults(const struct hd_state *state);
+/* The latest contact state of a slot: bit 0 touched, bit 1 punctured. */
+uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot);
+
+/* Checks a table whole: counts, slots, finite numbers, unit normals, signs. HD_OK or HD_ERR_INVALID. */
+int hd_table_check(const struct hd_table *table, uint32_t slot_capacity);
+/* Why the last check on this thread failed, as one line. */
+const char *hd_invalid_reason(void);
+
+/* Renders `count` positions, one a tick, [count][2]. `velocity` is [count][2], or NULL to estimate it. `periods` is
+ * [count], periods since the tick before, or NULL for 1 each. Up to `event_capacity` events are kept; *event_count
+ * says how many there were. Ticks go on counting from the state's last. */
+int hd_render(const struct hd_table *table, struct hd_state *state, const double *position, const double *velocity,
+              const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
+              size_t event_capacity, size_t *event_count);
+
+/* The estimator alone: `interval_s` [count] since the sample before, `position` [count][2]; out [count][2], and
+ * half the width of the set of speeds consistent with the samples, [count][2], where `half_width` is not NULL. */
+int hd_velocity_run(double step_m, size_t count, const double *interval_s, const double *position, double *velocity,
+                    double *half_width);
+
+/* ---- The simulated joystick ------------------------------------------------------------------------------------ */
+
+struct hd_sim_config {
+    double handle_mass_kg;
+    double handle_damping_n_s_per_m;
+    double coulomb_friction_n; /* per axis */
+    double encoder_step_m;     /* 0: exact */
+    double max_force_n;        /* per axis: what the actuator gives at most */
+    double force_step_n;       /* its resolution; 0: exact */
+    double report_interval_s;  /* 0: a report at every servo period */
+    double report_delay_s;
+    double workspace_m;        /* half the travel, per axis; inelastic stops */
+    double force_timeout_s;    /* the force expires by itself this long after the last put */
+    double hand_mass_kg;
+    double hand_stiffness_n_per_m;
+    double hand_damping_n_s_per_m;
+    double start_m[2];
+};
+
+enum hd_interpolation { HD_LINEAR = 0, HD_MINIMUM_JERK = 1 };
+
+/* What one look at a device gives. */
+struct hd_reading {
+    double position_m[2];
+    double interval_s;             /* between this report and the one before; 0: no new report */
+    double true_velocity_m_per_s[2]; /* NaN where nobody knows */
+};
+
+struct hd_sim;      /* opaque */
+struct hd_operator; /* opaque: where the hand wants to be, over time; immutable */
+
+/* `waypoints` [count][3]: t_s, x_m, y_m, strictly rising times, copied. NULL: invalid (hd_invalid_reason) or no memory. */
+struct hd_operator *hd_operator_new(const double *waypoints, size_t count, enum hd_interpolation interpolation);
+void hd_operator_free(struct hd_operator *path);
+/* NULL: invalid (hd_invalid_reason) or no memory. */
+struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s);
+void hd_sim_free(struct hd_sim *sim);
+/* The hand follows `path` from now on; before its first waypoint it goes there in a straight line from where it wants
+ * to be now (at t_s = 0 it is there at once). The caller keeps `path` alive as long as the simulation uses it. */
+void hd_sim_operate(struct hd_sim *sim, const struct hd_operator *path);
+/* The handle jumps, at rest, to the hand's first wish: for a run that starts with an operator. */
+void hd_sim_settle(struct hd_sim *sim);
+/* The actuator holds this force (limited, rounded) until the next put or until it expires. */
+void hd_sim_put(struct hd_sim *sim, const double force_n[2]);
+/* Time goes on by `periods` servo periods. */
+void hd_sim_advance(struct hd_sim *sim, uint32_t periods);
+void hd_sim_read(struct hd_sim *sim, struct hd_reading *reading);
+/* The handle itself: position [2], velocity [2], force of the actuator [2]. */
+void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
+
+/* Closed loop without clock: `count` ticks of table, state and sim. `truth` [count][4] (true position, velocity) or NULL. */
+int hd_simulate(const struct hd_table *table, struct hd_state *state, struct hd_sim *sim, size_t count,
+                struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
+                size_t *event_count);
+
+/* ---- The servo --------------------------------------------------------------------------------------------------- */
+
+enum hd_realtime { HD_REALTIME_OFF = 0, HD_REALTIME_PREFERRED = 1, HD_REALTIME_REQUIRED = 2 };
+
+struct hd_servo_config {
+    double rate_hz;
+    int32_t cpu; /* -1: any */
+    int32_t priority;
+    int32_t realtime; /* enum hd_realtime */
+    uint32_t slot_capacity;
+    uint32_t sample_capacity; /* of the telemetry ring, a power of two */
+    int64_t spin_ns;          /* busy-wait this long before each deadline */
+    double resolution_m;      /* encoder step for the velocity estimator */
+    uint32_t forces_on;       /* 0 or 1, at the start */
+};
+
+/* What was granted of what was asked for; errno values, 0 where it was granted or not asked for. */
+struct hd_grant {
+    int32_t scheduler; /* errno of the request, 0: granted */
+    int32_t affinity;
+    int32_t memory;
+    int32_t priority;    /* in force; 0: not real-time */
+    int32_t memory_kind; /* 0 nothing locked, 1 the servo's regions, 2 the whole process (on fault) */
+};
+
+enum hd_command_kind {
+    HD_COMMAND_PLAY = 1,     /* mode, direction, amplitude (in the mode's unit) */
+    HD_COMMAND_RESET = 2,    /* slot and generation, or HD_NO_SLOT for all */
+    HD_COMMAND_FORCES = 3,   /* value 0 or 1; 1 clears latched faults whose cause is gone */
+    HD_COMMAND_OPERATOR = 4, /* path; simulated device only */
+    HD_COMMAND_FAULT = 5     /* value: bits of enum hd_fault to latch */
+};
+
+struct hd_command {
+    uint32_t kind;
+    uint32_t revision; /* taken once this revision or a later one is in force */
+    uint32_t slot;
+    uint32_t generation;
+    uint32_t value;
+    double direction[2];
+    double amplitude;
+    struct hd_mode mode;
+    const struct hd_operator *path;
+};
+
+/* A snapshot of the counters that the servo keeps; each is read on its own. */
+struct hd_counters {
+    uint64_t ticks;
+    uint64_t skipped;         /* periods missed */
+    uint64_t overruns;        /* times that periods were missed */
+    uint64_t samples_dropped; /* telemetry ring full */
+    uint64_t events_dropped;
+    uint64_t strikes;
+    uint64_t glitches;
+    uint64_t saturations;
+    uint32_t revision; /* in force */
+    uint32_t faults;
+    uint32_t forces_on;
+    uint32_t running;
+};
+
+struct hd_servo; /* opaque */
+
+/* Allocates everything that the servo will ever use. `sim` is borrowed and used by the servo thread alone once
+ * started. NULL: hd_invalid_reason. */
+struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim);
+/* Locks memory, starts the thread, reports what was granted. HD_ERR_DENIED: `required` and refused. */
+int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant);
+/* Fades the force out, puts zero, ends the thread and joins it. */
+int hd_servo_stop(struct hd_servo *servo);
+void hd_servo_free(struct hd_servo *servo);
+
+/* Checks and copies a table; it is in force at the next tick. One caller at a time. */
+int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table);
+/* Sends `count` commands, all or none. *sequence is the number of the last. One caller at a time. */
+int hd_servo_send(struct hd_servo *servo, const struct hd_command *commands, size_t count, uint64_t *sequence);
+/* Wait until the servo has taken that command or revision; *tick is the tick that took it (for a revision: the first
+ * tick rendered with it or a later one). */
+int hd_servo_wait_command(struct hd_servo *servo, uint64_t sequence, int64_t timeout_ns, uint64_t *tick);
+int hd_servo_wait_revision(struct hd_servo *servo, uint32_t revision, int64_t timeout_ns, uint64_t *tick);
+/* The thread that serves commands lives. */
+void hd_servo_beat(struct hd_servo *servo);
+/* Forces fade out when this time passes; 0: no lease. */
+void hd_servo_set_lease(struct hd_servo *servo, int64_t deadline_ns);
+void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counters);
+/* Move up to `capacity` records out of the rings; the number is returned. *dropped is the running total. One reader. */
+size_t hd_servo_read_samples(struct hd_servo *servo, struct hd_sample *samples, size_t capacity, uint64_t *dropped);
+size_t hd_servo_read_events(struct hd_servo *servo, struct hd_event *events, size_t capacity, uint64_t *dropped);

@@ -1,0 +1,21 @@
+/* What every C file of the core includes: the boundary (hd_api.h) with its guard, and the asserts that hold the layout.
+ * hd_api.h itself must stay free of these, because cffi reads it verbatim. */
+#ifndef HD_CORE_H
+#define HD_CORE_H
+
+#include <assert.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "hd_api.h"
+
+static_assert(sizeof(struct hd_sample) == 112, "the telemetry record is 112 bytes without padding");
+static_assert(sizeof(struct hd_key) == 16 && sizeof(struct hd_surface) == 64, "table records have no padding");
+
+/* One line on why the last check on this thread failed; printf-like. Control side only. */
+#if defined(__GNUC__)
+__attribute__((format(printf, 1, 2)))
+#endif
+int hd_invalid(const char *format, ...);
+
+#endif

@@ -1,0 +1,20 @@
+/* Memory that the servo never waits for: touched before it starts, and locked as far as the limit allows. Control side. */
+#ifndef HD_MEMORY_H
+#define HD_MEMORY_H
+
+#include <stddef.h>
+
+struct hd_region {
+    void *start;
+    size_t size;
+};
+
+enum hd_memory_kind { HD_MEMORY_NONE = 0, HD_MEMORY_REGIONS = 1, HD_MEMORY_PROCESS = 2 };
+
+/* Makes every page of the regions present and writable, keeping their contents. */
+void hd_memory_touch(const struct hd_region *regions, size_t count);
+/* Locks the whole process on fault, or else the regions. Returns what was locked; *error is the errno of what was
+ * refused, 0 if nothing was. */
+enum hd_memory_kind hd_memory_lock(const struct hd_region *regions, size_t count, int *error);
+
+#endif

@@ -1,0 +1,92 @@
+/* Runs without clock, thread or I/O: hd_render (positions are given) and hd_simulate (closed loop with the simulated
+ * joystick). The tick is the servo's own; results are bit-identical from run to run. The caller's thread. */
+#include <math.h>
+#include <string.h>
+
+#include "hd_sim.h"
+#include "hd_tick.h"
+
+/* Where events of a run are kept. */
+struct event_sink {
+    struct hd_event *events;
+    size_t capacity;
+    size_t count;
+};
+
+static void take_events(struct hd_state *state, struct event_sink *sink) {
+    for (uint32_t i = 0; i < state->event_count; i++) {
+        if (sink->count < sink->capacity) {
+            sink->events[sink->count] = state->events[i];
+        }
+        sink->count++;
+    }
+    state->event_count = 0;
+}
+
+static int64_t period_time_ns(const struct hd_table *table, uint64_t period) {
+    return (int64_t)((double)period * table->period_s * 1e9 + 0.5);
+}
+
+int hd_render(const struct hd_table *table, struct hd_state *state, const double *position, const double *velocity,
+              const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
+              size_t event_capacity, size_t *event_count) {
+    const int status = hd_table_check(table, state->slot_capacity);
+    if (status != HD_OK) {
+        return status;
+    }
+    struct event_sink sink = {.events = events, .capacity = event_capacity};
+    for (size_t i = 0; i < count; i++) {
+        struct hd_input input = {.periods = periods != NULL ? periods[i] : 1u};
+        if (input.periods == 0) {
+            return hd_invalid("periods[%zu]: at least 1 period lies between two ticks", i);
+        }
+        state->period += input.periods;
+        input.time_ns = period_time_ns(table, state->period - 1u);
+        struct hd_reading reading = {
+            .position_m = {position[2 * i], position[2 * i + 1]},
+            .interval_s = state->located ? (double)input.periods * table->period_s : 0.0,
+            .true_velocity_m_per_s = {(double)NAN, (double)NAN},
+        };
+        hd_sense(state, table, &reading, velocity != NULL ? &velocity[2 * i] : NULL, &input);
+        samples[i].lateness_ns = 0;
+        samples[i].work_ns = 0;
+        hd_tick(table, state, &input, &samples[i]);
+        if (state->event_count > 0) {
+            take_events(state, &sink);
+        }
+    }
+    *event_count = sink.count;
+    return HD_OK;
+}
+
+int hd_simulate(const struct hd_table *table, struct hd_state *state, struct hd_sim *sim, size_t count,
+                struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
+                size_t *event_count) {
+    const int status = hd_table_check(table, state->slot_capacity);
+    if (status != HD_OK) {
+        return status;
+    }
+    struct event_sink sink = {.events = events, .capacity = event_capacity};
+    for (size_t i = 0; i < count; i++) {
+        struct hd_reading reading;
+        struct hd_input input = {.periods = 1, .time_ns = period_time_ns(table, state->period++)};
+        if (state->tick > 0) {
+            hd_sim_advance(sim, 1);
+        }
+        if (truth != NULL) {
+            double actuator[2];
+            hd_sim_truth(sim, &truth[4 * i], &truth[4 * i + 2], actuator);
+        }
+        hd_sim_read(sim, &reading);
+        hd_sense(state, table, &reading, NULL, &input);
+        samples[i].lateness_ns = 0;
+        samples[i].work_ns = 0;
+        hd_tick(table, state, &input, &samples[i]);
+        hd_sim_put(sim, samples[i].force_n);
+        if (state->event_count > 0) {
+            take_events(state, &sink);
+        }
+    }
+    *event_count = sink.count;
+    return HD_OK;
+}

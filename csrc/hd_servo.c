@@ -1,0 +1,603 @@
+/* The servo: a thread that calls the tick on time.
+ *
+ * One period, top to bottom: sleep until the deadline (the last part of it spinning, if asked for); count and skip the
+ * periods that were missed; take the newest table, then the commands of its revision or older; read the device, tick,
+ * put the force; leave the sample and the events in their rings. The thread never allocates, locks, logs or blocks, and
+ * its only system calls are the clock and the sleep.
+ *
+ * Who touches what:
+ *   config, device, buffers' memory   made by hd_servo_new, constant while the thread runs
+ *   triple + buffers                  the publisher fills the back one, the servo reads the front one
+ *   commands                          the sender produces, the servo consumes
+ *   samples, events                   the servo produces, one reader consumes
+ *   beat, lease_ns, stopping          control writes, the servo reads
+ *   counters, taken_*, adopted_*      the servo writes, control reads
+ *   state and the fields under it     the servo's own
+ *
+ * Times are CLOCK_MONOTONIC nanoseconds. Deadlines are start + k/rate, never accumulated. */
+#include <errno.h>
+#include <math.h>
+#include <pthread.h>
+#include <sched.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/prctl.h>
+
+#include "hd_atomic.h"
+#include "hd_clock.h"
+#include "hd_memory.h"
+#include "hd_ring.h"
+#include "hd_sim.h"
+#include "hd_table.h"
+#include "hd_tick.h"
+#include "hd_triple.h"
+
+#define HD_COMMAND_CAPACITY 1024u
+#define HD_EVENT_RING_CAPACITY 8192u
+#define HD_ADOPTED_CAPACITY 256u /* revisions whose first tick is remembered */
+#define HD_COMMANDS_PER_TICK 64u
+#define HD_CONTROL_TIMEOUT_S 1.0 /* of ticks rendered, so that a stopped process does not count against control */
+#define HD_DEVICE_TIMEOUT_S 0.1
+
+struct hd_servo {
+    struct hd_servo_config config;
+    struct hd_sim *sim;
+    double period_ns;
+    double period_s;
+
+    struct hd_triple triple;
+    struct hd_table_buffer buffers[3];
+    struct hd_ring commands;
+    struct hd_ring samples;
+    struct hd_ring events;
+    uint64_t sent; /* the sender's own: commands sent so far */
+
+    struct hd_atomic_u64 beat;
+    struct hd_atomic_i64 lease_ns;
+    struct hd_atomic_u32 stopping;
+
+    struct hd_atomic_u64 ticks;
+    struct hd_atomic_u64 skipped;
+    struct hd_atomic_u64 overruns;
+    struct hd_atomic_u64 strikes;
+    struct hd_atomic_u64 glitches;
+    struct hd_atomic_u64 saturations;
+    struct hd_atomic_u32 revision;
+    struct hd_atomic_u32 faults;
+    struct hd_atomic_u32 forces_on;
+    struct hd_atomic_u32 running;
+    struct hd_atomic_u64 taken; /* commands taken; the tick that took each is in taken_tick */
+    struct hd_atomic_u64 taken_tick[HD_COMMAND_CAPACITY];
+    struct hd_atomic_u64 adopted; /* revisions taken; each with its first tick below */
+    struct hd_atomic_u32 adopted_revision[HD_ADOPTED_CAPACITY];
+    struct hd_atomic_u64 adopted_tick[HD_ADOPTED_CAPACITY];
+
+    struct hd_state *state;
+    const struct hd_table *table;
+    uint64_t last_beat;
+    uint64_t ticks_since_beat;
+    double since_report_s;
+    uint8_t device_lost;
+    pthread_t thread;
+    uint8_t started;
+};
+
+/* ---- The servo thread --------------------------------------------------------------------------------------- */
+
+HD_RT static int32_t saturate(int64_t value) {
+    return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
+}
+
+HD_RT static void report(struct hd_servo *servo, uint32_t kind, int64_t time_ns, uint32_t code, double value) {
+    struct hd_state *state = servo->state;
+    const uint32_t event = hd_state_event(state, kind, time_ns);
+    if (event < HD_EVENT_CAPACITY) {
+        state->events[event].code = code;
+        state->events[event].value = value;
+    }
+}
+
+/* Waits for the deadline; returns the time that it is then. */
+HD_RT static int64_t wait_until(int64_t deadline_ns, int64_t spin_ns) {
+    if (spin_ns > 0) {
+        if (hd_clock_now_ns() < deadline_ns - spin_ns) {
+            hd_clock_sleep_until(deadline_ns - spin_ns);
+        }
+        int64_t now = hd_clock_now_ns();
+        while (now < deadline_ns) {
+            now = hd_clock_now_ns();
+        }
+        return now;
+    }
+    hd_clock_sleep_until(deadline_ns);
+    return hd_clock_now_ns();
+}
+
+HD_RT static int64_t deadline_of(const struct hd_servo *servo, int64_t start_ns, uint64_t period) {
+    return start_ns + (int64_t)((double)period * servo->period_ns + 0.5);
+}
+
+HD_RT static void take_table(struct hd_servo *servo, int64_t time_ns) {
+    if (!hd_triple_acquire(&servo->triple)) {
+        return;
+    }
+    servo->table = &servo->buffers[hd_triple_front(&servo->triple)].table;
+    const uint64_t count = hd_atomic_u64_load_relaxed(&servo->adopted);
+    const size_t at = (size_t)(count % HD_ADOPTED_CAPACITY);
+    hd_atomic_u32_store_relaxed(&servo->adopted_revision[at], servo->table->revision);
+    hd_atomic_u64_store_relaxed(&servo->adopted_tick[at], servo->state->tick);
+    hd_atomic_u64_store_release(&servo->adopted, count + 1);
+    hd_atomic_u32_store_relaxed(&servo->revision, servo->table->revision);
+    report(servo, HD_EVENT_REVISION, time_ns, servo->table->revision, 0.0);
+}
+
+/* HD_ERR_FULL: not in this tick. */
+HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command, int64_t time_ns) {
+    struct hd_state *state = servo->state;
+    switch (command->kind) {
+    case HD_COMMAND_PLAY:
+        return hd_tick_play(state, &command->mode, command->direction, command->amplitude);
+    case HD_COMMAND_RESET:
+        hd_tick_reset(servo->table, state, command->slot, command->generation, time_ns);
+        return HD_OK;
+    case HD_COMMAND_FORCES:
+        if (command->value != 0) {
+            const int64_t lease_ns = hd_atomic_i64_load_relaxed(&servo->lease_ns);
+            const uint32_t remaining = (servo->device_lost ? (uint32_t)HD_FAULT_DEVICE : 0u) |
+                                       (lease_ns != 0 && time_ns > lease_ns ? (uint32_t)HD_FAULT_LEASE : 0u);
+            hd_state_clear_faults(state, remaining, time_ns);
+        } else {
+            hd_state_want_forces(state, 0);
+        }
+        return HD_OK;
+    case HD_COMMAND_OPERATOR:
+        hd_sim_step_operate(servo->sim, command->path);
+        return HD_OK;
+    case HD_COMMAND_FAULT:
+        hd_state_latch(state, command->value, 0, time_ns);
+        return HD_OK;
+    default:
+        return HD_OK; /* refused by hd_servo_send */
+    }
+}
+
+/* Commands of the table's revision or older, in order; a later one waits for its table. */
+HD_RT static void take_commands(struct hd_servo *servo, int64_t time_ns) {
+    for (uint32_t i = 0; i < HD_COMMANDS_PER_TICK; i++) {
+        const struct hd_command *command = hd_ring_peek(&servo->commands);
+        if (command == NULL || (int32_t)(command->revision - servo->table->revision) > 0) {
+            return;
+        }
+        if (apply(servo, command, time_ns) == HD_ERR_FULL) {
+            return;
+        }
+        hd_ring_release(&servo->commands);
+        const uint64_t taken = hd_atomic_u64_load_relaxed(&servo->taken);
+        hd_atomic_u64_store_relaxed(&servo->taken_tick[taken % HD_COMMAND_CAPACITY], servo->state->tick);
+        hd_atomic_u64_store_release(&servo->taken, taken + 1);
+    }
+}
+
+/* Everything but the tick itself that can call for zero force. */
+HD_RT static void watch(struct hd_servo *servo, const struct hd_reading *reading, uint32_t periods, int64_t now_ns,
+                        int64_t time_ns) {
+    const uint64_t beat = hd_atomic_u64_load_relaxed(&servo->beat);
+    if (beat != servo->last_beat) {
+        servo->last_beat = beat;
+        servo->ticks_since_beat = 0;
+    } else if ((double)++servo->ticks_since_beat * servo->period_s > HD_CONTROL_TIMEOUT_S) {
+        hd_state_latch(servo->state, HD_FAULT_CONTROL, 0, time_ns);
+    }
+    const int64_t lease_ns = hd_atomic_i64_load_relaxed(&servo->lease_ns);
+    if (lease_ns != 0 && now_ns > lease_ns) {
+        hd_state_latch(servo->state, HD_FAULT_LEASE, 0, time_ns);
+    }
+    if (reading->interval_s > 0.0) {
+        servo->since_report_s = 0.0;
+        if (servo->device_lost) {
+            servo->device_lost = 0;
+            report(servo, HD_EVENT_DEVICE_FOUND, time_ns, 0, 0.0);
+        }
+        return;
+    }
+    /* Periods that the servo itself missed say nothing about the device. */
+    servo->since_report_s += (periods == 1 ? 1.0 : 0.0) * servo->period_s;
+    if (servo->since_report_s > HD_DEVICE_TIMEOUT_S && !servo->device_lost) {
+        servo->device_lost = 1;
+        report(servo, HD_EVENT_DEVICE_LOST, time_ns, 0, servo->since_report_s);
+        hd_state_latch(servo->state, HD_FAULT_DEVICE, 1, time_ns);
+    }
+}
+
+HD_RT static void leave_events(struct hd_servo *servo) {
+    struct hd_state *state = servo->state;
+    for (uint32_t i = 0; i < state->event_count; i++) {
+        if (hd_ring_push(&servo->events, &state->events[i]) != HD_OK) {
+            hd_ring_drop(&servo->events);
+        }
+    }
+    state->event_count = 0;
+    while (state->events_dropped > 0) {
+        hd_ring_drop(&servo->events);
+        state->events_dropped--;
+    }
+    hd_atomic_u64_store_relaxed(&servo->strikes, state->strikes_total);
+    hd_atomic_u64_store_relaxed(&servo->glitches, state->glitches_total);
+    hd_atomic_u64_store_relaxed(&servo->saturations, state->saturations_total);
+}
+
+HD_RT static void leave_sample(struct hd_servo *servo, const struct hd_sample *sample) {
+    struct hd_sample *slot = hd_ring_reserve(&servo->samples);
+    if (slot == NULL) {
+        hd_ring_drop(&servo->samples);
+        return;
+    }
+    *slot = *sample;
+    hd_ring_commit(&servo->samples);
+}
+
+HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t now_ns, uint32_t periods) {
+    struct hd_state *state = servo->state;
+    struct hd_sample sample;
+    struct hd_reading reading;
+    struct hd_input input = {.time_ns = deadline_ns, .periods = periods};
+    take_table(servo, deadline_ns);
+    take_commands(servo, deadline_ns);
+    hd_sim_step_advance(servo->sim, periods);
+    hd_sim_step_read(servo->sim, &reading);
+    watch(servo, &reading, periods, now_ns, deadline_ns);
+    hd_sense(state, servo->table, &reading, NULL, &input);
+    hd_tick(servo->table, state, &input, &sample);
+    hd_sim_step_put(servo->sim, sample.force_n);
+    sample.lateness_ns = saturate(now_ns - deadline_ns);
+    sample.work_ns = saturate(hd_clock_now_ns() - now_ns);
+    leave_sample(servo, &sample);
+    if (state->event_count > 0) {
+        leave_events(servo);
+    }
+    hd_atomic_u32_store_relaxed(&servo->faults, state->faults);
+    hd_atomic_u32_store_relaxed(&servo->forces_on, state->enabled);
+    hd_atomic_u64_store_release(&servo->ticks, state->tick);
+}
+
+HD_RT static void loop(struct hd_servo *servo) {
+    struct hd_state *state = servo->state;
+    uint64_t period = 0;
+    const int64_t start_ns = hd_clock_now_ns() + (int64_t)servo->period_ns;
+    int stopping = 0;
+    while (!stopping || state->gain > 0.0) {
+        int64_t deadline_ns = deadline_of(servo, start_ns, period);
+        const int64_t now_ns = wait_until(deadline_ns, servo->config.spin_ns);
+        uint32_t periods = 1;
+        const double late = (double)(now_ns - deadline_ns);
+        if (late >= servo->period_ns) {
+            const double missed = late / servo->period_ns;
+            const uint32_t skip = missed < 4e9 ? (uint32_t)missed : 4000000000u;
+            periods += skip;
+            period += skip;
+            deadline_ns = deadline_of(servo, start_ns, period);
+            hd_atomic_u64_add_relaxed(&servo->skipped, skip);
+            hd_atomic_u64_add_relaxed(&servo->overruns, 1);
+            report(servo, HD_EVENT_OVERRUN, deadline_ns, 0, (double)skip);
+        }
+        if (!stopping && hd_atomic_u32_load_acquire(&servo->stopping)) {
+            stopping = 1;
+            hd_state_want_forces(state, 0);
+        }
+        one_tick(servo, deadline_ns, now_ns, periods);
+        period++;
+    }
+    const double zero[2] = {0.0, 0.0};
+    hd_sim_step_put(servo->sim, zero);
+}
+
+static void *servo_main(void *argument) {
+    struct hd_servo *servo = argument;
+    /* Without real-time priority the kernel may round sleeps by 50 us; with it this changes nothing. */
+    prctl(PR_SET_TIMERSLACK, 1ul, 0ul, 0ul, 0ul);
+    loop(servo);
+    hd_atomic_u32_store_relaxed(&servo->running, 0);
+    return NULL;
+}
+
+/* ---- Control side ----------------------------------------------------------------------------------------------- */
+
+static int config_check(const struct hd_servo_config *config) {
+    if (!(config->rate_hz >= 1.0 && config->rate_hz <= 100000.0)) {
+        return hd_invalid("servo: rate %g Hz is not between 1 and 100000", config->rate_hz);
+    }
+    if (config->spin_ns < 0 || (double)config->spin_ns > 1e9 / config->rate_hz) {
+        return hd_invalid("servo: spinning for %lld ns does not fit into a period", (long long)config->spin_ns);
+    }
+    if (config->sample_capacity == 0 || (config->sample_capacity & (config->sample_capacity - 1)) != 0) {
+        return hd_invalid("servo: %u samples is no power of two", config->sample_capacity);
+    }
+    if (!(config->resolution_m >= 0.0 && config->resolution_m < 1.0)) {
+        return hd_invalid("servo: an encoder step of %g m", config->resolution_m);
+    }
+    return HD_OK;
+}
+
+struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim) {
+    if (config_check(config) != HD_OK) {
+        return NULL;
+    }
+    struct hd_servo *servo = NULL;
+    if (posix_memalign((void **)&servo, HD_CACHE_LINE, sizeof *servo) != 0) {
+        hd_invalid("no memory for the servo");
+        return NULL;
+    }
+    memset(servo, 0, sizeof *servo);
+    servo->config = *config;
+    servo->sim = sim;
+    servo->period_ns = 1e9 / config->rate_hz;
+    servo->period_s = 1.0 / config->rate_hz;
+    hd_triple_init(&servo->triple);
+    servo->state = hd_state_new(config->slot_capacity);
+    if (servo->state == NULL ||
+        hd_ring_init(&servo->commands, sizeof(struct hd_command), HD_COMMAND_CAPACITY) != HD_OK ||
+        hd_ring_init(&servo->samples, sizeof(struct hd_sample), config->sample_capacity) != HD_OK ||
+        hd_ring_init(&servo->events, sizeof(struct hd_event), HD_EVENT_RING_CAPACITY) != HD_OK) {
+        hd_invalid("no memory for the servo");
+        hd_servo_free(servo);
+        return NULL;
+    }
+    hd_state_set_resolution(servo->state, config->resolution_m);
+    servo->state->gain = 0.0;
+    servo->state->enabled = config->forces_on != 0;
+    return servo;
+}
+
+void hd_servo_free(struct hd_servo *servo) {
+    if (servo == NULL) {
+        return;
+    }
+    if (servo->started) {
+        hd_servo_stop(servo);
+    }
+    for (int i = 0; i < 3; i++) {
+        hd_table_release(&servo->buffers[i]);
+    }
+    hd_ring_destroy(&servo->commands);
+    hd_ring_destroy(&servo->samples);
+    hd_ring_destroy(&servo->events);
+    hd_state_free(servo->state);
+    free(servo);
+}
+
+static size_t regions_of(struct hd_servo *servo, struct hd_region regions[11]) {
+    struct hd_state *state = servo->state;
+    size_t count = 0;
+    regions[count++] = (struct hd_region){servo, sizeof *servo};
+    regions[count++] = (struct hd_region){state, sizeof *state};
+    regions[count++] = (struct hd_region){state->slots, state->slot_capacity * sizeof *state->slots};
+    regions[count++] = (struct hd_region){state->active, state->slot_capacity * sizeof *state->active};
+    regions[count++] = (struct hd_region){state->voices, HD_VOICE_CAPACITY * sizeof *state->voices};
+    regions[count++] = (struct hd_region){state->strikes, HD_STRIKE_CAPACITY * sizeof *state->strikes};
+    regions[count++] = (struct hd_region){state->events, HD_EVENT_CAPACITY * sizeof *state->events};
+    regions[count++] = (struct hd_region){servo->commands.slots, HD_COMMAND_CAPACITY * sizeof(struct hd_command)};
+    regions[count++] =
+        (struct hd_region){servo->samples.slots, servo->config.sample_capacity * sizeof(struct hd_sample)};
+    regions[count++] = (struct hd_region){servo->events.slots, HD_EVENT_RING_CAPACITY * sizeof(struct hd_event)};
+    regions[count++] = (struct hd_region){servo->sim, hd_sim_size()};
+    return count;
+}
+
+/* Tries the thread with real-time priority, the highest that the limit allows, then without. 0 or an errno. */
+static int create_thread(struct hd_servo *servo, struct hd_grant *grant) {
+    pthread_attr_t attributes;
+    int error = pthread_attr_init(&attributes);
+    if (error != 0) {
+        return error;
+    }
+    if (servo->config.realtime != HD_REALTIME_OFF) {
+        const struct sched_param parameter = {.sched_priority = servo->config.priority};
+        pthread_attr_setinheritsched(&attributes, PTHREAD_EXPLICIT_SCHED);
+        pthread_attr_setschedpolicy(&attributes, SCHED_FIFO);
+        error = pthread_attr_setschedparam(&attributes, &parameter);
+        if (error == 0) {
+            error = pthread_create(&servo->thread, &attributes, servo_main, servo);
+        }
+        if (error == 0) {
+            grant->priority = servo->config.priority;
+            pthread_attr_destroy(&attributes);
+            return 0;
+        }
+        grant->scheduler = error;
+        if (servo->config.realtime == HD_REALTIME_REQUIRED) {
+            pthread_attr_destroy(&attributes);
+            return error;
+        }
+    }
+    pthread_attr_destroy(&attributes);
+    return pthread_create(&servo->thread, NULL, servo_main, servo);
+}
+
+int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
+    *grant = (struct hd_grant){.memory_kind = HD_MEMORY_NONE};
+    if (servo->started || !hd_triple_acquire(&servo->triple)) {
+        return hd_invalid("servo: start it once, with a table published");
+    }
+    servo->table = &servo->buffers[hd_triple_front(&servo->triple)].table;
+    hd_atomic_u32_store_relaxed(&servo->adopted_revision[0], servo->table->revision);
+    hd_atomic_u64_store_relaxed(&servo->adopted, 1);
+    hd_atomic_u32_store_relaxed(&servo->revision, servo->table->revision);
+    struct hd_region regions[11];
+    const size_t count = regions_of(servo, regions);
+    hd_memory_touch(regions, count);
+    if (servo->config.realtime != HD_REALTIME_OFF) {
+        grant->memory_kind = (int32_t)hd_memory_lock(regions, count, &grant->memory);
+        if (grant->memory_kind == HD_MEMORY_NONE && servo->config.realtime == HD_REALTIME_REQUIRED) {
+            return HD_ERR_DENIED;
+        }
+    }
+    hd_atomic_u32_store_relaxed(&servo->running, 1);
+    const int error = create_thread(servo, grant);
+    if (error != 0) {
+        hd_atomic_u32_store_relaxed(&servo->running, 0);
+        errno = error;
+        return servo->config.realtime == HD_REALTIME_REQUIRED ? HD_ERR_DENIED : HD_ERR_SYSTEM;
+    }
+    servo->started = 1;
+    if (servo->config.cpu >= 0) {
+        cpu_set_t set;
+        CPU_ZERO(&set);
+        CPU_SET((size_t)servo->config.cpu, &set);
+        grant->affinity = pthread_setaffinity_np(servo->thread, sizeof set, &set);
+    }
+    return HD_OK;
+}
+
+int hd_servo_stop(struct hd_servo *servo) {
+    if (!servo->started) {
+        return HD_OK;
+    }
+    hd_atomic_u32_store_release(&servo->stopping, 1);
+    const int error = pthread_join(servo->thread, NULL);
+    if (error != 0) {
+        errno = error;
+        return HD_ERR_SYSTEM;
+    }
+    servo->started = 0;
+    return HD_OK;
+}
+
+int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
+    int status = hd_table_check(table, servo->config.slot_capacity);
+    if (status != HD_OK) {
+        return status;
+    }
+    if (fabs(table->period_s - servo->period_s) > 1e-12) {
+        return hd_invalid("table: compiled for a period of %.17g s, the servo has %.17g s", table->period_s,
+                          servo->period_s);
+    }
+    status = hd_table_copy(&servo->buffers[hd_triple_back(&servo->triple)], table);
+    if (status == HD_OK) {
+        hd_triple_publish(&servo->triple);
+    }
+    return status;
+}
+
+static int command_check(const struct hd_servo *servo, const struct hd_command *command) {
+    switch (command->kind) {
+    case HD_COMMAND_PLAY: {
+        const double *direction = command->direction;
+        const double square = direction[0] * direction[0] + direction[1] * direction[1];
+        if (!(square > 1.0 - 1e-9 && square < 1.0 + 1e-9) || !(command->amplitude >= 0.0 && command->amplitude <= 1e9)) {
+            return hd_invalid("play: direction (%g, %g) or amplitude %g", direction[0], direction[1],
+                              command->amplitude);
+        }
+        return hd_mode_check(&command->mode, "play");
+    }
+    case HD_COMMAND_OPERATOR:
+        return command->path != NULL && servo->sim != NULL ? HD_OK : hd_invalid("operator: no path or no simulation");
+    case HD_COMMAND_RESET:
+    case HD_COMMAND_FORCES:
+    case HD_COMMAND_FAULT:
+        return HD_OK;
+    default:
+        return hd_invalid("command: kind %u", command->kind);
+    }
+}
+
+int hd_servo_send(struct hd_servo *servo, const struct hd_command *commands, size_t count, uint64_t *sequence) {
+    for (size_t i = 0; i < count; i++) {
+        const int status = command_check(servo, &commands[i]);
+        if (status != HD_OK) {
+            return status;
+        }
+    }
+    const int status = hd_ring_push_many(&servo->commands, commands, count);
+    if (status == HD_OK) {
+        servo->sent += count;
+        *sequence = servo->sent;
+    }
+    return status;
+}
+
+/* The servo makes no system call that could wake a waiter, so waiters look again, a fraction of a period later. */
+static void pause_a_moment(const struct hd_servo *servo) {
+    const int64_t moment = (int64_t)(servo->period_ns / 4.0);
+    hd_clock_sleep_until(hd_clock_now_ns() + (moment > 20000 ? moment : 20000));
+}
+
+int hd_servo_wait_command(struct hd_servo *servo, uint64_t sequence, int64_t timeout_ns, uint64_t *tick) {
+    const int64_t until_ns = hd_clock_now_ns() + timeout_ns;
+    while (hd_atomic_u64_load_acquire(&servo->taken) < sequence) {
+        if (hd_clock_now_ns() > until_ns) {
+            return HD_ERR_TIMEOUT;
+        }
+        pause_a_moment(servo);
+    }
+    *tick = hd_atomic_u64_load_relaxed(&servo->taken_tick[(sequence - 1) % HD_COMMAND_CAPACITY]);
+    /* The tick that took it has ended, so its consequences (faults cleared, forces on) are in the counters. */
+    while (hd_atomic_u64_load_acquire(&servo->ticks) <= *tick) {
+        if (hd_clock_now_ns() > until_ns) {
+            return HD_ERR_TIMEOUT;
+        }
+        pause_a_moment(servo);
+    }
+    return HD_OK;
+}
+
+/* The first adoption of `revision` or a later one that is still remembered; 0 if there is none. */
+static int find_adopted(const struct hd_servo *servo, uint32_t revision, uint64_t *tick) {
+    const uint64_t count = hd_atomic_u64_load_acquire(&servo->adopted);
+    const uint64_t oldest = count > HD_ADOPTED_CAPACITY / 2 ? count - HD_ADOPTED_CAPACITY / 2 : 0;
+    for (uint64_t i = oldest; i < count; i++) {
+        const size_t at = (size_t)(i % HD_ADOPTED_CAPACITY);
+        if ((int32_t)(hd_atomic_u32_load_relaxed(&servo->adopted_revision[at]) - revision) >= 0) {
+            *tick = hd_atomic_u64_load_relaxed(&servo->adopted_tick[at]);
+            return 1;
+        }
+    }
+    return 0;
+}
+
+int hd_servo_wait_revision(struct hd_servo *servo, uint32_t revision, int64_t timeout_ns, uint64_t *tick) {
+    const int64_t until_ns = hd_clock_now_ns() + timeout_ns;
+    while (!find_adopted(servo, revision, tick)) {
+        if (hd_clock_now_ns() > until_ns) {
+            return HD_ERR_TIMEOUT;
+        }
+        pause_a_moment(servo);
+    }
+    return HD_OK;
+}
+
+void hd_servo_beat(struct hd_servo *servo) {
+    hd_atomic_u64_add_relaxed(&servo->beat, 1);
+}
+
+void hd_servo_set_lease(struct hd_servo *servo, int64_t deadline_ns) {
+    hd_atomic_i64_store_relaxed(&servo->lease_ns, deadline_ns);
+}
+
+void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counters) {
+    *counters = (struct hd_counters){
+        .ticks = hd_atomic_u64_load_acquire(&servo->ticks),
+        .skipped = hd_atomic_u64_load_relaxed(&servo->skipped),
+        .overruns = hd_atomic_u64_load_relaxed(&servo->overruns),
+        .samples_dropped = hd_ring_dropped(&servo->samples),
+        .events_dropped = hd_ring_dropped(&servo->events),
+        .strikes = hd_atomic_u64_load_relaxed(&servo->strikes),
+        .glitches = hd_atomic_u64_load_relaxed(&servo->glitches),
+        .saturations = hd_atomic_u64_load_relaxed(&servo->saturations),
+        .revision = hd_atomic_u32_load_relaxed(&servo->revision),
+        .faults = hd_atomic_u32_load_relaxed(&servo->faults),
+        .forces_on = hd_atomic_u32_load_relaxed(&servo->forces_on),
+        .running = hd_atomic_u32_load_relaxed(&servo->running),
+    };
+}
+
+size_t hd_servo_read_samples(struct hd_servo *servo, struct hd_sample *samples, size_t capacity, uint64_t *dropped) {
+    const size_t count = hd_ring_pop_many(&servo->samples, samples, capacity);
+    *dropped = hd_ring_dropped(&servo->samples);
+    return count;
+}
+
+size_t hd_servo_read_events(struct hd_servo *servo, struct hd_event *events, size_t capacity, uint64_t *dropped) {
+    const size_t count = hd_ring_pop_many(&servo->events, events, capacity);
+    *dropped = hd_ring_dropped(&servo->events);
+    return count;
+}

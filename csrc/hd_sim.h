@@ -1,0 +1,18 @@
+/* The simulated joystick, from the inside of the core: what the servo thread calls. Each does what the function of
+ * hd_api.h without `step` does; those are for the control side. One thread at a time uses a simulation. */
+#ifndef HD_SIM_H
+#define HD_SIM_H
+
+#include "hd_core.h"
+#include "hd_rt.h"
+
+HD_RT void hd_sim_step_operate(struct hd_sim *sim, const struct hd_operator *path);
+HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]);
+HD_RT void hd_sim_step_advance(struct hd_sim *sim, uint32_t periods);
+HD_RT void hd_sim_step_read(struct hd_sim *sim, struct hd_reading *reading);
+HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
+
+/* How much memory *sim is: the servo locks it. */
+size_t hd_sim_size(void);
+
+#endif

@@ -1,0 +1,192 @@
+/* Ringing modes, Q(t) = A exp(-B t) sin(w t) for 0 <= t <= 5/B, then exactly zero.
+ *
+ * Each mode is z[k+1] = z[k] exp((-B + i w) T), heard as Im z: the closed form of the sampled signal, so that the only
+ * error is rounding (about k eps after k ticks). z has a component along x and one along y; both turn with one rotor,
+ * so strikes along any direction add linearly. A mode ends by a count of ticks that was computed from the closed form
+ * when it was struck, never by its amplitude; e^-5 of a strike is far above subnormal, and strikes too small to stay
+ * normal are not made. */
+#include "hd_voice.h"
+
+#include <math.h>
+
+/* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
+#define HD_SMALLEST_SQUARE 1e-290
+
+HD_RT static void remove_voice(struct hd_state *state, uint32_t index) {
+    struct hd_voice *voice = &state->voices[index];
+    if (voice->slot < state->slot_capacity) {
+        struct hd_slot *slot = &state->slots[voice->slot];
+        if (slot->voice[voice->use] == index + 1) {
+            slot->voice[voice->use] = 0;
+        }
+    }
+    const uint32_t last = --state->voice_count;
+    if (index != last) {
+        *voice = state->voices[last];
+        if (voice->slot < state->slot_capacity) {
+            struct hd_slot *slot = &state->slots[voice->slot];
+            if (slot->voice[voice->use] == last + 1) {
+                slot->voice[voice->use] = index + 1;
+            }
+        }
+    }
+}
+
+HD_RT static void polar(double magnitude_log, double angle, double *re, double *im) {
+    HD_RT_FOREIGN_BEGIN
+    const double magnitude = exp(magnitude_log);
+    *re = magnitude * cos(angle);
+    *im = magnitude * sin(angle);
+    HD_RT_FOREIGN_END
+}
+
+HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods, double period_s) {
+    uint32_t i = 0;
+    while (i < state->voice_count) {
+        struct hd_voice *voice = &state->voices[i];
+        if (voice->left < periods) {
+            remove_voice(state, i);
+            continue;
+        }
+        voice->left -= periods;
+        double rotor_re = voice->rotor_re;
+        double rotor_im = voice->rotor_im;
+        if (periods != 1) {
+            const double time_s = (double)periods * period_s;
+            polar(-voice->decay_rate_per_s * time_s, voice->angular_frequency_rad_per_s * time_s, &rotor_re, &rotor_im);
+        }
+        for (int axis = 0; axis < 2; axis++) {
+            const double re = voice->re[axis];
+            const double im = voice->im[axis];
+            voice->re[axis] = re * rotor_re - im * rotor_im;
+            voice->im[axis] = re * rotor_im + im * rotor_re;
+        }
+        i++;
+    }
+}
+
+HD_RT void hd_voices_sum(const struct hd_state *state, double force_n[2]) {
+    double x = 0.0;
+    double y = 0.0;
+    for (uint32_t i = 0; i < state->voice_count; i++) {
+        x += state->voices[i].im[0];
+        y += state->voices[i].im[1];
+    }
+    force_n[0] = x;
+    force_n[1] = y;
+}
+
+HD_RT double hd_voices_bound(const struct hd_state *state) {
+    double bound = 0.0;
+    for (uint32_t i = 0; i < state->voice_count; i++) {
+        const struct hd_voice *voice = &state->voices[i];
+        HD_RT_FOREIGN_BEGIN
+        bound += sqrt(voice->re[0] * voice->re[0] + voice->im[0] * voice->im[0] + voice->re[1] * voice->re[1] +
+                      voice->im[1] * voice->im[1]);
+        HD_RT_FOREIGN_END
+    }
+    return bound;
+}
+
+/* Ticks after the striking one in which the mode sounds: the largest n with n T + tau <= 5/B; -1 if not even n = 0. */
+HD_RT static int64_t ticks_left(double end_s, double before_s, double period_s) {
+    if (!(before_s <= end_s)) {
+        return -1;
+    }
+    const double estimate = (end_s - before_s) / period_s;
+    if (estimate >= (double)UINT32_MAX) {
+        return UINT32_MAX;
+    }
+    int64_t n = (int64_t)estimate;
+    while ((double)(n + 1) * period_s + before_s <= end_s) {
+        n++;
+    }
+    while (n > 0 && (double)n * period_s + before_s > end_s) {
+        n--;
+    }
+    return n;
+}
+
+/* The mode's own voice, if it rings. What is played has no slot and is known by its mode. */
+HD_RT static struct hd_voice *find_voice(const struct hd_state *state, const struct hd_strike *strike) {
+    if (strike->slot < state->slot_capacity) {
+        const uint32_t index = state->slots[strike->slot].voice[strike->use];
+        if (index == 0) {
+            return NULL;
+        }
+        struct hd_voice *voice = &state->voices[index - 1];
+        return voice->generation == strike->generation ? voice : NULL;
+    }
+    for (uint32_t i = 0; i < state->voice_count; i++) {
+        struct hd_voice *voice = &state->voices[i];
+        const struct hd_mode *mode = strike->mode;
+        if (voice->slot == strike->slot && voice->rotor_re == mode->rotor_re && voice->rotor_im == mode->rotor_im) {
+            return voice;
+        }
+    }
+    return NULL;
+}
+
+HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_strike *strike) {
+    if (state->voice_count == HD_VOICE_CAPACITY) {
+        uint32_t nearest = 0;
+        for (uint32_t i = 1; i < state->voice_count; i++) {
+            if (state->voices[i].left < state->voices[nearest].left) {
+                nearest = i;
+            }
+        }
+        remove_voice(state, nearest);
+    }
+    struct hd_voice *voice = &state->voices[state->voice_count++];
+    *voice = (struct hd_voice){.slot = strike->slot, .generation = strike->generation, .use = strike->use};
+    if (strike->slot < state->slot_capacity) {
+        state->slots[strike->slot].voice[strike->use] = state->voice_count;
+    }
+    return voice;
+}
+
+HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
+                            double period_s) {
+    const struct hd_mode *mode = strike->mode;
+    const int64_t left = ticks_left(mode->end_s, strike->before_s, period_s);
+    const double square = force_n[0] * force_n[0] + force_n[1] * force_n[1];
+    if (left < 0 || !(square > HD_SMALLEST_SQUARE)) {
+        return; /* over before this tick, or nothing */
+    }
+    struct hd_voice *voice = find_voice(state, strike);
+    if (voice == NULL) {
+        voice = new_voice(state, strike);
+    }
+    voice->rotor_re = mode->rotor_re;
+    voice->rotor_im = mode->rotor_im;
+    voice->decay_rate_per_s = mode->decay_rate_per_s;
+    voice->angular_frequency_rad_per_s = mode->angular_frequency_rad_per_s;
+    voice->left = (uint32_t)left;
+    double re;
+    double im;
+    polar(-mode->decay_rate_per_s * strike->before_s, mode->angular_frequency_rad_per_s * strike->before_s, &re, &im);
+    for (int axis = 0; axis < 2; axis++) {
+        voice->re[axis] += force_n[axis] * re;
+        voice->im[axis] += force_n[axis] * im;
+    }
+}
+
+HD_RT void hd_voices_scale(struct hd_state *state, double factor) {
+    if (factor * factor <= HD_SMALLEST_SQUARE) {
+        hd_voices_silence(state);
+        return;
+    }
+    for (uint32_t i = 0; i < state->voice_count; i++) {
+        struct hd_voice *voice = &state->voices[i];
+        for (int axis = 0; axis < 2; axis++) {
+            voice->re[axis] *= factor;
+            voice->im[axis] *= factor;
+        }
+    }
+}
+
+HD_RT void hd_voices_silence(struct hd_state *state) {
+    while (state->voice_count > 0) {
+        remove_voice(state, state->voice_count - 1);
+    }
+}

@@ -1,0 +1,21 @@
+/* Ringing modes: one complex rotor per mode, in two directions at once. The equation is at the top of hd_voice.c. */
+#ifndef HD_VOICE_H
+#define HD_VOICE_H
+
+#include "hd_rt.h"
+#include "hd_state.h"
+
+/* All modes go on by `periods` ticks of `period_s`; those that have ended are exactly zero from now on. */
+HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods, double period_s);
+/* The force of all ringing modes at this tick. */
+HD_RT void hd_voices_sum(const struct hd_state *state, double force_n[2]);
+/* An upper bound of what the ringing modes can add up to from now on. */
+HD_RT double hd_voices_bound(const struct hd_state *state);
+/* Adds a strike with the coefficient `force_n` (a vector) to its mode. */
+HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
+                            double period_s);
+/* What is ringing goes on at `factor` of its amplitude. */
+HD_RT void hd_voices_scale(struct hd_state *state, double factor);
+HD_RT void hd_voices_silence(struct hd_state *state);
+
+#endif

@@ -1,0 +1,348 @@
+"""The client for asyncio: `async with hapticd.aio.connect() as daemon: ...`.
+
+The methods are those of `hapticd.client.Client`, awaited; several calls may be under way at once. What is
+said over the sockets stands in `calls.py`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+from collections.abc import AsyncIterator, Iterable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Generic, Self, TypeVar, cast
+
+import zmq
+import zmq.asyncio
+
+from hapticd import calls
+from hapticd.calls import (
+    TIMEOUT_S,
+    DaemonNotRunning,
+    Event,
+    Feed,
+    ForcesResult,
+    Interpolation,
+    LeaseResult,
+    MaterialsResult,
+    OperatorResult,
+    PatchSource,
+    PlayResult,
+    RemoteError,
+    RevisionResult,
+    SceneResult,
+    SceneSource,
+    State,
+    Status,
+    TelemetryLoss,
+    TickResult,
+    Topic,
+)
+from hapticd.errors import HapticdError
+from hapticd.paths import RuntimePaths, daemon_paths
+
+if TYPE_CHECKING:
+    from hapticd.samples import SampleBatch
+
+__all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
+
+T = TypeVar("T")
+
+
+@contextlib.asynccontextmanager
+async def connect(
+    runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S
+) -> AsyncIterator[Client]:
+    """A client of the daemon at `runtime_dir` (by default where the environment says).
+
+    `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+    """
+    client = Client(runtime_dir, timeout_s)
+    try:
+        yield client
+    finally:
+        await client.close()
+
+
+class Client:
+    """The daemon's methods, by their names in the protocol; each returns the protocol's result as a
+    dictionary.
+
+    Belongs to the event loop that was running when it was made. Every method raises RemoteError where the
+    daemon refuses, and DaemonNotRunning where it does not answer within `timeout_s`.
+    """
+
+    def __init__(
+        self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S
+    ) -> None:
+        self.paths: RuntimePaths = daemon_paths(runtime_dir)
+        self.timeout_s = timeout_s
+        self._last_id = 0
+        self._waiting: dict[int, asyncio.Future[object | RemoteError]] = {}
+        self._subscriptions: list[Subscription[object]] = []
+        calls.probe(self.paths)
+        self._socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        # Nothing waits in a queue for a daemon that is not there: what was told to a dead one must not
+        # reach the next.
+        self._socket.setsockopt(zmq.IMMEDIATE, 1)
+        self._socket.connect(self.paths.command_endpoint)
+        self._reader = asyncio.create_task(self._read(), name="hapticd-answers")
+
+    async def _read(self) -> None:
+        try:
+            while True:
+                id, result = calls.answer(await self._socket.recv())
+                # An error without an id says that some message was no call; ours are, so that it belongs to
+                # none.
+                future = self._waiting.pop(id, None) if isinstance(id, int) else None
+                if future is not None and not future.done():
+                    future.set_result(result)
+        except HapticdError as error:
+            for future in self._waiting.values():
+                if not future.done():
+                    future.set_exception(error)
+
+    async def close(self) -> None:
+        """Closes the client and its subscriptions; it may be closed twice."""
+        self._reader.cancel()
+        await asyncio.gather(self._reader, return_exceptions=True)
+        self._socket.close()
+        for future in self._waiting.values():
+            future.cancel()
+        for subscription in self._subscriptions:
+            subscription.close()
+        self._subscriptions.clear()
+
+    async def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
+        """Calls any method of the protocol by its name; returns its result."""
+        if self._socket.closed:
+            raise HapticdError("the client is closed")
+        self._last_id += 1
+        id = self._last_id
+        body = calls.question(id, method, params)
+        future: asyncio.Future[object | RemoteError] = asyncio.get_running_loop().create_future()
+        self._waiting[id] = future
+        try:
+            async with asyncio.timeout(self.timeout_s):
+                await self._socket.send(body)
+                result = await future
+        except TimeoutError:
+            raise calls.unanswered(self.paths, self.timeout_s) from None
+        finally:
+            self._waiting.pop(id, None)
+        if isinstance(result, RemoteError):
+            raise result
+        return result
+
+    # ---- methods -------------------------------------------------------------------------------------------
+
+    async def get_status(self) -> Status:
+        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
+        return cast(Status, await self.call("get_status"))
+
+    async def get_scene(self) -> SceneResult:
+        """The scene and its revision."""
+        return cast(SceneResult, await self.call("get_scene"))
+
+    async def set_scene(
+        self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Replaces the scene, all or nothing.
+
+        `scene` is a mapping, the path of a YAML file that holds a scene, or a `hapticd.Scene`. With
+        `expect_revision` the daemon refuses (-32001) if the scene has another revision; with `wait` the
+        result has the first `tick` rendered with it.
+        """
+        params = calls.change_params("scene", calls.scene_tree(scene), expect_revision, wait)
+        return cast(RevisionResult, await self.call("set_scene", params))
+
+    async def update_scene(
+        self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Changes objects by id: a JSON Merge Patch (RFC 7396) over the scene's `objects`; None removes."""
+        patch = calls.patch_tree(objects, "scene", "objects")
+        params = calls.change_params("objects", patch, expect_revision, wait)
+        return cast(RevisionResult, await self.call("update_scene", params))
+
+    async def get_materials(self) -> MaterialsResult:
+        """All materials by name, the shipped ones among them."""
+        return cast(MaterialsResult, await self.call("get_materials"))
+
+    async def update_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Changes materials by name: a JSON Merge Patch, as a mapping or the path of a YAML file."""
+        patch = calls.patch_tree(materials, "materials")
+        params = calls.change_params("materials", patch, expect_revision, wait)
+        return cast(RevisionResult, await self.call("update_materials", params))
+
+    async def play(
+        self,
+        material: str | None = None,
+        *,
+        mode: Mapping[str, float] | None = None,
+        direction: Iterable[float] = (0.0, 1.0),
+        amplitude_m_per_s2: float,
+    ) -> PlayResult:
+        """Strikes a mode, or a material's tap, along `direction` [x, y], whatever is touched."""
+        params = calls.play_params(material, mode, direction, amplitude_m_per_s2)
+        return cast(PlayResult, await self.call("play", params))
+
+    async def reset(self, objects: Iterable[str] | None = None) -> TickResult:
+        """Heals membranes and clears contact state, of the objects with these ids or of all."""
+        params = None if objects is None else {"objects": list(objects)}
+        return cast(TickResult, await self.call("reset", params))
+
+    async def set_forces(self, enabled: bool) -> ForcesResult:
+        """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
+        return cast(ForcesResult, await self.call("set_forces", {"enabled": enabled}))
+
+    async def set_operator(
+        self,
+        waypoints: Iterable[Iterable[float]] | None = None,
+        *,
+        interpolation: Interpolation | None = None,
+        gesture: Mapping[str, object] | None = None,
+    ) -> OperatorResult:
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
+        params = calls.operator_params(waypoints, interpolation, gesture)
+        return cast(OperatorResult, await self.call("set_operator", params))
+
+    async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
+        """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
+        return cast(LeaseResult, await self.call("lease", calls.lease_params(duration_s, token)))
+
+    @contextlib.asynccontextmanager
+    async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
+        """Holds a lease while the block runs, and gives its token.
+
+        A task renews it three times within `duration_s`, as long as the event loop is not held up. Raises
+        at the end of the block where the lease was lost meanwhile.
+        """
+        token = calls.token_of(await self.lease(duration_s))
+        lost: list[HapticdError] = []
+
+        async def renew() -> None:
+            try:
+                while True:
+                    await asyncio.sleep(duration_s / 3)
+                    # A daemon that is away may come back in time; if not, its answer says that the lease
+                    # lapsed.
+                    with contextlib.suppress(DaemonNotRunning):
+                        await self.lease(duration_s, token)
+            except HapticdError as error:
+                lost.append(error)
+
+        task = asyncio.create_task(renew(), name="hapticd-lease")
+        try:
+            yield token
+        except BaseException:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            with contextlib.suppress(HapticdError):  # what went wrong in the block is what is told
+                await self.lease(0, token)
+            raise
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        if lost:
+            raise lost[0]
+        await self.lease(0, token)
+
+    # ---- telemetry -----------------------------------------------------------------------------------------
+
+    def samples(self, timeout_s: float | None = None) -> Subscription[SampleBatch]:
+        """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
+
+        Iteration raises DaemonNotRunning where nothing comes for `timeout_s` (by default the client's), and
+        warns (TelemetryLoss) where reading is too slow.
+        """
+        from hapticd.samples import SampleStream
+
+        return self._subscribe(Feed(("samples",), SampleStream().convert), timeout_s)
+
+    def states(self, timeout_s: float | None = None) -> Subscription[State]:
+        """The newest sample as a dictionary, 60 times a second."""
+        return self._subscribe(Feed(("state",), calls.state_of), timeout_s)
+
+    def events(self, timeout_s: float | None = None) -> Subscription[Event]:
+        """Contacts, releases, punctures, faults and the other events."""
+        return self._subscribe(Feed(("event",), calls.event_of), timeout_s)
+
+    def statuses(self, timeout_s: float | None = None) -> Subscription[Status]:
+        """The status, once a second."""
+        return self._subscribe(Feed(("status",), calls.status_of), timeout_s)
+
+    def telemetry(
+        self, *topics: Topic, timeout_s: float | None = None
+    ) -> Subscription[tuple[Topic, dict[str, object]]]:
+        """Several topics on one socket, in the daemon's order: pairs of topic and message as it came."""
+        return self._subscribe(Feed(topics, calls.message_of), timeout_s)
+
+    def _subscribe(self, feed: Feed[T], timeout_s: float | None) -> Subscription[T]:
+        subscription = Subscription(self.paths, feed, self.timeout_s if timeout_s is None else timeout_s)
+        self._subscriptions = [other for other in self._subscriptions if not other.closed]
+        self._subscriptions.append(cast("Subscription[object]", subscription))
+        return subscription
+
+
+class Subscription(Generic[T]):
+    """An endless asynchronous iterator over telemetry, until `close` or the end of `async with`.
+
+    It is in effect from the entry into `async with`, or else from the first item on.
+    """
+
+    def __init__(self, paths: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
+        self._paths = paths
+        self._feed = feed
+        self._timeout_s = timeout_s
+        self._first: list[T] = []
+        self._ready = False
+        self._socket = zmq.asyncio.Context.instance().socket(zmq.SUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        for topic in feed.subscriptions:
+            self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+        self._socket.connect(paths.telemetry_endpoint)
+
+    async def _receive(self) -> tuple[T, ...]:
+        try:
+            async with asyncio.timeout(self._timeout_s):
+                frames = await self._socket.recv_multipart()
+        except TimeoutError:
+            raise calls.silent(self._paths, self._timeout_s) from None
+        if not self._ready:
+            self._ready = True
+            for topic in self._feed.surplus:
+                self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
+        return self._feed.accept(frames)
+
+    @property
+    def closed(self) -> bool:
+        return self._socket.closed
+
+    def close(self) -> None:
+        """Ends the subscription; it may be closed twice."""
+        self._socket.close()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> T:
+        if self._first:
+            return self._first.pop()
+        while not self._socket.closed:
+            items = await self._receive()
+            if items:
+                return items[0]
+        raise StopAsyncIteration
+
+    async def __aenter__(self) -> Self:
+        if not self._ready:
+            self._first += await self._receive()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

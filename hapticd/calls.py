@@ -1,0 +1,391 @@
+"""The half of both clients that does no I/O: what each method sends, and what is made of what comes back.
+
+`client.py` and `aio.py` are the two thin shells around it, blocking and asyncio. Results are typed as
+dictionaries with the very names of `docs/protocol.md`.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import socket
+from collections.abc import Callable, Iterable, Mapping
+from typing import (
+    TYPE_CHECKING,
+    Final,
+    Generic,
+    Literal,
+    NotRequired,
+    Protocol,
+    TypeAlias,
+    TypedDict,
+    TypeVar,
+    cast,
+)
+
+from hapticd import wire
+from hapticd.errors import HapticdError, Problem
+from hapticd.paths import RuntimePaths
+
+if TYPE_CHECKING:
+    from hapticd.yaml_source import Json
+
+T = TypeVar("T")
+
+TIMEOUT_S: Final = 5.0
+"""How long a client waits for an answer unless it is told otherwise."""
+
+Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
+Topic: TypeAlias = Literal["samples", "state", "event", "status"]
+
+
+class RemoteError(HapticdError):
+    """The daemon answered with an error.
+
+    `code` is one of `hapticd.wire.Code`, `problems` holds the faults that were found in the params, `data`
+    is the error's data as it came.
+    """
+
+    def __init__(self, code: int, message: str, data: object = None) -> None:
+        super().__init__(code, message, data)
+        self.code = code
+        self.message = message
+        self.data = data
+        self.problems: tuple[Problem, ...] = _problems(data)
+
+    def __str__(self) -> str:
+        return "; ".join(map(str, self.problems)) or self.message
+
+
+def _problems(data: object) -> tuple[Problem, ...]:
+    if not isinstance(data, list):
+        return ()
+    return tuple(
+        Problem(str(item["where"]), str(item["problem"]))
+        for item in data
+        if isinstance(item, dict) and "where" in item and "problem" in item
+    )
+
+
+class DaemonNotRunning(HapticdError):
+    """Nobody answers at the runtime directory, or nobody any more."""
+
+
+class TelemetryLoss(UserWarning):
+    """This subscriber was too slow: the daemon sent samples that never arrived here."""
+
+
+# ---- results, named as in docs/protocol.md -----------------------------------------------------------------
+
+
+class Status(TypedDict):
+    """What the daemon is and does."""
+
+    version: str
+    protocol: int
+    state: str
+    device: str
+    rate_hz: float
+    realtime: dict[str, Json] | None
+    revision: int
+    tick: int
+    forces: Literal["on", "off", "faulted"]
+    faults: list[str]
+    lease_s: float | None
+    counters: dict[str, int]
+    undisplayable: list[dict[str, Json]]
+
+
+class SceneResult(TypedDict):
+    """The scene, and the revision that it has."""
+
+    scene: dict[str, Json]
+    revision: int
+
+
+class RevisionResult(TypedDict):
+    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one."""
+
+    revision: int
+    tick: NotRequired[int]
+    warning: NotRequired[str]
+
+
+class MaterialsResult(TypedDict):
+    """All materials by name, and the scene's revision with them."""
+
+    materials: dict[str, dict[str, Json]]
+    revision: int
+
+
+class TickResult(TypedDict):
+    """The tick that took a command."""
+
+    tick: int
+
+
+class PlayResult(TickResult):
+    """Also the frequency that is shown, where the rate does not carry the mode's own."""
+
+    displayed_hz: float | None
+
+
+class ForcesResult(TickResult):
+    """Also what the forces are now."""
+
+    forces: Literal["on", "off", "faulted"]
+
+
+class OperatorResult(TickResult):
+    """Also how long the hand will be under way."""
+
+    duration_s: float
+
+
+class LeaseResult(TypedDict):
+    """By this token the lease is renewed or ended; None once it is ended."""
+
+    token: str | None
+    warning: NotRequired[str]
+
+
+class State(TypedDict):
+    """The newest sample; vectors are [x, y]. `touching` holds ids of objects, `flag_names` the flags as words."""
+
+    tick: int
+    time_ns: int
+    position_m: list[float]
+    velocity_m_per_s: list[float]
+    contact_force_n: list[float]
+    vibration_force_n: list[float]
+    force_n: list[float]
+    revision: int
+    flags: int
+    lateness_ns: int
+    work_ns: int
+    touching: list[str]
+    flag_names: list[str]
+
+
+Event: TypeAlias = "dict[str, Json]"
+"""One event; `event` says which, `tick` and `time_ns` when, the other members depend on it."""
+
+
+# ---- params ------------------------------------------------------------------------------------------------
+
+
+class Model(Protocol):
+    """A validated model, such as `hapticd.Scene`."""
+
+    def to_dict(self) -> dict[str, Json]: ...
+
+
+SceneSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str] | Model"
+"""A scene: the mapping itself, the path of a YAML file, or a `hapticd.Scene`."""
+PatchSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str]"
+"""A merge patch: the mapping itself, or the path of a YAML file."""
+
+
+def scene_tree(scene: SceneSource) -> Mapping[str, object]:
+    """The mapping that goes over the wire. A file is validated here, so that faults are told with their line.
+
+    Raises HapticdError for a file that cannot be read, InvalidError for one that holds no valid scene.
+    """
+    if isinstance(scene, Mapping):
+        return scene
+    if isinstance(scene, str | os.PathLike):
+        from hapticd.scene import load_scene
+
+        return load_scene(scene).to_dict()
+    return scene.to_dict()
+
+
+def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
+    """The mapping that goes over the wire; a file may hold it under `path`, as a configuration does, or bare.
+
+    Raises HapticdError for a file that cannot be read or holds no mapping, InvalidError for one that is no
+    YAML.
+    """
+    if isinstance(patch, Mapping):
+        return patch
+    from hapticd.yaml_source import load_path
+
+    document = load_path(patch)
+    found: tuple[str, ...] = ()
+    data: object = document.data
+    for key in path:
+        if isinstance(data, dict) and key in data:
+            data = data[key]
+            found += (key,)
+    if not isinstance(data, dict):
+        raise HapticdError(f"{document.where(found)}: must be a mapping, the {path[-1]} by their names")
+    return data
+
+
+def change_params(
+    key: str, value: Mapping[str, object], expect_revision: int | None, wait: bool
+) -> dict[str, object]:
+    """Params of set_scene, update_scene and update_materials."""
+    params: dict[str, object] = {key: value}
+    if expect_revision is not None:
+        params["expect_revision"] = expect_revision
+    if wait:
+        params["wait"] = True
+    return params
+
+
+def play_params(
+    material: str | None,
+    mode: Mapping[str, float] | None,
+    direction: Iterable[float],
+    amplitude_m_per_s2: float,
+) -> dict[str, object]:
+    """Params of play."""
+    params: dict[str, object] = {
+        "direction": [float(component) for component in direction],
+        "amplitude_m_per_s2": float(amplitude_m_per_s2),
+    }
+    if material is not None:
+        params["material"] = material
+    if mode is not None:
+        params["mode"] = dict(mode)
+    return params
+
+
+def operator_params(
+    waypoints: Iterable[Iterable[float]] | None,
+    interpolation: Interpolation | None,
+    gesture: Mapping[str, object] | None,
+) -> dict[str, object]:
+    """Params of set_operator."""
+    params: dict[str, object] = {}
+    if waypoints is not None:
+        params["waypoints"] = [[float(number) for number in waypoint] for waypoint in waypoints]
+    if interpolation is not None:
+        params["interpolation"] = interpolation
+    if gesture is not None:
+        params["gesture"] = dict(gesture)
+    return params
+
+
+def lease_params(duration_s: float, token: str | None) -> dict[str, object]:
+    """Params of lease."""
+    return {"duration_s": duration_s} if token is None else {"duration_s": duration_s, "token": token}
+
+
+def token_of(lease: LeaseResult) -> str:
+    """The token of a lease that is to be held; raises HapticdError for one of no duration."""
+    token = lease["token"]
+    if token is None:
+        raise HapticdError("duration_s: must be more than 0 to hold a lease")
+    return token
+
+
+# ---- questions and answers ---------------------------------------------------------------------------------
+
+
+def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
+    """The body of a call; raises HapticdError for one that the daemon would refuse to read."""
+    body = wire.request(id, method, params)
+    if len(body) > wire.MAX_BODY:
+        raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {wire.MAX_BODY})")
+    return body
+
+
+def answer(body: bytes) -> tuple[wire.Id, object | RemoteError]:
+    """The id that an answer carries, and the result or the error in it."""
+    message = wire.decode_trusted(body)
+    if not isinstance(message, dict):
+        raise _not_an_answer()
+    id = cast(wire.Id, message.get("id"))
+    if "error" not in message:
+        return id, message.get("result")
+    error = message["error"]
+    if not isinstance(error, dict):
+        raise _not_an_answer()
+    return id, RemoteError(int(error.get("code", 0)), str(error.get("message", "")), error.get("data"))
+
+
+def _not_an_answer() -> wire.WireError:
+    return wire.WireError(wire.Code.INVALID_REQUEST, "the daemon's answer is not a JSON-RPC object")
+
+
+def probe(paths: RuntimePaths) -> None:
+    """Raises DaemonNotRunning where nobody listens, HapticdError where we may not ask."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        try:
+            trial.connect(os.fspath(paths.command))
+        except OSError as error:
+            if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
+                raise DaemonNotRunning(
+                    f"no daemon at {paths.directory}; start one with: hapticd run"
+                ) from None
+            raise HapticdError(f"{paths.command}: {error.strerror}") from None
+
+
+def unanswered(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
+    """Why there was no answer: nobody is there, or somebody does not speak."""
+    try:
+        probe(paths)
+    except DaemonNotRunning as error:
+        return error
+    except HapticdError as error:
+        return DaemonNotRunning(str(error))
+    return DaemonNotRunning(f"the daemon at {paths.directory} did not answer within {timeout_s:g} s")
+
+
+# ---- telemetry ---------------------------------------------------------------------------------------------
+
+
+class Feed(Generic[T]):
+    """Turns telemetry messages into what a subscription yields.
+
+    `state` comes 60 times a second. Subscriptions take effect in their order, so that the first message of
+    any topic shows that those asked for before `state` are in effect. `status` comes every second, however
+    little happens, so that silence means that the daemon is gone.
+    """
+
+    READY: Final = b"state"
+    ALIVE: Final = b"status"
+
+    def __init__(self, topics: Iterable[Topic], convert: Callable[[Topic, dict[str, object]], T]) -> None:
+        self._wanted = frozenset(topic.encode() for topic in topics)
+        self._convert = convert
+        self.subscriptions: tuple[bytes, ...] = (*sorted(self._wanted | {self.ALIVE}), self.READY)
+        self.surplus = frozenset({self.READY}) - self._wanted
+        """To be unsubscribed from as soon as the first message came."""
+
+    def accept(self, frames: list[bytes]) -> tuple[T, ...]:
+        """What one message yields: one item, or none where it was not asked for."""
+        if len(frames) != 2 or frames[0] not in self._wanted:
+            return ()
+        message = wire.decode_trusted(frames[1])
+        if not isinstance(message, dict):
+            raise wire.WireError(wire.Code.INVALID_REQUEST, f"telemetry {frames[0].decode()}: not a map")
+        return (self._convert(cast(Topic, frames[0].decode()), message),)
+
+
+def silent(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
+    """Why telemetry stopped, or never came."""
+    try:
+        probe(paths)
+    except HapticdError as error:
+        return DaemonNotRunning(str(error))
+    return DaemonNotRunning(f"no telemetry from {paths.directory} for {timeout_s:g} s")
+
+
+def message_of(topic: Topic, message: dict[str, object]) -> tuple[Topic, dict[str, object]]:
+    """A message as it came, for subscriptions to several topics."""
+    return topic, message
+
+
+def state_of(topic: Topic, message: dict[str, object]) -> State:
+    return cast(State, message)
+
+
+def event_of(topic: Topic, message: dict[str, object]) -> Event:
+    return cast("Event", message)
+
+
+def status_of(topic: Topic, message: dict[str, object]) -> Status:
+    return cast(Status, message)

@@ -1,0 +1,370 @@
+"""The client for ordinary, blocking code: `with hapticd.connect() as daemon: ...`.
+
+One DEALER socket for commands, used under a lock, so that a client may be shared between threads; each
+subscription has a SUB socket of its own and belongs to one thread. What is said over them stands in
+`calls.py`.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, Generic, Self, TypeVar, cast
+
+import zmq
+
+from hapticd import calls
+from hapticd.calls import (
+    TIMEOUT_S,
+    DaemonNotRunning,
+    Event,
+    Feed,
+    ForcesResult,
+    Interpolation,
+    LeaseResult,
+    MaterialsResult,
+    OperatorResult,
+    PatchSource,
+    PlayResult,
+    RemoteError,
+    RevisionResult,
+    SceneResult,
+    SceneSource,
+    State,
+    Status,
+    TelemetryLoss,
+    TickResult,
+    Topic,
+)
+from hapticd.errors import HapticdError
+from hapticd.paths import RuntimePaths, daemon_paths
+
+if TYPE_CHECKING:
+    from hapticd.samples import SampleBatch
+
+__all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
+
+T = TypeVar("T")
+
+
+def connect(runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> Client:
+    """A client of the daemon at `runtime_dir` (by default where the environment says), to be used in `with`.
+
+    `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+    """
+    return Client(runtime_dir, timeout_s)
+
+
+class Client:
+    """The daemon's methods, by their names in the protocol; each returns the protocol's result as a
+    dictionary.
+
+    Every method raises RemoteError where the daemon refuses, and DaemonNotRunning where it does not answer
+    within `timeout_s`; such a call is not repeated later by itself.
+    """
+
+    def __init__(
+        self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S
+    ) -> None:
+        self.paths: RuntimePaths = daemon_paths(runtime_dir)
+        self.timeout_s = timeout_s
+        self._lock = threading.Lock()
+        self._last_id = 0
+        self._subscriptions: list[Subscription[object]] = []
+        calls.probe(self.paths)
+        self._socket = self._open()
+
+    def _open(self) -> zmq.Socket[bytes]:
+        socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
+        socket.setsockopt(zmq.LINGER, 0)
+        # Nothing waits in a queue for a daemon that is not there: what was told to a dead one must not
+        # reach the next.
+        socket.setsockopt(zmq.IMMEDIATE, 1)
+        socket.setsockopt(zmq.SNDTIMEO, _milliseconds(self.timeout_s))
+        socket.setsockopt(zmq.RCVTIMEO, _milliseconds(self.timeout_s))
+        socket.connect(self.paths.command_endpoint)
+        return socket
+
+    def close(self) -> None:
+        """Closes the client and its subscriptions; it may be closed twice."""
+        with self._lock:
+            self._socket.close()
+            subscriptions, self._subscriptions = self._subscriptions, []
+        for subscription in subscriptions:
+            subscription.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
+        """Calls any method of the protocol by its name; returns its result."""
+        with self._lock:
+            if self._socket.closed:
+                raise HapticdError("the client is closed")
+            self._last_id += 1
+            id = self._last_id
+            body = calls.question(id, method, params)
+            try:
+                self._socket.send(body)
+                answer_id, result = calls.answer(self._socket.recv())
+                if answer_id != id and answer_id is not None:
+                    result = self._skip_to(id)
+            except zmq.Again:
+                # The call may still be under way; its answer goes with the socket.
+                self._socket.close()
+                self._socket = self._open()
+                raise calls.unanswered(self.paths, self.timeout_s) from None
+        if isinstance(result, RemoteError):
+            raise result
+        return result
+
+    def _skip_to(self, id: int) -> object | RemoteError:
+        """The answer to `id`, past those to calls that were interrupted."""
+        deadline = time.monotonic() + self.timeout_s
+        while time.monotonic() < deadline:
+            answer_id, result = calls.answer(self._socket.recv())
+            if answer_id == id or answer_id is None:
+                return result
+        raise zmq.Again
+
+    # ---- methods -------------------------------------------------------------------------------------------
+
+    def get_status(self) -> Status:
+        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
+        return cast(Status, self.call("get_status"))
+
+    def get_scene(self) -> SceneResult:
+        """The scene and its revision."""
+        return cast(SceneResult, self.call("get_scene"))
+
+    def set_scene(
+        self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Replaces the scene, all or nothing.
+
+        `scene` is a mapping, the path of a YAML file that holds a scene, or a `hapticd.Scene`. With
+        `expect_revision` the daemon refuses (-32001) if the scene has another revision; with `wait` the
+        result has the first `tick` rendered with it.
+        """
+        params = calls.change_params("scene", calls.scene_tree(scene), expect_revision, wait)
+        return cast(RevisionResult, self.call("set_scene", params))
+
+    def update_scene(
+        self, objects: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Changes objects by id: a JSON Merge Patch (RFC 7396) over the scene's `objects`; None removes."""
+        patch = calls.patch_tree(objects, "scene", "objects")
+        params = calls.change_params("objects", patch, expect_revision, wait)
+        return cast(RevisionResult, self.call("update_scene", params))
+
+    def get_materials(self) -> MaterialsResult:
+        """All materials by name, the shipped ones among them."""
+        return cast(MaterialsResult, self.call("get_materials"))
+
+    def update_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Changes materials by name: a JSON Merge Patch, as a mapping or the path of a YAML file."""
+        patch = calls.patch_tree(materials, "materials")
+        params = calls.change_params("materials", patch, expect_revision, wait)
+        return cast(RevisionResult, self.call("update_materials", params))
+
+    def play(
+        self,
+        material: str | None = None,
+        *,
+        mode: Mapping[str, float] | None = None,
+        direction: Iterable[float] = (0.0, 1.0),
+        amplitude_m_per_s2: float,
+    ) -> PlayResult:
+        """Strikes a mode, or a material's tap, along `direction` [x, y], whatever is touched."""
+        return cast(
+            PlayResult, self.call("play", calls.play_params(material, mode, direction, amplitude_m_per_s2))
+        )
+
+    def reset(self, objects: Iterable[str] | None = None) -> TickResult:
+        """Heals membranes and clears contact state, of the objects with these ids or of all."""
+        params = None if objects is None else {"objects": list(objects)}
+        return cast(TickResult, self.call("reset", params))
+
+    def set_forces(self, enabled: bool) -> ForcesResult:
+        """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
+        return cast(ForcesResult, self.call("set_forces", {"enabled": enabled}))
+
+    def set_operator(
+        self,
+        waypoints: Iterable[Iterable[float]] | None = None,
+        *,
+        interpolation: Interpolation | None = None,
+        gesture: Mapping[str, object] | None = None,
+    ) -> OperatorResult:
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
+        return cast(
+            OperatorResult,
+            self.call("set_operator", calls.operator_params(waypoints, interpolation, gesture)),
+        )
+
+    def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
+        """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
+        return cast(LeaseResult, self.call("lease", calls.lease_params(duration_s, token)))
+
+    @contextmanager
+    def hold_lease(self, duration_s: float = 1.0) -> Iterator[str]:
+        """Holds a lease while the block runs, and gives its token.
+
+        A thread with a connection of its own renews it three times within `duration_s`; it dies with the
+        process, and the forces fade. Raises at the end of the block where the lease was lost meanwhile.
+        """
+        token = calls.token_of(self.lease(duration_s))
+        stop = threading.Event()
+        lost: list[HapticdError] = []
+
+        def renew() -> None:
+            try:
+                with Client(self.paths.directory, duration_s / 3) as renewer:
+                    while not stop.wait(duration_s / 3):
+                        # A daemon that is away may come back in time; if not, its answer says that the
+                        # lease lapsed.
+                        with suppress(DaemonNotRunning):
+                            renewer.lease(duration_s, token)
+            except HapticdError as error:
+                lost.append(error)
+
+        thread = threading.Thread(target=renew, name="hapticd-lease", daemon=True)
+        thread.start()
+        try:
+            yield token
+        except BaseException:
+            stop.set()
+            thread.join()
+            with suppress(HapticdError):  # what went wrong in the block is what is told
+                self.lease(0, token)
+            raise
+        stop.set()
+        thread.join()
+        if lost:
+            raise lost[0]
+        self.lease(0, token)
+
+    # ---- telemetry -----------------------------------------------------------------------------------------
+
+    def samples(self, timeout_s: float | None = None) -> Subscription[SampleBatch]:
+        """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
+
+        Begins when this returns. Iteration raises DaemonNotRunning where nothing comes for `timeout_s` (by
+        default the client's), and warns (TelemetryLoss) where reading is too slow.
+        """
+        from hapticd.samples import SampleStream
+
+        return self._subscribe(Feed(("samples",), SampleStream().convert), timeout_s)
+
+    def states(self, timeout_s: float | None = None) -> Subscription[State]:
+        """The newest sample as a dictionary, 60 times a second."""
+        return self._subscribe(Feed(("state",), calls.state_of), timeout_s)
+
+    def events(self, timeout_s: float | None = None) -> Subscription[Event]:
+        """Contacts, releases, punctures, faults and the other events."""
+        return self._subscribe(Feed(("event",), calls.event_of), timeout_s)
+
+    def statuses(self, timeout_s: float | None = None) -> Subscription[Status]:
+        """The status, once a second."""
+        return self._subscribe(Feed(("status",), calls.status_of), timeout_s)
+
+    def telemetry(
+        self, *topics: Topic, timeout_s: float | None = None
+    ) -> Subscription[tuple[Topic, dict[str, object]]]:
+        """Several topics on one socket, in the daemon's order: pairs of topic and message as it came."""
+        return self._subscribe(Feed(topics, calls.message_of), timeout_s)
+
+    def _subscribe(self, feed: Feed[T], timeout_s: float | None) -> Subscription[T]:
+        subscription = Subscription(self.paths, feed, self.timeout_s if timeout_s is None else timeout_s)
+        with self._lock:
+            self._subscriptions = [other for other in self._subscriptions if not other.closed]
+            self._subscriptions.append(cast("Subscription[object]", subscription))
+        return subscription
+
+
+class Subscription(Generic[T]):
+    """An endless iterator over telemetry, in effect from its creation until `close` or the end of `with`."""
+
+    def __init__(self, paths: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
+        self._paths = paths
+        self._feed = feed
+        self._timeout_s = timeout_s
+        self._first: list[T] = []
+        self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.SUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        try:
+            for topic in feed.subscriptions:
+                self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+            self._socket.connect(paths.telemetry_endpoint)
+            self._first += feed.accept(self._receive(_milliseconds(timeout_s)))
+            for topic in feed.surplus:
+                self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
+        except zmq.Again:
+            self._socket.close()
+            raise calls.silent(paths, timeout_s) from None
+        except BaseException:
+            self._socket.close()
+            raise
+
+    def _receive(self, timeout_ms: int) -> list[bytes]:
+        self._socket.setsockopt(zmq.RCVTIMEO, timeout_ms)
+        return self._socket.recv_multipart()
+
+    @property
+    def closed(self) -> bool:
+        return self._socket.closed
+
+    def close(self) -> None:
+        """Ends the subscription; it may be closed twice."""
+        self._socket.close()
+
+    def receive(self, timeout_s: float) -> T | None:
+        """The next item, or None where none comes within `timeout_s`."""
+        if self._first:
+            return self._first.pop()
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                items = self._feed.accept(self._receive(_milliseconds(max(0.0, deadline - time.monotonic()))))
+            except zmq.Again:
+                return None
+            if items:
+                return items[0]
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> T:
+        if self._first:
+            return self._first.pop()
+        while not self._socket.closed:
+            try:
+                items = self._feed.accept(self._receive(_milliseconds(self._timeout_s)))
+            except zmq.Again:
+                raise calls.silent(self._paths, self._timeout_s) from None
+            if items:
+                return items[0]
+        raise StopIteration
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _milliseconds(timeout_s: float) -> int:
+    return min(int(timeout_s * 1e3 + 0.999), 2**31 - 1)

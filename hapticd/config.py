@@ -1,0 +1,182 @@
+"""Configuration: servo, device, materials and scene, from YAML files or a Python mapping."""
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Annotated, Literal, Self, TypeAlias
+
+from pydantic import Field, ValidationError, model_validator
+
+from hapticd.errors import InvalidError, Path, Problem
+from hapticd.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
+from hapticd.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
+from hapticd.scene import Scene, reference_faults
+from hapticd.yaml_source import Document, Json, load_path
+
+DEFAULT = "default.yaml"
+
+ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
+
+
+class Servo(Model):
+    """The servo loop and what it asks of the machine."""
+
+    rate_hz: float = Field(default=10000.0, ge=1000, le=10000, description="Ticks per second.")
+    cpu: Annotated[int, Field(ge=0, le=1023)] | None = Field(
+        default=None, description="Processor that the servo runs on; null: any."
+    )
+    priority: int = Field(default=80, ge=1, le=99, description="Real-time priority (SCHED_FIFO).")
+    realtime: Literal["required", "preferred", "off"] = Field(
+        default="preferred",
+        description="Real-time rights: refuse to start without them, ask for them, or do without.",
+    )
+    spin_us: float = Field(default=0.0, ge=0, le=100, description="Busy waiting before each deadline.")
+
+
+class Hand(Model):
+    """The hand that holds the simulated handle: a mass on it, drawn to the operator by spring and damper."""
+
+    mass_kg: float = Field(default=0.01, ge=0, le=10, description="Mass that moves with the handle.")
+    stiffness_n_per_m: Stiffness = Field(default=300.0, description="Grip stiffness.")
+    damping_n_s_per_m: Damping = Field(default=5.0, description="Grip damping.")
+
+
+class Sim(Model):
+    """The simulated joystick; the defaults are those of a desktop impulse joystick."""
+
+    handle_mass_kg: float = Field(default=0.04, ge=0.001, le=10, description="Moving mass of the device.")
+    handle_damping_n_s_per_m: Damping = Field(default=0.2, description="Viscous friction of the device.")
+    coulomb_friction_n: float = Field(default=0.05, ge=0, le=10, description="Dry friction, per axis.")
+    encoder_step_m: float = Field(default=20e-6, ge=0, le=0.01, description="Step of positions; 0: exact.")
+    max_force_n: ActuatorForce = Field(default=8.9, description="What the actuator gives at most, per axis.")
+    force_step_n: float = Field(default=0.0043, ge=0, le=1, description="Resolution of it; 0: exact.")
+    report_interval_s: float = Field(
+        default=0.0, ge=0, le=0.1, description="Time between position reports; 0: one at every tick."
+    )
+    report_delay_s: float = Field(default=0.0, ge=0, le=0.1, description="Age of a position when reported.")
+    workspace_m: float = Field(default=0.075, ge=0.001, le=10, description="Half the travel, per axis.")
+    force_timeout_s: float = Field(
+        default=0.1, ge=0.001, le=10, description="Time after which a force that is not renewed becomes zero."
+    )
+    start_m: Position = Field(default=(0.0, 0.0), description="Where the handle is at the start, [x, y].")
+    hand: Hand = Field(default=Hand(), description="The hand that holds it.")
+
+    @model_validator(mode="after")
+    def _start_inside(self) -> Self:
+        if max(map(abs, self.start_m)) > self.workspace_m:
+            raise ValueError(f"start_m must be inside the workspace, {self.workspace_m:g} either way")
+        return self
+
+
+def _moving_mass_kg(fields: dict[str, object]) -> float:
+    sim = fields["sim"]
+    assert isinstance(sim, Sim)
+    return sim.handle_mass_kg + sim.hand.mass_kg
+
+
+class Device(Model):
+    """The device that displays the force, and what is asked of it."""
+
+    kind: Literal["sim"] = Field(default="sim", description="The simulated joystick.")
+    max_force_n: ActuatorForce = Field(default=8.9, description="Largest magnitude of the force commanded.")
+    max_speed_m_per_s: float = Field(
+        default=5.0, ge=0.01, le=1000, description="A step between two positions that is faster is a glitch."
+    )
+    undisplayable: Literal["mute", "lower"] = Field(
+        default="mute", description="What becomes of a mode above 0.4 of the rate."
+    )
+    sim: Sim = Field(default=Sim(), description="The simulated joystick.")
+    # After `sim`, which its default is taken from.
+    effective_mass_kg: float = Field(
+        default_factory=_moving_mass_kg,
+        ge=1e-4,
+        le=10,
+        description="Mass by which an acceleration becomes a force; by default handle and hand together.",
+    )
+
+
+class Config(Model):
+    """Everything that a configuration file holds."""
+
+    servo: Servo = Field(default=Servo(), description="The servo loop.")
+    device: Device = Field(default=Device(), description="The device.")
+    materials: dict[Name, Material] = Field(
+        default={}, max_length=MAX_MATERIALS, description="Materials by name, added to the shipped ones."
+    )
+    scene: Scene = Field(default=Scene(), description="The scene at the start.")
+
+
+ConfigSource: TypeAlias = (
+    "Config | Mapping[str, object] | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"
+)
+
+
+def load_config(source: ConfigSource) -> Config:
+    """A validated configuration, with the shipped materials under those of the source.
+
+    `source` is a mapping (numpy scalars, arrays and tuples are welcome in it), a path, or paths that are
+    merged in order: a later file overrides key by key, but materials and scene objects whole. Everything left
+    out has its default. A Config is returned as it is.
+
+    Raises InvalidError, which names every field fault with file, line, key and limit, or, where the fields
+    are sound, every material that is not known; HapticdError for a file that cannot be read.
+    """
+    if isinstance(source, Config):
+        return source
+    if isinstance(source, Mapping):
+        return _load([Document(plain(source))])
+    if isinstance(source, str | os.PathLike):
+        return _load([load_path(source)])
+    return _load([load_path(path) for path in source])
+
+
+@cache
+def default_config() -> Config:
+    """What the daemon runs without a configuration file: `config/default.yaml`."""
+    return _load([shipped_document(DEFAULT)])
+
+
+def _load(documents: Sequence[Document]) -> Config:
+    merged = _Merged()
+    for document in documents:
+        if not isinstance(document.data, dict):
+            known = ", ".join(Config.model_fields)
+            raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
+        merged.add(document, document.data, merged.data, ())
+    try:
+        config = Config.model_validate(merged.data)
+    except ValidationError as error:
+        raise merged.invalid(faults_of(error)) from None
+    materials = {**shipped_materials(), **config.materials}
+    unknown = reference_faults(config.scene.objects, materials)
+    if unknown:
+        raise merged.invalid([(("scene", *path), text) for path, text in unknown])
+    return config.model_copy(update={"materials": materials})
+
+
+class _Merged:
+    """Several documents as one, and which of them each part comes from."""
+
+    def __init__(self) -> None:
+        self.data: dict[str, Json] = {}
+        self._owners: dict[Path, Document] = {}
+
+    def add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
+        self._owners[path] = document
+        for key, value in source.items():
+            here = (*path, key)
+            whole = path in (("materials",), ("scene", "objects"))
+            if isinstance(value, dict) and not whole:
+                old = target.get(key)
+                inner = target[key] = old if isinstance(old, dict) else {}
+                self.add(document, value, inner, here)
+            else:
+                target[key] = value
+                self._owners[here] = document
+
+    def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
+        return InvalidError(Problem(self._where(path), text) for path, text in faults)
+
+    def _where(self, path: Path) -> str:
+        owner = next(self._owners[path[:n]] for n in range(len(path), -1, -1) if path[:n] in self._owners)
+        return owner.where(path)

@@ -1,0 +1,382 @@
+"""The methods of the protocol: what each takes, does and answers. `docs/protocol.md` is the reference.
+
+A handler gets validated parameters and returns the result, or raises MethodError. Nothing here knows of sockets.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Final, TypeVar, cast
+
+from pydantic import Field, ValidationError
+
+from hapticd._version import __version__
+from hapticd.core import Fault
+from hapticd.engine import Engine, RingFullError, WaitTimeoutError, monotonic_ns
+from hapticd.errors import HapticdError, InvalidError, Problem, known_names
+from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
+from hapticd.materials import MAX_MATERIALS, Material, ModeKeys, shipped_materials, validate_materials
+from hapticd.merge_patch import merge_patch
+from hapticd.model import Model, Name, Position, problems_of
+from hapticd.operator import Grip, Target, parse_operator
+from hapticd.scene import Membrane, SceneObject, Wall, reference_problems, validate_object, validate_scene
+from hapticd.wire import PROTOCOL, Code
+
+_FAULT_WORDS: Final = {
+    Fault.NONFINITE: "a position or a force was not a number",
+    Fault.CONTROL: "the control plane did not answer for a second",
+    Fault.LEASE: "a lease lapsed",
+    Fault.DEVICE: "the device does not report",
+}
+
+
+class MethodError(Exception):
+    """The error object of an answer."""
+
+    def __init__(self, code: Code, message: str, data: object = None) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+        self.data = data
+
+
+class _NoParams(Model):
+    pass
+
+
+class _Change(Model):
+    expect_revision: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None
+
+
+class _Waiting(_Change):
+    wait: bool = False
+
+
+class _SetScene(_Waiting):
+    scene: object
+
+
+class _UpdateScene(_Waiting):
+    objects: dict[str, object]
+
+
+class _UpdateMaterials(_Waiting):
+    materials: dict[str, object]
+
+
+class _Play(Model):
+    direction: Position
+    amplitude_m_per_s2: float = Field(ge=0, le=1e5)
+    mode: ModeKeys | None = None
+    material: Name | None = None
+
+
+class _Reset(Model):
+    objects: Annotated[list[str], Field(max_length=1000)] | None = None
+
+
+class _SetForces(Model):
+    enabled: bool
+
+
+class _LeaseParams(Model):
+    duration_s: float = Field(ge=0, le=MAX_DURATION_S)
+    token: Annotated[str, Field(max_length=256)] | None = None
+
+
+_P = TypeVar("_P", bound=Model)
+_Handler = Callable[["Control", Any], dict[str, object]]
+
+
+def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
+    first = str(problems[0])
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    data = [{"where": problem.where, "problem": problem.problem} for problem in problems]
+    return MethodError(Code.INVALID_PARAMS, f"{first}{more}", data)
+
+
+def fault_names(faults: Fault) -> list[str]:
+    """Latched faults in lower case, for messages and telemetry."""
+    return [fault.name.lower() for fault in Fault if fault in faults and fault.name]
+
+
+class Control:
+    """Acts on one engine. One thread at a time."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._lease = Lease(engine.set_lease, monotonic_ns)
+        self._wish = engine.config.device.sim.start_m
+
+    def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
+        """The result of a method. Raises MethodError."""
+        entry = _METHODS.get(method)
+        if entry is None:
+            raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
+        model, handler = entry
+        try:
+            return handler(self, model.model_validate(params))
+        except ValidationError as error:
+            raise _faulty(problems_of(error)) from None
+        except InvalidError as error:
+            raise _faulty(error.problems) from None
+        except RingFullError as error:
+            raise MethodError(Code.RING_FULL, str(error)) from None
+        except WaitTimeoutError as error:
+            raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
+
+    def status(self) -> dict[str, object]:
+        """The result of get_status, and the body of the status topic."""
+        engine = self._engine
+        counters = engine.counters()
+        granted = engine.granted
+        remaining = self._lease.remaining_s
+        return {
+            "version": __version__,
+            "protocol": PROTOCOL,
+            "state": "running" if counters.running else "stopped",
+            "device": engine.config.device.kind,
+            "rate_hz": engine.rate_hz,
+            "realtime": None if granted is None else granted.to_dict(),
+            "revision": engine.revision,
+            "tick": counters.ticks,
+            "forces": "faulted" if counters.faults else "on" if counters.forces_on else "off",
+            "faults": fault_names(counters.faults) if counters.faults else [],
+            "lease_s": remaining,
+            "counters": {
+                "ticks": counters.ticks,
+                "skipped": counters.skipped,
+                "overruns": counters.overruns,
+                "samples_dropped": counters.samples_dropped,
+                "events_dropped": counters.events_dropped,
+                "strikes": counters.strikes,
+                "glitches": counters.glitches,
+                "saturations": counters.saturations,
+            },
+            "undisplayable": self._undisplayable,
+        }
+
+    @property
+    def _undisplayable(self) -> list[dict[str, object]]:
+        engine = self._engine
+        known = self.__dict__.get("_undisplayable_of")
+        if known is None or known[0] != engine.revision:
+            found = [
+                {"material": u.material, "mode": u.mode, "frequency_hz": u.frequency_hz, "shown_hz": u.shown_hz}
+                for u in engine.undisplayable()
+            ]
+            known = self.__dict__["_undisplayable_of"] = (engine.revision, found)
+        return cast(list[dict[str, object]], known[1])
+
+    # ---- Scene and materials -----------------------------------------------------------------------------------------
+
+    def _get_status(self, _: _NoParams) -> dict[str, object]:
+        return self.status()
+
+    def _get_scene(self, _: _NoParams) -> dict[str, object]:
+        return {"scene": self._engine.scene.to_dict(), "revision": self._engine.revision}
+
+    def _set_scene(self, params: _SetScene) -> dict[str, object]:
+        self._expect(params)
+        scene = validate_scene(params.scene, ("scene",))
+        problems = reference_problems(scene.objects, self._engine.materials, ("scene",))
+        if problems:
+            raise _faulty(problems)
+        return self._changed(self._engine.set_scene(scene), params)
+
+    def _update_scene(self, params: _UpdateScene) -> dict[str, object]:
+        self._expect(params)
+        engine = self._engine
+        changes: dict[str, SceneObject | None] = {}
+        problems: list[Problem] = []
+        for id, patch in params.objects.items():
+            before = engine.scene.objects.get(id)
+            if patch is None:
+                if before is not None:
+                    changes[id] = None
+                continue
+            merged = patch if before is None else merge_patch(before.to_dict(), cast(Any, patch))
+            try:
+                changes[id] = validate_object(id, merge_patch(None, cast(Any, merged)))
+            except InvalidError as error:
+                problems += error.problems
+        if not problems:
+            present = {id: item for id, item in changes.items() if item is not None}
+            problems = reference_problems(present, engine.materials)
+        if problems:
+            raise _faulty(problems)
+        return self._changed(engine.update_objects(changes), params)
+
+    def _get_materials(self, _: _NoParams) -> dict[str, object]:
+        materials = {name: material.to_dict() for name, material in self._engine.materials.items()}
+        return {"materials": materials, "revision": self._engine.revision}
+
+    def _update_materials(self, params: _UpdateMaterials) -> dict[str, object]:
+        self._expect(params)
+        engine, shipped = self._engine, shipped_materials()
+        materials: dict[str, Material] = dict(engine.materials)
+        patched: dict[str, object] = {}
+        for name, patch in params.materials.items():
+            if patch is None:
+                materials.pop(name, None)
+                if name in shipped:
+                    materials[name] = shipped[name]
+            else:
+                before = engine.materials.get(name)
+                patched[name] = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
+        materials.update(validate_materials(patched))
+        if len(materials) > MAX_MATERIALS:
+            raise _faulty([Problem("materials", f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}")])
+        missing = [
+            Problem(f"materials.{item.material}", f'is used by object "{id}" of the scene and cannot be removed')
+            for id, item in engine.scene.objects.items()
+            if isinstance(item, Wall | Membrane) and item.material not in materials
+        ]
+        if missing:
+            raise _faulty(missing)
+        return self._changed(engine.set_materials(materials), params)
+
+    def _expect(self, params: _Change) -> None:
+        expected, revision = params.expect_revision, self._engine.revision
+        if expected is not None and expected != revision:
+            raise MethodError(
+                Code.STALE_REVISION,
+                f"expect_revision: {expected} is stale, the scene is at revision {revision}",
+                {"revision": revision},
+            )
+
+    def _changed(self, revision: int, params: _Waiting) -> dict[str, object]:
+        result: dict[str, object] = {"revision": revision}
+        if params.wait:
+            result["tick"] = self._engine.wait_revision(revision)
+        faults = self._engine.counters().faults
+        if faults:
+            result["warning"] = self._off_because(faults)
+        return result
+
+    # ---- Commands --------------------------------------------------------------------------------------------------------
+
+    def _play(self, params: _Play) -> dict[str, object]:
+        if (params.mode is None) == (params.material is None):
+            raise _faulty([Problem("", "needs exactly one of mode and material")])
+        if math.hypot(*params.direction) < 1e-9:
+            raise _faulty([Problem("direction", "must have a direction: a length of at least 1e-9")])
+        self._need_forces()
+        attack = "coefficient"
+        if params.mode is not None:
+            mode = params.mode.mode
+        else:
+            material = self._engine.materials.get(params.material or "")
+            if material is None:
+                names = known_names(params.material or "", self._engine.materials)
+                raise _faulty([Problem("material", f'unknown material "{params.material}"; {names}')])
+            if material.tap is not None:
+                mode, attack = material.tap.mode, material.tap.attack
+            elif material.rupture is not None:
+                mode = material.rupture.mode
+            else:
+                raise _faulty([Problem("material", f'"{params.material}" has neither a tap nor a rupture to play')])
+        tick, shown_hz = self._engine.play(mode, cast(Any, attack), params.direction, params.amplitude_m_per_s2)
+        return {"tick": tick, "displayed_hz": shown_hz}
+
+    def _reset(self, params: _Reset) -> dict[str, object]:
+        if params.objects is not None:
+            objects = self._engine.scene.objects
+            unknown = [
+                Problem(f"objects[{place}]", f'no object "{id}"; {known_names(id, objects)}')
+                for place, id in enumerate(params.objects)
+                if id not in objects
+            ]
+            if unknown:
+                raise _faulty(unknown)
+        return {"tick": self._engine.reset(params.objects)}
+
+    def _set_forces(self, params: _SetForces) -> dict[str, object]:
+        self._lease.forget_lapsed()
+        tick = self._engine.set_forces(params.enabled)
+        faults = self._engine.counters().faults
+        if params.enabled and faults:
+            raise MethodError(Code.FORCES_OFF, self._off_because(faults), {"faults": fault_names(faults)})
+        return {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
+
+    def _lease_request(self, params: _LeaseParams) -> dict[str, object]:
+        try:
+            token = self._lease.request(params.duration_s, params.token)
+        except LeaseHeldError:
+            remaining = self._lease.remaining_s or 0.0
+            raise MethodError(
+                Code.LEASE_HELD, f"another client holds the lease for {remaining:.3f} s more", {"lease_s": remaining}
+            ) from None
+        except LeaseLapsedError:
+            raise self._lapsed() from None
+        if params.token is not None and token is not None and self._engine.counters().faults & Fault.LEASE:
+            raise self._lapsed()
+        result: dict[str, object] = {"token": token}
+        faults = self._engine.counters().faults
+        if faults:
+            result["warning"] = self._off_because(faults)
+        return result
+
+    def _lapsed(self) -> MethodError:
+        faults = self._engine.counters().faults
+        message = "token: no lease is held by it: it lapsed, was ended, or never was"
+        if faults:
+            message += f"; {self._off_because(faults)}"
+        return MethodError(Code.LEASE_LAPSED, message, {"faults": fault_names(faults)})
+
+    def _set_operator(self, params: Mapping[str, object]) -> dict[str, object]:
+        engine = self._engine
+        operator = parse_operator(params)
+        hand = engine.config.device.sim.hand
+        waypoints = operator.waypoints_for(
+            self._target, Grip(stiffness_n_per_m=hand.stiffness_n_per_m), self._wish
+        )
+        tick = engine.set_operator(waypoints, operator.interpolation)
+        self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
+        return {"duration_s": float(waypoints[-1, 0]), "tick": tick}
+
+    def _target(self, id: str) -> Target | None:
+        item = self._engine.scene.objects.get(id)
+        return target_of(item, self._engine.materials)
+
+    def _need_forces(self) -> None:
+        counters = self._engine.counters()
+        if counters.faults:
+            raise MethodError(
+                Code.FORCES_OFF, self._off_because(counters.faults), {"faults": fault_names(counters.faults)}
+            )
+        if not counters.forces_on:
+            raise MethodError(Code.FORCES_OFF, "forces are off: set_forces with enabled: true turns them on")
+
+    def _off_because(self, faults: Fault) -> str:
+        reasons = " and ".join(_FAULT_WORDS[fault] for fault in Fault if fault in faults)
+        return f"forces are off because {reasons}: set_forces with enabled: true turns them on again"
+
+
+def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
+    """What a gesture needs to know of an object; None for what cannot be touched."""
+    if not isinstance(item, Wall | Membrane):
+        return None
+    material = materials[item.material]
+    rupture = material.rupture if isinstance(item, Membrane) else None
+    return Target(
+        point_m=item.point_m if isinstance(item, Wall) else item.center_m,
+        normal=item.normal,
+        stiffness_n_per_m=material.stiffness_n_per_m,
+        rupture_depth_m=None if rupture is None else rupture.rupture_depth_m,
+    )
+
+
+_METHODS: Final[Mapping[str, tuple[type[Model], _Handler]]] = {
+    "get_status": (_NoParams, Control._get_status),
+    "get_scene": (_NoParams, Control._get_scene),
+    "set_scene": (_SetScene, Control._set_scene),
+    "update_scene": (_UpdateScene, Control._update_scene),
+    "get_materials": (_NoParams, Control._get_materials),
+    "update_materials": (_UpdateMaterials, Control._update_materials),
+    "play": (_Play, Control._play),
+    "reset": (_Reset, Control._reset),
+    "set_forces": (_SetForces, Control._set_forces),
+    "lease": (_LeaseParams, Control._lease_request),
+}

@@ -1,0 +1,214 @@
+"""The C core as Python sees it: `ffi`, `lib`, its records as numpy dtypes, its enums, and a few helpers.
+
+This module alone imports the compiled extension. Layouts and numbers come from the compiled code, never from
+a second definition here; that the enums are complete is tested. `csrc/hd_api.h` documents every function and
+field.
+"""
+
+from enum import IntEnum, IntFlag
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd._core import ffi, lib
+
+if TYPE_CHECKING:
+    from hapticd._core import CData, CType
+else:
+    CData, CType = ffi.CData, ffi.CType
+
+__all__ = [
+    "COMMAND_DTYPE",
+    "COUNTERS_DTYPE",
+    "EVENT_DTYPE",
+    "FIELD_DTYPE",
+    "KEY_DTYPE",
+    "MEMBRANE_DTYPE",
+    "MODE_DTYPE",
+    "NO_SLOT",
+    "PLAY_SLOT",
+    "SAMPLE_DTYPE",
+    "SURFACE_DTYPE",
+    "TABLE_DTYPE",
+    "WALL_DTYPE",
+    "CData",
+    "CommandKind",
+    "EventKind",
+    "Fault",
+    "Flag",
+    "Interpolation",
+    "Realtime",
+    "Status",
+    "address",
+    "ffi",
+    "invalid_reason",
+    "lib",
+    "pointer",
+    "record_dtype",
+    "records",
+]
+
+_SCALARS: dict[str, np.dtype[Any]] = {
+    "double": np.dtype(np.float64),
+    "int32_t": np.dtype(np.int32),
+    "uint32_t": np.dtype(np.uint32),
+    "int64_t": np.dtype(np.int64),
+    "uint64_t": np.dtype(np.uint64),
+}
+
+
+def _dtype_of(ctype: CType) -> np.dtype[Any]:
+    if ctype.kind == "struct":
+        # The size first: that refuses an opaque struct, whose fields must not be asked for (cffi 2.1 aborts).
+        size = ffi.sizeof(ctype)
+        fields = ctype.fields or []
+        return np.dtype(
+            {
+                "names": [name for name, _ in fields],
+                "formats": [_dtype_of(field.type) for _, field in fields],
+                "offsets": [field.offset for _, field in fields],
+                "itemsize": size,
+            }
+        )
+    if ctype.kind == "array":
+        subarray: np.dtype[Any] = np.dtype((_dtype_of(ctype.item), (ctype.length,)))
+        return subarray
+    if ctype.kind == "pointer":
+        return np.dtype(np.uintp)
+    return _SCALARS[ctype.cname]
+
+
+def record_dtype(struct: str) -> np.dtype[np.void]:
+    """The numpy dtype of a C struct such as "struct hd_wall": the same names, offsets and size.
+
+    Nested structs are nested dtypes, arrays are subarrays, pointers are addresses (`numpy.uintp`).
+    Raises `ffi.error` for an opaque struct or an unknown one.
+    """
+    return _dtype_of(ffi.typeof(struct))
+
+
+KEY_DTYPE = record_dtype("struct hd_key")
+MODE_DTYPE = record_dtype("struct hd_mode")
+SURFACE_DTYPE = record_dtype("struct hd_surface")
+FIELD_DTYPE = record_dtype("struct hd_field")
+WALL_DTYPE = record_dtype("struct hd_wall")
+MEMBRANE_DTYPE = record_dtype("struct hd_membrane")
+TABLE_DTYPE = record_dtype("struct hd_table")
+SAMPLE_DTYPE = record_dtype("struct hd_sample")
+EVENT_DTYPE = record_dtype("struct hd_event")
+COMMAND_DTYPE = record_dtype("struct hd_command")
+COUNTERS_DTYPE = record_dtype("struct hd_counters")
+
+NO_SLOT = lib.HD_NO_SLOT
+"""`slot` of an event or a reset that means no object in particular."""
+PLAY_SLOT = lib.HD_PLAY_SLOT
+"""`slot` of what a `play` command struck."""
+
+
+class Status(IntEnum):
+    """What a C function returns: enum hd_status."""
+
+    OK = lib.HD_OK
+    ERR_INVALID = lib.HD_ERR_INVALID
+    ERR_FULL = lib.HD_ERR_FULL
+    ERR_MEMORY = lib.HD_ERR_MEMORY
+    ERR_SYSTEM = lib.HD_ERR_SYSTEM
+    ERR_TIMEOUT = lib.HD_ERR_TIMEOUT
+    ERR_DENIED = lib.HD_ERR_DENIED
+
+
+class Flag(IntFlag):
+    """Bits of a sample's `flags`: enum hd_flag."""
+
+    SKIPPED = lib.HD_FLAG_SKIPPED
+    CONTACT = lib.HD_FLAG_CONTACT
+    RINGING = lib.HD_FLAG_RINGING
+    SATURATED = lib.HD_FLAG_SATURATED
+    RAMPING = lib.HD_FLAG_RAMPING
+    FORCES_ON = lib.HD_FLAG_FORCES_ON
+    FAULT = lib.HD_FLAG_FAULT
+    GLITCH = lib.HD_FLAG_GLITCH
+    REPEATED = lib.HD_FLAG_REPEATED
+
+
+class EventKind(IntEnum):
+    """`kind` of an event: enum hd_event_kind."""
+
+    CONTACT = lib.HD_EVENT_CONTACT
+    RELEASE = lib.HD_EVENT_RELEASE
+    PUNCTURE = lib.HD_EVENT_PUNCTURE
+    SATURATION = lib.HD_EVENT_SATURATION
+    OVERRUN = lib.HD_EVENT_OVERRUN
+    FAULT = lib.HD_EVENT_FAULT
+    REVISION = lib.HD_EVENT_REVISION
+    GLITCH = lib.HD_EVENT_GLITCH
+    DEVICE_LOST = lib.HD_EVENT_DEVICE_LOST
+    DEVICE_FOUND = lib.HD_EVENT_DEVICE_FOUND
+
+
+class Fault(IntFlag):
+    """Bits of latched faults: enum hd_fault."""
+
+    NONFINITE = lib.HD_FAULT_NONFINITE
+    CONTROL = lib.HD_FAULT_CONTROL
+    LEASE = lib.HD_FAULT_LEASE
+    DEVICE = lib.HD_FAULT_DEVICE
+
+
+class Interpolation(IntEnum):
+    """Between an operator's waypoints: enum hd_interpolation."""
+
+    LINEAR = lib.HD_LINEAR
+    MINIMUM_JERK = lib.HD_MINIMUM_JERK
+
+
+class Realtime(IntEnum):
+    """How much real-time rights are wanted: enum hd_realtime."""
+
+    OFF = lib.HD_REALTIME_OFF
+    PREFERRED = lib.HD_REALTIME_PREFERRED
+    REQUIRED = lib.HD_REALTIME_REQUIRED
+
+
+class CommandKind(IntEnum):
+    """`kind` of a command to the servo: enum hd_command_kind."""
+
+    PLAY = lib.HD_COMMAND_PLAY
+    RESET = lib.HD_COMMAND_RESET
+    FORCES = lib.HD_COMMAND_FORCES
+    OPERATOR = lib.HD_COMMAND_OPERATOR
+    FAULT = lib.HD_COMMAND_FAULT
+
+
+def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
+    """`count` zeroed records of one of the dtypes above, shape (count,), which C can use in place."""
+    return np.zeros(count, dtype)
+
+
+def pointer(ctype: str, array: npt.NDArray[np.generic]) -> CData:
+    """The memory of an array as a C array such as "struct hd_wall[]" or "double[]"; it keeps the array alive.
+
+    Raises ValueError if the array is not C-contiguous or its size is no multiple of the C item's.
+    """
+    if not array.flags.c_contiguous:
+        raise ValueError("an array for C must be C-contiguous")
+    item = ffi.sizeof(ffi.typeof(ctype).item)
+    if array.nbytes % item:
+        raise ValueError(f"{array.nbytes} bytes are no whole number of {ctype} items of {item} bytes")
+    return ffi.from_buffer(ctype, array)
+
+
+def address(array: npt.NDArray[np.generic]) -> int:
+    """Where an array lies, for a pointer field of TABLE_DTYPE; the caller keeps the array alive.
+
+    Raises ValueError if the array is not C-contiguous.
+    """
+    if not array.flags.c_contiguous:
+        raise ValueError("an array for C must be C-contiguous")
+    return int(array.ctypes.data)
+
+
+def invalid_reason() -> str:
+    """Why the last check on this thread failed, as one line."""
+    return ffi.string(lib.hd_invalid_reason()).decode()

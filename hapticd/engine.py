@@ -1,0 +1,359 @@
+"""The scene, the table that it compiles to, and the servo that renders it: what the protocol's methods act on.
+
+One thread at a time calls the methods that change something (the one that serves commands). Reading telemetry is for
+one other thread. The servo itself is C and waits for none of them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.compile import Compiler, Output, Undisplayable, displayed_mode, mode_record
+from hapticd.config import Config
+from hapticd.core import (
+    EVENT_DTYPE,
+    NO_SLOT,
+    PLAY_SLOT,
+    SAMPLE_DTYPE,
+    CData,
+    CommandKind,
+    Fault,
+    Realtime,
+    Status,
+    ffi,
+    invalid_reason,
+    lib,
+    pointer,
+)
+from hapticd.errors import HapticdError
+from hapticd.joystick import new_operator, new_sim
+from hapticd.materials import Attack, Material, Materials, Mode
+from hapticd.scene import MAX_OBJECTS, Scene, SceneObject
+
+SAMPLE_CAPACITY: Final = 16384
+"""Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
+
+WAIT_S: Final = 1.0
+"""How long a command waits for the servo to take it."""
+
+_MEMORY_KINDS: Final = ("none", "servo", "process")
+
+
+class RingFullError(HapticdError):
+    """The servo has not yet taken what was sent before; nothing of this was sent."""
+
+
+class WaitTimeoutError(HapticdError):
+    """The servo did not take a command or a revision in time."""
+
+
+def output_of(config: Config, rate_hz: float) -> Output:
+    """What a configuration's device makes of a scene at a rate."""
+    device = config.device
+    return Output(
+        rate_hz=rate_hz,
+        effective_mass_kg=device.effective_mass_kg,
+        max_force_n=device.max_force_n,
+        max_speed_m_per_s=device.max_speed_m_per_s,
+        undisplayable=device.undisplayable,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """What the machine gave of what the servo asked for; `missing` says in words what it did not."""
+
+    scheduler: Literal["fifo", "other"]
+    priority: int
+    cpu: int | None
+    memory: str
+    missing: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, object]:
+        return {
+            "scheduler": self.scheduler,
+            "priority": self.priority,
+            "cpu": self.cpu,
+            "memory_locked": self.memory,
+            "missing": list(self.missing),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """What the servo has counted since it started."""
+
+    ticks: int
+    skipped: int
+    overruns: int
+    samples_dropped: int
+    events_dropped: int
+    strikes: int
+    glitches: int
+    saturations: int
+    revision: int
+    faults: Fault
+    forces_on: bool
+    running: bool
+
+
+class Engine:
+    """A servo with its device and its scene."""
+
+    def __init__(self, config: Config) -> None:
+        """Compiles the configuration's scene; nothing moves yet. Raises HapticdError."""
+        servo = config.servo
+        self.config = config
+        self.rate_hz = servo.rate_hz
+        self.scene = config.scene
+        self.materials: Materials = config.materials
+        self.revision = 1
+        self.granted: Granted | None = None
+        self._output = output_of(config, servo.rate_hz)
+        self._compiler = Compiler(self._output)
+        self._sim = new_sim(config.device.sim, servo.rate_hz)
+        self._operators: deque[tuple[int, CData]] = deque()
+        self._dropped = ffi.new("uint64_t *")
+        self._sequence = ffi.new("uint64_t *")
+        self._tick = ffi.new("uint64_t *")
+        self._counters = ffi.new("struct hd_counters *")
+        settings = ffi.new("struct hd_servo_config *")
+        settings.rate_hz = servo.rate_hz
+        settings.cpu = -1 if servo.cpu is None else servo.cpu
+        settings.priority = servo.priority
+        settings.realtime = Realtime[servo.realtime.upper()]
+        settings.slot_capacity = MAX_OBJECTS
+        settings.sample_capacity = SAMPLE_CAPACITY
+        settings.spin_ns = round(servo.spin_us * 1000)
+        settings.resolution_m = config.device.sim.encoder_step_m
+        settings.forces_on = 1
+        made = lib.hd_servo_new(settings, self._sim)
+        if made == ffi.NULL:
+            raise HapticdError(invalid_reason())
+        self._servo = ffi.gc(made, lib.hd_servo_free)
+        self._publish(self.scene, self.scene.objects, self.materials, self.revision)
+
+    # ---- Life ------------------------------------------------------------------------------------------------------
+
+    def start(self) -> Granted:
+        """Starts the servo thread. Raises HapticdError where real time is required and refused."""
+        servo = self.config.servo
+        grant = ffi.new("struct hd_grant *")
+        status = lib.hd_servo_start(self._servo, grant)
+        missing = []
+        if grant.scheduler:
+            missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
+        if grant.affinity:
+            missing.append(f"processor {servo.cpu}: {os.strerror(grant.affinity)}")
+        if grant.memory:
+            kept = "only the servo's memory is locked" if grant.memory_kind else "nothing is locked"
+            missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
+        if status == Status.ERR_DENIED:
+            raise HapticdError(
+                f"servo.realtime is required but refused: {'; '.join(missing)}; "
+                "raise the limits rtprio and memlock, or set servo.realtime to preferred"
+            )
+        if status != Status.OK:
+            raise HapticdError(f"the servo thread does not start: {os.strerror(ffi.errno)}")
+        self.granted = Granted(
+            scheduler="fifo" if grant.priority else "other",
+            priority=grant.priority,
+            cpu=None if grant.affinity else servo.cpu,
+            memory=_MEMORY_KINDS[grant.memory_kind],
+            missing=tuple(missing),
+        )
+        return self.granted
+
+    def stop(self) -> None:
+        """Fades the force out over the ramp, puts zero and ends the thread."""
+        if lib.hd_servo_stop(self._servo) != Status.OK:
+            raise HapticdError(f"the servo thread does not end: {os.strerror(ffi.errno)}")
+
+    def beat(self) -> None:
+        """The thread that serves commands lives; without a beat for a second the forces fade out."""
+        lib.hd_servo_beat(self._servo)
+
+    # ---- Scene and materials -----------------------------------------------------------------------------------------
+
+    def set_scene(self, scene: Scene) -> int:
+        """Takes a validated scene; returns its revision."""
+        before = self.scene.objects
+        changed = [id for id, item in scene.objects.items() if before.get(id) != item]
+        changed += [id for id in before if id not in scene.objects]
+        return self._take(scene, changed, self.materials)
+
+    def update_objects(self, changes: Mapping[str, SceneObject | None]) -> int:
+        """Adds, replaces and (None) removes validated objects; returns the revision."""
+        return self._take(self.scene.with_objects(changes), changes, self.materials)
+
+    def set_materials(self, materials: Materials) -> int:
+        """Takes validated materials that define every name the scene uses; returns the revision."""
+        new = {name for name, material in materials.items() if self.materials.get(name) is not material}
+        changed = [id for id, item in self.scene.objects.items() if getattr(item, "material", None) in new]
+        return self._take(self.scene, changed, materials)
+
+    def wait_revision(self, revision: int) -> int:
+        """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
+        status = lib.hd_servo_wait_revision(self._servo, revision, int(WAIT_S * 1e9), self._tick)
+        if status != Status.OK:
+            raise WaitTimeoutError(f"revision {revision} was not in force within {WAIT_S:g} s")
+        return int(self._tick[0])
+
+    def undisplayable(self) -> list[Undisplayable]:
+        """The modes of the scene's materials that the rate cannot carry."""
+        used = {getattr(item, "material", None) for item in self.scene.objects.values()}
+        return self._compiler.undisplayable({n: m for n, m in self.materials.items() if n in used})
+
+    def name_of(self, slot: int, generation: int) -> str | None:
+        """The id of the object that an event speaks of; None where no object is meant."""
+        return self._compiler.name_of(slot, generation)
+
+    def _take(self, scene: Scene, changed: Iterable[str], materials: Materials) -> int:
+        revision = (self.revision + 1) & 0xFFFFFFFF
+        self._publish(scene, changed, materials, revision)
+        self.scene, self.materials, self.revision = scene, materials, revision
+        return revision
+
+    def _publish(
+        self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int
+    ) -> None:
+        changed = list(changed)
+        table = self._compiler.update(scene, changed, materials, revision)
+        if lib.hd_servo_publish(self._servo, table) != Status.OK:
+            # The servo still has what it had; so does the compiler after this.
+            reason = invalid_reason()
+            self._compiler.update(self.scene, changed, self.materials, self.revision)
+            raise HapticdError(f"the scene cannot be rendered: {reason}")
+
+    # ---- Commands ------------------------------------------------------------------------------------------------------
+
+    def play(
+        self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
+    ) -> tuple[int, float | None]:
+        """Strikes a mode; the tick that took it, and the frequency displayed (None: the rate cannot carry it)."""
+        command = self._command(CommandKind.PLAY)
+        record = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self._output)
+        for place, name in enumerate(_MODE_FIELDS):
+            setattr(command.mode, name, record[place])
+        length = math.hypot(*direction)
+        command.direction = (direction[0] / length, direction[1] / length)
+        command.amplitude = amplitude_m_per_s2
+        command.slot = PLAY_SLOT
+        tick = self._send_and_wait([command])
+        shown, _ = displayed_mode(mode, self._output)
+        return tick, None if shown is None else shown.frequency_hz
+
+    def reset(self, ids: Iterable[str] | None) -> int:
+        """Heals membranes and clears contact state, of these objects or of all; the tick that took it."""
+        commands = []
+        if ids is None:
+            command = self._command(CommandKind.RESET)
+            command.slot = NO_SLOT
+            commands.append(command)
+        else:
+            for id in ids:
+                place = self._compiler.slot_of(id)
+                if place is not None:
+                    command = self._command(CommandKind.RESET)
+                    command.slot, command.generation = place
+                    commands.append(command)
+        return self._send_and_wait(commands)
+
+    def set_forces(self, enabled: bool) -> int:
+        """Forces on (which clears latched faults whose cause is gone) or off; the tick that took it."""
+        command = self._command(CommandKind.FORCES)
+        command.value = enabled
+        return self._send_and_wait([command])
+
+    def set_operator(
+        self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]
+    ) -> int:
+        """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned."""
+        path = new_operator(waypoints.tolist(), interpolation)
+        command = self._command(CommandKind.OPERATOR)
+        command.path = path
+        tick = self._send_and_wait([command], keep=path)
+        # The servo uses the newest only.
+        while len(self._operators) > 1:
+            self._operators.popleft()
+        return tick
+
+    def set_lease(self, deadline_ns: int) -> None:
+        """Forces fade out when this time (CLOCK_MONOTONIC) passes; 0: no lease."""
+        lib.hd_servo_set_lease(self._servo, deadline_ns)
+
+    def _command(self, kind: CommandKind) -> CData:
+        command = ffi.new("struct hd_command *")
+        command.kind = kind
+        command.revision = self.revision
+        return command
+
+    def _send_and_wait(self, commands: list[CData], keep: CData | None = None) -> int:
+        if not commands:
+            return self.counters().ticks
+        batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
+        status = lib.hd_servo_send(self._servo, batch, len(commands), self._sequence)
+        if status == Status.ERR_FULL:
+            raise RingFullError(f"the command ring has no room for {len(commands)} more")
+        if status != Status.OK:
+            raise HapticdError(invalid_reason())
+        sequence = self._sequence[0]
+        if keep is not None:
+            self._operators.append((sequence, keep))
+        if lib.hd_servo_wait_command(self._servo, sequence, int(WAIT_S * 1e9), self._tick) != Status.OK:
+            raise WaitTimeoutError(f"the servo did not take the command within {WAIT_S:g} s")
+        return int(self._tick[0])
+
+    # ---- What the servo says -----------------------------------------------------------------------------------------
+
+    def counters(self) -> Counters:
+        """What was counted so far."""
+        raw = ffi.new("struct hd_counters *")
+        lib.hd_servo_counters(self._servo, raw)
+        return Counters(
+            ticks=raw.ticks,
+            skipped=raw.skipped,
+            overruns=raw.overruns,
+            samples_dropped=raw.samples_dropped,
+            events_dropped=raw.events_dropped,
+            strikes=raw.strikes,
+            glitches=raw.glitches,
+            saturations=raw.saturations,
+            revision=raw.revision,
+            faults=Fault(raw.faults),
+            forces_on=bool(raw.forces_on),
+            running=bool(raw.running),
+        )
+
+    def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
+        """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped."""
+        return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, room)
+
+    def read_events(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
+        """Moves events into `room` (EVENT_DTYPE); how many, and the running total of those dropped."""
+        return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, room)
+
+    def _read(
+        self, read: CData, ctype: str, dtype: np.dtype[np.void], room: npt.NDArray[np.void]
+    ) -> tuple[int, int]:
+        if room.dtype != dtype:
+            raise ValueError(f"room for records of {dtype}, not {room.dtype}")
+        count = read(self._servo, pointer(ctype, room), len(room), self._dropped)
+        return int(count), int(self._dropped[0])
+
+
+_MODE_FIELDS: Final = tuple(name for name, _ in ffi.typeof("struct hd_mode").fields or ())
+
+
+def monotonic_ns() -> int:
+    """The servo's clock."""
+    return time.clock_gettime_ns(time.CLOCK_MONOTONIC)

@@ -1,0 +1,94 @@
+"""Errors that a user can cause, and the words in which they are told.
+
+Every message is one line: what, where and what would be right. A traceback that a user sees is a defect.
+"""
+
+import difflib
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+Path: TypeAlias = tuple[str | int, ...]
+"""A place in a document: keys and list indices, from the root down."""
+
+_SHOWN_CHARACTERS = 60
+_SHOWN_NAMES = 20
+_SHOWN_PROBLEMS = 50
+
+
+class HapticdError(Exception):
+    """Something a user can put right; `str` is one line that says what, where and what would be right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One fault: the place in the user's words, with file and line where known, and what is wrong."""
+
+    where: str
+    problem: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.problem}" if self.where else self.problem
+
+
+class InvalidError(HapticdError):
+    """What a person wrote is not valid; `problems` holds every fault found."""
+
+    def __init__(self, problems: Iterable[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__(self.problems)
+
+    def __str__(self) -> str:
+        text = "; ".join(map(str, self.problems[:_SHOWN_PROBLEMS]))
+        hidden = len(self.problems) - _SHOWN_PROBLEMS
+        return f"{text}; and {hidden} more" if hidden > 0 else text
+
+
+def quoted(text: str) -> str:
+    """`text` in double quotes on one line, shortened, with everything unprintable escaped."""
+    if len(text) > _SHOWN_CHARACTERS:
+        text = text[:_SHOWN_CHARACTERS] + "..."
+    return json.dumps(text, ensure_ascii=not text.isprintable())
+
+
+def shown(value: object) -> str:
+    """A value as a message shows it: scalars as YAML writes them, anything larger by its kind."""
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "true" if value else "false"
+        case int():
+            bits = value.bit_length()
+            return f"{int(value)}" if bits <= 64 else f"a whole number of {bits} bits"
+        case float():
+            return repr(float(value))
+        case str():
+            return quoted(value)
+        case dict():
+            return "a mapping"
+        case list() | tuple():
+            return "a list"
+        case _:
+            return f"a Python object of type {type(value).__name__}"
+
+
+def path_text(path: Sequence[str | int]) -> str:
+    """A path as messages write it: `scene.objects.table.point_m[0]`; odd keys are quoted."""
+    text = ""
+    for element in path:
+        if isinstance(element, int):
+            text += f"[{element}]"
+        else:
+            odd = not element.isprintable() or not 0 < len(element) <= 64 or set(element) & set('."[]:; ')
+            text += ("." if text else "") + (quoted(element) if odd else element)
+    return text
+
+
+def known_names(name: str, known: Iterable[str]) -> str:
+    """What would be right instead of an unknown name: 'did you mean wood? known: wood, steel'."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=1) if len(name) <= 2 * _SHOWN_CHARACTERS else []
+    listed = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
+    return (f"did you mean {close[0]}? " if close else "") + f"known: {listed or 'none'}"

@@ -1,0 +1,205 @@
+"""What every validated model shares: strict numbers, limits, and faults told in the user's words.
+
+Models are immutable and strict: a number is a number (neither "1" nor true), finite and inside its limits; an
+unknown key is an error. The limits are there so that no product of them overflows or makes the tick work on
+nonsense; they are far outside what a hand can feel.
+"""
+
+from collections.abc import Iterator, Mapping
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, Union, cast, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError
+from pydantic_core import ErrorDetails
+
+from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, shown
+from hapticd.yaml_source import MAX_DEPTH, Json
+
+NAME_MAX_CHARACTERS = 64
+NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
+
+Name: TypeAlias = Annotated[
+    str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)
+]
+"""Name of a material or id of an object: no dot, so that a path can be read, and no control character."""
+
+Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
+Position: TypeAlias = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
+"""[x, y] in m."""
+Stiffness: TypeAlias = Annotated[float, Field(ge=0, le=1e5)]
+Damping: TypeAlias = Annotated[float, Field(ge=0, le=1e3)]
+
+
+class Model(BaseModel):
+    """An immutable, strict mapping of known keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    by_name: ClassVar[dict[str, type["Model"]]] = {}
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: object) -> None:
+        if Model.by_name.setdefault(cls.__name__, cls) is not cls:
+            raise TypeError(f"two models are called {cls.__name__}; error messages tell them apart by name")
+
+    def to_dict(self) -> dict[str, Json]:
+        """The canonical form as plain data: defaults filled in, absent options left out; valid input."""
+        return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True))
+
+
+def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
+    """Every fault of a pydantic error, in plain words; `root` is where the validated data stands."""
+    return [Problem(path_text(root + path), text) for path, text in faults_of(error)]
+
+
+def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
+    """As problems_of, with paths relative to the validated data."""
+    faults: dict[tuple[Path, str], None] = {}
+    for details in error.errors(include_url=False):
+        if details["type"] != "default_factory_not_called":
+            faults[_fault(Model.by_name.get(error.title), details)] = None
+    return list(faults)
+
+
+def plain(data: object) -> Json:
+    """Mappings, sequences, and numpy's scalars and arrays as dicts, lists, numbers and strings; models stay.
+
+    Raises InvalidError for keys that are no strings, for nesting deeper than MAX_DEPTH and for other objects.
+    """
+    return cast(Json, _plain(data, ()))
+
+
+def _plain(data: object, path: Path) -> object:
+    if data is None or isinstance(data, bool | int | float | str | Model):
+        return data
+    if len(path) == MAX_DEPTH:
+        raise InvalidError([Problem(path_text(path[:3]), f"nested deeper than {MAX_DEPTH} levels")])
+    if isinstance(data, Mapping):
+        for key in data:
+            if not isinstance(key, str):
+                raise InvalidError([Problem(path_text(path), f"keys are strings, this one is {shown(key)}")])
+        return {str(key): _plain(value, (*path, str(key))) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_plain(value, (*path, index)) for index, value in enumerate(data)]
+    if hasattr(data, "tolist"):
+        return _plain(data.tolist(), path)
+    raise InvalidError([Problem(path_text(path), f"is not plain data: {shown(data)}")])
+
+
+def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
+    kind, value, context = details["type"], details["input"], details.get("ctx", {})
+    path, known = _user_path(model, details)
+    match kind:
+        case "missing" if path and isinstance(path[-1], int):
+            return path[:-1], f"must be two numbers [x, y], has {len(value)}"
+        case "missing":
+            return path, "is missing"
+        case "too_long" if context["field_type"] == "Tuple":
+            return path, f"must be two numbers [x, y], has {len(value)}"
+        case "tuple_type":
+            return path, f"must be two numbers [x, y], is {shown(value)}"
+        case "too_long":
+            return path, f"must hold at most {context['max_length']} entries, holds {len(value)}"
+        case "extra_forbidden":
+            return path, f"unknown key; {known_names(str(path[-1]), known)}"
+        case "union_tag_invalid":
+            kinds = context["expected_tags"].replace("'", "").split(", ")
+            tag = context["tag"]
+            return (*path, "kind"), f"unknown kind {shown(tag)}; {known_names(tag, kinds)}"
+        case "union_tag_not_found":
+            return (*path, "kind"), "is missing"
+        case "finite_number":
+            return path, f"must be finite, is {shown(value)}"
+        case "float_type" if isinstance(value, int) and not isinstance(value, bool):
+            return path, f"is too large: {shown(value)}"
+        case "greater_than_equal":
+            return path, f"must be at least {_number(context['ge'])}, is {shown(value)}"
+        case "greater_than":
+            return path, f"must be more than {_number(context['gt'])}, is {shown(value)}"
+        case "less_than_equal":
+            return path, f"must be at most {_number(context['le'])}, is {shown(value)}"
+        case "less_than":
+            return path, f"must be less than {_number(context['lt'])}, is {shown(value)}"
+        case "literal_error":
+            return path, f"must be {context['expected'].replace(chr(39), '')}, is {shown(value)}"
+        case "string_pattern_mismatch" if context["pattern"] == NAME_PATTERN:
+            return path, f"must not hold a dot or a control character: {shown(value)}"
+        case "string_too_short":
+            return path, f"must have at least {context['min_length']} character"
+        case "string_too_long":
+            return path, f"must have at most {context['max_length']} characters, has {len(value)}"
+        case "value_error":
+            return path, str(context["error"])
+        case _ if kind in _EXPECTED:
+            return path, f"must be {_EXPECTED[kind]}, is {shown(value)}"
+        case _:
+            return path, f"{details['msg']}: {shown(value)}"
+
+
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a string",
+    "string_unicode": "valid Unicode",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+}
+
+
+def _number(limit: float) -> str:
+    return format(limit, ".15g")
+
+
+def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...]]:
+    """Where the user sees the fault, and the keys that are known there.
+
+    pydantic's locations also name the chosen member of a union, and `[key]` for the key of a mapping; walking
+    the types along the location tells these from a user's keys of the same name.
+    """
+    location = details["loc"]
+    if details["type"].startswith("string_") and location and location[-1] == "[key]":
+        location = location[:-1]
+    path: list[str | int] = []
+    here: object = model
+    known: tuple[str, ...] = ()
+    for element in location:
+        members = _members(here)
+        if members is not None:
+            here = members.get(str(element))
+            continue
+        path.append(element)
+        if isinstance(here, type) and issubclass(here, BaseModel):
+            known = tuple(here.model_fields)
+            field = here.model_fields.get(str(element))
+            here = None if field is None else _bare(field.annotation)
+        else:
+            arguments = get_args(here)
+            here = _bare(arguments[-1]) if arguments else None
+    return tuple(path), known
+
+
+def _bare(annotation: object) -> object:
+    """A type without Annotated and without `| None`."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (Union, UnionType):
+        members = [member for member in get_args(annotation) if member is not NoneType]
+        if len(members) == 1:
+            return _bare(members[0])
+    return annotation
+
+
+def _members(kind: object) -> dict[str, object] | None:
+    """The models of a union told apart by `kind`, by that kind; None for any other type."""
+    if get_origin(kind) not in (Union, UnionType):
+        return None
+    return dict(_tagged(get_args(kind)))
+
+
+def _tagged(members: tuple[Any, ...]) -> Iterator[tuple[str, object]]:
+    for member in members:
+        annotation = member.model_fields["kind"].annotation if issubclass(member, BaseModel) else None
+        if get_origin(annotation) is Literal:
+            yield from ((tag, member) for tag in get_args(annotation))

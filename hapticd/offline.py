@@ -1,0 +1,258 @@
+"""Rendering without a daemon: the servo's own tick, without clock, thread or I/O.
+
+`render` takes positions and gives forces (open loop); `simulate` closes the loop with the simulated joystick. The same
+input gives the same bits on every run.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.compile import Compiler
+from hapticd.config import Config, ConfigSource, Servo, load_config
+from hapticd.control import target_of
+from hapticd.core import (
+    EVENT_DTYPE,
+    SAMPLE_DTYPE,
+    CData,
+    Status,
+    ffi,
+    invalid_reason,
+    lib,
+    pointer,
+    records,
+)
+from hapticd.engine import output_of
+from hapticd.errors import HapticdError, InvalidError, Problem
+from hapticd.joystick import new_operator, new_sim
+from hapticd.model import problems_of
+from hapticd.operator import Grip, Operator, load_operator, parse_operator
+from hapticd.scene import MAX_OBJECTS
+
+Samples: TypeAlias = npt.NDArray[np.void]
+"""Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""
+
+MAX_DURATION_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What a run gave."""
+
+    samples: Samples
+    """(n,) records, one a tick."""
+    events: npt.NDArray[np.void]
+    """(m,) records of `hapticd.core.EVENT_DTYPE`."""
+    objects: dict[tuple[int, int], str]
+    """Ids of the objects that events speak of, by their slot and generation."""
+    truth: npt.NDArray[np.float64] | None
+    """(n, 4) the simulated handle's own position (m) and velocity (m/s) at each tick; None for `render`."""
+
+
+class _Scene:
+    """A configuration, compiled for a rate."""
+
+    def __init__(self, config: ConfigSource, rate_hz: float) -> None:
+        self.config: Config = load_config(config)
+        self.rate_hz = _rate(rate_hz)
+        self._compiler = Compiler(output_of(self.config, self.rate_hz))
+        scene = self.config.scene
+        self.table: CData = self._compiler.update(scene, scene.objects, self.config.materials, 1)
+        self.objects = {
+            place: id for id in scene.objects if (place := self._compiler.slot_of(id)) is not None
+        }
+
+    def new_state(self, resolution_m: float) -> CData:
+        state = lib.hd_state_new(min(MAX_OBJECTS, max(1, len(self.objects))))
+        if state == ffi.NULL:
+            raise MemoryError("no memory for the state of a run")
+        lib.hd_state_set_resolution(state, resolution_m)
+        return ffi.gc(state, lib.hd_state_free)
+
+
+def _rate(rate_hz: float) -> float:
+    checked = Servo.model_validate({"rate_hz": rate_hz})
+    return checked.rate_hz
+
+
+class _Recorder:
+    """Runs in stretches, each with room for as many events as its ticks can have, and keeps what there were."""
+
+    STRETCH = 4096
+    EVENTS_PER_TICK = 256
+
+    def __init__(self) -> None:
+        self._room = records(EVENT_DTYPE, self.STRETCH * self.EVENTS_PER_TICK)
+        self._room_pointer = pointer("struct hd_event[]", self._room)
+        self._count = ffi.new("size_t *")
+        self._taken: list[npt.NDArray[np.void]] = []
+
+    def run(self, count: int, stretch: Callable[[slice, CData, int, CData], int]) -> npt.NDArray[np.void]:
+        """Calls `stretch` for each slice of `count` ticks; the events of all of them."""
+        for start in range(0, count, self.STRETCH):
+            part = slice(start, min(count, start + self.STRETCH))
+            status = stretch(part, self._room_pointer, len(self._room), self._count)
+            if status == Status.ERR_MEMORY:
+                raise MemoryError("no memory for a run")
+            if status != Status.OK:
+                raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
+            if self._count[0]:
+                self._taken.append(self._room[: self._count[0]].copy())
+        return np.concatenate(self._taken) if self._taken else self._room[:0].copy()
+
+
+def _positions(position_m: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+    try:
+        array = np.ascontiguousarray(position_m, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidError([Problem(name, f"must be numbers, shape (n, 2): {error}")]) from None
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise InvalidError([Problem(name, f"must have shape (n, 2), has {array.shape}")])
+    if not np.isfinite(array.sum()):  # one pass; the sum of finite numbers may overflow, so look again
+        finite = np.isfinite(array).all(axis=1)
+        if finite.all():
+            return array
+        first = int(np.argmin(finite))
+        raise InvalidError([Problem(f"{name}[{first}]", f"must be finite, is {array[first].tolist()}")])
+    return array
+
+
+def render(
+    config: ConfigSource,
+    position_m: npt.ArrayLike,
+    rate_hz: float = 10_000,
+    *,
+    velocity_m_per_s: npt.ArrayLike | None = None,
+) -> Samples:
+    """Forces for a path of positions, open loop.
+
+    `config` is what a YAML file holds, as a mapping or a path (materials, device, scene); `position_m` has shape (n, 2),
+    one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `velocity_m_per_s`, shape (n, 2),
+    is used where the caller knows it; otherwise it is estimated (exact positions: the backward difference). Forces are
+    on from the first sample; a probe that starts inside an object comes in over the scene's ramp_s.
+
+    Returns (n,) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
+    """
+    return render_run(config, position_m, rate_hz, velocity_m_per_s=velocity_m_per_s).samples
+
+
+def render_run(
+    config: ConfigSource,
+    position_m: npt.ArrayLike,
+    rate_hz: float = 10_000,
+    *,
+    velocity_m_per_s: npt.ArrayLike | None = None,
+    periods: npt.ArrayLike | None = None,
+) -> Run:
+    """As `render`, with the events; `periods`, shape (n,), says how many periods before each tick (1: none missed)."""
+    scene = _Scene(config, rate_hz)
+    positions = _positions(position_m, "position_m")
+    count = len(positions)
+    velocities = counts = None
+    if velocity_m_per_s is not None:
+        velocities = _positions(velocity_m_per_s, "velocity_m_per_s")
+        if len(velocities) != count:
+            raise InvalidError([Problem("velocity_m_per_s", f"must have shape ({count}, 2), has {velocities.shape}")])
+    if periods is not None:
+        counts = np.ascontiguousarray(periods, dtype=np.uint32)
+        if counts.shape != (count,):
+            raise InvalidError([Problem("periods", f"must have shape ({count},), has {counts.shape}")])
+    state = scene.new_state(0.0)
+    samples = np.empty(count, SAMPLE_DTYPE)
+    events = _Recorder().run(
+        count,
+        lambda part, room, capacity, found: lib.hd_render(
+            scene.table,
+            state,
+            pointer("double[]", positions[part]),
+            ffi.NULL if velocities is None else pointer("double[]", velocities[part]),
+            ffi.NULL if counts is None else pointer("uint32_t[]", counts[part]),
+            part.stop - part.start,
+            pointer("struct hd_sample[]", samples[part]),
+            room,
+            capacity,
+            found,
+        ),
+    )
+    return Run(samples, events, scene.objects, None)
+
+
+def simulate(
+    config: ConfigSource,
+    waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
+    duration_s: float | None = None,
+    rate_hz: float = 10_000,
+    *,
+    interpolation: Literal["linear", "minimum_jerk"] = "linear",
+) -> Samples:
+    """The closed loop of the tick and the simulated joystick of `config`, whose hand follows `waypoints`.
+
+    `waypoints` are [t_s, x_m, y_m], shape (n, 3), or what an operator file holds (waypoints or a gesture), as a mapping
+    or a path. The handle starts at rest where the hand first wants to be. `duration_s` is by default the operator's.
+
+    Returns (round(duration_s * rate_hz),) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
+    """
+    return simulate_run(config, waypoints, duration_s, rate_hz, interpolation=interpolation).samples
+
+
+def simulate_run(
+    config: ConfigSource,
+    waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
+    duration_s: float | None = None,
+    rate_hz: float = 10_000,
+    *,
+    interpolation: Literal["linear", "minimum_jerk"] = "linear",
+) -> Run:
+    """As `simulate`, with the events and the handle's true motion."""
+    scene = _Scene(config, rate_hz)
+    operator = _operator(waypoints, interpolation)
+    device = scene.config.device.sim
+    path = operator.waypoints_for(
+        lambda id: target_of(scene.config.scene.objects.get(id), scene.config.materials),
+        Grip(stiffness_n_per_m=device.hand.stiffness_n_per_m),
+        device.start_m,
+    )
+    lasting = float(path[-1, 0]) if duration_s is None else float(duration_s)
+    if not 0 < lasting <= MAX_DURATION_S:
+        raise InvalidError([Problem("duration_s", f"must be more than 0 and at most {MAX_DURATION_S:g}, is {lasting:g}")])
+    count = round(lasting * scene.rate_hz)
+    sim = new_sim(device, scene.rate_hz)
+    hand = new_operator(path.tolist(), operator.interpolation)
+    lib.hd_sim_operate(sim, hand)
+    lib.hd_sim_settle(sim)
+    state = scene.new_state(device.encoder_step_m)
+    samples = np.empty(count, SAMPLE_DTYPE)
+    truth = np.empty((count, 4))
+    events = _Recorder().run(
+        count,
+        lambda part, room, capacity, found: lib.hd_simulate(
+            scene.table,
+            state,
+            sim,
+            part.stop - part.start,
+            pointer("struct hd_sample[]", samples[part]),
+            pointer("double[]", truth[part]),
+            room,
+            capacity,
+            found,
+        ),
+    )
+    return Run(samples, events, scene.objects, truth)
+
+
+def _operator(
+    waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
+    interpolation: Literal["linear", "minimum_jerk"],
+) -> Operator:
+    if isinstance(waypoints, str | os.PathLike):
+        return load_operator(waypoints)
+    if isinstance(waypoints, Mapping):
+        return parse_operator(waypoints)
+    points = np.asarray(waypoints, dtype=np.float64).tolist()
+    return parse_operator({"waypoints": points, "interpolation": interpolation})

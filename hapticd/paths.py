@@ -1,0 +1,136 @@
+"""Where a daemon and its clients meet: the runtime directory, and the names in it.
+
+The directory is `$RUNTIME_DIRECTORY` where systemd gives one, else `$XDG_RUNTIME_DIR/hapticd`, else
+`/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so that whoever connects to a name
+in it talks to the daemon of that owner.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from hapticd.errors import HapticdError
+
+# sockaddr_un has room for 108 bytes, the last of which is NUL.
+_LONGEST_SOCKET_NAME = 107
+
+
+@dataclass(frozen=True, slots=True)
+class RuntimePaths:
+    """The names in one runtime directory."""
+
+    directory: Path
+
+    @property
+    def command(self) -> Path:
+        """The command socket (ROUTER); it is bound last, so that its existence means ready."""
+        return self.directory / "hapticd.command"
+
+    @property
+    def telemetry(self) -> Path:
+        """The telemetry socket (PUB)."""
+        return self.directory / "hapticd.telemetry"
+
+    @property
+    def lock(self) -> Path:
+        """The file that a daemon holds an flock on as long as it lives."""
+        return self.directory / "hapticd.lock"
+
+    @property
+    def command_endpoint(self) -> str:
+        """The command socket as ZeroMQ names it."""
+        return f"ipc://{self.command}"
+
+    @property
+    def telemetry_endpoint(self) -> str:
+        """The telemetry socket as ZeroMQ names it."""
+        return f"ipc://{self.telemetry}"
+
+
+def runtime_paths(
+    directory: str | os.PathLike[str] | None = None, environ: Mapping[str, str] | None = None
+) -> RuntimePaths:
+    """The names in `directory`, by default in the one that the environment says.
+
+    Raises HapticdError where a socket's name would be longer than the system takes.
+    """
+    environ = os.environ if environ is None else environ
+    if directory is not None:
+        chosen = Path(directory)
+    elif environ.get("RUNTIME_DIRECTORY"):
+        # systemd lists several directories separated by colons; the first is the service's own.
+        chosen = Path(environ["RUNTIME_DIRECTORY"].split(":")[0])
+    elif environ.get("XDG_RUNTIME_DIR"):
+        chosen = Path(environ["XDG_RUNTIME_DIR"], "hapticd")
+    else:
+        chosen = Path(f"/tmp/hapticd-{os.getuid()}")
+    paths = RuntimePaths(chosen.absolute())
+    longest = max(len(os.fsencode(paths.command)), len(os.fsencode(paths.telemetry)))
+    if longest > _LONGEST_SOCKET_NAME:
+        raise HapticdError(
+            f"runtime directory {chosen}: too long, the socket names in it would have {longest} bytes "
+            f"(at most {_LONGEST_SOCKET_NAME})"
+        )
+    return paths
+
+
+def check_directory(paths: RuntimePaths) -> None:
+    """Raises HapticdError unless the directory exists, is no symbolic link, and is ours alone to write."""
+    try:
+        status = os.lstat(paths.directory)
+    except OSError as error:
+        raise HapticdError(f"runtime directory {paths.directory}: {error.strerror}") from None
+    if stat.S_ISLNK(status.st_mode):
+        raise HapticdError(f"runtime directory {paths.directory}: is a symbolic link; it must be a directory")
+    if not stat.S_ISDIR(status.st_mode):
+        raise HapticdError(f"runtime directory {paths.directory}: is not a directory")
+    if status.st_uid != os.geteuid():
+        raise HapticdError(
+            f"runtime directory {paths.directory}: belongs to user {status.st_uid}, not to {os.geteuid()}"
+        )
+    if status.st_mode & 0o022:
+        mode = stat.S_IMODE(status.st_mode)
+        raise HapticdError(
+            f"runtime directory {paths.directory}: others may write to it (mode {mode:04o}); "
+            "it must be 0750 or 0700"
+        )
+
+
+def make_directory(paths: RuntimePaths, group: int | None = None) -> None:
+    """Creates the directory, or takes the one that is there if it passes `check_directory`.
+
+    Its mode becomes 0750 and its group `group` where a group is given, else 0700; one that is there already
+    keeps 0750 or 0700, as systemd or an administrator chose it. Missing parents are made, for the user
+    alone.
+    """
+    try:
+        paths.directory.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        try:
+            os.mkdir(paths.directory, 0o700)
+            chosen = False
+        except FileExistsError:
+            check_directory(paths)
+            chosen = stat.S_IMODE(os.lstat(paths.directory).st_mode) in (0o700, 0o750)
+        if not chosen:
+            if group is not None:
+                os.chown(paths.directory, -1, group)
+            os.chmod(paths.directory, 0o700 if group is None else 0o750)
+    except OSError as error:
+        raise HapticdError(f"runtime directory {paths.directory}: {error.strerror}") from None
+
+
+def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
+    """The names that a client connects to; raises HapticdError where somebody else could have put them there.
+
+    A directory that was named, or that the environment names, is taken as it is: a system daemon's belongs
+    to that daemon's user. The one under /tmp must be the user's own, since anybody could have made it.
+    """
+    paths = runtime_paths(directory)
+    named = directory is not None or any(map(os.environ.get, ("RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR")))
+    if not named and os.path.lexists(paths.directory):
+        check_directory(paths)
+    return paths

@@ -1,0 +1,76 @@
+"""The command socket: frames in, frames out, one request at a time.
+
+A blocking receive in a thread of its own, because it measured as the fastest way in (docs/adr/0002). Between requests
+it beats, so that the servo knows that somebody serves commands.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from typing import Final
+
+import zmq
+
+from hapticd import wire
+from hapticd.control import Control, MethodError
+from hapticd.engine import Engine
+
+BEAT_EVERY_MS: Final = 100
+LARGEST_MESSAGE: Final = 64 * 1024 * 1024
+"""A longer message closes the connection that it came from."""
+
+_log = logging.getLogger(__name__)
+
+
+def bind(context: zmq.Context[zmq.Socket[bytes]], endpoint: str) -> zmq.Socket[bytes]:
+    """The ROUTER of the command socket. Raises zmq.ZMQError."""
+    socket = context.socket(zmq.ROUTER)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
+    socket.setsockopt(zmq.RCVTIMEO, BEAT_EVERY_MS)
+    socket.bind(endpoint)
+    return socket
+
+
+def answer(control: Control, body: bytes | None) -> bytes | None:
+    """The body of the answer to a body; None for a notification. Never raises for what a client sent."""
+    try:
+        if body is None:
+            raise wire.WireError(
+                wire.Code.INVALID_REQUEST, "frames: send the body alone, or an empty frame and the body"
+            )
+        request = wire.parse_request(wire.decode(body))
+    except wire.WireError as error:
+        return None if error.silent else wire.error_reply(error.id, error.code, error.message)
+    try:
+        result = control.call(request.method, request.params)
+    except MethodError as error:
+        if not request.has_id:
+            _log.warning("notification %s: %s", request.method, error.message)
+            return None
+        return wire.error_reply(request.id, error.code, error.message, error.data)
+    except Exception:
+        # A defect of ours must neither leave the client without an answer nor stop the daemon.
+        _log.exception("method %s failed", request.method)
+        if not request.has_id:
+            return None
+        return wire.error_reply(request.id, wire.Code.INTERNAL, "the daemon failed; its log says how")
+    return wire.result_reply(request.id, result) if request.has_id else None
+
+
+def serve(socket: zmq.Socket[bytes], engine: Engine, control: Control, stop: threading.Event) -> None:
+    """Answers requests until `stop` is set."""
+    while not stop.is_set():
+        engine.beat()
+        try:
+            identity, *frames = socket.recv_multipart()
+        except zmq.Again:
+            continue
+        delimited, body = wire.open_envelope(frames)
+        reply = answer(control, body)
+        if reply is not None:
+            try:
+                socket.send_multipart([identity, *wire.close_envelope(delimited, reply)], zmq.NOBLOCK)
+            except zmq.Again:
+                _log.warning("a client does not read its answers: one was dropped")

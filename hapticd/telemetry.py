@@ -1,0 +1,157 @@
+"""The telemetry publisher: drains the servo's rings and sends what they held to whoever listens.
+
+Runs in a thread of its own. The servo never waits for it; a ring holds more than a second, which outlasts a garbage
+collection. A slow subscriber costs itself messages (PUB drops them), nobody else.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import zmq
+
+from hapticd import wire
+from hapticd.control import fault_names
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
+from hapticd.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
+
+SAMPLES_EVERY_S: Final = 0.020
+STATE_EVERY_S: Final = 1.0 / 60.0
+STATUS_EVERY_S: Final = 1.0
+SEND_HIGH_WATER_MARK: Final = 400
+"""Messages kept for a subscriber that does not read: about three seconds of them."""
+
+_APPEARED: Final = 1
+_DESCRIPTION: Final = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
+
+
+def sample_map(sample: np.void) -> dict[str, object]:
+    """One sample as a map of plain numbers and lists, by field name."""
+    return {name: sample[name].tolist() for name in SAMPLE_DTYPE.names or ()}
+
+
+class Telemetry:
+    """Publishes one engine's telemetry on a PUB socket that is already bound."""
+
+    def __init__(self, engine: Engine, socket: zmq.Socket[bytes], status: Callable[[], dict[str, object]]) -> None:
+        self._engine = engine
+        self._socket = socket
+        self._status = status
+        self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
+        self._events = records(EVENT_DTYPE, 1024)
+        self._held = 0
+        self._newest: npt.NDArray[np.void] | None = None
+        self._dropped = 0
+        self._touching: dict[str, None] = {}
+
+    def run(self, stop: threading.Event) -> None:
+        """Publishes until `stop` is set, and once more after it."""
+        now = monotonic_ns()
+        due = {"samples": now, "state": now, "status": now}
+        every = {
+            "samples": round(SAMPLES_EVERY_S * 1e9),
+            "state": round(STATE_EVERY_S * 1e9),
+            "status": round(STATUS_EVERY_S * 1e9),
+        }
+        send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
+        while not stop.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9)):
+            self._drain()
+            now = monotonic_ns()
+            for topic, time in due.items():
+                if now >= time:
+                    send[topic]()
+                    # After a stall the rhythm starts anew instead of catching up.
+                    late = now - time
+                    due[topic] = time + every[topic] if late < every[topic] else now + every[topic]
+        self._drain()
+        self._send_samples()
+        self._send_state()
+
+    def _drain(self) -> None:
+        count, self._dropped = self._engine.read_samples(self._samples[self._held :])
+        if count:
+            self._held += count
+            self._newest = self._samples[self._held - 1 : self._held].copy()
+        if self._held == len(self._samples):
+            self._send_samples()
+        while True:
+            count, _ = self._engine.read_events(self._events)
+            for event in self._events[:count]:
+                self._send("event", self._event_map(event))
+            if count < len(self._events):
+                break
+
+    def _send_samples(self) -> None:
+        if self._held:
+            batch = self._samples[: self._held]
+            self._held = 0
+            self._send(
+                "samples",
+                {
+                    "first_tick": int(batch["tick"][0]),
+                    "dropped": self._dropped,
+                    "dtype": _DESCRIPTION,
+                    "data": batch.tobytes(),
+                },
+            )
+
+    def _send_state(self) -> None:
+        if self._newest is not None:
+            sample = self._newest[0]
+            flags = Flag(int(sample["flags"]))
+            state = sample_map(sample)
+            state["touching"] = list(self._touching)
+            state["flag_names"] = [flag.name.lower() for flag in flags if flag.name]
+            self._send("state", state)
+
+    def _send_status(self) -> None:
+        self._send("status", self._status())
+
+    def _send(self, topic: str, message: dict[str, object]) -> None:
+        self._socket.send_multipart([topic.encode(), wire.encode(message)])
+
+    def _event_map(self, event: Any) -> dict[str, object]:
+        kind = EventKind(int(event["kind"]))
+        time_ns = int(event["time_ns"])
+        message: dict[str, object] = {
+            "event": kind.name.lower(),
+            "tick": int(event["tick"]),
+            "time_ns": time_ns,
+        }
+        if kind in (EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE):
+            name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
+            message["object"] = name
+            if name is not None:
+                if kind == EventKind.CONTACT:
+                    self._touching[name] = None
+                elif kind == EventKind.RELEASE:
+                    self._touching.pop(name, None)
+        if kind in (EventKind.CONTACT, EventKind.PUNCTURE):
+            true_speed = float(event["true_speed_m_per_s"])
+            message |= {
+                "onset_time_ns": time_ns - round(float(event["before_tick_s"]) * 1e9),
+                "before_tick_s": float(event["before_tick_s"]),
+                "speed_m_per_s": float(event["speed_m_per_s"]),
+                "true_speed_m_per_s": None if np.isnan(true_speed) else true_speed,
+                "amplitude_m_per_s2": float(event["amplitude_m_per_s2"]),
+                "scale": float(event["scale"]),
+            }
+        if kind == EventKind.CONTACT:
+            message["appeared"] = bool(int(event["code"]) & _APPEARED)
+        elif kind == EventKind.PUNCTURE:
+            message["depth_m"] = float(event["value"])
+        elif kind == EventKind.SATURATION:
+            message["wanted_n"] = float(event["value"])
+        elif kind == EventKind.OVERRUN:
+            message["missed"] = int(event["value"])
+        elif kind == EventKind.FAULT:
+            message["faults"] = fault_names(Fault(int(event["code"])))
+        elif kind == EventKind.REVISION:
+            message["revision"] = int(event["code"])
+        elif kind == EventKind.GLITCH:
+            message["speed_m_per_s"] = float(event["value"])
+        return message

@@ -1,0 +1,228 @@
+"""YAML as people write it for hapticd: text in, plain data and line numbers out.
+
+Scalars follow the core schema of YAML 1.2.2 (10.3): `off` and `"1"` are strings, `1e-3` is a number.
+Refused, each with file, line and column: duplicate keys, keys that are no strings, aliases, tags outside the
+core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_BYTES, anything that is not UTF-8.
+`<<` has no special meaning. PyYAML only tokenises; data is built here from its events, without recursion.
+"""
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import yaml
+
+from hapticd.errors import HapticdError, InvalidError, Problem, path_text, quoted, shown
+
+MAX_DEPTH = 32
+MAX_BYTES = 2 * 1024 * 1024
+
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+"""Plain data: what YAML, JSON and msgpack have in common."""
+
+# Both give the same events; the one over libyaml is about 20 times faster and is in every wheel of PyYAML.
+_LOADER: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]" = (
+    yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
+)
+
+_CORE = "tag:yaml.org,2002:"
+_NULL = re.compile(r"null|Null|NULL|~|")
+_BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(
+    r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
+)
+_LONGEST_NUMBER = 400
+_UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@dataclass(slots=True)
+class _Marks:
+    """Line of a value (of its key, in a mapping), and the marks of what it holds."""
+
+    line: int
+    children: dict[str | int, "_Marks"] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """One parsed document: `data`, and where each part of it stands; `name` is None without a file."""
+
+    data: Json
+    name: str | None = None
+    _marks: _Marks | None = None
+
+    def line_of(self, path: Sequence[str | int]) -> int | None:
+        """The line, from 1, of the key or list item at `path`; None where the document has no such place."""
+        marks = self._marks
+        for element in path:
+            if marks is None:
+                return None
+            marks = marks.children.get(element)
+        return None if marks is None else marks.line
+
+    def where(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE: servo.rate_hz`; where `path` is missing, the nearest line there is."""
+        if self.name is None:
+            return path_text(path)
+        lines = (self.line_of(path[:length]) for length in range(len(path), -1, -1))
+        line = next((line for line in lines if line is not None), 1)
+        place = f"{_one_line(self.name)}:{line}"
+        return f"{place}: {path_text(path)}" if path else place
+
+
+@dataclass(slots=True)
+class _Open:
+    """A collection that is being filled; `key` waits for its value, in a mapping."""
+
+    data: "list[Json] | dict[str, Json]"
+    marks: _Marks
+    key: str | None = None
+    key_line: int = 0
+
+
+def load_path(path: "str | os.PathLike[str]") -> Document:
+    """Reads one YAML file.
+
+    Raises InvalidError (one problem, `where` is FILE:LINE:COLUMN) for text that is refused, HapticdError for
+    a file that cannot be read.
+    """
+    name = os.fspath(path)
+    try:
+        with open(name, "rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise HapticdError(f"{_one_line(name)}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise HapticdError(f"{_one_line(name)}: cannot be read: {error}") from None
+    return load_bytes(content, name)
+
+
+def load_bytes(content: bytes, name: str) -> Document:
+    """Parses one YAML document, as UTF-8. Raises InvalidError as load_path does."""
+    if len(content) > MAX_BYTES:
+        raise _refusal(name, 0, 0, f"larger than {MAX_BYTES} bytes")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start].decode("utf-8-sig")
+        raise _refusal(name, *_line_column(before), "not UTF-8") from None
+    return _parse(text, name, _LOADER)
+
+
+def load_text(text: str, name: str) -> Document:
+    """Parses one YAML document; `name` stands for the file. Raises InvalidError as load_path does."""
+    return load_bytes(text.encode("utf-8", "surrogatepass"), name)
+
+
+def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]") -> Document:
+    bad = _UNPRINTABLE.search(text)
+    if bad:
+        raise _refusal(name, *_line_column(text[: bad.start()]), f"control character {quoted(bad.group())}")
+    try:
+        return _build(loader(text), name)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark
+        at = (mark.line, mark.column) if mark else (0, 0)
+        raise _refusal(name, *at, error.problem or "not YAML") from None
+
+
+def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
+    root: Document | None = None
+    stack: list[_Open] = []
+    while parser.check_event():
+        event = parser.get_event()
+        assert event is not None
+        assert event.start_mark is not None
+        line, column = event.start_mark.line, event.start_mark.column
+
+        def refuse(problem: str, line: int = line, column: int = column) -> InvalidError:
+            return _refusal(name, line, column, problem)
+
+        match event:
+            case yaml.AliasEvent():
+                raise refuse(f"aliases are not allowed: {quoted(f'*{event.anchor}')}")
+            case yaml.DocumentStartEvent() if root is not None:
+                raise refuse("a second document; a file holds one")
+            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
+                stack.pop()
+            case yaml.ScalarEvent() | yaml.CollectionStartEvent():
+                value = _value(event, refuse)
+                top = stack[-1] if stack else None
+                if top is not None and isinstance(top.data, dict) and top.key is None:
+                    top.key, top.key_line = _key(value, top.data, refuse), line + 1
+                    continue
+                marks = _Marks(line + 1)
+                if top is None:
+                    root = Document(value, name, marks)
+                elif isinstance(top.data, dict):
+                    assert top.key is not None
+                    marks.line = top.key_line
+                    top.data[top.key] = value
+                    top.marks.children[top.key] = marks
+                    top.key = None
+                else:
+                    top.marks.children[len(top.data)] = marks
+                    top.data.append(value)
+                if isinstance(value, dict | list):
+                    if len(stack) == MAX_DEPTH:
+                        raise refuse(f"nested deeper than {MAX_DEPTH} levels")
+                    stack.append(_Open(value, marks))
+    return root or Document(None, name, _Marks(1))
+
+
+def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError]) -> str:
+    if not isinstance(value, str):
+        raise refuse(f"keys are strings, this one is {shown(value)}")
+    if value in mapping:
+        raise refuse(f"duplicate key {quoted(value)}")
+    return value
+
+
+def _value(
+    event: "yaml.ScalarEvent | yaml.CollectionStartEvent", refuse: Callable[[str], InvalidError]
+) -> Json:
+    if isinstance(event, yaml.ScalarEvent):
+        return _scalar(event, refuse)
+    is_mapping = isinstance(event, yaml.MappingStartEvent)
+    if event.tag not in (None, "!", _CORE + ("map" if is_mapping else "seq")):
+        raise refuse(f"tag {quoted(event.tag)} is not allowed here")
+    return {} if is_mapping else []
+
+
+def _scalar(event: yaml.ScalarEvent, refuse: Callable[[str], InvalidError]) -> Json:
+    text: str = event.value
+    tag = event.tag
+    if tag is None and not event.implicit[0]:
+        return text
+    if tag in ("!", _CORE + "str"):
+        return text
+    if len(text) <= _LONGEST_NUMBER:
+        if tag in (None, _CORE + "null") and _NULL.fullmatch(text):
+            return None
+        if tag in (None, _CORE + "bool") and _BOOL.fullmatch(text):
+            return text[0] in "tT"
+        if tag in (None, _CORE + "int") and _INT.fullmatch(text):
+            return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+        if tag in (None, _CORE + "float") and _FLOAT.fullmatch(text):
+            return float(text.replace(".", "") if text[-1] in "fFnN" else text)
+    elif _INT.fullmatch(text) or _FLOAT.fullmatch(text):
+        raise refuse(f"a number of more than {_LONGEST_NUMBER} characters")
+    if tag is None:
+        return text
+    raise refuse(f"tag {quoted(tag)} is not allowed here")
+
+
+def _line_column(before: str) -> tuple[int, int]:
+    lines = re.split("\r\n|[\r\n\x85\u2028\u2029]", before)
+    return len(lines) - 1, len(lines[-1])
+
+
+def _one_line(text: str) -> str:
+    return text if text.isprintable() else quoted(text)
+
+
+def _refusal(name: str, line: int, column: int, problem: str) -> InvalidError:
+    return InvalidError([Problem(f"{_one_line(name)}:{line + 1}:{column + 1}", _one_line(problem))])

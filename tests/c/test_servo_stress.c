@@ -1,0 +1,304 @@
+/* The whole servo against its neighbours, as the daemon uses it: one thread publishes tables and sends commands, one
+ * drains samples and events, the servo ticks at 10 kHz with the simulated joystick. Meant for the sanitizers; what is
+ * asserted is order and completeness, never time. */
+#include <math.h>
+#include <pthread.h>
+#include <sched.h>
+#include <string.h>
+
+#include "hd_atomic.h"
+#include "hd_core.h"
+#include "hd_test.h"
+
+#define RATE_HZ 10000.0
+#define MAX_FORCE_N 8.9
+#define TICKS 5000u
+#define REVISIONS 300u
+#define PATIENCE_NS 60000000000 /* a defect, not a slow machine */
+#define HELD 1024u              /* commands that the servo holds at most */
+
+static const struct hd_sim_config joystick = {
+    .handle_mass_kg = 0.05,
+    .handle_damping_n_s_per_m = 0.2,
+    .coulomb_friction_n = 0.02,
+    .encoder_step_m = 20e-6,
+    .max_force_n = MAX_FORCE_N,
+    .force_step_n = 0.005,
+    .workspace_m = 0.075,
+    .force_timeout_s = 0.1,
+    .hand_mass_kg = 0.1,
+    .hand_stiffness_n_per_m = 500.0,
+    .hand_damping_n_s_per_m = 2.0,
+    .start_m = {0.0, 0.01},
+};
+
+static const struct hd_servo_config config = {
+    .rate_hz = RATE_HZ,
+    .cpu = -1,
+    .realtime = HD_REALTIME_OFF,
+    .slot_capacity = 8,
+    .sample_capacity = 4096,
+    .resolution_m = 20e-6,
+    .forces_on = 1,
+};
+
+static struct hd_mode ringing(double frequency_hz, double decay_rate_per_s, double force_per_unit) {
+    double w = 2.0 * 3.14159265358979323846 * frequency_hz;
+    double peak_time_s = atan(w / decay_rate_per_s) / w;
+
+    return (struct hd_mode){
+        .rotor_re = exp(-decay_rate_per_s / RATE_HZ) * cos(w / RATE_HZ),
+        .rotor_im = exp(-decay_rate_per_s / RATE_HZ) * sin(w / RATE_HZ),
+        .decay_rate_per_s = decay_rate_per_s,
+        .angular_frequency_rad_per_s = w,
+        .end_s = 5.0 / decay_rate_per_s,
+        .peak = exp(-decay_rate_per_s * peak_time_s) * sin(w * peak_time_s),
+        .peak_time_s = peak_time_s,
+        .amplitude_per_unit = force_per_unit / 0.05,
+        .force_per_unit = force_per_unit,
+    };
+}
+
+struct scene {
+    struct hd_table table;
+    struct hd_wall walls[2];
+    struct hd_membrane membrane;
+};
+
+/* Every revision changes a surface; every eighth gives a slot to another object. */
+static void make_scene(struct scene *scene, uint32_t revision) {
+    *scene = (struct scene){
+        .table =
+            {
+                .revision = revision,
+                .wall_count = 1 + revision % 2,
+                .membrane_count = 1,
+                .display_force = 1,
+                .display_vibration = 1,
+                .field_version = revision,
+                .period_s = 1.0 / RATE_HZ,
+                .max_force_n = MAX_FORCE_N,
+                .max_speed_m_per_s = 5.0,
+                .ramp_s = 0.02,
+                .ramp_step = 1.0 / RATE_HZ / 0.02,
+                .field = {.force_n = {0.01 * (revision % 5), 0.0}, .damping_n_s_per_m = 0.5},
+            },
+        .membrane =
+            {
+                .key = {.slot = 2, .generation = revision / 8, .version = revision, .heals = revision % 2},
+                .surface = {.point_m = {0.0, 0.005},
+                            .normal = {0.0, 1.0},
+                            .stiffness_n_per_m = 600.0,
+                            .half_width_m = 0.02,
+                            .rupture_depth_m = 0.001},
+                .rupture = ringing(200.0, 330.0, 1.9),
+            },
+    };
+    for (uint32_t i = 0; i < 2; i++) {
+        scene->walls[i] = (struct hd_wall){
+            .key = {.slot = i, .generation = revision / 8, .version = revision},
+            .surface = {.normal = {i == 0 ? 0.0 : 0.6, i == 0 ? 1.0 : 0.8},
+                        .stiffness_n_per_m = 700.0 + 10.0 * (revision % 20),
+                        .damping_n_s_per_m = 0.1},
+            .tap = ringing(67.0, 154.0, 15.0),
+        };
+    }
+    scene->table.walls = scene->walls;
+    scene->table.membranes = &scene->membrane;
+}
+
+struct drain {
+    struct hd_servo *servo;
+    struct hd_atomic_u32 last; /* written by main: what is read now is the rest */
+    uint64_t samples;
+    uint64_t samples_dropped;
+    uint64_t events;
+    uint64_t events_dropped;
+    uint64_t kinds[HD_EVENT_DEVICE_FOUND + 1];
+    struct hd_sample newest;
+    uint32_t event_revision;
+};
+
+static void take_sample(struct drain *drain, const struct hd_sample *sample) {
+    CHECK(isfinite(sample->force_n[0]) && isfinite(sample->force_n[1]));
+    CHECK(hypot(sample->force_n[0], sample->force_n[1]) <= MAX_FORCE_N * (1.0 + 1e-12));
+    if (drain->samples > 0) {
+        CHECK(sample->tick > drain->newest.tick && sample->time_ns > drain->newest.time_ns);
+        CHECK(sample->revision >= drain->newest.revision);
+    }
+    drain->samples++;
+    drain->newest = *sample;
+}
+
+static void take_event(struct drain *drain, const struct hd_event *event) {
+    CHECK(event->kind >= HD_EVENT_CONTACT && event->kind <= HD_EVENT_DEVICE_FOUND);
+    if (event->kind == HD_EVENT_REVISION) {
+        CHECK(event->code > drain->event_revision);
+        drain->event_revision = event->code;
+    }
+    drain->events++;
+    drain->kinds[event->kind]++;
+}
+
+static void *drain_rings(void *argument) {
+    struct drain *drain = argument;
+    struct hd_sample samples[100];
+    struct hd_event events[20];
+    uint32_t last;
+    size_t count;
+
+    do {
+        last = hd_atomic_u32_load_acquire(&drain->last);
+        while ((count = hd_servo_read_samples(drain->servo, samples, 100, &drain->samples_dropped)) > 0)
+            for (size_t i = 0; i < count; i++)
+                take_sample(drain, &samples[i]);
+        while ((count = hd_servo_read_events(drain->servo, events, 20, &drain->events_dropped)) > 0)
+            for (size_t i = 0; i < count; i++)
+                take_event(drain, &events[i]);
+        sched_yield();
+    } while (!last);
+    return NULL;
+}
+
+/* What the control side is told, before anything runs. */
+static void refuses(struct hd_servo *servo, struct scene *scene) {
+    struct hd_command command = {.kind = HD_COMMAND_PLAY, .direction = {1.0, 0.0}, .amplitude = (double)NAN};
+    struct hd_grant grant;
+    uint64_t sequence;
+
+    CHECK(hd_servo_start(servo, &grant) != HD_OK);
+    CHECK(hd_servo_send(servo, &command, 1, &sequence) == HD_ERR_INVALID);
+    command = (struct hd_command){.kind = 99};
+    CHECK(hd_servo_send(servo, &command, 1, &sequence) == HD_ERR_INVALID);
+    scene->table.period_s *= 2.0;
+    CHECK(hd_servo_publish(servo, &scene->table) == HD_ERR_INVALID);
+    scene->table.period_s /= 2.0;
+    scene->walls[0].surface.normal[0] = (double)NAN;
+    CHECK(hd_servo_publish(servo, &scene->table) == HD_ERR_INVALID);
+}
+
+/* Commands of a revision that is not there yet wait for it; a full ring takes all of a batch or none. */
+static uint64_t holds_back(struct hd_servo *servo, uint32_t revision) {
+    struct hd_command batch[8];
+    uint64_t sequence = 0;
+    uint64_t before;
+
+    for (size_t i = 0; i < 8; i++)
+        batch[i] = (struct hd_command){.kind = HD_COMMAND_FORCES, .revision = revision, .value = 1};
+    for (size_t i = 0; i < HELD / 8 - 1; i++)
+        CHECK(hd_servo_send(servo, batch, 8, &sequence) == HD_OK);
+    CHECK(hd_servo_send(servo, batch, 5, &sequence) == HD_OK);
+    before = sequence;
+    CHECK(hd_servo_send(servo, batch, 4, &sequence) == HD_ERR_FULL && sequence == before);
+    CHECK(hd_servo_send(servo, batch, 3, &sequence) == HD_OK && sequence == HELD);
+    return sequence;
+}
+
+static size_t make_commands(struct hd_command commands[4], uint32_t revision, const struct hd_operator *paths[2]) {
+    double angle = revision;
+
+    commands[0] = (struct hd_command){.kind = HD_COMMAND_PLAY,
+                                      .revision = revision,
+                                      .direction = {cos(angle), sin(angle)},
+                                      .amplitude = 1.0,
+                                      .mode = ringing(200.0, 300.0, 1.0)};
+    commands[1] = (struct hd_command){.kind = HD_COMMAND_RESET, .revision = revision, .slot = HD_NO_SLOT};
+    commands[2] = (struct hd_command){.kind = HD_COMMAND_FORCES, .revision = revision, .value = revision % 16 != 0};
+    commands[3] =
+        (struct hd_command){.kind = HD_COMMAND_OPERATOR, .revision = revision, .path = paths[revision / 64 % 2]};
+    if (revision % 32 == 8)
+        commands[1] = (struct hd_command){.kind = HD_COMMAND_FAULT, .revision = revision, .value = HD_FAULT_CONTROL};
+    return revision % 64 == 0 ? 4 : revision % 4;
+}
+
+static uint64_t ticks_of(const struct hd_servo *servo) {
+    struct hd_counters counters;
+
+    hd_servo_counters(servo, &counters);
+    return counters.ticks;
+}
+
+/* Hot updates with commands among them, for REVISIONS revisions and TICKS ticks at the least. */
+static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct hd_operator *paths[2]) {
+    uint64_t sequence = 0;
+    uint64_t tick = 0;
+    uint64_t earlier = 0;
+
+    for (uint32_t first = revision; revision < first + REVISIONS || ticks_of(servo) < TICKS;) {
+        struct hd_command commands[4];
+        struct scene scene;
+        size_t count = make_commands(commands, ++revision, paths);
+        int status = HD_OK;
+
+        make_scene(&scene, revision);
+        CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+        while (count > 0 && (status = hd_servo_send(servo, commands, count, &sequence)) == HD_ERR_FULL)
+            sched_yield();
+        CHECK(status == HD_OK);
+        hd_servo_beat(servo);
+        hd_servo_set_lease(servo, revision % 3 == 0 ? INT64_MAX : 0);
+        if (revision % 8 == 0) {
+            CHECK(hd_servo_wait_revision(servo, revision, PATIENCE_NS, &tick) == HD_OK);
+            CHECK(tick >= earlier);
+            earlier = tick;
+        }
+    }
+    CHECK(hd_servo_wait_command(servo, sequence, PATIENCE_NS, &tick) == HD_OK && tick >= earlier);
+    return revision;
+}
+
+int main(void) {
+    static const double strokes[][3] = {
+        {0.0, 0.0, 0.01}, {0.05, 0.01, -0.005}, {0.1, -0.01, 0.01}, {0.15, 0.0, -0.01}, {0.3, 0.0, 0.01},
+    };
+    static const double presses[][3] = {{0.0, 0.0, 0.0}, {0.1, 0.0, -0.01}, {0.2, 0.0, 0.012}};
+    const struct hd_operator *paths[2];
+    struct hd_operator *stroke = hd_operator_new(strokes[0], 5, HD_MINIMUM_JERK);
+    struct hd_operator *press = hd_operator_new(presses[0], 3, HD_LINEAR);
+    struct hd_sim *sim = hd_sim_new(&joystick, 1.0 / RATE_HZ);
+    struct hd_servo *servo = hd_servo_new(&config, sim);
+    struct drain drain = {.servo = servo};
+    struct scene scene;
+    struct hd_grant grant;
+    struct hd_counters counters;
+    pthread_t drainer;
+    uint64_t held;
+    uint64_t tick;
+    uint32_t revision;
+
+    CHECK(stroke != NULL && press != NULL && sim != NULL && servo != NULL);
+    paths[0] = stroke;
+    paths[1] = press;
+    make_scene(&scene, 1);
+    refuses(servo, &scene);
+    make_scene(&scene, 1);
+    CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    held = holds_back(servo, 2);
+    CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    CHECK(pthread_create(&drainer, NULL, drain_rings, &drain) == 0);
+    CHECK(hd_servo_wait_command(servo, held, 0, &tick) == HD_ERR_TIMEOUT);
+    make_scene(&scene, 2);
+    CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    CHECK(hd_servo_wait_command(servo, held, PATIENCE_NS, &tick) == HD_OK);
+    revision = command(servo, 2, paths);
+    CHECK(hd_servo_stop(servo) == HD_OK);
+    hd_atomic_u32_store_release(&drain.last, 1);
+    CHECK(pthread_join(drainer, NULL) == 0);
+
+    hd_servo_counters(servo, &counters);
+    CHECK(!counters.running && counters.revision == revision && counters.ticks >= TICKS);
+    CHECK(drain.samples + drain.samples_dropped == counters.ticks);
+    CHECK(counters.samples_dropped == drain.samples_dropped && counters.events_dropped == drain.events_dropped);
+    CHECK(drain.newest.tick == counters.ticks - 1 && drain.newest.revision == revision);
+    CHECK(drain.newest.force_n[0] == 0.0 && drain.newest.force_n[1] == 0.0);
+    CHECK(drain.kinds[HD_EVENT_CONTACT] > 0 && drain.kinds[HD_EVENT_FAULT] > 0 && counters.strikes > 0);
+    CHECK(counters.faults == 0 || drain.kinds[HD_EVENT_FAULT] > 0);
+    hd_servo_free(servo);
+    hd_sim_free(sim);
+    hd_operator_free(stroke);
+    hd_operator_free(press);
+    printf("test_servo_stress: ok, %llu ticks (%llu skipped, %llu samples dropped), %u revisions, %llu events\n",
+           (unsigned long long)counters.ticks, (unsigned long long)counters.skipped,
+           (unsigned long long)counters.samples_dropped, revision, (unsigned long long)drain.events);
+    return 0;
+}

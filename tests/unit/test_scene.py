@@ -1,0 +1,256 @@
+"""Scenes: every kind of object, the faults and where they are told, names of materials, and round trips."""
+
+import math
+import pathlib
+
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from hapticd.errors import InvalidError, Problem
+from hapticd.materials import shipped_materials
+from hapticd.scene import (
+    MAX_OBJECTS,
+    Scene,
+    Viscous,
+    Wall,
+    load_scene,
+    reference_problems,
+    validate_object,
+    validate_scene,
+)
+from hapticd.yaml_source import Json
+
+WALL: dict[str, Json] = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+MEMBRANE: dict[str, Json] = {
+    "kind": "membrane",
+    "center_m": [0, 0.03],
+    "normal": [3, 4],
+    "width_m": 0.02,
+    "material": "cellophane",
+}
+SPRING: dict[str, Json] = {"kind": "spring", "center_m": [0, 0], "stiffness_n_per_m": 50}
+VISCOUS: dict[str, Json] = {"kind": "viscous", "damping_n_s_per_m": 2}
+CONSTANT: dict[str, Json] = {"kind": "constant", "force_n": [0, -0.2]}
+ALL: dict[str, Json] = {"a": WALL, "b": MEMBRANE, "c": SPRING, "d": VISCOUS, "e": CONSTANT}
+
+
+def faults(name: str, data: Json) -> dict[str, str]:
+    with pytest.raises(InvalidError) as caught:
+        validate_object(name, data)
+    return {problem.where: problem.problem for problem in caught.value.problems}
+
+
+def test_every_kind() -> None:
+    scene = validate_scene({"objects": ALL})
+    assert scene.to_dict() == {
+        "display": {"force": True, "vibration": True},
+        "ramp_s": 0.02,
+        "objects": {**ALL, "b": {**MEMBRANE, "normal": [0.6, 0.8]}, "c": {**SPRING, "damping_n_s_per_m": 0}},
+    }
+
+
+components = st.floats(-1e9, 1e9)
+
+
+@given(components, components)
+def test_normals_become_unit_vectors_once(x: float, y: float) -> None:
+    assume(math.hypot(x, y) >= 1e-9)
+    wall = validate_object("w", {**WALL, "normal": [x, y]})
+    assert isinstance(wall, Wall)
+    assert math.hypot(*wall.normal) == pytest.approx(1, abs=1e-15)
+    assert math.atan2(wall.normal[1], wall.normal[0]) == pytest.approx(math.atan2(y, x), abs=1e-15)
+    again = validate_object("w", wall.to_dict())
+    assert isinstance(again, Wall)
+    assert again.normal == wall.normal
+
+
+@pytest.mark.parametrize("normal", [[0, 0], [1e-10, 0], [0.0, -0.0]])
+def test_a_normal_needs_a_direction(normal: Json) -> None:
+    ((where, problem),) = faults("table", {**WALL, "normal": normal}).items()
+    assert where == "objects.table.normal"
+    assert "a length of at least 1e-09" in problem
+
+
+def test_the_kind_is_no_part_of_a_path() -> None:
+    bad: dict[str, Json] = {**WALL, "normal": [1, "x"], "wall": 1, "material": ""}
+    for name in ("table", "wall", "spring", "objects"):
+        assert faults(name, bad) == {
+            f"objects.{name}.normal[1]": 'must be a number, is "x"',
+            f"objects.{name}.material": "must have at least 1 character",
+            f"objects.{name}.wall": "unknown key; known: kind, point_m, normal, material",
+        }
+
+
+@pytest.mark.parametrize(
+    ("data", "where", "problem"),
+    [
+        ({}, "objects.o.kind", "is missing"),
+        (
+            {"kind": "wal"},
+            "objects.o.kind",
+            'unknown kind "wal"; did you mean wall? known: wall, membrane, spring',
+        ),
+        (
+            {"kind": "box"},
+            "objects.o.kind",
+            'unknown kind "box"; known: wall, membrane, spring, viscous, constant',
+        ),
+        ({"kind": 3}, "objects.o.kind", "unknown kind"),
+        ({"kind": ["wall"]}, "objects.o.kind", "unknown kind"),
+        ({"kind": None}, "objects.o.kind", "unknown kind"),
+        (None, "objects.o", "must be a mapping, is null"),
+        ([], "objects.o", "must be a mapping, is a list"),
+        ("wall", "objects.o", 'must be a mapping, is "wall"'),
+        ({**WALL, "point_m": [0]}, "objects.o.point_m", "must be two numbers [x, y], has 1"),
+        ({**WALL, "point_m": []}, "objects.o.point_m", "must be two numbers [x, y], has 0"),
+        ({**WALL, "point_m": [0, 0, 0]}, "objects.o.point_m", "must be two numbers [x, y], has 3"),
+        ({**WALL, "point_m": 0}, "objects.o.point_m", "must be two numbers [x, y], is 0"),
+        ({**WALL, "point_m": "00"}, "objects.o.point_m", 'must be two numbers [x, y], is "00"'),
+        ({**WALL, "point_m": {"x": 0}}, "objects.o.point_m", "must be two numbers [x, y], is a mapping"),
+        ({**WALL, "point_m": [11, 0]}, "objects.o.point_m[0]", "must be at most 10, is 11"),
+        ({**WALL, "point_m": [0, math.nan]}, "objects.o.point_m[1]", "must be finite, is nan"),
+        ({**WALL, "point_m": [0, -math.inf]}, "objects.o.point_m[1]", "must be finite, is -inf"),
+        ({**WALL, "point_m": [0, True]}, "objects.o.point_m[1]", "must be a number, is true"),
+        ({**SPRING, "stiffness_n_per_m": -1}, "objects.o.stiffness_n_per_m", "must be at least 0, is -1"),
+        ({**SPRING, "stifness_n_per_m": 1}, "objects.o.stifness_n_per_m", "did you mean stiffness_n_per_m?"),
+        ({**VISCOUS, "damping_n_s_per_m": None}, "objects.o.damping_n_s_per_m", "must be a number, is null"),
+        (
+            {**CONSTANT, "force_n": [0, 10**400]},
+            "objects.o.force_n[1]",
+            "is too large: a whole number of 1329 bits",
+        ),
+    ],
+)
+def test_faults_of_an_object(data: Json, where: str, problem: str) -> None:
+    ((found_where, found),) = faults("o", data).items()
+    assert found_where == where
+    assert problem in found
+
+
+def test_faults_begin_with_the_root() -> None:
+    with pytest.raises(InvalidError, match=r"^params\.objects\.table\.kind: is missing$"):
+        validate_object("table", {}, ("params",))
+    with pytest.raises(InvalidError, match=r"^scene\.ramp_s: must be at most 1, is 2$"):
+        validate_scene({"ramp_s": 2}, ("scene",))
+    with pytest.raises(InvalidError, match=r"^scene: must be a mapping, is null$"):
+        validate_scene(None, ("scene",))
+
+
+def test_bad_ids() -> None:
+    assert faults("a.b", WALL) == {'objects."a.b"': 'must not hold a dot or a control character: "a.b"'}
+    assert faults("", WALL) == {'objects.""': "must have at least 1 character"}
+
+
+def test_number_of_objects_is_limited() -> None:
+    objects: dict[str, Json] = {f"o{i}": VISCOUS for i in range(MAX_OBJECTS)}
+    scene = validate_scene({"objects": objects})
+    with pytest.raises(InvalidError, match="objects: must hold at most 16384 entries, holds 16385"):
+        validate_scene({"objects": {**objects, "one": VISCOUS}})
+    with pytest.raises(InvalidError, match="objects: must hold at most 16384 entries, holds 16385"):
+        scene.with_objects({"one": scene.objects["o0"]})
+    assert len(scene.with_objects({"one": scene.objects["o0"], "o1": None}).objects) == MAX_OBJECTS
+
+
+def test_changes_leave_the_rest_as_it_is() -> None:
+    scene = validate_scene({"objects": ALL, "ramp_s": 0.5})
+    changed = scene.with_objects({"a": None, "b": validate_object("b", VISCOUS), "nobody": None})
+    assert list(scene.objects) == list(ALL)
+    assert list(changed.objects) == ["b", "c", "d", "e"]
+    assert isinstance(changed.objects["b"], Viscous)
+    assert changed.objects["c"] is scene.objects["c"]
+    assert changed.ramp_s == 0.5
+
+
+def test_unknown_materials() -> None:
+    scene = validate_scene(
+        {"objects": {**ALL, "x": {**WALL, "material": "wod"}, "y": {**MEMBRANE, "material": "zz"}}}
+    )
+    assert reference_problems(scene.objects, shipped_materials(), ("scene",)) == [
+        Problem(
+            "scene.objects.x.material",
+            'unknown material "wod"; did you mean wood? '
+            "known: wood, acrylic, delrin, aluminum, glass, cast_iron, steel, cellophane",
+        ),
+        Problem(
+            "scene.objects.y.material",
+            'unknown material "zz"; known: wood, acrylic, delrin, aluminum, glass, cast_iron, steel, cellophane',
+        ),
+    ]
+
+
+numbers = st.floats(-10, 10)
+vectors = st.lists(numbers, min_size=2, max_size=2)
+normals = vectors.filter(lambda v: math.hypot(*v) > 1e-6)
+names = st.text(
+    st.characters(exclude_categories=["C", "Zl", "Zp"], exclude_characters="."), min_size=1, max_size=64
+)
+objects = st.one_of(
+    st.fixed_dictionaries(
+        {"kind": st.just("wall"), "point_m": vectors, "normal": normals, "material": names}
+    ),
+    st.fixed_dictionaries(
+        {
+            "kind": st.just("membrane"),
+            "center_m": vectors,
+            "normal": normals,
+            "width_m": st.floats(0.0001, 20),
+            "material": names,
+        }
+    ),
+    st.fixed_dictionaries(
+        {"kind": st.just("spring"), "center_m": vectors, "stiffness_n_per_m": st.floats(0, 1e5)},
+        optional={"damping_n_s_per_m": st.floats(0, 1e3)},
+    ),
+    st.fixed_dictionaries({"kind": st.just("viscous"), "damping_n_s_per_m": st.floats(0, 1e3)}),
+    st.fixed_dictionaries({"kind": st.just("constant"), "force_n": vectors}),
+)
+
+
+@given(
+    st.fixed_dictionaries(
+        {"objects": st.dictionaries(names, objects, max_size=4)},
+        optional={
+            "ramp_s": st.floats(0.001, 1),
+            "display": st.fixed_dictionaries(
+                {}, optional={"force": st.booleans(), "vibration": st.booleans()}
+            ),
+        },
+    )
+)
+def test_canonical_form_is_valid_and_stays(data: dict[str, Json]) -> None:
+    scene = validate_scene(data)
+    again = validate_scene(scene.to_dict())
+    assert again == scene
+    assert again.to_dict() == scene.to_dict()
+
+
+def test_sources(tmp_path: pathlib.Path) -> None:
+    scene = validate_scene({"objects": {"a": WALL}})
+    bare = tmp_path / "bare.yaml"
+    bare.write_text("objects:\n  a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n")
+    section = tmp_path / "section.yaml"
+    section.write_text(
+        "scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
+    )
+    assert load_scene(scene) is scene
+    for source in (bare, str(bare), section, {"objects": {"a": WALL}}, {"scene": {"objects": {"a": WALL}}}):
+        assert load_scene(source) == scene
+    assert load_scene({}) == Scene()
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("objects:\n  a:\n    kind: wal\n", r"bad.yaml:3: objects\.a\.kind: unknown kind"),
+        ("scene:\n  ramp_s: 0\n", r"bad.yaml:2: scene\.ramp_s: must be at least 0.001, is 0"),
+        ("scene: {}\nmaterials: {}\n", r"bad.yaml:2: materials: does not belong to a scene"),
+        ("scene:\n", r"bad.yaml:1: scene: must be a mapping, is null"),
+        ("- 1\n", r"bad.yaml:1: must be a mapping, is a list"),
+    ],
+)
+def test_faults_in_a_file_name_the_line(tmp_path: pathlib.Path, text: str, problem: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(InvalidError, match=problem):
+        load_scene(path)
