@@ -16,6 +16,10 @@
 /* Contact events: the code that says that there was no onset. */
 #define HD_CONTACT_SILENT 1u
 
+HD_RT static double later(double time_s) {
+    return time_s > 0.0 ? time_s : 0.0;
+}
+
 HD_RT struct hd_slot *hd_contact_take(struct hd_walk *walk, const struct hd_key *key) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[key->slot];
@@ -63,7 +67,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, struct hd_slot *slot, const st
         .event = event,
         .units = approach,
         .before_s = onset->before_s,
-        .growth_n = surface->stiffness_n_per_m * approach * tap->peak_time_s,
+        .growth_n = surface->stiffness_n_per_m * approach * later(tap->peak_time_s - onset->before_s),
         .direction = {onset->direction[0], onset->direction[1]},
     };
     hd_strike_add(state, &strike);
@@ -99,6 +103,13 @@ HD_RT void hd_contact_drop(struct hd_walk *walk, uint32_t slot_index) {
 HD_RT void hd_contact_follow(struct hd_walk *walk, struct hd_slot *slot, const struct hd_key *key,
                              const struct hd_surface *surface) {
     if (slot->version != key->version) {
+        if (hd_dot(slot->now.normal, surface->normal) <= 0.0) {
+            /* It turned its back on the probe: there is no way in between, so it went and another came. */
+            hd_contact_drop(walk, key->slot);
+            slot->known = 0;
+            slot->last_side = 0;
+            return;
+        }
         slot->version = key->version;
         slot->from = slot->now;
         slot->blend = 0.0;
@@ -122,8 +133,7 @@ HD_RT void hd_contact_follow(struct hd_walk *walk, struct hd_slot *slot, const s
     const double length = sqrt(hd_dot(slot->now.normal, slot->now.normal));
     HD_RT_FOREIGN_END
     for (int axis = 0; axis < 2; axis++) {
-        /* Opposite normals have no shortest way; the new one holds at once, and the depth decides. */
-        slot->now.normal[axis] = length > 1e-6 ? slot->now.normal[axis] / length : surface->normal[axis];
+        slot->now.normal[axis] /= length; /* at least sqrt(1/2): the two are at most a right angle apart */
     }
     slot->now.stiffness_n_per_m = a * from->stiffness_n_per_m + b * surface->stiffness_n_per_m;
     slot->now.damping_n_s_per_m = a * from->damping_n_s_per_m + b * surface->damping_n_s_per_m;

@@ -51,7 +51,8 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t slot_index, int64_t t
 /* The same, and the force that the hand felt fades out over the ramp instead of ending in a step. */
 HD_RT void hd_contact_drop(struct hd_walk *walk, uint32_t slot_index);
 
-/* Follows the table's surface: at once for a new contact, over the ramp when it changed under the hand. */
+/* A touched surface follows the table's over the ramp when that changed under the hand; one that turned by more than a
+ * right angle is let go instead. */
 HD_RT void hd_contact_follow(struct hd_walk *walk, struct hd_slot *slot, const struct hd_key *key,
                              const struct hd_surface *surface);
 /* The force of a touched surface at depth `depth_m`, along `direction`; added to the walk. */

@@ -109,6 +109,8 @@ HD_RT void hd_membranes_walk(struct hd_walk *walk) {
         struct hd_slot *slot = hd_contact_slot(walk, &membrane->key);
         if (slot->touched) {
             hd_contact_follow(walk, slot, &membrane->key, &membrane->surface);
+        }
+        if (slot->touched) {
             press(walk, slot, membrane);
         }
         const struct place to = place_of(&membrane->surface, walk->input->position_m);

@@ -74,12 +74,16 @@ HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, con
     const double *to = path->waypoints[index];
     const double start_s = index > 0 ? path->waypoints[index - 1][0] : 0.0;
     const double *from_m = index > 0 ? &path->waypoints[index - 1][1] : wish_m;
+    const double rate_per_s = 1.0 / (to[0] - start_s);
+    const double travel_m[2] = {to[1] - from_m[0], to[2] - from_m[1]};
     *segment = (struct hd_segment){
         .shape = path->shape,
         .start_s = start_s,
         .end_s = to[0],
         .duration_s = to[0] - start_s,
+        .rate_per_s = rate_per_s,
         .from_m = {from_m[0], from_m[1]},
-        .travel_m = {to[1] - from_m[0], to[2] - from_m[1]},
+        .travel_m = {travel_m[0], travel_m[1]},
+        .speed_m_per_s = {travel_m[0] * rate_per_s, travel_m[1] * rate_per_s},
     };
 }

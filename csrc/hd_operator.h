@@ -16,8 +16,10 @@ struct hd_segment {
     double start_s; /* since the path began */
     double end_s;   /* infinite for HOLD */
     double duration_s;
+    double rate_per_s; /* 1/duration_s */
     double from_m[2];
     double travel_m[2];
+    double speed_m_per_s[2]; /* on average */
 };
 
 struct hd_operator {
@@ -35,21 +37,20 @@ HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, con
 HD_RT static inline void hd_segment_wish(const struct hd_segment *segment, int axis, double local_s,
                                          double wish[HD_WISH_ORDERS]) {
     const double from = segment->from_m[axis];
-    const double travel = segment->travel_m[axis];
     for (int order = 0; order < HD_WISH_ORDERS; order++) {
         wish[order] = 0.0;
     }
     if (segment->shape == HD_SHAPE_HOLD) {
         wish[0] = from;
     } else if (segment->shape == HD_SHAPE_LINEAR) {
-        wish[1] = travel / segment->duration_s;
+        wish[1] = segment->speed_m_per_s[axis];
         wish[0] = from + wish[1] * local_s;
     } else {
         /* 10 s^3 - 15 s^4 + 6 s^5 (Flash and Hogan 1985), s from 0 to 1, and what follows from it. */
-        const double rate = 1.0 / segment->duration_s;
+        const double rate = segment->rate_per_s;
         const double s = local_s * rate;
         const double rest = 1.0 - s;
-        double scale = travel;
+        double scale = segment->travel_m[axis];
         wish[0] = from + scale * s * s * s * (10.0 + s * (6.0 * s - 15.0));
         scale *= rate;
         wish[1] = scale * 30.0 * s * s * rest * rest;

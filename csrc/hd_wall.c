@@ -14,7 +14,7 @@ HD_RT void hd_walls_walk(struct hd_walk *walk) {
         const struct hd_surface *surface = &wall->surface;
         if (slot->touched) {
             hd_contact_follow(walk, slot, &wall->key, surface);
-            surface = &slot->now;
+            surface = slot->touched ? &slot->now : surface;
         }
         const double depth = depth_at(surface, walk->input->position_m);
         if (!(depth > 0.0)) {

@@ -150,7 +150,7 @@ class LeaseResult(TypedDict):
 
 
 class State(TypedDict):
-    """The newest sample; vectors are [x, y]. `touching` holds ids of objects, `flag_names` the flags as words."""
+    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words."""
 
     tick: int
     time_ns: int

@@ -177,7 +177,7 @@ class Material(Model):
     """What a wall or a membrane is made of."""
 
     stiffness_n_per_m: Stiffness = Field(description="Force per penetration or deflection.")
-    damping_n_s_per_m: Damping = Field(default=0.0, description="Force per speed along the normal, in contact.")
+    damping_n_s_per_m: Damping = Field(default=0.0, description="Force per speed along the normal.")
     tap: Tap | None = Field(default=None, description="Ringing at the touch; without it a touch is silent.")
     rupture: Rupture | None = Field(
         default=None, description="How a membrane breaks; without it a membrane never does."

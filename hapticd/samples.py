@@ -33,6 +33,11 @@ class SampleBatch(np.ndarray[tuple[int], np.dtype[np.void]]):
         self.dropped = getattr(obj, "dropped", 0)
         self.lost = getattr(obj, "lost", 0)
 
+    def __getitem__(self, key: Any) -> Any:
+        item = super().__getitem__(key)
+        # A field is ordinary numbers; only what still has fields is a batch.
+        return item.view(np.ndarray) if isinstance(item, SampleBatch) and item.dtype.names is None else item
+
 
 def dtype_of(description: object) -> np.dtype[np.void]:
     """The dtype that a message's `dtype` describes (numpy's descr: name, format, and shape where there is

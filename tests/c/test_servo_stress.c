@@ -14,6 +14,8 @@
 #define MAX_FORCE_N 8.9
 #define TICKS 5000u
 #define REVISIONS 300u
+#define GENERATION 512u         /* revisions that an object lives */
+#define STROKE_TICKS 2500u      /* that the hand follows one path */
 #define PATIENCE_NS 60000000000 /* a defect, not a slow machine */
 #define HELD 1024u              /* commands that the servo holds at most */
 
@@ -65,7 +67,7 @@ struct scene {
     struct hd_membrane membrane;
 };
 
-/* Every revision changes a surface; every eighth gives a slot to another object. */
+/* Every revision changes the surfaces; now and then a slot goes to another object. */
 static void make_scene(struct scene *scene, uint32_t revision) {
     *scene = (struct scene){
         .table =
@@ -85,7 +87,7 @@ static void make_scene(struct scene *scene, uint32_t revision) {
             },
         .membrane =
             {
-                .key = {.slot = 2, .generation = revision / 8, .version = revision, .heals = revision % 2},
+                .key = {.slot = 2, .generation = revision / GENERATION, .version = revision, .heals = revision % 2},
                 .surface = {.point_m = {0.0, 0.005},
                             .normal = {0.0, 1.0},
                             .stiffness_n_per_m = 600.0,
@@ -96,7 +98,7 @@ static void make_scene(struct scene *scene, uint32_t revision) {
     };
     for (uint32_t i = 0; i < 2; i++) {
         scene->walls[i] = (struct hd_wall){
-            .key = {.slot = i, .generation = revision / 8, .version = revision},
+            .key = {.slot = i, .generation = revision / GENERATION, .version = revision},
             .surface = {.normal = {i == 0 ? 0.0 : 0.6, i == 0 ? 1.0 : 0.8},
                         .stiffness_n_per_m = 700.0 + 10.0 * (revision % 20),
                         .damping_n_s_per_m = 0.1},
@@ -194,7 +196,7 @@ static uint64_t holds_back(struct hd_servo *servo, uint32_t revision) {
     return sequence;
 }
 
-static size_t make_commands(struct hd_command commands[4], uint32_t revision, const struct hd_operator *paths[2]) {
+static size_t make_commands(struct hd_command commands[3], uint32_t revision) {
     double angle = revision;
 
     commands[0] = (struct hd_command){.kind = HD_COMMAND_PLAY,
@@ -203,12 +205,10 @@ static size_t make_commands(struct hd_command commands[4], uint32_t revision, co
                                       .amplitude = 1.0,
                                       .mode = ringing(200.0, 300.0, 1.0)};
     commands[1] = (struct hd_command){.kind = HD_COMMAND_RESET, .revision = revision, .slot = HD_NO_SLOT};
-    commands[2] = (struct hd_command){.kind = HD_COMMAND_FORCES, .revision = revision, .value = revision % 16 != 0};
-    commands[3] =
-        (struct hd_command){.kind = HD_COMMAND_OPERATOR, .revision = revision, .path = paths[revision / 64 % 2]};
-    if (revision % 32 == 8)
+    commands[2] = (struct hd_command){.kind = HD_COMMAND_FORCES, .revision = revision, .value = revision % 16 != 15};
+    if (revision % 32 == 10)
         commands[1] = (struct hd_command){.kind = HD_COMMAND_FAULT, .revision = revision, .value = HD_FAULT_CONTROL};
-    return revision % 64 == 0 ? 4 : revision % 4;
+    return revision % 4;
 }
 
 static uint64_t ticks_of(const struct hd_servo *servo) {
@@ -219,17 +219,22 @@ static uint64_t ticks_of(const struct hd_servo *servo) {
 }
 
 /* Hot updates with commands among them, for REVISIONS revisions and TICKS ticks at the least. */
-static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct hd_operator *paths[2]) {
+static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct hd_operator *const paths[2]) {
+    const uint32_t enough = revision + REVISIONS;
     uint64_t sequence = 0;
     uint64_t tick = 0;
-    uint64_t earlier = 0;
+    uint64_t strokes = 0;
 
-    for (uint32_t first = revision; revision < first + REVISIONS || ticks_of(servo) < TICKS;) {
+    while (revision < enough || tick < TICKS) {
         struct hd_command commands[4];
         struct scene scene;
-        size_t count = make_commands(commands, ++revision, paths);
+        size_t count = make_commands(commands, ++revision);
+        uint64_t earlier = tick;
         int status = HD_OK;
 
+        if (ticks_of(servo) / STROKE_TICKS >= strokes)
+            commands[count++] =
+                (struct hd_command){.kind = HD_COMMAND_OPERATOR, .revision = revision, .path = paths[strokes++ % 2]};
         make_scene(&scene, revision);
         CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
         while (count > 0 && (status = hd_servo_send(servo, commands, count, &sequence)) == HD_ERR_FULL)
@@ -237,13 +242,12 @@ static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct 
         CHECK(status == HD_OK);
         hd_servo_beat(servo);
         hd_servo_set_lease(servo, revision % 3 == 0 ? INT64_MAX : 0);
-        if (revision % 8 == 0) {
+        if (revision % 4 == 0) {
             CHECK(hd_servo_wait_revision(servo, revision, PATIENCE_NS, &tick) == HD_OK);
             CHECK(tick >= earlier);
-            earlier = tick;
         }
     }
-    CHECK(hd_servo_wait_command(servo, sequence, PATIENCE_NS, &tick) == HD_OK && tick >= earlier);
+    CHECK(hd_servo_wait_command(servo, sequence, PATIENCE_NS, &tick) == HD_OK);
     return revision;
 }
 
@@ -292,7 +296,6 @@ int main(void) {
     CHECK(drain.newest.tick == counters.ticks - 1 && drain.newest.revision == revision);
     CHECK(drain.newest.force_n[0] == 0.0 && drain.newest.force_n[1] == 0.0);
     CHECK(drain.kinds[HD_EVENT_CONTACT] > 0 && drain.kinds[HD_EVENT_FAULT] > 0 && counters.strikes > 0);
-    CHECK(counters.faults == 0 || drain.kinds[HD_EVENT_FAULT] > 0);
     hd_servo_free(servo);
     hd_sim_free(sim);
     hd_operator_free(stroke);

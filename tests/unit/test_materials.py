@@ -1,4 +1,4 @@
-"""Materials: the shipped library against the paper's figures, modes against arbitrary precision, and faults."""
+"""Materials: the shipped library against the paper's figures, modes against arbitrary precision, faults."""
 
 import csv
 import math

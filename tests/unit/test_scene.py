@@ -174,7 +174,8 @@ def test_unknown_materials() -> None:
         ),
         Problem(
             "scene.objects.y.material",
-            'unknown material "zz"; known: wood, acrylic, delrin, aluminum, glass, cast_iron, steel, cellophane',
+            'unknown material "zz"; '
+            "known: wood, acrylic, delrin, aluminum, glass, cast_iron, steel, cellophane",
         ),
     ]
 

@@ -1,4 +1,4 @@
-"""The velocity estimator, through `hd_velocity_run`, against closed forms and the set of speeds from all pairs."""
+"""The velocity estimator (`hd_velocity_run`) against closed forms and the set of speeds from all pairs."""
 
 import math
 
@@ -35,7 +35,7 @@ def run(step_m: float, interval_s: Array, position_m: Array) -> tuple[Array, Arr
 
 def encode(position_m: Array, step_m: float = STEP_M) -> Array:
     """What an encoder of that step says."""
-    return np.round(position_m / step_m) * step_m
+    return np.asarray(np.round(position_m / step_m) * step_m, np.float64)
 
 
 def regular(count: int, rate_hz: float = RATE_HZ) -> tuple[Array, Array]:
@@ -124,8 +124,8 @@ def test_estimate_is_the_middle_of_the_exact_set_of_a_window(
 
 @pytest.mark.parametrize("speed", [0.001, 0.004, 0.02, 0.05])
 def test_runs_of_equal_positions_lose_nothing(speed: float) -> None:
-    # Of a run only the ends are kept, and a run may be cut within: so the set must lie between those of two windows of
-    # all samples, one sample apart.
+    # Of a run only the ends are kept, and a run may be cut within: so the set must lie between those of two
+    # windows of all samples, one sample apart.
     time, interval = regular(600)
     position = encode(np.stack((speed * time, 7e-6 - speed * time), 1))
     velocity, width = run(STEP_M, interval, position)
@@ -188,7 +188,7 @@ def test_impact_is_followed_at_once() -> None:
         since = time[:, None] - (time[400] - rng.uniform(0, 1e-4, 2))
         position = encode(np.where(since < 0, 0.3, -0.15) * since + rng.uniform(0, STEP_M, 2))
         velocity, width = run(STEP_M, interval, position)
-        # n samples know a speed to step / (n T): to 45 mm/s after 5. Three times that, for the window to let go.
+        # n samples know a speed to step / (n T): to 45 mm/s after 5. Thrice that, for the window to let go.
         assert np.all(np.min(np.abs(velocity[401:416] + 0.15), axis=0) < 0.045)
         # Once all windows lie behind the impact, it is a line like any other.
         settled = 400 + round(2.2 * SPAN_S * RATE_HZ)
@@ -213,10 +213,11 @@ def test_motion_comes_to_rest() -> None:
 def test_dithering_between_two_counts_is_no_motion() -> None:
     rng = np.random.default_rng(5)
     _, interval = regular(5000)
-    position = rng.integers(0, 2, (5000, 2)) * STEP_M
+    position = encode(rng.integers(0, 2, (5000, 2)).astype(np.float64) * STEP_M)
     position[:200] = 0.0
     velocity, _ = run(STEP_M, interval, position)
-    # The first change may be a slow start, as far as the rest before it lets it; all later ones lie on one level line.
+    # The first change may be a slow start, as far as the rest before lets it; all later ones lie on one level
+    # line.
     assert np.all(np.abs(velocity) <= 4 * STEP_M / SPAN_S)
     assert np.all(np.abs(velocity[400:]) < 1e-6)
 
@@ -268,13 +269,16 @@ def test_after_a_long_pause_only_the_mean_speed_is_known() -> None:
         max_size=200,
     ),
 )
-def test_any_intervals_and_positions_stay_finite(step_m: float, samples: list[tuple[float, float, int]]) -> None:
+def test_any_intervals_and_positions_stay_finite(
+    step_m: float, samples: list[tuple[float, float, int]]
+) -> None:
     data = np.array(samples, np.float64).reshape(-1, 3)
     position = data[:, 1:] * [1.0, STEP_M]
     velocity, width = run(step_m, data[:, 0], position)
     assert np.all(np.isfinite(velocity))
     assert not np.any(np.isnan(width)) and np.all(width >= 0)
-    # No pair of samples says more than its own rise and one step over a nanosecond; the correction at most doubles it.
+    # No pair of samples says more than its rise and one step over a nanosecond; the correction at most
+    # doubles it.
     assert np.all(np.abs(velocity) <= 3 * (0.2 + step_m) / 1e-9)
 
 
@@ -324,7 +328,8 @@ def test_faulty_arguments_are_refused(
 ) -> None:
     interval = np.array([0.0, interval_s])
     position = np.array([[0.0, 0.0], [0.0, position_m]])
-    velocity = np.zeros((2, 2))
-    arrays = [pointer("double[]", a) for a in (interval, position, velocity)]
-    assert lib.hd_velocity_run(step_m, 2, *arrays, ffi.NULL) == lib.HD_ERR_INVALID
+    velocity = pointer("double[]", np.zeros((2, 2)))
+    interval_s_c, position_c = pointer("double[]", interval), pointer("double[]", position)
+    status = lib.hd_velocity_run(step_m, 2, interval_s_c, position_c, velocity, ffi.NULL)
+    assert status == lib.HD_ERR_INVALID
     assert invalid_reason().startswith(reason)

@@ -156,10 +156,8 @@ def test_largest_size_is_taken() -> None:
 
 @pytest.mark.parametrize("opening", ["[", "{a: ", "- ", "? - ", "a:\n"])
 def test_nesting_is_refused_before_it_hurts(opening: str) -> None:
-    if opening == "a:\n":
-        text = "".join(" " * depth + opening for depth in range(200))
-    else:
-        text = opening * 100_000
+    is_block = opening == "a:\n"
+    text = "".join(" " * depth + opening for depth in range(200)) if is_block else opening * 100_000
     assert refusal(text).problem in (
         f"nested deeper than {MAX_DEPTH} levels",
         "keys are strings, this one is a list",
@@ -176,7 +174,8 @@ def test_deepest_nesting_is_taken() -> None:
 
 
 def test_lines_of_keys_and_items() -> None:
-    text = "servo:\n  rate_hz: 1\nobjects:\n  table:\n    point_m:\n      - 0\n      - 1\n    'odd key': [a,\n  b]\n"
+    text = "servo:\n  rate_hz: 1\nobjects:\n  table:\n    point_m:\n      - 0\n      - 1\n"
+    text += "    'odd key': [a,\n  b]\n"
     document = load_text(text, "f.yaml")
     assert document.line_of(()) == 1
     assert document.line_of(("servo", "rate_hz")) == 2
@@ -233,10 +232,45 @@ def test_any_bytes_are_taken_or_refused(content: bytes) -> None:
     only_refused(content)
 
 
-FRAGMENTS = (
-    "- |: |? |, |[|]|{|}|\n|\n  |\n\t|&a |*a |!!int |!x |!<t> |! |'|\"|#| #|a|b|1|.5|~|<<|0x|%YAML 1.2\n|---\n|...\n"
-    "|\\|@|`|=|\x85|\ufeff|\u2028|\xe9"
-).split("|") + ["|", "|2-\n", ">\n"]
+FRAGMENTS = [
+    "- ",
+    ": ",
+    "? ",
+    ", ",
+    "[",
+    "]",
+    "{",
+    "}",
+    "\n",
+    "\n  ",
+    "\n\t",
+    "&a ",
+    "*a ",
+    "!!int ",
+    "!x ",
+    "!<t> ",
+    "! ",
+]
+FRAGMENTS += [
+    "'",
+    '"',
+    "#",
+    " #",
+    "a",
+    "b",
+    "1",
+    ".5",
+    "~",
+    "<<",
+    "0x",
+    "%YAML 1.2\n",
+    "---\n",
+    "...\n",
+    "|",
+    "|2-\n",
+    ">\n",
+]
+FRAGMENTS += ["\\", "@", "`", "=", "\x85", "\ufeff", "\u2028", "\xe9"]
 
 
 @settings(max_examples=500)

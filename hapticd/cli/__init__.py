@@ -1,0 +1,97 @@
+"""The command line. Each command stands in a module of its own, which is loaded when it is used.
+
+A command ends with exit code 0, or with another and one line on stderr: 1 for what was asked but could not
+be done, 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import Final
+
+import click
+
+from hapticd._version import __version__
+from hapticd.errors import HapticdError
+
+_HOMES: Final = {
+    "run": "daemon",
+    "status": "daemon",
+    "scene": "scene",
+    "material": "material",
+    "play": "command",
+    "force": "command",
+    "reset": "command",
+    "operator": "command",
+    "watch": "telemetry",
+    "record": "telemetry",
+    "simulate": "offline",
+    "schema": "offline",
+}
+"""The commands in the order in which a person meets them, and the modules that they stand in."""
+
+
+class _LazyGroup(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(_HOMES)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        home = _HOMES.get(cmd_name)
+        if home is None:
+            return None
+        module = importlib.import_module(f"hapticd.cli.{home}")
+        command = getattr(module, f"{cmd_name}_command")
+        assert isinstance(command, click.Command)
+        return command
+
+
+@click.group(
+    cls=_LazyGroup, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]}
+)
+@click.version_option(__version__, "-V", "--version", message="hapticd %(version)s")
+@click.option(
+    "--runtime-dir",
+    type=click.Path(file_okay=False),
+    metavar="DIR",
+    help="Where the sockets are [default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd or /tmp/hapticd-UID].",
+)
+@click.pass_context
+def cli(ctx: click.Context, runtime_dir: str | None) -> None:
+    """A haptic daemon: walls, taps and membranes on a joystick, commanded over ZeroMQ."""
+    ctx.obj = runtime_dir
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help())
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command; returns its exit code."""
+    try:
+        result = cli.main(
+            args=None if arguments is None else list(arguments), prog_name="hapticd", standalone_mode=False
+        )
+        sys.stdout.flush()
+        return result if isinstance(result, int) else 0
+    except HapticdError as error:
+        return _told(str(error), 1)
+    except click.ClickException as error:
+        hint = ""
+        if isinstance(error, click.UsageError) and error.ctx is not None:
+            hint = f" (see {error.ctx.command_path} --help)"
+        return _told(error.format_message() + hint, error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        return 130
+    except BrokenPipeError:
+        # Whoever read our output has had enough. Nothing more can be written, not even at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _told(f"{where}{error.strerror or error}", 1)
+
+
+def _told(message: str, code: int) -> int:
+    print("hapticd:", " ".join(message.split()), file=sys.stderr)
+    return code

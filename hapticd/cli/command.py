@@ -1,0 +1,108 @@
+"""`hapticd play`, `force`, `reset` and `operator`: what is done at once."""
+
+from __future__ import annotations
+
+import re
+
+import click
+
+from hapticd.cli.common import daemon, json_option, print_result, yaml_file
+
+
+@click.command("play")
+@click.argument("material", required=False)
+@click.option(
+    "--mode",
+    "mode_text",
+    metavar="KEY=NUMBER,...",
+    help="Instead of a material's tap: its frequency and its decay, in the keys of a material's.",
+)
+@click.option(
+    "--amplitude",
+    type=click.FloatRange(min=0),
+    required=True,
+    metavar="A",
+    help="Acceleration amplitude, m/s^2.",
+)
+@click.option(
+    "--direction",
+    type=(float, float),
+    default=(0.0, 1.0),
+    show_default=True,
+    metavar="X Y",
+    help="Where it pushes.",
+)
+@json_option
+@click.pass_context
+def play_command(
+    ctx: click.Context,
+    material: str | None,
+    mode_text: str | None,
+    amplitude: float,
+    direction: tuple[float, float],
+    as_json: bool,
+) -> None:
+    """Strike the tap of MATERIAL, or a mode, whatever is touched.
+
+    \b
+    hapticd play wood --amplitude 20
+    hapticd play --mode frequency_hz=200,decay_time_s=0.01 --amplitude 20
+    """
+    if (material is None) == (mode_text is None):
+        raise click.UsageError("needs a MATERIAL or --mode, and not both")
+    mode = None if mode_text is None else _mode(mode_text)
+    with daemon(ctx) as client:
+        result = client.play(material, mode=mode, direction=direction, amplitude_m_per_s2=amplitude)
+    print_result(result, as_json, f"struck at tick {result['tick']}")
+
+
+def _mode(text: str) -> dict[str, float]:
+    mode: dict[str, float] = {}
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\w+)\s*=\s*([-+.0-9eE]+)\s*", part)
+        try:
+            if match is None or match[1] in mode:
+                raise ValueError
+            mode[match[1]] = float(match[2])
+        except ValueError:
+            raise click.UsageError(
+                f"--mode {text}: write it as frequency_hz=200,decay_time_s=0.01, each key once"
+            ) from None
+    return mode
+
+
+@click.command("force")
+@click.argument("state", type=click.Choice(["on", "off"]))
+@json_option
+@click.pass_context
+def force_command(ctx: click.Context, state: str, as_json: bool) -> None:
+    """Turn forces on or off; on clears a latched fault whose cause is gone."""
+    with daemon(ctx) as client:
+        result = client.set_forces(state == "on")
+    print_result(result, as_json, f"forces {result['forces']}")
+
+
+@click.command("reset")
+@click.argument("objects", nargs=-1)
+@json_option
+@click.pass_context
+def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -> None:
+    """Heal membranes and clear contacts, of OBJECTS or of all."""
+    with daemon(ctx) as client:
+        result = client.reset(objects or None)
+    print_result(result, as_json, f"reset at tick {result['tick']}")
+
+
+@click.command("operator")
+@click.argument("file")
+@json_option
+@click.pass_context
+def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
+    """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints)."""
+    from hapticd.operator import load_operator
+
+    operator = load_operator(yaml_file(file))
+    with daemon(ctx) as client:
+        result = client.call("set_operator", operator.to_params())
+    assert isinstance(result, dict)
+    print_result(result, as_json, f"under way for {result['duration_s']:g} s")

@@ -1,0 +1,100 @@
+"""What the commands share: finding the daemon, and printing results for people or for programs."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar, cast
+
+import click
+
+if TYPE_CHECKING:
+    from hapticd.client import Client
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+
+_UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
+    """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
+    from hapticd.client import connect
+
+    directory = cast("str | None", ctx.find_root().obj)
+    return connect(directory) if timeout_s is None else connect(directory, timeout_s)
+
+
+def json_option(command: _F) -> _F:
+    """The option `--json`."""
+    return click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")(command)
+
+
+def change_options(command: _F) -> _F:
+    """The options of commands that change the scene."""
+    command = click.option(
+        "--expect-revision", type=click.IntRange(min=0), metavar="N", help="Refuse another revision."
+    )(command)
+    return click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick.")(
+        command
+    )
+
+
+def yaml_file(name: str) -> str:
+    """The path of a file that a command reads; `-` is the standard input."""
+    return "/dev/stdin" if name == "-" else name
+
+
+def print_json(value: object) -> None:
+    """One line of JSON."""
+    click.echo(json.dumps(value, ensure_ascii=False))
+
+
+def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None:
+    """The result as JSON, or `text`; a warning in the result goes to stderr."""
+    if as_json:
+        print_json(result)
+    else:
+        click.echo(text)
+    if "warning" in result:
+        click.echo(f"hapticd: {result['warning']}", err=True)
+
+
+def print_yaml(value: object) -> None:
+    """YAML that the loader takes back: leaves in one line, no aliases."""
+    import yaml
+
+    class Dumper(yaml.SafeDumper):
+        def ignore_aliases(self, data: object) -> bool:
+            return True
+
+        def represent_float(self, data: float) -> yaml.ScalarNode:
+            # YAML 1.2 takes 1e-05 as a number, PyYAML's own form is the same but for the dot that YAML 1.1
+            # wants.
+            return self.represent_scalar("tag:yaml.org,2002:float", repr(data))
+
+    Dumper.add_representer(float, Dumper.represent_float)
+    Dumper.yaml_implicit_resolvers = {}
+    click.echo(
+        yaml.dump(
+            value, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True
+        ),
+        nl=False,
+    )
+
+
+def changed(result: Mapping[str, object]) -> str:
+    """What a change of the scene did, in words."""
+    tick = f", in force from tick {result['tick']} on" if "tick" in result else ""
+    return f"revision {result['revision']}{tick}"
+
+
+def duration(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:
+    """The seconds of an option such as 500ms, 5s or 2min; a bare number is seconds."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(ms|s|min|h)?", text.strip())
+    seconds = float(match[1]) * _UNITS[match[2] or "s"] if match else 0.0
+    if not seconds > 0:
+        raise click.BadParameter(f"{text!r} is not a time such as 5s, 500ms or 2min", ctx, param)
+    return seconds

@@ -1,0 +1,67 @@
+"""`hapticd run` and `hapticd status`."""
+
+from __future__ import annotations
+
+import click
+
+from hapticd.cli.common import daemon, json_option, print_json
+
+
+@click.command("run")
+@click.option(
+    "-c",
+    "--config",
+    "configs",
+    multiple=True,
+    metavar="FILE",
+    help="Configuration; later files override earlier ones [default: the simulated joystick].",
+)
+@click.pass_context
+def run_command(ctx: click.Context, configs: tuple[str, ...]) -> int:
+    """Run the daemon in the foreground."""
+    from hapticd.daemon import run
+
+    return run(configs, ctx.find_root().obj)
+
+
+@click.command("status")
+@json_option
+@click.pass_context
+def status_command(ctx: click.Context, as_json: bool) -> None:
+    """Say what the daemon is and does."""
+    with daemon(ctx) as client:
+        status = client.get_status()
+    if as_json:
+        print_json(status)
+        return
+    counters = status["counters"]
+    lines = [
+        ("daemon", f"hapticd {status['version']}, protocol {status['protocol']}, {status['state']}"),
+        ("device", f"{status['device']} at {status['rate_hz']:g} Hz"),
+        ("real time", _realtime(status["realtime"])),
+        ("scene", f"revision {status['revision']}, tick {status['tick']}"),
+        ("forces", status["forces"] + (f" ({', '.join(status['faults'])})" if status["faults"] else "")),
+        ("lease", "none" if status["lease_s"] is None else f"held, {status['lease_s']:.3f} s left"),
+        *[(name.replace("_", " "), str(value)) for name, value in counters.items() if name != "ticks"],
+    ]
+    for mode in status["undisplayable"]:
+        shown = "silent" if mode["shown_hz"] is None else f"shown at {mode['shown_hz']:g} Hz"
+        of = f"{mode['mode']} of {mode['material']}, {mode['frequency_hz']:g} Hz"
+        lines.append(("undisplayable", f"{of}: {shown}"))
+    width = max(len(name) for name, _ in lines)
+    for name, value in lines:
+        click.echo(f"{name:<{width}}  {value}")
+
+
+def _realtime(granted: object) -> str:
+    if not isinstance(granted, dict):
+        return "not asked for"
+    return ", ".join(f"{name.replace('_', ' ')} {_word(value)}" for name, value in granted.items())
+
+
+def _word(value: object) -> str:
+    if isinstance(value, bool) or value is None:
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return "; ".join(map(str, value)) or "none"
+    return str(value)

@@ -1,0 +1,58 @@
+"""`hapticd simulate` and `hapticd schema`: what needs no daemon."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from hapticd.cli.common import duration, json_option, print_json, yaml_file
+
+
+@click.command("simulate")
+@click.argument("scene")
+@click.option(
+    "--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV)."
+)
+@click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz or .csv).")
+@click.option(
+    "--for",
+    "duration_s",
+    metavar="TIME",
+    callback=duration,
+    help="How long: 5s, 500ms [default: as long as the operator].",
+)
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=float,
+    default=10_000.0,
+    show_default=True,
+    metavar="HZ",
+    help="Ticks per second.",
+)
+@json_option
+def simulate_command(
+    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float, as_json: bool
+) -> None:
+    """Run SCENE (YAML: a scene or a whole configuration) with the simulated joystick, without daemon and
+    clock.
+
+    The same core as the daemon's; the result is the same on every run.
+    """
+    from hapticd.cli.simulation import simulate_to_file
+
+    result = simulate_to_file(yaml_file(scene), yaml_file(operator_file), output, duration_s, rate_hz)
+    if as_json:
+        print_json(result)
+    else:
+        length = f"{result['ticks']} ticks in {result['duration_s']:.3f} s"
+        click.echo(f"{result['file']}: {length}, {result['events']} events")
+
+
+@click.command("schema")
+def schema_command() -> None:
+    """Print the JSON Schema of the configuration, for editors."""
+    from hapticd.schema import config_schema
+
+    click.echo(json.dumps(config_schema(), indent=2, ensure_ascii=False))

@@ -1,0 +1,46 @@
+"""The work behind `hapticd simulate`, apart from it because it loads the core."""
+
+from __future__ import annotations
+
+from typing import TypedDict
+
+from hapticd.config import Config, load_config
+from hapticd.events import event_map
+from hapticd.offline import simulate_run
+from hapticd.record import open_sink
+from hapticd.scene import load_scene
+from hapticd.yaml_source import load_path
+
+
+class SimulationResult(TypedDict):
+    """What was written."""
+
+    file: str
+    ticks: int
+    duration_s: float
+    events: int
+
+
+def simulate_to_file(
+    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float
+) -> SimulationResult:
+    """Runs a scene or a configuration with the simulated joystick, into a file.
+
+    Raises HapticdError or InvalidError for what cannot be read, run or written.
+    """
+    with open_sink(output) as sink:
+        run = simulate_run(_config(scene), operator_file, duration_s, rate_hz)
+        sink.write(run.samples)
+        for event in run.events:
+            place = int(event["slot"]), int(event["generation"])
+            sink.write_event(event_map(event, run.objects.get(place)))
+        sink.finish(arrays={} if run.truth is None else {"truth": run.truth})
+    ticks = len(run.samples)
+    return {"file": output, "ticks": ticks, "duration_s": ticks / rate_hz, "events": len(run.events)}
+
+
+def _config(path: str) -> Config:
+    data = load_path(path).data
+    if isinstance(data, dict) and not data.keys() & Config.model_fields.keys():
+        return load_config({"scene": load_scene(path)})
+    return load_config(path)

@@ -1,0 +1,98 @@
+"""`hapticd watch` and `hapticd record`."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from hapticd.cli.common import daemon, duration, json_option, print_json
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hapticd.record import Recording
+
+
+@click.command("watch")
+@json_option
+@click.pass_context
+def watch_command(ctx: click.Context, as_json: bool) -> None:
+    """Show position, forces, contacts and faults live, until Ctrl-C.
+
+    Into a file or a pipe it prints a line a second, and one for each event.
+    """
+    from hapticd.watch import watch
+
+    with daemon(ctx) as client:
+        watch(client, as_json)
+
+
+@click.command("record")
+@click.argument("file", type=click.Path(dir_okay=False))
+@click.option(
+    "--for",
+    "duration_s",
+    metavar="TIME",
+    callback=duration,
+    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
+)
+@json_option
+@click.pass_context
+def record_command(ctx: click.Context, file: str, duration_s: float | None, as_json: bool) -> int:
+    """Record every tick and event into FILE (.npz or .csv), replacing it when the recording is complete.
+
+    With .csv the events go into a second file, NAME.events.csv.
+    """
+    from dataclasses import asdict
+
+    from hapticd.record import record
+
+    stop = threading.Event()
+    received: list[int] = []
+
+    def end(number: int, frame: object) -> None:
+        received.append(number)
+        stop.set()
+
+    with daemon(ctx) as client:
+        before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            with _progress(duration_s) as progress:
+                recording = record(client, file, duration_s, stop=stop, progress=progress)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+    if as_json:
+        print_json(asdict(recording))
+    else:
+        click.echo(recording.summary())
+    return _exit_code(recording, duration_s, received)
+
+
+def _exit_code(recording: Recording, duration_s: float | None, received: list[int]) -> int:
+    if received:
+        return 0 if duration_s is None else 128 + received[0]
+    if recording.ended is not None:
+        click.echo(f"hapticd: {recording.ended}; {recording.file} holds what came before", err=True)
+        return 1
+    return 0
+
+
+@contextmanager
+def _progress(duration_s: float | None) -> Iterator[Callable[[float], None]]:
+    if not sys.stderr.isatty():
+        yield lambda recorded_s: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    columns = [TextColumn("recording"), BarColumn(), TextColumn("{task.completed:.1f} s")]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=duration_s)
+        yield lambda recorded_s: bar.update(task, completed=recorded_s)

@@ -1,0 +1,54 @@
+"""Events as people and programs read them: the C records as maps of named members.
+
+Telemetry sends these maps, recordings and simulated runs store them; docs/protocol.md lists the members.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+from hapticd.core import EventKind, Fault
+
+_APPEARED: Final = 1
+
+
+def fault_names(faults: Fault) -> list[str]:
+    """Latched faults in lower case."""
+    return [fault.name.lower() for fault in Fault if fault in faults and fault.name]
+
+
+def event_map(event: Any, object_id: str | None) -> dict[str, object]:
+    """One record of `hapticd.core.EVENT_DTYPE` as a map; `object_id` is the object that it speaks of, if any."""
+    kind = EventKind(int(event["kind"]))
+    time_ns = int(event["time_ns"])
+    message: dict[str, object] = {"event": kind.name.lower(), "tick": int(event["tick"]), "time_ns": time_ns}
+    if kind in (EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE):
+        message["object"] = object_id
+    if kind in (EventKind.CONTACT, EventKind.PUNCTURE):
+        before_tick_s = float(event["before_tick_s"])
+        true_speed = float(event["true_speed_m_per_s"])
+        message |= {
+            "onset_time_ns": time_ns - round(before_tick_s * 1e9),
+            "before_tick_s": before_tick_s,
+            "speed_m_per_s": float(event["speed_m_per_s"]),
+            "true_speed_m_per_s": None if math.isnan(true_speed) else true_speed,
+            "amplitude_m_per_s2": float(event["amplitude_m_per_s2"]),
+            "scale": float(event["scale"]),
+        }
+    match kind:
+        case EventKind.CONTACT:
+            message["appeared"] = bool(int(event["code"]) & _APPEARED)
+        case EventKind.PUNCTURE:
+            message["depth_m"] = float(event["value"])
+        case EventKind.SATURATION:
+            message["wanted_n"] = float(event["value"])
+        case EventKind.OVERRUN:
+            message["missed"] = int(event["value"])
+        case EventKind.FAULT:
+            message["faults"] = fault_names(Fault(int(event["code"])))
+        case EventKind.REVISION:
+            message["revision"] = int(event["code"])
+        case EventKind.GLITCH:
+            message["speed_m_per_s"] = float(event["value"])
+    return message
