@@ -6,10 +6,11 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* Bounds that keep every product of the simulation finite; no operator comes near them. */
+/* Bounds that keep every product of the simulation finite and the segments of one period few; no operator comes near
+ * them. */
 #define HD_WAYPOINT_MAX_M 1000.0
 #define HD_WAYPOINT_MAX_S 1e7
-#define HD_WAYPOINT_MIN_STEP_S 1e-9
+#define HD_WAYPOINT_MIN_STEP_S 1e-5
 
 static int check_waypoints(const double *waypoints, size_t count, enum hd_interpolation interpolation) {
     if (interpolation != HD_LINEAR && interpolation != HD_MINIMUM_JERK) {
@@ -23,8 +24,9 @@ static int check_waypoints(const double *waypoints, size_t count, enum hd_interp
         if (!(point[0] >= 0.0 && point[0] <= HD_WAYPOINT_MAX_S)) {
             return hd_invalid("waypoints[%zu]: t_s %g is not between 0 and %g", i, point[0], HD_WAYPOINT_MAX_S);
         }
-        if (i > 0 && !(point[0] - point[-3] >= HD_WAYPOINT_MIN_STEP_S)) {
-            return hd_invalid("waypoints[%zu]: t_s %.9g is not later than the %.9g before it", i, point[0], point[-3]);
+        if (i > 0 && !(point[0] - point[-3] >= HD_WAYPOINT_MIN_STEP_S * (1.0 - 1e-6))) {
+            return hd_invalid("waypoints[%zu]: t_s %.9g is not at least %g later than the %.9g before it", i, point[0],
+                              HD_WAYPOINT_MIN_STEP_S, point[-3]);
         }
         for (int axis = 0; axis < 2; axis++) {
             if (!(fabs(point[1 + axis]) <= HD_WAYPOINT_MAX_M)) {

@@ -121,8 +121,7 @@ struct hd_sim {
     struct hd_report reports[HD_REPORTS];
 };
 
-/* ---- One step ------------------------------------------------------------------------------------------------------
- */
+/* ---- One step -------------------------------------------------------------------------------------------------- */
 
 HD_RT static void kernel_at(const struct hd_sim *sim, double span_s, struct hd_kernel *kernel) {
     const double h = span_s;
@@ -179,6 +178,21 @@ HD_RT static inline struct hd_axis carried(const struct hd_sim *sim, const struc
     return (struct hd_axis){axis.x + dx, axis.v + dv};
 }
 
+/* Whether an axis that began a step in one direction, with the force `net_before_n`, has surely gone on in it. */
+HD_RT static inline bool keeps_going(const struct hd_sim *sim, int which, double local_s, double direction,
+                                     double push_n, double net_before_n, const struct hd_axis *after) {
+    if (!(after->v * direction > 0.0 && fabs(after->x) <= sim->workspace_m)) {
+        return false;
+    }
+    if (net_before_n * direction >= 0.0) {
+        return true;
+    }
+    /* It slowed down at first: it may have turned twice if it speeds up in the end. */
+    double wish[HD_WISH_ORDERS];
+    hd_segment_wish(&sim->segment, which, local_s, wish);
+    return net_force(sim, push_n, wish, after) * direction <= 0.0;
+}
+
 /* One step in which nothing happens. False, and nothing changed: something may. */
 HD_RT static inline bool axis_glide(struct hd_sim *sim, int which, double local_s, const struct hd_kernel *kernel) {
     struct hd_axis *const axis = &sim->axes[which];
@@ -202,30 +216,20 @@ HD_RT static inline bool axis_glide(struct hd_sim *sim, int which, double local_
     const double direction = axis->v > 0.0 ? 1.0 : -1.0;
     const double push_n = force_n - direction * friction_n;
     struct hd_axis after = carried(sim, kernel, push_n, wish, *axis);
-    if (friction_n == 0.0 &&
-        fabs(after.x) + 2.0 * kernel->span_s * (fabs(axis->v) + fabs(after.v)) < sim->workspace_m) {
-        /* Far from the stops and without friction a turn is no event. */
-        after.v = fabs(after.v) < HD_NOTHING ? 0.0 : after.v;
-        after.x = fabs(after.x) < HD_NOTHING ? 0.0 : after.x;
-        *axis = after;
-        return true;
-    }
-    if (!(after.v * direction > 0.0 && fabs(after.x) <= sim->workspace_m)) {
+    /* Far from the stops and without friction a turn is no event. */
+    const double reach_m = 2.0 * kernel->span_s * (fabs(axis->v) + fabs(after.v));
+    if (!(friction_n == 0.0 && fabs(after.x) + reach_m < sim->workspace_m) &&
+        !keeps_going(sim, which, local_s + kernel->span_s, direction, push_n, net_force(sim, push_n, wish, axis),
+                     &after)) {
         return false;
     }
-    if (net_force(sim, push_n, wish, axis) * direction < 0.0) {
-        /* It slows down at first: it may have turned twice if it speeds up in the end. */
-        hd_segment_wish(&sim->segment, which, local_s + kernel->span_s, wish_after);
-        if (net_force(sim, push_n, wish_after, &after) * direction > 0.0) {
-            return false;
-        }
-    }
+    after.v = fabs(after.v) < HD_NOTHING ? 0.0 : after.v;
+    after.x = fabs(after.x) < HD_NOTHING ? 0.0 : after.x;
     *axis = after;
     return true;
 }
 
-/* ---- Events within a step ------------------------------------------------------------------------------------------
- */
+/* ---- Events within a step -------------------------------------------------------------------------------------- */
 
 /* A motion in one direction, or rest, from one event on. */
 struct hd_flight {
@@ -298,6 +302,31 @@ HD_RT static double locate(const struct hd_sim *sim, const struct hd_flight *fli
         guess_s = next_s > low_s && next_s < high_s ? next_s : 0.5 * (low_s + high_s);
     }
     return guess_s;
+}
+
+/* Whether a flight ends by a turn before *span_s has passed; *span_s is then when. */
+HD_RT static bool turns_within(const struct hd_sim *sim, const struct hd_flight *flight, double *span_s) {
+    double last_s = *span_s;
+    double value;
+    double slope;
+    crossing_at(sim, flight, HD_CROSSING_TURN, last_s, &value, &slope);
+    if (value >= 0.0) {
+        /* It may have turned twice: if it slowed down at first and speeds up in the end. */
+        if (flight->axis.v == 0.0 || slope <= 0.0) {
+            return false;
+        }
+        crossing_at(sim, flight, HD_CROSSING_SLOWEST, 0.0, &value, &slope);
+        if (value <= 0.0) {
+            return false;
+        }
+        last_s = locate(sim, flight, HD_CROSSING_SLOWEST, 0.0, last_s);
+        crossing_at(sim, flight, HD_CROSSING_TURN, last_s, &value, &slope);
+        if (value >= 0.0) {
+            return false;
+        }
+    }
+    *span_s = locate(sim, flight, HD_CROSSING_TURN, 0.0, last_s);
+    return true;
 }
 
 /* When along a curved segment the force on a resting handle is extreme: k w' + b_h w'' = 0, which has one root inside
@@ -380,30 +409,10 @@ HD_RT static void axis_walk(struct hd_sim *sim, int which, double local_s, doubl
         flight.push_n = sim->force_n[which] - flight.direction * sim->coulomb_n;
         flight.axis = *axis;
 
-        struct hd_axis end = flight_at(sim, &flight, left_s);
         double end_s = left_s;
-        bool turns = end.v * flight.direction < 0.0;
+        const bool turns = turns_within(sim, &flight, &end_s);
+        struct hd_axis end = flight_at(sim, &flight, end_s);
         if (turns) {
-            end_s = locate(sim, &flight, HD_CROSSING_TURN, 0.0, left_s);
-        } else if (axis->v != 0.0) {
-            double slowest;
-            double unused;
-            crossing_at(sim, &flight, HD_CROSSING_SLOWEST, 0.0, &slowest, &unused);
-            if (slowest > 0.0) {
-                crossing_at(sim, &flight, HD_CROSSING_SLOWEST, left_s, &slowest, &unused);
-            } else {
-                slowest = 0.0;
-            }
-            if (slowest < 0.0) {
-                const double slowest_s = locate(sim, &flight, HD_CROSSING_SLOWEST, 0.0, left_s);
-                turns = flight_at(sim, &flight, slowest_s).v * flight.direction < 0.0;
-                if (turns) {
-                    end_s = locate(sim, &flight, HD_CROSSING_TURN, 0.0, slowest_s);
-                }
-            }
-        }
-        if (turns) {
-            end = flight_at(sim, &flight, end_s);
             end.v = 0.0;
         }
         /* Up to here the motion was in one direction. */
@@ -421,8 +430,7 @@ HD_RT static void axis_walk(struct hd_sim *sim, int which, double local_s, doubl
     axis->v = 0.0;
 }
 
-/* ---- Time ----------------------------------------------------------------------------------------------------------
- */
+/* ---- Time ------------------------------------------------------------------------------------------------------ */
 
 HD_RT static double path_time_s(const struct hd_sim *sim) {
     return (double)(int64_t)(sim->tick - sim->path_tick) * sim->period_s;
@@ -624,8 +632,7 @@ HD_RT void hd_sim_step_advance(struct hd_sim *sim, uint32_t periods) {
     }
 }
 
-/* ---- Force, wish and reports ---------------------------------------------------------------------------------------
- */
+/* ---- Force, wish and reports ----------------------------------------------------------------------------------- */
 
 HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]) {
     const bool finite = isfinite(force_n[0]) && isfinite(force_n[1]);
@@ -694,8 +701,7 @@ HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], doubl
     }
 }
 
-/* ---- The control side ----------------------------------------------------------------------------------------------
- */
+/* ---- The control side ------------------------------------------------------------------------------------------ */
 
 static int check_between(const char *name, double value, double low, double high) {
     if (!(value >= low && value <= high)) {

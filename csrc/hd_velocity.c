@@ -39,7 +39,7 @@ static_assert((HD_VELOCITY_SAMPLES & (HD_VELOCITY_SAMPLES - 1)) == 0, "slots are
 /* The longest window is the time in which this acceleration bends a path by three steps. */
 #define SPAN_ACCELERATION_M_PER_S2 1.0
 /* The share of the window that is kept where no line is left, and where it is full: cost against error, measured. */
-#define KEEP_BROKEN 0.75
+#define KEEP_BROKEN (2.0 / 3.0)
 #define KEEP_FULL 0.5
 /* A path of constant acceleration a stays within a line's intervals for about T = sqrt(BEND step / a); 16 is certain.
  */

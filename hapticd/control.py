@@ -15,6 +15,7 @@ from hapticd._version import __version__
 from hapticd.core import Fault
 from hapticd.engine import Engine, RingFullError, WaitTimeoutError, monotonic_ns
 from hapticd.errors import HapticdError, InvalidError, Problem, known_names
+from hapticd.events import fault_names
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
 from hapticd.materials import MAX_MATERIALS, Material, ModeKeys, shipped_materials, validate_materials
 from hapticd.merge_patch import merge_patch
@@ -96,11 +97,6 @@ def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
     return MethodError(Code.INVALID_PARAMS, f"{first}{more}", data)
 
 
-def fault_names(faults: Fault) -> list[str]:
-    """Latched faults in lower case, for messages and telemetry."""
-    return [fault.name.lower() for fault in Fault if fault in faults and fault.name]
-
-
 class Control:
     """Acts on one engine. One thread at a time."""
 
@@ -116,7 +112,7 @@ class Control:
             raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
         model, handler = entry
         try:
-            return handler(self, model.model_validate(params))
+            return handler(self, params if model is None else model.model_validate(params))
         except ValidationError as error:
             raise _faulty(problems_of(error)) from None
         except InvalidError as error:
@@ -368,7 +364,8 @@ def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Ta
     )
 
 
-_METHODS: Final[Mapping[str, tuple[type[Model], _Handler]]] = {
+# `set_operator` takes what an operator file holds, which hapticd.operator validates.
+_METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (_NoParams, Control._get_status),
     "get_scene": (_NoParams, Control._get_scene),
     "set_scene": (_SetScene, Control._set_scene),
@@ -378,5 +375,6 @@ _METHODS: Final[Mapping[str, tuple[type[Model], _Handler]]] = {
     "play": (_Play, Control._play),
     "reset": (_Reset, Control._reset),
     "set_forces": (_SetForces, Control._set_forces),
+    "set_operator": (None, Control._set_operator),
     "lease": (_LeaseParams, Control._lease_request),
 }

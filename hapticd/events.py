@@ -19,10 +19,14 @@ def fault_names(faults: Fault) -> list[str]:
 
 
 def event_map(event: Any, object_id: str | None) -> dict[str, object]:
-    """One record of `hapticd.core.EVENT_DTYPE` as a map; `object_id` is the object that it speaks of, if any."""
+    """One record of `hapticd.core.EVENT_DTYPE` as a map; `object_id`: the object it speaks of, if any."""
     kind = EventKind(int(event["kind"]))
     time_ns = int(event["time_ns"])
-    message: dict[str, object] = {"event": kind.name.lower(), "tick": int(event["tick"]), "time_ns": time_ns}
+    message: dict[str, object] = {
+        "event": kind.name.lower(),
+        "tick": int(event["tick"]),
+        "time_ns": time_ns,
+    }
     if kind in (EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE):
         message["object"] = object_id
     if kind in (EventKind.CONTACT, EventKind.PUNCTURE):

@@ -15,9 +15,9 @@ import numpy.typing as npt
 import zmq
 
 from hapticd import wire
-from hapticd.control import fault_names
-from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, records
 from hapticd.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
+from hapticd.events import event_map
 
 SAMPLES_EVERY_S: Final = 0.020
 STATE_EVERY_S: Final = 1.0 / 60.0
@@ -25,7 +25,6 @@ STATUS_EVERY_S: Final = 1.0
 SEND_HIGH_WATER_MARK: Final = 400
 """Messages kept for a subscriber that does not read: about three seconds of them."""
 
-_APPEARED: Final = 1
 _DESCRIPTION: Final = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
 
 
@@ -81,7 +80,7 @@ class Telemetry:
         while True:
             count, _ = self._engine.read_events(self._events)
             for event in self._events[:count]:
-                self._send("event", self._event_map(event))
+                self._send("event", self._note(event))
             if count < len(self._events):
                 break
 
@@ -114,44 +113,12 @@ class Telemetry:
     def _send(self, topic: str, message: dict[str, object]) -> None:
         self._socket.send_multipart([topic.encode(), wire.encode(message)])
 
-    def _event_map(self, event: Any) -> dict[str, object]:
-        kind = EventKind(int(event["kind"]))
-        time_ns = int(event["time_ns"])
-        message: dict[str, object] = {
-            "event": kind.name.lower(),
-            "tick": int(event["tick"]),
-            "time_ns": time_ns,
-        }
-        if kind in (EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE):
-            name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
-            message["object"] = name
-            if name is not None:
-                if kind == EventKind.CONTACT:
-                    self._touching[name] = None
-                elif kind == EventKind.RELEASE:
-                    self._touching.pop(name, None)
-        if kind in (EventKind.CONTACT, EventKind.PUNCTURE):
-            true_speed = float(event["true_speed_m_per_s"])
-            message |= {
-                "onset_time_ns": time_ns - round(float(event["before_tick_s"]) * 1e9),
-                "before_tick_s": float(event["before_tick_s"]),
-                "speed_m_per_s": float(event["speed_m_per_s"]),
-                "true_speed_m_per_s": None if np.isnan(true_speed) else true_speed,
-                "amplitude_m_per_s2": float(event["amplitude_m_per_s2"]),
-                "scale": float(event["scale"]),
-            }
-        if kind == EventKind.CONTACT:
-            message["appeared"] = bool(int(event["code"]) & _APPEARED)
-        elif kind == EventKind.PUNCTURE:
-            message["depth_m"] = float(event["value"])
-        elif kind == EventKind.SATURATION:
-            message["wanted_n"] = float(event["value"])
-        elif kind == EventKind.OVERRUN:
-            message["missed"] = int(event["value"])
-        elif kind == EventKind.FAULT:
-            message["faults"] = fault_names(Fault(int(event["code"])))
-        elif kind == EventKind.REVISION:
-            message["revision"] = int(event["code"])
-        elif kind == EventKind.GLITCH:
-            message["speed_m_per_s"] = float(event["value"])
+    def _note(self, event: Any) -> dict[str, object]:
+        """An event's map; contacts and releases are remembered for the state."""
+        name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
+        message = event_map(event, name)
+        if name is not None and message["event"] == "contact":
+            self._touching[name] = None
+        elif name is not None and message["event"] == "release":
+            self._touching.pop(name, None)
         return message

@@ -1,13 +1,14 @@
-"""Set up for every test: nothing random from run to run in CI, no window, no deadline."""
+"""Set up for every test: nothing random from run to run in CI, no window, nothing that depends on load."""
 
 import os
 
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 # Before anything imports matplotlib.
 os.environ["MPLBACKEND"] = "Agg"
 
-# A deadline would test the machine's load. CI repeats the same examples; a developer's run looks for new ones.
-settings.register_profile("local", deadline=None)
-settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
+# Deadlines and `too_slow` would test the machine's load. CI repeats its examples, others try new ones.
+_CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("local", _CALM)
+settings.register_profile("ci", _CALM, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")

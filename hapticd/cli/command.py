@@ -9,7 +9,7 @@ import click
 from hapticd.cli.common import daemon, json_option, print_result, yaml_file
 
 
-@click.command("play")
+@click.command("play", short_help="Strike a material's tap, or a mode.")
 @click.argument("material", required=False)
 @click.option(
     "--mode",
@@ -71,7 +71,7 @@ def _mode(text: str) -> dict[str, float]:
     return mode
 
 
-@click.command("force")
+@click.command("force", short_help="Turn forces on or off.")
 @click.argument("state", type=click.Choice(["on", "off"]))
 @json_option
 @click.pass_context
@@ -82,7 +82,7 @@ def force_command(ctx: click.Context, state: str, as_json: bool) -> None:
     print_result(result, as_json, f"forces {result['forces']}")
 
 
-@click.command("reset")
+@click.command("reset", short_help="Heal membranes and clear contacts.")
 @click.argument("objects", nargs=-1)
 @json_option
 @click.pass_context
@@ -93,7 +93,7 @@ def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -
     print_result(result, as_json, f"reset at tick {result['tick']}")
 
 
-@click.command("operator")
+@click.command("operator", short_help="Move the simulated joystick's hand.")
 @click.argument("file")
 @json_option
 @click.pass_context

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
+# Strings that need no quotes in YAML, whatever stands around them.
+_PLAIN = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
 _UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -60,27 +62,29 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         click.echo(f"hapticd: {result['warning']}", err=True)
 
 
-def print_yaml(value: object) -> None:
-    """YAML that the loader takes back: leaves in one line, no aliases."""
-    import yaml
+def print_yaml(value: Mapping[str, object]) -> None:
+    """YAML that the loader takes back: mappings of plain values on one line, larger ones as a block."""
+    click.echo("\n".join(_block(value, "")))
 
-    class Dumper(yaml.SafeDumper):
-        def ignore_aliases(self, data: object) -> bool:
-            return True
 
-        def represent_float(self, data: float) -> yaml.ScalarNode:
-            # YAML 1.2 takes 1e-05 as a number, PyYAML's own form is the same but for the dot that YAML 1.1
-            # wants.
-            return self.represent_scalar("tag:yaml.org,2002:float", repr(data))
+def _block(mapping: Mapping[str, object], pad: str) -> list[str]:
+    lines = []
+    for key, value in mapping.items():
+        if isinstance(value, dict) and any(isinstance(inner, dict) for inner in value.values()):
+            lines += [f"{pad}{_flow(key)}:", *_block(value, pad + "  ")]
+        else:
+            lines.append(f"{pad}{_flow(key)}: {_flow(value)}")
+    return lines
 
-    Dumper.add_representer(float, Dumper.represent_float)
-    Dumper.yaml_implicit_resolvers = {}
-    click.echo(
-        yaml.dump(
-            value, Dumper=Dumper, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True
-        ),
-        nl=False,
-    )
+
+def _flow(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_flow(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    if isinstance(value, str) and _PLAIN.fullmatch(value) and value.lower() not in ("null", "true", "false"):
+        return value
+    return json.dumps(value, ensure_ascii=False)
 
 
 def changed(result: Mapping[str, object]) -> str:

@@ -16,7 +16,7 @@ from hapticd.cli.common import (
 )
 
 
-@click.group("material")
+@click.group("material", no_args_is_help=False)
 def material_command() -> None:
     """Read or change the materials."""
 

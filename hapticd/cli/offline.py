@@ -9,7 +9,7 @@ import click
 from hapticd.cli.common import duration, json_option, print_json, yaml_file
 
 
-@click.command("simulate")
+@click.command("simulate", short_help="Run a scene without daemon and clock.")
 @click.argument("scene")
 @click.option(
     "--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV)."
@@ -50,7 +50,7 @@ def simulate_command(
         click.echo(f"{result['file']}: {length}, {result['events']} events")
 
 
-@click.command("schema")
+@click.command("schema", short_help="Print the configuration's JSON Schema.")
 def schema_command() -> None:
     """Print the JSON Schema of the configuration, for editors."""
     from hapticd.schema import config_schema

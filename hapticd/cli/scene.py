@@ -16,7 +16,7 @@ from hapticd.cli.common import (
 )
 
 
-@click.group("scene")
+@click.group("scene", no_args_is_help=False)
 def scene_command() -> None:
     """Read or change the scene."""
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hapticd.record import Recording
 
 
-@click.command("watch")
+@click.command("watch", short_help="Show what happens, live.")
 @json_option
 @click.pass_context
 def watch_command(ctx: click.Context, as_json: bool) -> None:
@@ -29,11 +29,15 @@ def watch_command(ctx: click.Context, as_json: bool) -> None:
     """
     from hapticd.watch import watch
 
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, end)  # so that the terminal is put back as it was
     with daemon(ctx) as client:
         watch(client, as_json)
 
 
-@click.command("record")
+@click.command("record", short_help="Record telemetry to a file.")
 @click.argument("file", type=click.Path(dir_okay=False))
 @click.option(
     "--for",

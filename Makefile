@@ -1,0 +1,187 @@
+# hapticd. `make help` lists what there is; everything sets itself up in .venv first.
+#
+# What is built lies in .venv/, build/ and hapticd/_core.abi3.so. The C tests are built once for each VARIANT (a compiler
+# and its flags) into build/c/VARIANT.
+
+PYTHON ?= python3
+CC ?= cc
+CLANG ?= clang-22
+FUZZ_SECONDS ?= 60
+
+VENV := .venv
+BIN := $(VENV)/bin
+BUILT := $(VENV)/.built
+SETUP := pyproject.toml setup.py hapticd/_version.py
+C_SOURCES := $(wildcard csrc/*.c)
+C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] bench/*.[ch])
+JOBS := $(shell nproc 2>/dev/null || echo 1)
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.SUFFIXES:
+.SECONDARY:
+
+.PHONY: help
+help: ## this list
+	@sed -n 's/^\([a-z][a-z-]*\):.*## \(.*\)/  make \1|\2/p' $(MAKEFILE_LIST) | \
+		while IFS='|' read -r target text; do printf '%-16s %s\n' "$$target" "$$text"; done
+
+# ---- Set-up ------------------------------------------------------------------------------------------------------
+
+.PHONY: build
+build: $(BUILT) ## set up .venv and compile the C core
+
+# A change of the packaging installs anew; a change of the C core alone only recompiles.
+$(BUILT): $(SETUP) hapticd/_build.py $(wildcard csrc/*.[ch])
+	@if [ ! -x $(BIN)/hapticd ] || [ -n "$(filter $(SETUP),$?)" ]; then \
+		$(MAKE) --no-print-directory install; \
+	else \
+		echo "compiling the C core"; \
+		mkdir -p build && $(BIN)/python setup.py -q build_ext --inplace >build/build.log 2>&1 || \
+			{ cat build/build.log >&2; exit 1; }; \
+	fi
+	@touch $@
+
+.PHONY: install
+install: prerequisites
+	@echo "setting up $(VENV) (a minute or two, once)"
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+
+# One clear line for each thing that is missing.
+.PHONY: prerequisites
+prerequisites:
+	@command -v $(PYTHON) >/dev/null || \
+		{ echo "hapticd needs Python 3.11 or newer: no $(PYTHON) found (try make PYTHON=...)" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "hapticd needs Python 3.11 or newer: $$($(PYTHON) --version) found (try make PYTHON=...)" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
+		{ echo "Python's venv is missing: install python3-venv (Debian, Ubuntu)" >&2; exit 1; }
+	@$(PYTHON) -c 'import os, sys, sysconfig as s; \
+		sys.exit(not os.path.exists(os.path.join(s.get_path("include"), "Python.h")))' || \
+		{ echo "Python's C headers are missing: install python3-dev (Debian, Ubuntu)" >&2; exit 1; }
+	@command -v $(CC) >/dev/null || \
+		{ echo "no C compiler ($(CC)) found: install gcc (Debian, Ubuntu: build-essential)" >&2; exit 1; }
+
+# ---- For everybody -----------------------------------------------------------------------------------------------
+
+.PHONY: demo
+demo: build ## daemon, simulated joystick and a second process over ZeroMQ, in under two minutes
+	@$(BIN)/python -m hapticd.demo
+
+.PHONY: test
+test: build ctest pytest ## C tests and pytest
+
+.PHONY: pytest
+pytest: build
+	@$(BIN)/python -m pytest
+
+.PHONY: bench
+bench: build ## speed against error, as in docs/benchmarks.md
+	@$(BIN)/python -m bench
+
+.PHONY: format
+format: build ## lay out C and Python
+	@$(BIN)/clang-format -i $(C_FILES)
+	@$(BIN)/ruff check --quiet --fix-only .
+	@$(BIN)/ruff format --quiet .
+
+.PHONY: clean
+clean: ## remove everything that was built, .venv too
+	rm -rf $(VENV) build dist *.egg-info hapticd/_core*.so hapticd/_core.c
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# ---- What CI runs ------------------------------------------------------------------------------------------------
+
+.PHONY: check
+check: lint warnings test ## lint, types, layout, warnings as errors, C tests, pytest
+
+.PHONY: lint
+lint: build
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check --quiet .
+	$(BIN)/mypy --strict hapticd
+	$(BIN)/clang-format --dry-run -Werror $(C_FILES)
+
+# The extension as users build it, then every C file with all warnings; clang also proves that nothing marked HD_RT calls
+# anything that may block.
+.PHONY: warnings
+warnings: build
+	HAPTICD_WERROR=1 $(BIN)/python setup.py -q build_ext --force --build-lib build/werror --build-temp build/werror
+	@$(MAKE) --no-print-directory -j$(JOBS) c-build VARIANT=werror CHECKS=-Werror
+	@if command -v $(CLANG) >/dev/null; then \
+		$(MAKE) --no-print-directory -j$(JOBS) c-build VARIANT=effects CC=$(CLANG) \
+			CHECKS='-Werror -Wfunction-effects -Wno-unknown-warning-option'; \
+	else \
+		echo "no $(CLANG): -Wfunction-effects is left to CI"; \
+	fi
+
+.PHONY: analyze
+analyze: ## gcc's static analyser over the C core
+	@for source in $(C_SOURCES); do gcc -fanalyzer -Werror $(C_FLAGS) -c $$source -o /dev/null || exit 1; done
+
+# ---- C tests -----------------------------------------------------------------------------------------------------
+
+VARIANT ?= plain
+C_DIR := build/c/$(VARIANT)
+C_FLAGS := -std=c11 -O2 -g -ffp-contract=off -fno-math-errno -D_GNU_SOURCE -Icsrc -pthread \
+	-Wall -Wextra -Wconversion -Wshadow -Wdouble-promotion -Wstrict-prototypes -Wmissing-prototypes
+C_OBJECTS := $(C_SOURCES:csrc/%.c=$(C_DIR)/%.o)
+C_TESTS := $(patsubst tests/c/%.c,$(C_DIR)/%,$(wildcard tests/c/test_*.c))
+
+$(C_DIR)/%.o: csrc/%.c Makefile
+	@mkdir -p $(@D)
+	@$(CC) $(C_FLAGS) $(CHECKS) -MMD -MP -c $< -o $@
+
+$(C_DIR)/test_%: tests/c/test_%.c $(C_OBJECTS) Makefile
+	@$(CC) $(C_FLAGS) $(CHECKS) -MMD -MP -MF $@.d $< $(C_OBJECTS) -lm -o $@
+
+-include $(C_OBJECTS:.o=.d) $(C_TESTS:=.d)
+
+.PHONY: c-build
+c-build: $(C_TESTS)
+
+.PHONY: c-run
+c-run: c-build
+	@set -e; for test in $(C_TESTS); do $$test; done
+
+.PHONY: ctest
+ctest:
+	@$(MAKE) --no-print-directory -j$(JOBS) c-run
+
+# ---- Sanitizers --------------------------------------------------------------------------------------------------
+
+# $(call sanitized,VARIANT,SANITIZERS): the C tests under them, if this clang has their run-time library.
+define sanitized
+	@command -v $(CLANG) >/dev/null && \
+		echo 'int main(void) { return 0; }' | $(CLANG) -fsanitize=$(2) -x c - -o /dev/null 2>/dev/null || \
+		{ echo "make $(1) needs $(CLANG) with its sanitizers: install clang-22 and libclang-rt-22-dev" \
+			"(Debian), or make $(1) CLANG=..." >&2; exit 1; }
+	@echo "C tests with -fsanitize=$(2)"
+	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=$(1) CC=$(CLANG) \
+		CHECKS='-fsanitize=$(2) -fno-sanitize-recover=all -fno-omit-frame-pointer'
+endef
+
+.PHONY: tsan asan ubsan rtsan
+tsan: ## C tests under ThreadSanitizer
+	$(call sanitized,tsan,thread)
+asan: ## C tests under AddressSanitizer
+	$(call sanitized,asan,address)
+ubsan: ## C tests under UndefinedBehaviorSanitizer
+	$(call sanitized,ubsan,undefined$(comma)float-cast-overflow)
+rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
+	$(call sanitized,rtsan,realtime)
+
+comma := ,
+
+.PHONY: fuzz
+fuzz: ## libFuzzer on tables and motion, FUZZ_SECONDS=60
+	@echo 'int LLVMFuzzerTestOneInput(const char *d, long s) { return !d && s; }' | \
+		$(CLANG) -fsanitize=fuzzer,address,undefined -x c - -o /dev/null 2>/dev/null || \
+		{ echo "make fuzz needs $(CLANG) with libFuzzer: install clang-22 and libclang-rt-22-dev (Debian)," \
+			"or make fuzz CLANG=..." >&2; exit 1; }
+	@mkdir -p build/fuzz/corpus
+	$(CLANG) $(C_FLAGS) -DHD_LIBFUZZER -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all \
+		tests/c/test_fuzz_table.c $(C_SOURCES) -lm -o build/fuzz/table
+	build/fuzz/table -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -artifact_prefix=build/fuzz/ build/fuzz/corpus
