@@ -1,0 +1,112 @@
+"""A real daemon in a process of its own, and a bare client of it that can also say wrong things."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zmq
+
+
+class Daemon:
+    """The process, its runtime directory and what it said."""
+
+    def __init__(self, directory: Path, *arguments: str) -> None:
+        self.directory = directory
+        self.log = directory.parent / "log"
+        with open(self.log, "ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "hapticd", "--runtime-dir", str(directory), "run", *arguments],
+                stdout=subprocess.DEVNULL,
+                stderr=log,
+            )
+
+    def wait_ready(self) -> None:
+        deadline = time.monotonic() + 60
+        while not (self.directory / "hapticd.command").exists():
+            assert self.process.poll() is None, self.said()
+            assert time.monotonic() < deadline, "not ready in a minute"
+            time.sleep(0.01)  # another process: its socket file is the event, and nothing tells of it
+
+    def said(self) -> str:
+        return self.log.read_text()
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(60)
+
+
+class Wire:
+    """One connection that sends what it is told to."""
+
+    def __init__(self, directory: Path, kind: int = zmq.DEALER) -> None:
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self.socket = self._context.socket(kind)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.setsockopt(zmq.RCVTIMEO, 30_000)
+        self.socket.connect(f"ipc://{directory}/hapticd.command")
+        self._id = 0
+
+    def close(self) -> None:
+        self._context.destroy(0)
+
+    def raw(self, *frames: bytes) -> list[bytes]:
+        self.socket.send_multipart(frames)
+        return self.socket.recv_multipart()
+
+    def body(self, body: bytes) -> dict[str, Any]:
+        (reply,) = self.raw(body)
+        answer = msgpack.unpackb(reply)
+        assert answer["jsonrpc"] == "2.0"
+        assert ("result" in answer) != ("error" in answer)
+        return answer
+
+    def call(self, method: str, **params: Any) -> dict[str, Any]:
+        self._id += 1
+        answer = self.body(msgpack.packb({"jsonrpc": "2.0", "id": self._id, "method": method, "params": params}))
+        assert answer["id"] == self._id
+        return answer
+
+    def result(self, method: str, **params: Any) -> dict[str, Any]:
+        answer = self.call(method, **params)
+        assert "result" in answer, answer
+        return answer["result"]
+
+    def error(self, method: str, **params: Any) -> dict[str, Any]:
+        answer = self.call(method, **params)
+        assert "error" in answer, answer
+        return answer["error"]
+
+
+@contextmanager
+def running_daemon(*arguments: str) -> Iterator[Daemon]:
+    """A daemon that is ready; afterwards stopped, which must go well."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-test-") as parent:
+        daemon = Daemon(Path(parent) / "run", *arguments)
+        try:
+            daemon.wait_ready()
+            yield daemon
+        finally:
+            if daemon.process.poll() is None:
+                os.kill(daemon.process.pid, signal.SIGCONT)
+                code = daemon.stop()
+                assert code == 0, daemon.said()
+
+
+@contextmanager
+def wired(daemon: Daemon) -> Iterator[Wire]:
+    """A bare client of the daemon."""
+    wire = Wire(daemon.directory)
+    try:
+        yield wire
+    finally:
+        wire.close()
