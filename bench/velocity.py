@@ -44,9 +44,7 @@ def build(folder: str) -> tuple[Any, Any]:
     builder.set_source(
         "_velocity_peers",
         CDEF,
-        sources=[
-            str(ROOT / name) for name in ("bench/velocity_peers.c", "csrc/hd_velocity.c", "csrc/hd_error.c")
-        ],
+        sources=[str(ROOT / name) for name in ("bench/velocity_peers.c", "csrc/hd_velocity.c", "csrc/hd_error.c")],
         include_dirs=[str(ROOT / "csrc")],
         extra_compile_args=["-std=c11", "-O2", "-ffp-contract=off", "-D_GNU_SOURCE"],
         libraries=["m"],

@@ -10,9 +10,6 @@
 
 #include "hd_voice.h"
 
-/* Below one by a rounding error, so that a command at the limit never rounds above it. */
-#define HD_JUST_BELOW 0.9999999999999996
-
 HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                              const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags) {
     const double limit = table->max_force_n;

@@ -5,6 +5,9 @@
 #include "hd_rt.h"
 #include "hd_state.h"
 
+/* Below one by a few rounding errors, so that a command at the limit never rounds above it. */
+#define HD_JUST_BELOW 0.9999999999999990
+
 /* A command beyond the limit, brought back to it. Sets the flag and reports the first tick of a stretch. */
 HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                              const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags);
@@ -16,7 +19,7 @@ HD_RT static inline void hd_limit_apply(struct hd_state *state, const struct hd_
     const double limit = table->max_force_n;
     force_n[0] = contact_n[0] + vibration_n[0];
     force_n[1] = contact_n[1] + vibration_n[1];
-    if (force_n[0] * force_n[0] + force_n[1] * force_n[1] <= limit * limit) {
+    if (force_n[0] * force_n[0] + force_n[1] * force_n[1] <= HD_JUST_BELOW * limit * limit) {
         state->saturated = 0;
     } else { /* or not a number, which the tick finds after this */
         hd_limit_exceeded(state, table, contact_n, vibration_n, time_ns, force_n, flags);

@@ -60,6 +60,10 @@ void hd_operator_free(struct hd_operator *path) {
     free(path);
 }
 
+HD_RT size_t hd_operator_first(const struct hd_operator *path) {
+    return path->waypoints[0][0] < HD_WAYPOINT_MIN_STEP_S ? 1 : 0;
+}
+
 HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double wish_m[2],
                                struct hd_segment *segment) {
     if (index >= path->count) {

@@ -28,6 +28,8 @@ struct hd_operator {
     double waypoints[][3]; /* t_s, x_m, y_m */
 };
 
+/* The waypoint that a path leads to first: the second, if the first is there at once. */
+HD_RT size_t hd_operator_first(const struct hd_operator *path);
 /* The segment that leads to waypoint `index` from the one before it, or from `wish_m` at time 0 to the first. With
  * `index` beyond the last: rest at the last. */
 HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double wish_m[2],

@@ -666,7 +666,7 @@ HD_RT void hd_sim_step_operate(struct hd_sim *sim, const struct hd_operator *pat
     double wish_m[2];
     present_wish(sim, wish_m);
     sim->path = path;
-    sim->path_index = 0;
+    sim->path_index = hd_operator_first(path);
     sim->path_tick = sim->tick;
     enter_segment(sim, wish_m);
     find_segment(sim, 0.0);
@@ -827,7 +827,8 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
     sim->force_whole_periods = (uint64_t)(config->force_timeout_s / period_s + HD_SAME_TIME);
 
     make_series(sim);
-    sim->limit_s = fmin(HD_STEP_MAX / fastest_rate_per_s(config), HD_STRETCH_MAX * period_s);
+    const double longest_s = HD_STRETCH_MAX * period_s;
+    sim->limit_s = HD_STEP_MAX / fmax(fastest_rate_per_s(config), HD_STEP_MAX / longest_s);
     kernel_at(sim, period_s / fmax(1.0, ceil(period_s / sim->limit_s)), &sim->period);
     sim->stretch_periods = (uint32_t)fmax(1.0, floor(sim->limit_s / period_s));
     kernel_at(sim, sim->stretch_periods * period_s, &sim->stretch);

@@ -102,7 +102,7 @@ int hd_table_check(const struct hd_table *table, uint32_t slot_capacity) {
     if (!between(table->period_s, 1e-6, 1.0)) {
         return hd_invalid("table: period %g s is not between 1e-6 and 1", table->period_s);
     }
-    if (!between(table->max_force_n, 0.0, 1e6) || !between(table->max_speed_m_per_s, 1e-6, 1e6) ||
+    if (!between(table->max_force_n, 1e-6, 1e6) || !between(table->max_speed_m_per_s, 1e-6, 1e6) ||
         !between(table->ramp_s, 1e-6, 1e3)) {
         return hd_invalid("table: force limit %g N, speed limit %g m/s or ramp %g s is out of range", table->max_force_n,
                           table->max_speed_m_per_s, table->ramp_s);

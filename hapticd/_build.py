@@ -17,8 +17,8 @@ HEADERS = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("csrc/*.h"))
 WARNINGS = ["-Wall", "-Wextra", "-Wshadow", "-Wdouble-promotion"]
 # Results must be the same bits on every run and at every optimisation level: no contraction into fused
 # operations, nothing of fast-math even if the environment's CFLAGS ask for it. Nobody looks at libm's errno.
-# Two doubles that were just stored one by one and are loaded as one vector stall until the stores are through;
-# a tick is made of such pairs, so packing straight-line code costs it a third (docs/adr/0002).
+# Two doubles that were just stored one by one and are loaded as one vector stall until the stores are
+# through; a tick is made of such pairs, so packing straight-line code costs it a third (docs/adr/0002).
 FLAGS = [
     "-std=c11",
     "-O2",

@@ -38,7 +38,7 @@ _MEMBRANE = struct.Struct("=" + _KEY + _SURFACE + 2 * _MODE)
 if _WALL.size != ffi.sizeof("struct hd_wall") or _MEMBRANE.size != ffi.sizeof("struct hd_membrane"):
     raise ImportError("the records of hapticd.compile are not those of csrc/hd_api.h")
 
-_SILENT = (0.0,) * 9
+_SILENT: tuple[float, ...] = (0.0,) * 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +119,8 @@ class _Compiled:
 
 def compile_material(material: Material, output: Output) -> _Compiled:
     """The records of a material's modes and the numbers of its surface."""
-    tap = rupture = _SILENT
+    tap: tuple[float, ...] = _SILENT
+    rupture: tuple[float, ...] = _SILENT
     depth, heals = 0.0, False
     if material.tap is not None:
         slope = material.tap.attack_slope_per_s
@@ -129,9 +130,7 @@ def compile_material(material: Material, output: Output) -> _Compiled:
         amplitude = material.rupture.amplitude_m_per_s2
         rupture = mode_record(material.rupture.mode, amplitude, amplitude, output)
         depth, heals = material.rupture.rupture_depth_m, material.rupture.heals
-    return _Compiled(
-        material.stiffness_n_per_m, material.damping_n_s_per_m, depth, heals, tap, rupture
-    )
+    return _Compiled(material.stiffness_n_per_m, material.damping_n_s_per_m, depth, heals, tap, rupture)
 
 
 class _Records:
@@ -142,6 +141,7 @@ class _Records:
         self._ctype = ctype
         self._ids: list[str] = []
         self._place: dict[str, int] = {}
+        self._memory = bytearray()
         self._reserve(16)
 
     def _reserve(self, capacity: int) -> None:
@@ -151,7 +151,7 @@ class _Records:
             memory[:used] = self._memory[:used]
         self._memory = memory
         self._capacity = capacity
-        self.pointer: CData = ffi.cast(self._ctype + " *", ffi.from_buffer(memory))
+        self.pointer: CData = ffi.cast(self._ctype + " *", ffi.from_buffer("char[]", memory))
 
     def __len__(self) -> int:
         return len(self._ids)
@@ -315,9 +315,7 @@ class Compiler:
             material = self._material(item.material, materials)
             surface = (*item.point_m, *item.normal, material.stiffness, material.damping, 0.0, 0.0)
             placed = self._place(id, "wall", surface)
-            self._walls.put(
-                id, placed.slot, placed.generation, placed.version, 0, *surface, *material.tap
-            )
+            self._walls.put(id, placed.slot, placed.generation, placed.version, 0, *surface, *material.tap)
         elif isinstance(item, Membrane):
             material = self._material(item.material, materials)
             width, depth = item.width_m / 2.0, material.rupture_depth

@@ -14,13 +14,14 @@ from pydantic import Field, ValidationError
 from hapticd._version import __version__
 from hapticd.core import Fault
 from hapticd.engine import Engine, RingFullError, WaitTimeoutError, monotonic_ns
-from hapticd.errors import HapticdError, InvalidError, Problem, known_names
+from hapticd.errors import InvalidError, Problem, known_names
 from hapticd.events import fault_names
+from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
 from hapticd.materials import MAX_MATERIALS, Material, ModeKeys, shipped_materials, validate_materials
 from hapticd.merge_patch import merge_patch
 from hapticd.model import Model, Name, Position, problems_of
-from hapticd.operator import Grip, Target, parse_operator
+from hapticd.operator import Target, parse_operator
 from hapticd.scene import Membrane, SceneObject, Wall, reference_problems, validate_object, validate_scene
 from hapticd.wire import PROTOCOL, Code
 
@@ -165,7 +166,7 @@ class Control:
             known = self.__dict__["_undisplayable_of"] = (engine.revision, found)
         return cast(list[dict[str, object]], known[1])
 
-    # ---- Scene and materials -----------------------------------------------------------------------------------------
+    # ---- Scene and materials -------------------------------------------------------------------------------------------
 
     def _get_status(self, _: _NoParams) -> dict[str, object]:
         return self.status()
@@ -251,7 +252,7 @@ class Control:
             result["warning"] = self._off_because(faults)
         return result
 
-    # ---- Commands --------------------------------------------------------------------------------------------------------
+    # ---- Commands ------------------------------------------------------------------------------------------------------
 
     def _play(self, params: _Play) -> dict[str, object]:
         if (params.mode is None) == (params.material is None):
@@ -324,10 +325,7 @@ class Control:
     def _set_operator(self, params: Mapping[str, object]) -> dict[str, object]:
         engine = self._engine
         operator = parse_operator(params)
-        hand = engine.config.device.sim.hand
-        waypoints = operator.waypoints_for(
-            self._target, Grip(stiffness_n_per_m=hand.stiffness_n_per_m), self._wish
-        )
+        waypoints = operator.waypoints_for(self._target, grip_of(engine.config.device.sim), self._wish)
         tick = engine.set_operator(waypoints, operator.interpolation)
         self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
         return {"duration_s": float(waypoints[-1, 0]), "tick": tick}
@@ -348,20 +346,6 @@ class Control:
     def _off_because(self, faults: Fault) -> str:
         reasons = " and ".join(_FAULT_WORDS[fault] for fault in Fault if fault in faults)
         return f"forces are off because {reasons}: set_forces with enabled: true turns them on again"
-
-
-def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
-    """What a gesture needs to know of an object; None for what cannot be touched."""
-    if not isinstance(item, Wall | Membrane):
-        return None
-    material = materials[item.material]
-    rupture = material.rupture if isinstance(item, Membrane) else None
-    return Target(
-        point_m=item.point_m if isinstance(item, Wall) else item.center_m,
-        normal=item.normal,
-        stiffness_n_per_m=material.stiffness_n_per_m,
-        rupture_depth_m=None if rupture is None else rupture.rupture_depth_m,
-    )
 
 
 # `set_operator` takes what an operator file holds, which hapticd.operator validates.

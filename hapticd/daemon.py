@@ -1,6 +1,6 @@
 """The daemon's process: configuration, runtime directory, threads, signals.
 
-    main thread      waits for a signal (sigwait), then takes everything down in order
+    main thread      waits for a signal, then takes everything down in order
     command thread   hapticd.server: answers requests, beats
     telemetry thread hapticd.telemetry: drains the rings, publishes
     servo thread     csrc/hd_servo.c: owns time and force
@@ -16,6 +16,7 @@ import gc
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -46,33 +47,35 @@ def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | 
     """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="hapticd: %(message)s")
     config = load_config(tuple(config_paths)) if config_paths else default_config()
-    # Before any thread exists, so that all of them inherit it: only sigwait below takes these.
-    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     os.umask(0o117)
     with ExitStack() as stack:
+        signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
-        return _run(config, paths, stack)
+        return _run(config, paths, signals, stack)
 
 
-def _run(config: Config, paths: RuntimePaths, stack: ExitStack) -> int:
+def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: ExitStack) -> int:
     engine = Engine(config)
     control = Control(engine)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-    stack.callback(context.destroy, 0)
+    stack.callback(context.term)
     publisher = context.socket(zmq.PUB)
     publisher.setsockopt(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
-    publisher.setsockopt(zmq.LINGER, 0)
+    # Long enough for the last samples, which say that the force is zero, to reach those who read.
+    publisher.setsockopt(zmq.LINGER, 200)
+    stack.callback(publisher.close)
     _bind(lambda: publisher.bind(paths.telemetry_endpoint), paths.telemetry)
+    failures: list[BaseException] = []
+    telemetry = Telemetry(engine, publisher, control.status)
+    # Taken down in reverse: commands end, the force fades, and telemetry tells of it.
+    _thread("telemetry", telemetry.run, failures, stack)
     granted = engine.start()
     stack.callback(engine.stop)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
-    stop = threading.Event()
-    failures: list[BaseException] = []
-    telemetry = Telemetry(engine, publisher, control.status)
-    _thread("telemetry", lambda: telemetry.run(stop), stop, failures, stack)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
-    _thread("command", lambda: server.serve(router, engine, control, stop), stop, failures, stack)
+    stack.callback(router.close)
+    _thread("command", lambda stop: server.serve(router, engine, control, stop), failures, stack)
     gc.collect()
     gc.freeze()
     _log.info(
@@ -83,7 +86,8 @@ def _run(config: Config, paths: RuntimePaths, stack: ExitStack) -> int:
         f", memory locked: {granted.memory}",
         paths.command,
     )
-    received = signal.sigwait(_SIGNALS)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    received = signals.recv(1)[0]
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
         return 1
@@ -93,13 +97,14 @@ def _run(config: Config, paths: RuntimePaths, stack: ExitStack) -> int:
 
 
 def _thread(
-    name: str, work: Callable[[], None], stop: threading.Event, failures: list[BaseException], stack: ExitStack
+    name: str, work: Callable[[threading.Event], None], failures: list[BaseException], stack: ExitStack
 ) -> None:
     """A thread that takes the daemon down if it fails, and is ended and joined when the stack unwinds."""
+    stop = threading.Event()
 
     def guarded() -> None:
         try:
-            work()
+            work(stop)
         except BaseException as error:
             _log.exception("the %s thread failed", name)
             failures.append(error)
@@ -118,6 +123,28 @@ def _bind(bind: Callable[[], _T], path: Path) -> _T:
         return bind()
     except zmq.ZMQError as error:
         raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
+
+
+@contextmanager
+def _signals() -> Iterator[socket.socket]:
+    """A socket from which the number of a signal can be read, whichever thread the kernel chose for it.
+
+    Libraries may have threads of their own, so blocking and sigwait would not be enough. Threads that are started
+    while the context lasts inherit the block, so that no handler ever runs in the servo's.
+    """
+    ours, pythons = socket.socketpair()
+    with ours, pythons:
+        pythons.setblocking(False)
+        signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+        before = [signal.signal(number, lambda *_: None) for number in _SIGNALS]
+        fd = signal.set_wakeup_fd(pythons.fileno())
+        try:
+            yield ours
+        finally:
+            signal.set_wakeup_fd(fd)
+            for number, handler in zip(_SIGNALS, before, strict=True):
+                signal.signal(number, handler)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
 @contextmanager

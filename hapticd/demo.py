@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,14 +22,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 from rich.table import Table
 
 from hapticd.calls import Event
 from hapticd.client import Client, Subscription, connect
 from hapticd.errors import HapticdError
 from hapticd.materials import Material, Mode, shipped_materials
-
 
 Floats = npt.NDArray[np.float64]
 
@@ -113,8 +112,7 @@ def fit(recorded: Recorded, guess: Mode, mass_kg: float) -> Fitted:
         return matrix
 
     def amplitudes(matrix: Floats) -> Floats:
-        solution: Floats = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-        return solution
+        return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=None)[0], dtype=np.float64)
 
     def residual(parameters: Floats) -> Floats:
         matrix = columns(parameters)
@@ -147,7 +145,12 @@ def tapping(speeds: Sequence[float], x_m: float = 0.0) -> list[list[float]]:
     """Waypoints of a hand that taps the floor at y = 0 once at each speed, in straight lines."""
     now, path = 0.0, [[0.0, x_m, HOVER_M]]
     for speed in speeds:
-        for height, lasting in ((HOVER_M, 0.06), (-PRESS_M, (HOVER_M + PRESS_M) / speed), (-PRESS_M, HOLD_S), (HOVER_M, 0.12)):
+        for height, lasting in (
+            (HOVER_M, 0.06),
+            (-PRESS_M, (HOVER_M + PRESS_M) / speed),
+            (-PRESS_M, HOLD_S),
+            (HOVER_M, 0.12),
+        ):
             now += lasting
             path.append([now, x_m, height])
     return path
@@ -155,10 +158,27 @@ def tapping(speeds: Sequence[float], x_m: float = 0.0) -> list[list[float]]:
 
 def pressing(center_y_m: float) -> list[list[float]]:
     """Waypoints of a hand that presses through a membrane slowly."""
-    return [[0.0, 0.0, center_y_m + 0.01], [0.3, 0.0, center_y_m + 0.005], [1.5, 0.0, center_y_m - 0.03], [1.7, 0.0, center_y_m - 0.03]]
+    return [
+        [0.0, 0.0, center_y_m + 0.01],
+        [0.3, 0.0, center_y_m + 0.005],
+        [1.5, 0.0, center_y_m - 0.03],
+        [1.7, 0.0, center_y_m - 0.03],
+    ]
 
 
-def perform(daemon: Client, waypoints: list[list[float]], advance: Callable[[float], None]) -> Recorded:
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A bar of the progress display."""
+
+    progress: Progress
+    task: TaskID
+
+    def __call__(self, done: float) -> None:
+        """`done`, 0 to 1."""
+        self.progress.update(self.task, completed=done)
+
+
+def perform(daemon: Client, waypoints: list[list[float]], advance: Part) -> Recorded:
     """Has the operator follow the waypoints and records it until the end."""
     feed: Subscription[Event]
     with daemon.samples() as samples, daemon.events() as feed:
@@ -180,7 +200,7 @@ def perform(daemon: Client, waypoints: list[list[float]], advance: Callable[[flo
                     break
         end_ns = int(batches[-1]["time_ns"][-1])
         while (event := feed.receive(0.1)) is not None:
-            message: dict[str, Any] = dict(event)  
+            message: dict[str, Any] = dict(event)
             if begin <= message["tick"] and message["time_ns"] <= end_ns:
                 events.append(message)
     data = np.concatenate(batches)
@@ -254,7 +274,10 @@ def main() -> int:
     console = Console()
     library = shipped_materials()
     names = [name for name, material in library.items() if material.tap is not None]
-    with tempfile.TemporaryDirectory(prefix="hapticd-demo-") as directory, running_daemon(Path(directory, "run")) as daemon:
+    with (
+        tempfile.TemporaryDirectory(prefix="hapticd-demo-") as directory,
+        running_daemon(Path(directory, "run")) as daemon,
+    ):
         status = daemon.get_status()
         realtime = status["realtime"] or {}
         console.print(
@@ -270,14 +293,12 @@ def main() -> int:
             for name in names:
                 task = progress.add_task(name, total=1.0)
                 daemon.set_scene({"objects": {"floor": {**floor, "material": name}}}, wait=True)
-                recordings[name] = perform(
-                    daemon, tapping(SPEEDS_M_PER_S), lambda part, task=task: progress.update(task, completed=part)
-                )
+                recordings[name] = perform(daemon, tapping(SPEEDS_M_PER_S), Part(progress, task))
             task = progress.add_task("cellophane", total=1.0)
             skin = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.02, "material": "cellophane"}
             daemon.set_operator([[0, 0, HOVER_M], [0.2, 0, 0.01]])
             daemon.set_scene({"objects": {"skin": skin}}, wait=True)
-            punctured = perform(daemon, pressing(0.0), lambda part: progress.update(task, completed=part))
+            punctured = perform(daemon, pressing(0.0), Part(progress, task))
         counters = daemon.get_status()["counters"]
     return report(console, library, recordings, punctured, mass_kg, counters)
 
@@ -330,11 +351,17 @@ def report(
     mode = cellophane.rupture.mode
     torn = fit(punctured, mode, mass_kg)
     skin = Table(title="Puncture of cellophane", show_header=False)
-    skin.add_row("force before, at and after the tick of rupture", f"{rupture['force_before_n']:.3f} N, {rupture['force_at_rupture_n']:g} N")
-    skin.add_row("past the rupture deflection of 4 mm", f"{1e6 * rupture['overshoot_m']:.0f} um, of {1e6 * rupture['travel_m']:.0f} um travelled in that tick")
-    skin.add_row("amplitude", f"{torn.amplitudes[0]:.2f} m/s^2 (library {cellophane.rupture.amplitude_m_per_s2:g}: {off(torn.amplitudes[0], cellophane.rupture.amplitude_m_per_s2, 0.01, 'puncture: amplitude')})")
-    skin.add_row("angular frequency", f"{2 * np.pi * torn.frequency_hz:.1f} rad/s (library {mode.angular_frequency_rad_per_s:g}: {off(torn.frequency_hz, mode.frequency_hz, 0.01, 'puncture: frequency')})")
-    skin.add_row("decay rate", f"{1 / torn.decay_time_s:.1f} 1/s (library {mode.decay_rate_per_s:g}: {off(torn.decay_time_s, mode.decay_time_s, 0.01, 'puncture: decay')})")
+    before, after = rupture["force_before_n"], rupture["force_at_rupture_n"]
+    skin.add_row("force before, and from the tick of rupture on", f"{before:.3f} N, {after:g} N")
+    past, travel = 1e6 * rupture["overshoot_m"], 1e6 * rupture["travel_m"]
+    skin.add_row("past the rupture deflection", f"{past:.0f} um, of {travel:.0f} um travelled in that tick")
+    for what, measured, wanted, unit in (
+        ("amplitude", float(torn.amplitudes[0]), cellophane.rupture.amplitude_m_per_s2, "m/s^2"),
+        ("angular frequency", 2 * np.pi * torn.frequency_hz, mode.angular_frequency_rad_per_s, "rad/s"),
+        ("decay rate", 1 / torn.decay_time_s, mode.decay_rate_per_s, "1/s"),
+    ):
+        difference = off(measured, wanted, 0.01, f"puncture: {what}")
+        skin.add_row(what, f"{measured:.2f} {unit} (library {wanted:g}: {difference})")
     console.print(skin)
     if rupture["force_at_rupture_n"] != 0.0:
         worst.append("the membrane still pushed at the tick of rupture")

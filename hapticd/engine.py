@@ -10,7 +10,7 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -142,7 +142,7 @@ class Engine:
         self._servo = ffi.gc(made, lib.hd_servo_free)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
-    # ---- Life ------------------------------------------------------------------------------------------------------
+    # ---- Life ----------------------------------------------------------------------------------------------------------
 
     def start(self) -> Granted:
         """Starts the servo thread. Raises HapticdError where real time is required and refused."""
@@ -182,7 +182,7 @@ class Engine:
         """The thread that serves commands lives; without a beat for a second the forces fade out."""
         lib.hd_servo_beat(self._servo)
 
-    # ---- Scene and materials -----------------------------------------------------------------------------------------
+    # ---- Scene and materials -------------------------------------------------------------------------------------------
 
     def set_scene(self, scene: Scene) -> int:
         """Takes a validated scene; returns its revision."""
@@ -223,9 +223,7 @@ class Engine:
         self.scene, self.materials, self.revision = scene, materials, revision
         return revision
 
-    def _publish(
-        self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int
-    ) -> None:
+    def _publish(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
         changed = list(changed)
         table = self._compiler.update(scene, changed, materials, revision)
         if lib.hd_servo_publish(self._servo, table) != Status.OK:
@@ -274,9 +272,7 @@ class Engine:
         command.value = enabled
         return self._send_and_wait([command])
 
-    def set_operator(
-        self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]
-    ) -> int:
+    def set_operator(self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]) -> int:
         """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned."""
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)
@@ -313,7 +309,7 @@ class Engine:
             raise WaitTimeoutError(f"the servo did not take the command within {WAIT_S:g} s")
         return int(self._tick[0])
 
-    # ---- What the servo says -----------------------------------------------------------------------------------------
+    # ---- What the servo says -------------------------------------------------------------------------------------------
 
     def counters(self) -> Counters:
         """What was counted so far."""
@@ -343,7 +339,11 @@ class Engine:
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, room)
 
     def _read(
-        self, read: CData, ctype: str, dtype: np.dtype[np.void], room: npt.NDArray[np.void]
+        self,
+        read: Callable[[CData, CData, int, CData], int],
+        ctype: str,
+        dtype: np.dtype[np.void],
+        room: npt.NDArray[np.void],
     ) -> tuple[int, int]:
         if room.dtype != dtype:
             raise ValueError(f"room for records of {dtype}, not {room.dtype}")

@@ -1,8 +1,8 @@
-"""The simulated joystick and its operator as C objects, made from validated configuration."""
+"""The simulated joystick and its operator: C objects made from validated configuration, and what gestures ask of it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -10,6 +10,9 @@ import numpy as np
 from hapticd.config import Sim
 from hapticd.core import CData, Interpolation, ffi, invalid_reason, lib, pointer
 from hapticd.errors import HapticdError
+from hapticd.materials import Material
+from hapticd.operator import Grip, Target
+from hapticd.scene import Membrane, SceneObject, Wall
 
 
 def new_sim(sim: Sim, rate_hz: float) -> CData:
@@ -42,9 +45,7 @@ def new_sim(sim: Sim, rate_hz: float) -> CData:
     return ffi.gc(made, lib.hd_sim_free)
 
 
-def new_operator(
-    waypoints: Sequence[Sequence[float]], interpolation: Literal["linear", "minimum_jerk"]
-) -> CData:
+def new_operator(waypoints: Sequence[Sequence[float]], interpolation: Literal["linear", "minimum_jerk"]) -> CData:
     """A `struct hd_operator *` over waypoints [t_s, x_m, y_m], freed with the last reference to it.
 
     Raises HapticdError for waypoints that are not finite or not in order.
@@ -55,3 +56,26 @@ def new_operator(
     if made == ffi.NULL:
         raise HapticdError(f"waypoints: {invalid_reason()}")
     return ffi.gc(made, lib.hd_operator_free)
+
+
+def grip_of(sim: Sim) -> Grip:
+    """The hand, and what it moves, as gestures need to know them."""
+    return Grip(
+        stiffness_n_per_m=sim.hand.stiffness_n_per_m,
+        damping_n_s_per_m=sim.hand.damping_n_s_per_m + sim.handle_damping_n_s_per_m,
+        moving_mass_kg=sim.handle_mass_kg + sim.hand.mass_kg,
+    )
+
+
+def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
+    """What a gesture needs to know of an object; None for what cannot be touched."""
+    if not isinstance(item, Wall | Membrane):
+        return None
+    material = materials[item.material]
+    rupture = material.rupture if isinstance(item, Membrane) else None
+    return Target(
+        point_m=item.point_m if isinstance(item, Wall) else item.center_m,
+        normal=item.normal,
+        stiffness_n_per_m=material.stiffness_n_per_m,
+        rupture_depth_m=None if rupture is None else rupture.rupture_depth_m,
+    )

@@ -13,10 +13,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import ValidationError
 
 from hapticd.compile import Compiler
 from hapticd.config import Config, ConfigSource, Servo, load_config
-from hapticd.control import target_of
 from hapticd.core import (
     EVENT_DTYPE,
     SAMPLE_DTYPE,
@@ -30,9 +30,9 @@ from hapticd.core import (
 )
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError, InvalidError, Problem
-from hapticd.joystick import new_operator, new_sim
+from hapticd.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.model import problems_of
-from hapticd.operator import Grip, Operator, load_operator, parse_operator
+from hapticd.operator import Operator, load_operator, parse_operator
 from hapticd.scene import MAX_OBJECTS
 
 Samples: TypeAlias = npt.NDArray[np.void]
@@ -64,9 +64,7 @@ class _Scene:
         self._compiler = Compiler(output_of(self.config, self.rate_hz))
         scene = self.config.scene
         self.table: CData = self._compiler.update(scene, scene.objects, self.config.materials, 1)
-        self.objects = {
-            place: id for id in scene.objects if (place := self._compiler.slot_of(id)) is not None
-        }
+        self.objects = {place: id for id in scene.objects if (place := self._compiler.slot_of(id)) is not None}
 
     def new_state(self, resolution_m: float) -> CData:
         state = lib.hd_state_new(min(MAX_OBJECTS, max(1, len(self.objects))))
@@ -77,8 +75,10 @@ class _Scene:
 
 
 def _rate(rate_hz: float) -> float:
-    checked = Servo.model_validate({"rate_hz": rate_hz})
-    return checked.rate_hz
+    try:
+        return Servo.model_validate({"rate_hz": rate_hz}).rate_hz
+    except ValidationError as error:
+        raise InvalidError(problems_of(error)) from None
 
 
 class _Recorder:
@@ -132,9 +132,9 @@ def render(
 ) -> Samples:
     """Forces for a path of positions, open loop.
 
-    `config` is what a YAML file holds, as a mapping or a path (materials, device, scene); `position_m` has shape (n, 2),
-    one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `velocity_m_per_s`, shape (n, 2),
-    is used where the caller knows it; otherwise it is estimated (exact positions: the backward difference). Forces are
+    `config` is what a YAML file holds, as a mapping or a path (materials, device, scene); `position_m` has shape
+    (n, 2), one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `velocity_m_per_s`,
+    shape (n, 2), is used where the caller knows it; otherwise it is estimated (exact positions: the backward difference). Forces are
     on from the first sample; a probe that starts inside an object comes in over the scene's ramp_s.
 
     Returns (n,) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
@@ -215,12 +215,14 @@ def simulate_run(
     device = scene.config.device.sim
     path = operator.waypoints_for(
         lambda id: target_of(scene.config.scene.objects.get(id), scene.config.materials),
-        Grip(stiffness_n_per_m=device.hand.stiffness_n_per_m),
+        grip_of(device),
         device.start_m,
     )
     lasting = float(path[-1, 0]) if duration_s is None else float(duration_s)
     if not 0 < lasting <= MAX_DURATION_S:
-        raise InvalidError([Problem("duration_s", f"must be more than 0 and at most {MAX_DURATION_S:g}, is {lasting:g}")])
+        raise InvalidError(
+            [Problem("duration_s", f"must be more than 0 and at most {MAX_DURATION_S:g}, is {lasting:g}")]
+        )
     count = round(lasting * scene.rate_hz)
     sim = new_sim(device, scene.rate_hz)
     hand = new_operator(path.tolist(), operator.interpolation)

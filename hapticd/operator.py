@@ -7,11 +7,12 @@ An operator is exactly one of
     gesture: {kind: stroke, object, speed_m_per_s, press_n, from_m, to_m, count, height_m}
     gesture: {kind: puncture, object, speed_m_per_s, at_m, height_m}
 
-`at_m`, `from_m` and `to_m` are tangential coordinates: 0 is the object's point or centre, t = (n_y, -n_x). A file is
-YAML, JSON, or CSV with the columns t_s,x_m,y_m. A gesture becomes straight lines by `gesture_waypoints`, a pure
-function of the object, the hand and where the hand is.
+`at_m`, `from_m` and `to_m` are tangential coordinates: 0 is the object's point or centre, t = (n_y, -n_x).
+A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. A gesture becomes straight lines by
+`gesture_waypoints`, a pure function of the object, the hand and where the hand is.
 """
 
+import cmath
 import csv
 import io
 import math
@@ -26,7 +27,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from hapticd.errors import HapticdError, InvalidError, Path, Problem, path_text, quoted, shown
 from hapticd.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.yaml_source import Document, load_path, load_text
+from hapticd.yaml_source import load_path, load_text
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
@@ -36,6 +37,7 @@ MIN_STEP_S: Final = 1e-5
 """Waypoints are at least this far apart, so that few of them fall into one tick."""
 MAX_TIME_S: Final = 86_400.0
 MAX_COORDINATE_M: Final = 10.0
+MAX_FAULTS: Final = 100
 MAX_BYTES: Final = 16 * 1024 * 1024
 
 TRAVEL_M_PER_S: Final = 0.15
@@ -43,7 +45,7 @@ TRAVEL_M_PER_S: Final = 0.15
 LOWER_M_PER_S: Final = 0.02
 """A stroke is laid on the surface this slowly, so that it begins without a tap that would be felt."""
 HOLD_S: Final = 0.15
-"""How long a tap presses, and a puncture after it broke through: longer than any mode of the library rings."""
+"""How long a tap presses, and a puncture stays inside: longer than any mode of the library rings."""
 SPEED_WITHIN: Final = 0.01
 """An approach is long enough for the handle to have the commanded speed within this fraction."""
 CLEARANCE_M: Final = 0.005
@@ -75,19 +77,17 @@ class Grip:
 
     @property
     def settling_s(self) -> float:
-        """How long after a change of the wish's speed the handle has it within SPEED_WITHIN.
+        """How long after a change of the wish's speed the handle has it within SPEED_WITHIN, at most 1 s.
 
-        The error of the speed is exp(-s t) times a sinusoid or an exponential that begins at 1, with
-        s = b/2M - sqrt(max(0, b^2/4M^2 - k/M)); its envelope is at most 1/sqrt(1 - z^2) below critical damping
-        (z = b / 2 sqrt(k M)). At and above it, and just below, the error is below exp(-s t) from the start.
+        The error is (p exp(p t) - q exp(q t))/(p - q), p and q the roots of M s^2 + b s + k.
         """
-        decay = self.damping_n_s_per_m / (2 * self.moving_mass_kg)
-        stiffness = self.stiffness_n_per_m / self.moving_mass_kg
-        slow = decay - math.sqrt(max(0.0, decay * decay - stiffness))
-        envelope = 1.0
-        if decay * decay < 0.99 * stiffness:
-            envelope = 1.0 / math.sqrt(1.0 - decay * decay / stiffness)
-        return min(math.log(envelope / SPEED_WITHIN) / slow, 1.0) if slow > 0 else 1.0
+        half = self.damping_n_s_per_m / (2 * self.moving_mass_kg)
+        root = cmath.sqrt(half * half - self.stiffness_n_per_m / self.moving_mass_kg)
+        # Equal roots are told apart by a little: that changes the error by far less than is asked for.
+        p, q = -half - (root or 1e-6 * half), -half + (root or 1e-6 * half)
+        time_s = np.linspace(0.0, 1.0, 2001)
+        error = np.abs((p * np.exp(p * time_s) - q * np.exp(q * time_s)) / (p - q))
+        return float(time_s[min(np.flatnonzero(error > SPEED_WITHIN)[-1] + 1, 2000)])
 
 
 class TapGesture(Model):
@@ -169,8 +169,8 @@ class Operator:
     ) -> npt.NDArray[np.float64]:
         """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `wish_m` now.
 
-        `target_of` gives the wall or membrane of an id, None for anything else. Raises InvalidError (`where` is
-        inside `gesture`) for an object that is none or that the gesture does not fit.
+        `target_of` gives the wall or membrane of an id, None for anything else. Raises InvalidError (`where`
+        is inside `gesture`) for an object that is none or that the gesture does not fit.
         """
         if self.gesture is None:
             return np.array(self.waypoints, dtype=np.float64)
@@ -182,7 +182,7 @@ class Operator:
 
 
 def parse_operator(data: Mapping[str, object]) -> Operator:
-    """An operator from the params of `set_operator` or any mapping; numpy arrays and tuples are welcome in it.
+    """An operator from the params of `set_operator` or any mapping, numpy arrays and tuples included.
 
     Raises InvalidError with every fault.
     """
@@ -195,8 +195,9 @@ def parse_operator(data: Mapping[str, object]) -> Operator:
 def load_operator(path: str | os.PathLike[str]) -> Operator:
     """An operator from a file: CSV or JSON by its ending, YAML otherwise.
 
-    A CSV holds the columns t_s,x_m,y_m, with or without a header line; it is followed in straight lines. Raises
-    InvalidError, which names file and line of every fault, HapticdError for a file that cannot be read.
+    A CSV holds the columns t_s,x_m,y_m, with or without a header line; it is followed in straight lines.
+    Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be
+    read.
     """
     name = os.fspath(path)
     ending = os.path.splitext(name)[1].lower()
@@ -215,11 +216,12 @@ def gesture_waypoints(
 ) -> npt.NDArray[np.float64]:
     """The straight lines of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
 
-    The first row is at t > 0: the hand goes there from `wish_m`, first out along the normal if it is lower than the
-    gesture's height, then to where the gesture begins, and comes to rest. Raises InvalidError.
+    The first row is at t > 0: the hand goes there from `wish_m`, first out along the normal if it is lower
+    than the gesture's height, then to where the gesture begins, and comes to rest. Raises InvalidError.
     """
     if grip.stiffness_n_per_m <= 0:
-        raise InvalidError([Problem("gesture", "needs a hand with a stiffness: device.sim.hand.stiffness_n_per_m")])
+        problem = "needs a hand that holds the handle: device.sim.hand.stiffness_n_per_m above 0"
+        raise InvalidError([Problem("gesture", problem)])
     path = _Path(target, wish_m)
     match gesture:
         case TapGesture():
@@ -274,11 +276,12 @@ def _tap(gesture: TapGesture, target: Target, grip: Grip, path: _Path) -> None:
     height = gesture.height_m or _approach_height(speed, grip)
     depth = gesture.press_depth_m
     if depth is None:
-        # The handle swings about depth * k/(K + k) with the amplitude of an undamped impact, at most; pressed this
-        # deep it does not come out again.
+        # The handle comes to rest at depth k/(K + k) and swings about it; an impact alone would swing by
+        # v sqrt(M/(K + k)). With rest as deep as that, and half a swing damped to 0.7, it does not leave
+        # again.
         together = target.stiffness_n_per_m + grip.stiffness_n_per_m
         swing = speed * math.sqrt(grip.moving_mass_kg / together)
-        depth = 0.002 + swing * together / grip.stiffness_n_per_m / 2
+        depth = 0.002 + swing * together / grip.stiffness_n_per_m
     for _ in range(gesture.count):
         path.begin(at, height)
         path.stay(grip.settling_s)
@@ -306,11 +309,11 @@ def _stroke(gesture: StrokeGesture, target: Target, grip: Grip, path: _Path) -> 
 
 def _puncture(gesture: PunctureGesture, target: Target, grip: Grip, path: _Path) -> None:
     if target.rupture_depth_m is None:
-        problem = f"{quoted(gesture.object)} cannot be punctured: it is no membrane, or its material has no rupture"
+        problem = f"{quoted(gesture.object)} cannot be punctured: no membrane, or a material without rupture"
         raise InvalidError([Problem("gesture.object", problem)])
     speed, at = gesture.speed_m_per_s, gesture.at_m
     height = gesture.height_m or _approach_height(speed, grip)
-    # At the rupture the hand is ahead of the handle by K d/k; friction and a slow grip take less than the rest.
+    # At the rupture the hand is ahead of the handle by K d/k; friction takes less than the rest.
     depth = target.rupture_depth_m * (1 + target.stiffness_n_per_m / grip.stiffness_n_per_m)
     path.begin(at, height)
     path.stay(grip.settling_s)
@@ -319,7 +322,7 @@ def _puncture(gesture: PunctureGesture, target: Target, grip: Grip, path: _Path)
     path.go(at, height, TRAVEL_M_PER_S)
 
 
-# ---- Reading ---------------------------------------------------------------------------------------------------
+# ---- Reading ----------------------------------------------------------------------------------------------
 
 
 def _parse(data: object) -> tuple[list[tuple[Path, str]], Operator | None]:
@@ -348,6 +351,9 @@ def _check_waypoints(
     waypoints: list[tuple[float, float, float]] = []
     before_s = -math.inf
     for index, row in enumerate(rows):
+        if len(faults) >= MAX_FAULTS:
+            faults.append(((index,), "and what follows was not looked at"))
+            break
         if not isinstance(row, list) or len(row) != 3:
             has = f"has {len(row)}" if isinstance(row, list) else f"is {shown(row)}"
             faults.append(((index,), f"must be three numbers [t_s, x_m, y_m], {has}"))

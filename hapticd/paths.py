@@ -120,7 +120,7 @@ def make_directory(paths: RuntimePaths, group: int | None = None) -> None:
                 os.chown(paths.directory, -1, group)
             os.chmod(paths.directory, 0o700 if group is None else 0o750)
     except OSError as error:
-        raise HapticdError(f"runtime directory {paths.directory}: {error.strerror}") from None
+        raise HapticdError(f"runtime directory {paths.directory}: {error.filename}: {error.strerror}") from None
 
 
 def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:

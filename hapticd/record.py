@@ -76,8 +76,9 @@ class Sink(ABC):
             self._dtype = samples.dtype
         elif self._dtype != samples.dtype:
             raise HapticdError("the daemon changed the form of its samples; record again")
-        with self._telling():
-            self._write(samples)
+        if len(samples):
+            with self._telling():
+                self._write(samples)
         self.count += len(samples)
 
     def write_event(self, event: Mapping[str, object]) -> None:

@@ -99,7 +99,7 @@ def running_daemon(*arguments: str) -> Iterator[Daemon]:
             if daemon.process.poll() is None:
                 os.kill(daemon.process.pid, signal.SIGCONT)
                 code = daemon.stop()
-                assert code == 0, daemon.said()
+                assert code == 0, f"exit code {code}: {daemon.said()}"
 
 
 @contextmanager

@@ -52,7 +52,9 @@ class Rig:
         self.table = self.compiler.update(self.config.scene, changed, self.config.materials, self.revision)
         assert lib.hd_table_check(self.table, 64) == Status.OK, invalid_reason()
 
-    def update(self, objects: Mapping[str, object], materials: Mapping[str, object] | None = None, **scene: object) -> None:
+    def update(
+        self, objects: Mapping[str, object], materials: Mapping[str, object] | None = None, **scene: object
+    ) -> None:
         """Replaces (or with None removes) objects and materials; the next tick sees it."""
         section = self.source["scene"]
         for id, item in objects.items():

@@ -103,6 +103,8 @@ def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
 
     operator = load_operator(yaml_file(file))
     with daemon(ctx) as client:
-        result = client.call("set_operator", operator.to_params())
-    assert isinstance(result, dict)
+        if operator.gesture is not None:
+            result = client.set_operator(gesture=operator.gesture.to_dict())
+        else:
+            result = client.set_operator(operator.waypoints, interpolation=operator.interpolation)
     print_result(result, as_json, f"under way for {result['duration_s']:g} s")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import click
 
 from hapticd.cli.common import daemon, json_option, print_json
@@ -19,6 +21,8 @@ from hapticd.cli.common import daemon, json_option, print_json
 @click.pass_context
 def run_command(ctx: click.Context, configs: tuple[str, ...]) -> int:
     """Run the daemon in the foreground."""
+    # Before numpy is loaded: its BLAS would start a thread for each processor, and the daemon multiplies no matrices.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.daemon import run
 
     return run(configs, ctx.find_root().obj)

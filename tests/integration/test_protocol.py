@@ -130,14 +130,30 @@ BAD_PARAMS: dict[str, tuple[str, dict[str, Any], str]] = {
     "scene with NaN": ("set_scene", {"scene": wall(normal=[math.nan, 1])}, "scene.objects.table.normal[0]"),
     "scene with unknown section": ("set_scene", {"scene": {"objectz": {}}}, "scene.objectz"),
     "scene with unknown material": ("set_scene", {"scene": wall(material="x")}, "scene.objects.table.material"),
-    "negative stiffness": ("update_materials", {"materials": {"wood": {"stiffness_n_per_m": -1}}}, "materials.wood.stiffness_n_per_m"),
-    "huge integer": ("update_materials", {"materials": {"wood": {"stiffness_n_per_m": 2**64 - 1}}}, "materials.wood.stiffness_n_per_m"),
-    "two frequencies": ("update_materials", {"materials": {"wood": {"tap": {"angular_frequency_rad_per_s": 5.0}}}}, "materials.wood.tap"),
+    "negative stiffness": (
+        "update_materials",
+        {"materials": {"wood": {"stiffness_n_per_m": -1}}},
+        "materials.wood.stiffness_n_per_m",
+    ),
+    "huge integer": (
+        "update_materials",
+        {"materials": {"wood": {"stiffness_n_per_m": 2**64 - 1}}},
+        "materials.wood.stiffness_n_per_m",
+    ),
+    "two frequencies": (
+        "update_materials",
+        {"materials": {"wood": {"tap": {"angular_frequency_rad_per_s": 5.0}}}},
+        "materials.wood.tap",
+    ),
     "revision a string": ("update_scene", {"objects": {}, "expect_revision": "1"}, "expect_revision"),
     "wait a number": ("update_scene", {"objects": {}, "wait": 1}, "wait"),
     "play without a mode": ("play", {"direction": [0, 1], "amplitude_m_per_s2": 1}, ""),
     "play without direction": ("play", {"material": "wood", "direction": [0, 0], "amplitude_m_per_s2": 1}, "direction"),
-    "play NaN": ("play", {"material": "wood", "direction": [0, 1], "amplitude_m_per_s2": math.nan}, "amplitude_m_per_s2"),
+    "play NaN": (
+        "play",
+        {"material": "wood", "direction": [0, 1], "amplitude_m_per_s2": math.nan},
+        "amplitude_m_per_s2",
+    ),
     "play nothing known": ("play", {"material": "x", "direction": [0, 1], "amplitude_m_per_s2": 1}, "material"),
     "reset of nobody": ("reset", {"objects": ["nobody"]}, "objects[0]"),
     "forces maybe": ("set_forces", {"enabled": "yes"}, "enabled"),
@@ -150,7 +166,9 @@ BAD_PARAMS: dict[str, tuple[str, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("method", "params", "where"), BAD_PARAMS.values(), ids=BAD_PARAMS.keys())
-def test_bad_parameters_are_named_and_change_nothing(wire: Wire, method: str, params: dict[str, Any], where: str | None) -> None:
+def test_bad_parameters_are_named_and_change_nothing(
+    wire: Wire, method: str, params: dict[str, Any], where: str | None
+) -> None:
     scene, materials = wire.result("get_scene"), wire.result("get_materials")
     error = wire.error(method, **params)
     assert error["code"] == -32602, error
@@ -168,7 +186,13 @@ def test_every_field_fault_is_named(wire: Wire) -> None:
         "update_scene", objects={"a": {**FLOOR, "normal": [0, 0], "point_m": [99, 0]}, "b": {"kind": "spring"}, "c": 1}
     )
     places = {fault["where"] for fault in error["data"]}
-    assert {"objects.a.normal", "objects.a.point_m[0]", "objects.b.center_m", "objects.b.stiffness_n_per_m", "objects.c"} <= places
+    assert {
+        "objects.a.normal",
+        "objects.a.point_m[0]",
+        "objects.b.center_m",
+        "objects.b.stiffness_n_per_m",
+        "objects.c",
+    } <= places
 
 
 def test_unknown_method(wire: Wire) -> None:
@@ -189,7 +213,9 @@ def test_stale_revision_is_refused_and_changes_nothing(wire: Wire) -> None:
 
 def test_merge_patch_over_objects(wire: Wire) -> None:
     wire.result("set_scene", scene={"objects": {"a": FLOOR, "b": {"kind": "viscous", "damping_n_s_per_m": 1}}})
-    wire.result("update_scene", objects={"a": {"point_m": [0.0, 0.01]}, "b": None, "c": {"kind": "constant", "force_n": [0, 1]}})
+    wire.result(
+        "update_scene", objects={"a": {"point_m": [0.0, 0.01]}, "b": None, "c": {"kind": "constant", "force_n": [0, 1]}}
+    )
     objects = wire.result("get_scene")["scene"]["objects"]
     assert objects == {"a": {**FLOOR, "point_m": [0.0, 0.01]}, "c": {"kind": "constant", "force_n": [0.0, 1.0]}}
     scene = wire.result("get_scene")["scene"]
@@ -198,7 +224,9 @@ def test_merge_patch_over_objects(wire: Wire) -> None:
 
 
 def test_materials_can_be_changed_added_and_removed_but_not_from_under_an_object(wire: Wire) -> None:
-    wire.result("update_materials", materials={"rubber": {"stiffness_n_per_m": 200}, "wood": {"stiffness_n_per_m": 900}})
+    wire.result(
+        "update_materials", materials={"rubber": {"stiffness_n_per_m": 200}, "wood": {"stiffness_n_per_m": 900}}
+    )
     wire.result("update_scene", objects={"r": {**FLOOR, "material": "rubber"}})
     materials = wire.result("get_materials")["materials"]
     assert materials["rubber"]["stiffness_n_per_m"] == 200
@@ -254,10 +282,14 @@ def test_notifications_are_carried_out_and_not_answered(wire: Wire) -> None:
 
 def test_play_and_reset_answer_with_their_tick(wire: Wire) -> None:
     first = wire.result("play", material="wood", direction=[0, 1], amplitude_m_per_s2=3)
-    second = wire.result("play", mode={"frequency_hz": 100, "decay_time_s": 0.01}, direction=[1, 1], amplitude_m_per_s2=3)
+    second = wire.result(
+        "play", mode={"frequency_hz": 100, "decay_time_s": 0.01}, direction=[1, 1], amplitude_m_per_s2=3
+    )
     assert second["tick"] > first["tick"]
     assert first["displayed_hz"] == pytest.approx(67)
-    high = wire.result("play", mode={"frequency_hz": 4500, "decay_time_s": 0.01}, direction=[1, 1], amplitude_m_per_s2=3)
+    high = wire.result(
+        "play", mode={"frequency_hz": 4500, "decay_time_s": 0.01}, direction=[1, 1], amplitude_m_per_s2=3
+    )
     assert high["displayed_hz"] is None
     assert wire.result("reset")["tick"] >= second["tick"]
 
@@ -270,18 +302,56 @@ def test_ring_full_takes_nothing(wire: Wire) -> None:
     wire.result("set_scene", scene={"objects": {"floor": FLOOR}})
 
 
-scalars = st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(max_size=20) | st.binary(max_size=20)
+scalars = (
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats()
+    | st.text(max_size=20)
+    | st.binary(max_size=20)
+)
 trees = st.recursive(
-    scalars, lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=10), inner, max_size=4), max_leaves=12
+    scalars,
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=10), inner, max_size=4),
+    max_leaves=12,
 )
 METHODS = [
-    "get_status", "get_scene", "set_scene", "update_scene", "get_materials", "update_materials",
-    "play", "reset", "lease", "set_operator", "nonsense",
+    "get_status",
+    "get_scene",
+    "set_scene",
+    "update_scene",
+    "get_materials",
+    "update_materials",
+    "play",
+    "reset",
+    "lease",
+    "set_operator",
+    "nonsense",
 ]
 NAMES = [
-    "scene", "objects", "materials", "expect_revision", "wait", "mode", "material", "direction",
-    "amplitude_m_per_s2", "waypoints", "gesture", "interpolation", "display", "ramp_s", "kind", "normal", "point_m",
-    "wood", "floor", "stiffness_n_per_m", "tap", "wall", "token",
+    "scene",
+    "objects",
+    "materials",
+    "expect_revision",
+    "wait",
+    "mode",
+    "material",
+    "direction",
+    "amplitude_m_per_s2",
+    "waypoints",
+    "gesture",
+    "interpolation",
+    "display",
+    "ramp_s",
+    "kind",
+    "normal",
+    "point_m",
+    "wood",
+    "floor",
+    "stiffness_n_per_m",
+    "tap",
+    "wall",
+    "token",
 ]
 keys = st.sampled_from(NAMES) | st.text(max_size=5)
 params = st.recursive(
@@ -311,7 +381,9 @@ def test_fuzz_bytes(daemon: Daemon, body: bytes) -> None:
 
 def test_fuzz_structures(wire: Wire) -> None:
     @settings(max_examples=1500)
-    @given(method=st.sampled_from(METHODS) | st.text(max_size=5), params=st.dictionaries(keys, params, max_size=4) | trees)
+    @given(
+        method=st.sampled_from(METHODS) | st.text(max_size=5), params=st.dictionaries(keys, params, max_size=4) | trees
+    )
     def fuzz(method: str, params: object) -> None:
         check_answered(wire, msgpack.packb({"jsonrpc": "2.0", "id": 1, "method": method, "params": params}))
 

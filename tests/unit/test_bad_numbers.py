@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from hapticd import InvalidError, render
 from hapticd.core import EventKind, Fault, Flag, Status, ffi, invalid_reason, lib
-
 from tests.rig import FLOOR, SKIN, Rig, line, still
 
 
@@ -74,7 +74,7 @@ FIELDS = [
     ("membranes[0].rupture.angular_frequency_rad_per_s", [-1.0, np.nan]),
     ("membranes[0].key.slot", [0]),  # the wall's
     ("period_s", [0.0, -1.0, np.nan, np.inf]),
-    ("max_force_n", [-1.0, np.nan, np.inf]),
+    ("max_force_n", [-1.0, 0.0, np.nan, np.inf]),
     ("max_speed_m_per_s", [0.0, np.nan]),
     ("ramp_s", [0.0, np.nan, 1.0]),
     ("field.force_n[0]", [np.nan, np.inf]),

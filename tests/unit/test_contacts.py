@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from hapticd.core import EventKind, Flag, lib
 from hapticd.materials import shipped_materials
-
 from tests.rig import FLOOR, SKIN, Rig, line, still
 
 RATE = 10_000

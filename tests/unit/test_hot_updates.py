@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from hapticd.core import EventKind, Flag, lib
 from hapticd.materials import shipped_materials
-
 from tests.rig import FLOOR, SKIN, Rig, line, still
 
 RATE = 10_000
@@ -79,9 +79,15 @@ def test_ringing_contact_and_puncture_survive_updates() -> None:
     slot, _ = rig.compiler.slot_of("skin") or (0, 0)
     stretches, tapped = [], []
     for n in range(80):
-        rig.update({"w": {**FLOOR, "point_m": [0, -0.01], "material": ["wood", "wood2"][n % 2]}}, {
-            "wood2": {"stiffness_n_per_m": 810, "tap": {"attack_slope_per_s": 309, "frequency_hz": 67, "decay_time_s": 0.00648}}
-        })
+        rig.update(
+            {"w": {**FLOOR, "point_m": [0, -0.01], "material": ["wood", "wood2"][n % 2]}},
+            {
+                "wood2": {
+                    "stiffness_n_per_m": 810,
+                    "tap": {"attack_slope_per_s": 309, "frequency_hz": 67, "decay_time_s": 0.00648},
+                }
+            },
+        )
         height = -0.0099 + 1e-5 - 0.1 * (5 * n + np.arange(5)) / RATE
         height = np.maximum(height, -0.0115)
         stretches.append(rig.render(np.column_stack([np.zeros(5), height])))

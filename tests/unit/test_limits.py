@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hapticd.core import EventKind, Flag
-from hapticd.materials import shipped_materials
 
-from tests.rig import FLOOR, Rig, line, still
+from hapticd.core import EventKind, Flag, Status, lib
+from hapticd.materials import shipped_materials
+from tests.rig import FLOOR, Rig, line
 
 RATE = 10_000
 
@@ -90,7 +90,13 @@ def test_limit_holds_for_anything(rng_seed: int = 5) -> None:
         }
         for i in range(8)
     }
-    walls["skin"] = {"kind": "membrane", "center_m": [0, 0], "normal": [1, 1], "width_m": 0.02, "material": "cellophane"}
+    walls["skin"] = {
+        "kind": "membrane",
+        "center_m": [0, 0],
+        "normal": [1, 1],
+        "width_m": 0.02,
+        "material": "cellophane",
+    }
     walls["pull"] = {"kind": "spring", "center_m": [0.1, 0], "stiffness_n_per_m": 1000}
     rig = Rig(walls, device={"effective_mass_kg": 0.2, "max_force_n": 4, "max_speed_m_per_s": 1000})
     path = np.cumsum(rng.normal(0, 1e-3, (20_000, 2)), axis=0) * 0.2
@@ -100,10 +106,8 @@ def test_limit_holds_for_anything(rng_seed: int = 5) -> None:
     assert force.max() <= 4
 
 
-def test_limit_of_zero_gives_no_force() -> None:
-    rig = Rig({"w": FLOOR}, device={"max_force_n": 0.01})
-    rig.table.max_force_n = 0.0
-    samples = rig.render(line(0.0005, 0.1, 300))
-    assert not np.any(samples["force_n"])
-    assert np.all(np.isfinite(samples["vibration_force_n"]))
-    assert not np.any(rig.render(still(0, 0.01, 400))["force_n"])
+def test_limit_that_is_no_limit_is_refused() -> None:
+    for limit in (0.0, 1e-7, -1.0, 1e7):
+        rig = Rig({"w": FLOOR})
+        rig.table.max_force_n = limit
+        assert lib.hd_table_check(rig.table, 64) == Status.ERR_INVALID

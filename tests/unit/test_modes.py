@@ -5,10 +5,10 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
+
 from hapticd import compile as compiling
 from hapticd.core import EventKind, Flag
 from hapticd.materials import Mode, shipped_materials
-
 from tests.rig import FLOOR, Rig, line
 
 RATES = [1000, 1333, 2000, 3000, 4000, 5000, 7000, 8000, 10_000]
@@ -26,7 +26,9 @@ def modes() -> list[tuple[str, Mode, float]]:
     return found
 
 
-def one_strike(mode: Mode, slope: float, rate_hz: float, ticks: int, undisplayable: str = "mute") -> tuple[np.ndarray, float]:
+def one_strike(
+    mode: Mode, slope: float, rate_hz: float, ticks: int, undisplayable: str = "mute"
+) -> tuple[np.ndarray, float]:
     """A strike of the mode in mid-tick: samples from the striking tick on, and its speed. Speeds are given."""
     material = {
         "stiffness_n_per_m": 0,
@@ -58,7 +60,9 @@ def test_rotor_against_arbitrary_precision(rate_hz: float) -> None:
         ticks = int(6 / mode.decay_rate_per_s * rate_hz) + 3
         samples, speed = one_strike(mode, slope, rate_hz, ticks)
         coefficient = mpmath.mpf(MASS) * slope * mpmath.mpf(speed)
-        period, decay, omega = (mpmath.mpf(x) for x in (1 / rate_hz, mode.decay_rate_per_s, mode.angular_frequency_rad_per_s))
+        period, decay, omega = (
+            mpmath.mpf(x) for x in (1 / rate_hz, mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
+        )
         peak = float(coefficient) * mode.peak
         heard = samples["vibration_force_n"][:, 1]
         for k in range(ticks):
@@ -119,13 +123,13 @@ def test_overlapping_taps_are_the_sum_of_their_closed_forms() -> None:
     closed = np.zeros_like(t)
     for onset, v in zip(onsets, speeds, strict=True):
         crossing = np.flatnonzero((height[:-1] > 0) & (height[1:] <= 0))
-        independent = [
-            (k + height[k] / (height[k] - height[k + 1])) / rate for k in crossing
-        ]
+        independent = [(k + height[k] / (height[k] - height[k + 1])) / rate for k in crossing]
         assert min(abs(onset - i) for i in independent) < 1e-12
         since = t - onset
         a = MASS * material.tap.attack_slope_per_s * v
-        closed += np.where(since >= 0, a * np.exp(-mode.decay_rate_per_s * since) * np.sin(mode.angular_frequency_rad_per_s * since), 0)
+        closed += np.where(
+            since >= 0, a * np.exp(-mode.decay_rate_per_s * since) * np.sin(mode.angular_frequency_rad_per_s * since), 0
+        )
     closed[t - onsets[-1] > 5 / mode.decay_rate_per_s] = 0.0
     peak = MASS * material.tap.attack_slope_per_s * speed * mode.peak
     assert np.max(np.abs(samples["vibration_force_n"][:, 1] - closed)) <= 1e-6 * peak
@@ -170,14 +174,20 @@ def test_modes_beyond_the_rate_are_muted_or_lowered_never_aliased(rate_hz: float
     assert shown.frequency_hz == pytest.approx(0.4 * rate_hz)
     # The same peak, computed independently by a fine scan of both closed forms.
     t = np.linspace(0, 0.01, 2_000_001)
+
     def scan(m: Mode) -> float:
         return float(np.max(np.exp(-m.decay_rate_per_s * t) * np.sin(m.angular_frequency_rad_per_s * t)))
+
     assert factor * scan(shown) == pytest.approx(scan(mode), rel=1e-6)
     lowered, speed = one_strike(mode, steel.attack_slope_per_s, rate_hz, ticks, "lower")
     since = (np.arange(ticks) + 0.5) / rate_hz
     closed = (
-        MASS * steel.attack_slope_per_s * speed * factor
-        * np.exp(-mode.decay_rate_per_s * since) * np.sin(0.8 * np.pi * rate_hz * since)
+        MASS
+        * steel.attack_slope_per_s
+        * speed
+        * factor
+        * np.exp(-mode.decay_rate_per_s * since)
+        * np.sin(0.8 * np.pi * rate_hz * since)
     )
     closed[since > 5 / mode.decay_rate_per_s] = 0.0
     assert np.allclose(lowered["vibration_force_n"][:, 1], closed, rtol=0, atol=1e-12 * abs(closed).max() + 1e-300)

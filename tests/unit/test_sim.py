@@ -96,7 +96,7 @@ def new_path(waypoints: Waypoints, interpolation: Interpolation = Interpolation.
     return ffi.gc(made, lib.hd_operator_free)
 
 
-# ---- references -----------------------------------------------------------------------------------------------
+# ---- references ------------------------------------------------------------------------------------------
 
 MINIMUM_JERK = {3: 10, 4: -15, 5: 6}
 STRAIGHT = {1: 1}
@@ -175,7 +175,9 @@ HANDS = {
     "no hand": Device(hand_mass_kg=0, handle_damping_n_s_per_m=0.5),
     "free": Device(hand_mass_kg=0),
     "weak spring": Device(hand_stiffness_n_per_m=1e-6, hand_damping_n_s_per_m=1),
-    "stiff and light": Device(handle_mass_kg=0.002, hand_mass_kg=0, hand_stiffness_n_per_m=9e4, hand_damping_n_s_per_m=30),
+    "stiff and light": Device(
+        handle_mass_kg=0.002, hand_mass_kg=0, hand_stiffness_n_per_m=9e4, hand_damping_n_s_per_m=30
+    ),
 }
 
 
@@ -220,7 +222,7 @@ def test_an_equilibrium_is_kept_to_the_last_bits(hand: str) -> None:
         joystick = Joystick(device)
         joystick.put(0.5)
         joystick.advance(1_000_000)
-        # It creeps until a step adds less than half of the last bit (1e-18): within ulp/2 * B/(k h) of the goal.
+        # It creeps until a step adds less than half of the last bit: within ulp/2 * B/(k h) of the goal.
         assert joystick.x == pytest.approx(0.5 / device.hand_stiffness_n_per_m, abs=1e-14)
 
 
@@ -231,7 +233,13 @@ EVENTFUL = Device(
     hand_damping_n_s_per_m=1,
     workspace_m=0.04,
 )
-TOUR = [(0.0101, 0.03, 0.01), (0.0502, -0.06, 0.011), (0.1303, 0.06, 0.012), (0.1404, 0.0, 0.04), (0.2, 0.0, 0.0)]
+TOUR = [
+    (0.0101, 0.03, 0.01),
+    (0.0502, -0.06, 0.011),
+    (0.1303, 0.06, 0.012),
+    (0.1404, 0.0, 0.04),
+    (0.2, 0.0, 0.0),
+]
 
 
 @pytest.mark.parametrize("interpolation", list(Interpolation))
@@ -278,7 +286,7 @@ def test_many_periods_at_once(chunk: int, interval_s: float, delay_s: float) -> 
         assert got[2] == pytest.approx(expected[2], abs=1e-11)
 
 
-# ---- friction ---------------------------------------------------------------------------------------------------
+# ---- friction --------------------------------------------------------------------------------------------
 
 
 def test_friction_alone_stops_a_block_where_its_energy_is_spent() -> None:
@@ -427,8 +435,7 @@ def test_energy_is_never_created() -> None:
         assert np.diff(energies).max() <= 1e-13 * energies[0]
 
 
-
-# ---- stops --------------------------------------------------------------------------------------------------------
+# ---- stops -----------------------------------------------------------------------------------------------
 
 
 def test_a_stop_takes_the_energy_and_lets_go() -> None:
@@ -482,7 +489,7 @@ def test_an_oscillation_that_touches_a_stop_within_a_period() -> None:
     assert joystick.x == pytest.approx(expected, abs=1e-15)
 
 
-# ---- actuator -------------------------------------------------------------------------------------------------------
+# ---- actuator --------------------------------------------------------------------------------------------
 
 
 def test_the_actuator_limits_rounds_and_refuses_what_is_no_number() -> None:
@@ -527,7 +534,7 @@ def test_a_force_expires_by_itself(period_s: float, chunk: int) -> None:
     assert joystick.force == [0.5, 0.0]
 
 
-# ---- encoder and reports ------------------------------------------------------------------------------------------
+# ---- encoder and reports ---------------------------------------------------------------------------------
 
 
 def test_positions_are_the_nearest_steps() -> None:
@@ -537,7 +544,7 @@ def test_positions_are_the_nearest_steps() -> None:
     seen = set()
     for _ in range(1000):
         joystick.advance()
-        position, interval_s, velocity = joystick.read()
+        position, _, velocity = joystick.read()
         exact, true_velocity, _ = joystick.truth()
         for got, true in zip(position, exact, strict=True):
             assert abs(got - true) <= step / 2 * (1 + 1e-9)
@@ -585,11 +592,11 @@ def test_reports_come_when_they_are_due(interval_ticks: float, delay_ticks: floa
     for tick in range(1, 200):
         joystick.advance()
         position, interval, velocity = joystick.read()
-        # Equal times are ready: 1e-6 of a period is far above rounding and far below any real difference here.
+        # Equal times are ready: 1e-6 of a period is far above rounding and below any real difference.
         number = max(0, math.floor((tick - delay_ticks) / interval_ticks + 1e-6))
         made_s = number * interval_ticks * PERIOD_S
         assert interval == pytest.approx((number - last) * interval_ticks * PERIOD_S, rel=1e-13)
-        # Report times are counted in 2^-24 of a period, so a clock of reports may be wrong by that much a report.
+        # Report times are counted in 2^-24 of a period: their clock may be wrong by that much a report.
         late_s = number * 2**-24 * PERIOD_S if interval_ticks == 7 / 3 else 0.0
         travelled = acceleration * made_s**2 / 2
         assert position[0] + 0.05 == pytest.approx(travelled, abs=1e-15 + acceleration * made_s * late_s)
@@ -597,7 +604,7 @@ def test_reports_come_when_they_are_due(interval_ticks: float, delay_ticks: floa
         last = number
 
 
-# ---- the hand's wish ------------------------------------------------------------------------------------------------
+# ---- the hand's wish -------------------------------------------------------------------------------------
 
 
 def wish_of(joystick: Joystick) -> list[float]:
@@ -658,7 +665,12 @@ def test_nothing_decays_into_subnormal_numbers() -> None:
     for device in (
         Device(hand_stiffness_n_per_m=300, hand_damping_n_s_per_m=5, start_m=(0.01, -0.02)),
         Device(handle_damping_n_s_per_m=5, hand_damping_n_s_per_m=5, start_m=(0.01, -0.02)),
-        Device(hand_stiffness_n_per_m=30, hand_damping_n_s_per_m=9, coulomb_friction_n=1e-12, start_m=(0.01, -0.02)),
+        Device(
+            hand_stiffness_n_per_m=30,
+            hand_damping_n_s_per_m=9,
+            coulomb_friction_n=1e-12,
+            start_m=(0.01, -0.02),
+        ),
     ):
         joystick = Joystick(device, 1e-3)
         joystick.operate([(0, 0, 0)])
@@ -672,7 +684,7 @@ def test_nothing_decays_into_subnormal_numbers() -> None:
         assert max(map(abs, velocity)) < 1e-20
 
 
-# ---- what is refused ------------------------------------------------------------------------------------------------
+# ---- what is refused -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -710,7 +722,7 @@ def test_a_device_too_light_for_its_rate() -> None:
     with pytest.raises(ValueError, match="too light"):
         Joystick(Device(handle_mass_kg=1e-6, hand_mass_kg=0, hand_damping_n_s_per_m=100))
     for period_s in (0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(ValueError, match="^period_s"):
+        with pytest.raises(ValueError, match=r"^period_s"):
             Joystick(Device(), period_s)
 
 

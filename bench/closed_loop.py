@@ -1,0 +1,464 @@
+"""The closed loop against its continuous closed form (error over rate), and what is rendered against references.
+
+The loop is `hapticd.simulate` without what is not the hold's doing: no encoder step, no dry friction, no rounding of the
+force, no vibration. A hand draws a mass onto a wall; along the normal
+
+    M y'' = k (w - y) + b_h (w' - y') - b y' + F,        F = -K y - D y' inside the wall, 0 outside,
+
+with the hand's wish w a straight line in time. Every stretch between two events has the closed form
+
+    y(t) = alpha + beta t + c1 exp(p1 t) + c2 exp(p2 t),      M p^2 + (b + b_h + D) p + (k + K) = 0.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import hapticd
+from bench.report import Advance, Floats, Options, Section, Table
+from bench.tick import FLOOR, Stretch, walls
+from hapticd.core import EventKind
+from hapticd.materials import Mode, shipped_materials
+from hapticd.offline import render_run, simulate_run
+
+RATES_HZ = (1000.0, 2000.0, 5000.0, 10_000.0)
+PHASES = 16
+"""Onsets at as many places within a tick; what is told is the worst."""
+SUBTICKS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """A hand on a handle in front of a wall at y = 0. SI units."""
+
+    stiffness: float
+    damping: float = 0.0
+    mass: float = 0.05
+    handle_damping: float = 0.2
+    hand_stiffness: float = 300.0
+    hand_damping: float = 5.0
+    start: float = 0.004
+    speed: float = 0.1
+    moving_s: float = 0.12
+    resting_s: float = 0.05
+
+    @property
+    def lasting_s(self) -> float:
+        """How long a run lasts: the wish moves, then rests."""
+        return self.moving_s + self.resting_s
+
+    def waypoints(self) -> list[list[float]]:
+        """The hand's wish [t_s, x_m, y_m]."""
+        end = self.start - self.speed * self.moving_s
+        return [[0.0, 0.0, self.start], [self.moving_s, 0.0, end], [self.lasting_s, 0.0, end]]
+
+
+class Stretched:
+    """The closed form of one stretch: the wish is `wish + rate t`, the motion begins at y, v."""
+
+    def __init__(self, loop: Loop, inside: bool, wish: float, rate: float, y: float, v: float) -> None:
+        mass = loop.mass
+        damping = loop.handle_damping + loop.hand_damping + (loop.damping if inside else 0.0)
+        stiffness = loop.hand_stiffness + (loop.stiffness if inside else 0.0)
+        self.beta = loop.hand_stiffness * rate / stiffness
+        self.alpha = (loop.hand_stiffness * wish + loop.hand_damping * rate - damping * self.beta) / stiffness
+        root = np.sqrt(complex(damping * damping - 4 * mass * stiffness))
+        self.p = np.array([(-damping + root) / (2 * mass), (-damping - root) / (2 * mass)])
+        self.c = np.linalg.solve(np.array([[1, 1], self.p]), np.array([y - self.alpha, v - self.beta], dtype=complex))
+
+    def at(self, time_s: Floats | float) -> tuple[Floats, Floats]:
+        """Position and velocity, each of the shape of `time_s`."""
+        t = np.asarray(time_s, dtype=np.float64)
+        grown = self.c * np.exp(t[..., None] * self.p)
+        y: Floats = self.alpha + self.beta * t + grown.sum(-1).real
+        v: Floats = self.beta + (grown * self.p).sum(-1).real
+        return y, v
+
+
+class Continuous:
+    """The whole run: free, inside under a moving wish, inside under a resting one. It must not let go of the wall."""
+
+    def __init__(self, loop: Loop, onset: tuple[float, float] | None = None) -> None:
+        """`onset`: time and velocity of the onset, where they are not the loop's own."""
+        self.loop = loop
+        free = Stretched(loop, False, loop.start, -loop.speed, loop.start, 0.0)
+        if onset is None:
+            low, high = 0.0, loop.moving_s
+            while high - low > 1e-16:
+                middle = 0.5 * (low + high)
+                if middle in (low, high):
+                    break
+                low, high = (middle, high) if free.at(middle)[0] > 0 else (low, middle)
+            onset = high, float(free.at(high)[1])
+        self.onset_s = onset[0]
+        wish = loop.start - loop.speed * self.onset_s
+        pressed = Stretched(loop, True, wish, -loop.speed, 0.0, onset[1])
+        y, v = pressed.at(loop.moving_s - self.onset_s)
+        held = Stretched(loop, True, loop.start - loop.speed * loop.moving_s, 0.0, float(y), float(v))
+        self._stretches = ((0.0, free), (self.onset_s, pressed), (loop.moving_s, held))
+
+    def at(self, time_s: Floats) -> tuple[Floats, Floats, Floats]:
+        """Position, velocity and the wall's force at times [n]."""
+        y, v = np.empty_like(time_s), np.empty_like(time_s)
+        begins = [begin for begin, _ in self._stretches]
+        which = np.searchsorted(begins, time_s, side="right") - 1
+        for index, (begin, stretch) in enumerate(self._stretches):
+            here = which == index
+            y[here], v[here] = stretch.at(time_s[here] - begin)
+        force: Floats = np.where(which > 0, -self.loop.stiffness * y - self.loop.damping * v, 0.0)
+        return y, v, force
+
+
+def simulated(loop: Loop, rate_hz: float, delay_s: float = 0.0) -> tuple[Floats, Floats, Floats]:
+    """The servo in the loop: times [n], the handle's true height [n], the force along the normal [n]."""
+    hand_mass = 0.2 * loop.mass
+    config = {
+        "device": {
+            "max_force_n": 100,
+            "sim": {
+                "handle_mass_kg": loop.mass - hand_mass,
+                "handle_damping_n_s_per_m": loop.handle_damping,
+                "coulomb_friction_n": 0,
+                "encoder_step_m": 0,
+                "force_step_n": 0,
+                "max_force_n": 100,
+                "report_delay_s": delay_s,
+                "hand": {
+                    "mass_kg": hand_mass,
+                    "stiffness_n_per_m": loop.hand_stiffness,
+                    "damping_n_s_per_m": loop.hand_damping,
+                },
+            },
+        },
+        "materials": {"plain": {"stiffness_n_per_m": loop.stiffness, "damping_n_s_per_m": loop.damping}},
+        "scene": {"objects": {"floor": FLOOR}, "display": {"force": True, "vibration": False}},
+    }
+    run = simulate_run(config, loop.waypoints(), loop.lasting_s, rate_hz)
+    assert run.truth is not None
+    time_s = np.arange(len(run.samples)) / rate_hz
+    return time_s, run.truth[:, 1].copy(), run.samples["force_n"][:, 1].copy()
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """Worst over the onset's place in the tick; force in N, penetration in m."""
+
+    force_n: float
+    """Largest difference of the force at a tick."""
+    penetration_m: float
+    """Largest difference of the penetration at a tick."""
+    held_n: float
+    """Mean absolute difference, between ticks too, of the force that is held from the one at that time."""
+
+
+def placed(loop: Loop, rate_hz: float, phase: int) -> Loop:
+    """The same approach, its onset moved within the tick."""
+    return dataclasses.replace(loop, start=loop.start + loop.speed / rate_hz * phase / PHASES)
+
+
+def error(loop: Loop, rate_hz: float, delay_periods: int = 0) -> Error:
+    """Servo less closed form, from the onset on."""
+    worst = np.zeros(3)
+    for phase in range(PHASES):
+        case = placed(loop, rate_hz, phase)
+        truth = Continuous(case)
+        time_s, y, force = simulated(case, rate_hz, delay_periods / rate_hz)
+        y_true, _, force_true = truth.at(time_s)
+        # The middles of SUBTICKS parts of each tick.
+        between = (time_s[:, None] + (np.arange(SUBTICKS) + 0.5) / SUBTICKS / rate_hz).ravel()
+        inside = between > truth.onset_s
+        held = np.abs(np.repeat(force, SUBTICKS) - truth.at(between)[2])[inside]
+        found = (np.abs(force - force_true).max(), np.abs(y - y_true).max(), held.mean())
+        worst = np.maximum(worst, found)
+    return Error(*worst.tolist())
+
+
+def without_hold(loop: Loop, rate_hz: float) -> float:
+    """Largest difference in penetration from a continuous loop whose wall has K T/2 less damping, m (D = 0).
+
+    A held force is on average T/2 old: K y(t - T/2) is K y - (K T/2) y' to first order. What is left is of second order.
+    """
+    worst = 0.0
+    for phase in range(PHASES):
+        case = placed(loop, rate_hz, phase)
+        aged = dataclasses.replace(case, damping=-case.stiffness / rate_hz / 2)
+        time_s, y, _ = simulated(case, rate_hz)
+        worst = max(worst, float(np.abs(y - Continuous(aged).at(time_s)[0]).max()))
+    return worst
+
+
+def order(rates_hz: tuple[float, ...], errors: list[float]) -> float:
+    """The exponent of T in the errors: slope of a line through the logarithms."""
+    return float(-np.polyfit(np.log(rates_hz), np.log(errors), 1)[0])
+
+
+LOOPS = {
+    "K = 800 N/m": Loop(800.0),
+    "K = 800 N/m, D = 2 N s/m": Loop(800.0, 2.0),
+    "K = 2000 N/m": Loop(2000.0),
+    "K = 2000 N/m, D = 2 N s/m": Loop(2000.0, 2.0),
+}
+
+
+def peaks(loop: Loop) -> tuple[float, float]:
+    """Largest force and penetration of the closed form."""
+    y, _, force = Continuous(loop).at(np.linspace(0, loop.lasting_s, 20_001))
+    return float(force.max()), float(-y.min())
+
+
+def _loop_table(name: str, loop: Loop, delay_periods: int = 0) -> tuple[Table, list[Error]]:
+    errors = [error(loop, rate, delay_periods) for rate in RATES_HZ]
+    force, depth = peaks(loop)
+    rows = [
+        [
+            f"{rate:.0f}",
+            f"{1e3 * e.force_n:.2f} ({100 * e.force_n / force:.2f} %)",
+            f"{1e6 * e.penetration_m:.2f} ({100 * e.penetration_m / depth:.2f} %)",
+            f"{1e3 * e.held_n:.2f}",
+        ]
+        for rate, e in zip(RATES_HZ, errors, strict=True)
+    ]
+    columns = ([e.force_n for e in errors], [e.penetration_m for e in errors], [e.held_n for e in errors])
+    rows.append(["order in T", *(f"{order(RATES_HZ, values):.2f}" for values in columns)])
+    late = f", reports {delay_periods} tick old" if delay_periods else ""
+    caption = f"{name}{late} (peaks of the closed form: {force:.2f} N, {1e3 * depth:.2f} mm)"
+    heads = ["rate, Hz", "force at ticks, mN", "penetration at ticks, um", "held force, mean over time, mN"]
+    return Table(caption, heads, rows), errors
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """Error against the cost of the tick, for the report on speed."""
+    loop = LOOPS["K = 800 N/m, D = 2 N s/m"]
+    force, depth = peaks(loop)
+    stretch = Stretch(walls(1, "plain"), -0.001, estimate=True)
+    stretch.enter()
+    stretch.render(50)
+    tick_ns = float(np.median(stretch.timed(options.few(4000, 400))))
+    rows = []
+    for index, rate in enumerate(RATES_HZ):
+        e = error(loop, rate)
+        cells = [f"{100 * e.force_n / force:.2f} %", f"{100 * e.penetration_m / depth:.2f} %"]
+        rows.append([f"{rate:.0f} Hz", *cells, f"{tick_ns * rate / 1e6:.3f}"])
+        advance((index + 1) / len(RATES_HZ), f"{rate:.0f} Hz")
+    return Section(
+        "Error against cost",
+        [
+            f"The closed loop of a hand on a wall of K = {loop.stiffness:g} N/m, D = {loop.damping:g} N s/m against its "
+            f"closed form (docs/accuracy.md), and the tick's own work, {tick_ns:.0f} ns warm, at that rate.",
+            Table(
+                "Largest error at ticks, of the peak; processor time, ms a second",
+                ["rate", "force", "penetration", "processor"],
+                rows,
+            ),
+        ],
+    )
+
+
+# ---- What is rendered against references ---------------------------------------------------------------------------
+
+
+def _modes() -> list[tuple[str, Mode]]:
+    found = []
+    for name, material in shipped_materials().items():
+        if material.tap is not None:
+            found.append((name, material.tap.mode))
+        if material.rupture is not None:
+            found.append((name, material.rupture.mode))
+    return found
+
+
+def rotor_error(rate_hz: float) -> tuple[float, int, bool]:
+    """Every mode of the library that the rate can carry, over its five decay times, against 40 digits.
+
+    The worst difference over the peak, how many modes there were, and whether each was exactly zero after.
+    """
+    import mpmath
+
+    worst, count, silent = 0.0, 0, True
+    mass, slope = 0.05, 256.0
+    with mpmath.workdps(40):
+        for _, mode in _modes():
+            if mode.frequency_hz > 0.4 * rate_hz:
+                continue
+            count += 1
+            tap = {
+                "attack_slope_per_s": slope,
+                "angular_frequency_rad_per_s": mode.angular_frequency_rad_per_s,
+                "decay_rate_per_s": mode.decay_rate_per_s,
+            }
+            ticks = int(6 / mode.decay_rate_per_s * rate_hz) + 3
+            # Half way between two samples, exactly.
+            path = np.full((ticks + 1, 2), [0.0, -(2.0**-12)])
+            path[0, 1] = 2.0**-12
+            speeds = np.full((ticks + 1, 2), [0.0, -(2.0**-6)])
+            config = _config({"stiffness_n_per_m": 0, "tap": tap}, mass)
+            heard = hapticd.render(config, path, rate_hz, velocity_m_per_s=speeds)["vibration_force_n"][1:, 1]
+            decay, omega = mpmath.mpf(mode.decay_rate_per_s), mpmath.mpf(mode.angular_frequency_rad_per_s)
+            force = mpmath.mpf(mass) * slope * mpmath.mpf(2) ** -6
+            peak_s = mpmath.atan(omega / decay) / omega
+            peak = force * mpmath.exp(-decay * peak_s) * mpmath.sin(omega * peak_s)
+            for tick, value in enumerate(heard):
+                since = (tick + mpmath.mpf(1) / 2) / mpmath.mpf(rate_hz)
+                if abs(since * decay - 5) < 1e-12:
+                    continue  # a tick on the very cut falls on either side of it by rounding
+                if since * decay > 5:
+                    silent &= bool(value == 0)
+                    continue
+                true = force * mpmath.exp(-decay * since) * mpmath.sin(omega * since)
+                worst = max(worst, float(abs(mpmath.mpf(float(value)) - true) / peak))
+    return worst, count, silent
+
+
+def _config(material: dict[str, Any], mass_kg: float) -> dict[str, object]:
+    return {
+        "device": {"effective_mass_kg": mass_kg, "max_force_n": 100},
+        "materials": {"m": material},
+        "scene": {"objects": {"floor": {**FLOOR, "material": "m"}}},
+    }
+
+
+def approach_error(rate_hz: float) -> tuple[float, float, float, float]:
+    """Straight approaches at 0.13 m/s to the seven materials that can be tapped, velocities estimated.
+
+    Worst of: vibration over the peak of the closed form; onset, s; speed at the onset, relative; wall force, relative.
+    """
+    speed, mass, start = 0.13, 0.05, 0.00123
+    worst = np.zeros(4)
+    for name, material in shipped_materials().items():
+        if material.tap is None or material.rupture is not None:
+            continue
+        count = round(0.2 * rate_hz)
+        time_s = np.arange(count) / rate_hz
+        path = np.stack((np.zeros(count), start - speed * time_s), 1)
+        config = _config({}, mass) | {"materials": {}}
+        config["scene"] = {"objects": {"floor": {**FLOOR, "material": name}}}
+        run = render_run(config, path, rate_hz)
+        (event,) = run.events[run.events["kind"] == EventKind.CONTACT]
+        onset_s = start / speed
+        mode = material.tap.mode
+        if mode.frequency_hz > 0.4 * rate_hz:
+            continue
+        since = time_s - onset_s
+        sounds = (since >= 0) & (since <= 5 / mode.decay_rate_per_s)
+        decayed = np.exp(-mode.decay_rate_per_s * since, where=sounds, out=np.zeros(count))
+        form = decayed * np.sin(mode.angular_frequency_rad_per_s * since)
+        coefficient = mass * mode.coefficient(material.tap.attack_slope_per_s * speed, material.tap.attack)
+        # The last tick may fall on either side of the cut within rounding.
+        judged = np.abs(since - 5 / mode.decay_rate_per_s) > 1e-9
+        peak = coefficient * np.abs(form).max()
+        vibration = np.abs(run.samples["vibration_force_n"][:, 1] - coefficient * form)[judged].max() / peak
+        depth = np.maximum(0.0, -path[:, 1])
+        wall = material.stiffness_n_per_m * depth
+        moving = -np.diff(path[:, 1], prepend=path[0, 1]) * rate_hz
+        wall = np.where(depth > 0, wall + material.damping_n_s_per_m * moving, 0.0)
+        contact = run.samples["contact_force_n"][:, 1]
+        found = (
+            vibration,
+            abs(event["time_ns"] / 1e9 - event["before_tick_s"] - onset_s),
+            abs(event["speed_m_per_s"] / speed - 1),
+            np.abs(contact - wall).max() / wall.max(),
+        )
+        worst = np.maximum(worst, found)
+    return tuple(worst.tolist())
+
+
+def handle_error(rate_hz: float) -> float:
+    """The simulated handle in free motion against the closed form, largest difference over the way gone."""
+    loop = Loop(0.0)
+    time_s, y, _ = simulated(loop, rate_hz)
+    truth = Continuous(loop)
+    return float(np.abs(y - truth.at(time_s)[0]).max() / loop.start)
+
+
+def accuracy(options: Options, advance: Advance) -> list[Section]:
+    """The sections of docs/accuracy.md: all of it computed anew."""
+    rates = (8000.0, 10_000.0)
+    rotor_rates = (1000.0, 2000.0, 4000.0, 8000.0, 10_000.0)
+    rotors = [rotor_error(rate) for rate in rotor_rates]
+    advance(0.3, "modes")
+    approaches = np.max([approach_error(rate) for rate in rates], axis=0)
+    handle = max(handle_error(rate) for rate in RATES_HZ)
+    rendered = Section(
+        "What is rendered",
+        [
+            "Without quantisation, against references that are computed independently.",
+            Table(
+                "Worst figures",
+                ["quantity", "worst error", "aim", "over"],
+                [
+                    [
+                        "ringing mode, of its peak",
+                        f"{max(worst for worst, _, _ in rotors):.1e}",
+                        "1e-12",
+                        f"all modes of the library that the rate carries, {rotor_rates[0]:.0f} to "
+                        f"{rotor_rates[-1]:.0f} Hz, {sum(count for _, count, _ in rotors)} in all, five decay times; "
+                        f"arbitrary precision",
+                    ],
+                    [
+                        "the same after five decay times",
+                        "exactly 0" if all(silent for _, _, silent in rotors) else "**not 0**",
+                        "0",
+                        "the same",
+                    ],
+                    [
+                        "vibration of a straight approach, of the closed form's peak",
+                        f"{approaches[0]:.1e}",
+                        "1e-6",
+                        "seven materials at 8 and 10 kHz, onset between ticks, speed estimated",
+                    ],
+                    ["time of the onset, s", f"{approaches[1]:.1e}", "", "the same"],
+                    ["speed at the onset, relative", f"{approaches[2]:.1e}", "", "the same"],
+                    ["wall force, of the largest", f"{approaches[3]:.1e}", "exact", "the same"],
+                    [
+                        "motion of the simulated handle, of its way",
+                        f"{handle:.1e}",
+                        "exact",
+                        "a hand that draws it, 1 to 10 kHz; closed form",
+                    ],
+                ],
+            ),
+        ],
+    )
+    advance(0.5, "closed loop")
+    loops = Section(
+        "The closed loop",
+        [
+            "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall at 0.1 m/s and rests; the simulated joystick "
+            "without encoder step, dry friction, force resolution and vibration. The reference is the closed form of "
+            f"the continuous loop. Each figure is the largest over {PHASES} places of the onset within the tick.",
+        ],
+    )
+    for index, (name, loop) in enumerate(LOOPS.items()):
+        loops.parts.append(_loop_table(name, loop)[0])
+        advance(0.5 + 0.1 * (index + 1), name)
+    loop = LOOPS["K = 800 N/m"]
+    left = [without_hold(loop, rate) for rate in RATES_HZ]
+    loops.parts.append(
+        "All fall with T to the first power, as a zero-order hold must: the force of tick k is held until tick k+1, so "
+        "that on average it is T/2 old, and a spring whose force comes T/2 late is a spring with K T/2 of negative "
+        "damping. Damping from the backward difference of positions is T/2 older still, T in all. An onset between two "
+        "ticks is first answered at the second of them. Taking K T/2 of damping from the continuous wall therefore "
+        "explains the first order, and what it leaves must be of the second:"
+    )
+    rows = [[f"{rate:.0f}", f"{1e6 * value:.3f}"] for rate, value in zip(RATES_HZ, left, strict=True)]
+    loops.parts.append(
+        Table(
+            "K = 800 N/m, penetration at ticks less that of a wall with D = -K T/2, um",
+            ["rate, Hz", "worst"],
+            [*rows, ["order in T", f"{order(RATES_HZ, left):.2f}"]],
+        )
+    )
+    table, late = _loop_table("K = 800 N/m", loop, 1)
+    prompt = [error(loop, rate) for rate in RATES_HZ]
+    times = [a.penetration_m / b.penetration_m for a, b in zip(late, prompt, strict=True)]
+    loops.parts.append(
+        "A device whose reports are one tick old makes the force 3 T/2 old instead of T/2: the error in penetration is "
+        f"{min(times):.1f} to {max(times):.1f} times as large, and the force at a tick lags by what the wall gains in one:"
+    )
+    loops.parts.append(table)
+    advance(1.0, "closed loop")
+    return [rendered, loops]

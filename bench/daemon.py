@@ -1,0 +1,89 @@
+"""A daemon in a process of its own, for the measurements that need the whole of it."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgpack
+import yaml
+import zmq
+
+from hapticd.errors import HapticdError
+from hapticd.paths import RuntimePaths
+
+SCENE: Mapping[str, object] = {
+    "objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}}
+}
+DEVICE: Mapping[str, object] = {"sim": {"start_m": [0, 0.01]}}
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """A daemon that is ready."""
+
+    pid: int
+    paths: RuntimePaths
+    ready_s: float
+    """From the start of its process to the command socket."""
+    answered_s: float
+    """From the start of its process to its first answer."""
+
+
+def call(socket: zmq.Socket[bytes], method: str, params: Mapping[str, object] | None = None) -> dict[str, object]:
+    """One round trip on a bare DEALER: the result."""
+    socket.send(msgpack.packb({"jsonrpc": "2.0", "id": 1, "method": method, "params": params or {}}))
+    answer = msgpack.unpackb(socket.recv())
+    if "result" not in answer:
+        raise HapticdError(f"{method}: {answer.get('error')}")
+    result: dict[str, object] = answer["result"]
+    return result
+
+
+@contextlib.contextmanager
+def dealer(endpoint: str) -> Iterator[zmq.Socket[bytes]]:
+    """A connected DEALER that gives up after ten seconds of silence."""
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.RCVTIMEO, 10_000)
+        socket.connect(endpoint)
+        yield socket
+
+
+@contextlib.contextmanager
+def daemon(**servo: object) -> Iterator[Running]:
+    """`hapticd run` with these servo settings over a wooden floor, stopped at the end. Raises HapticdError."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
+        paths = RuntimePaths(Path(folder, "run"))
+        config = Path(folder, "bench.yaml")
+        document = {"servo": servo, "device": dict(DEVICE), "scene": dict(SCENE)}
+        config.write_text(yaml.safe_dump(document), encoding="utf-8")
+        begin = time.monotonic()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "hapticd", "--runtime-dir", str(paths.directory), "run", "-c", str(config)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            while not paths.command.exists():
+                if process.poll() is not None or time.monotonic() > begin + 30:
+                    process.kill()
+                    raise HapticdError(f"the daemon does not start: {process.communicate()[1].strip()}")
+                time.sleep(0.001)  # it is another process, and what it makes last is this file
+            ready_s = time.monotonic() - begin
+            with dealer(paths.command_endpoint) as socket:
+                call(socket, "get_status")
+                yield Running(process.pid, paths, ready_s, time.monotonic() - begin)
+        finally:
+            process.send_signal(signal.SIGTERM)
+            said = process.communicate(timeout=30)[1]
+        if process.returncode != 0:
+            raise HapticdError(f"the daemon ended with {process.returncode}: {said.strip()}")

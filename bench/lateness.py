@@ -1,0 +1,258 @@
+"""Wake-up lateness and work of the running servo, beside cyclictest (Debian's rt-tests), in turns.
+
+    python -m bench.lateness RATE_HZ SECONDS SPIN_US       one run of the servo, as JSON; what the measurement starts
+
+Servo and cyclictest are each a fresh process, with one thread at SCHED_FIFO 80, no affinity, all memory locked, woken at
+absolute times of CLOCK_MONOTONIC. cyclictest keeps the processors out of deep idle states (/dev/cpu_dma_latency) as long
+as it runs; so must the servo, or it loses.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from bench.daemon import DEVICE, SCENE
+from bench.report import ROOT, Advance, Floats, Options, Section, Table, spread, verdict
+from hapticd.config import load_config
+from hapticd.core import SAMPLE_DTYPE, records
+from hapticd.engine import SAMPLE_CAPACITY, Engine
+
+RATES_HZ = (1000, 4000, 10_000)
+SPIN_US = {1000: 100.0, 4000: 100.0, 10_000: 50.0}
+"""At 10 kHz less than the period: a real-time thread that never sleeps is throttled by the kernel."""
+PRIORITY = 80
+PERCENTILES = (50.0, 99.0, 99.9)
+SETTLE_S = 0.2
+"""Left out at the start of a run: page faults of the process that has just started."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run: percentiles 50, 99, 99.9 in ns, and periods that were missed."""
+
+    lateness_ns: list[float]
+    work_ns: list[float]
+    skipped: int
+    scheduler: str
+    missing: list[str]
+
+
+def lateness_of(samples: np.ndarray[tuple[int], np.dtype[np.void]], rate_hz: float) -> tuple[Floats, int]:
+    """Wake-up after the deadline, ns, and the periods missed.
+
+    A sample's own lateness is that after the deadline it was rendered for; periods that were missed before it are added,
+    which is how late cyclictest calls the same wake-up.
+    """
+    period_ns = 1e9 / rate_hz
+    missed = np.rint(np.diff(samples["time_ns"]) / period_ns) - 1
+    late: Floats = samples["lateness_ns"][1:] + missed * period_ns
+    return late, int(missed.sum())
+
+
+def servo(rate_hz: float, seconds: float, spin_us: float) -> Run:
+    """The servo of this process, drained five times a second. Raises HapticdError."""
+    settings = {"rate_hz": rate_hz, "spin_us": spin_us, "priority": PRIORITY}
+    engine = Engine(load_config({"servo": settings, "device": DEVICE, "scene": SCENE}))
+    room = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
+    taken = []
+    granted = engine.start()
+    try:
+        end = time.monotonic() + SETTLE_S + seconds
+        while time.monotonic() < end:
+            time.sleep(0.2)
+            engine.beat()
+            count, dropped = engine.read_samples(room)
+            if dropped:
+                raise RuntimeError(f"{dropped} samples were dropped")
+            taken.append(room[:count].copy())
+    finally:
+        engine.stop()
+    samples = np.concatenate(taken)[round(SETTLE_S * rate_hz) :]
+    late, skipped = lateness_of(samples, rate_hz)
+    return Run(
+        np.percentile(late, PERCENTILES).tolist(),
+        np.percentile(samples["work_ns"], PERCENTILES).tolist(),
+        skipped,
+        granted.scheduler,
+        list(granted.missing),
+    )
+
+
+def servo_process(rate_hz: float, seconds: float, spin_us: float) -> Run:
+    """The same in a process of its own."""
+    arguments = [sys.executable, "-m", "bench.lateness", str(rate_hz), str(seconds), str(spin_us)]
+    said = subprocess.run(arguments, cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    return Run(**json.loads(said))
+
+
+def cyclictest(rate_hz: float, seconds: float) -> list[float]:
+    """Percentiles 50, 99, 99.9 of its latencies, ns."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
+        path = Path(folder, "cyclictest.json")
+        loops = round(rate_hz * (seconds + SETTLE_S))
+        arguments = ["-q", "-m", "-N", f"-p{PRIORITY}", "-t1", f"-i{round(1e6 / rate_hz)}", f"-l{loops}"]
+        subprocess.run(
+            ["cyclictest", *arguments, "-h1000000", f"--json={path}"],
+            check=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        thread = json.loads(path.read_text(encoding="utf-8"))["thread"]["0"]
+    bins = sorted((int(latency), int(count)) for latency, count in thread["histogram"].items())
+    latency, count = np.array(bins, dtype=np.float64).T
+    # Later than a millisecond: beyond the histogram, but not beyond the percentiles.
+    below = np.cumsum(count) / int(thread["cycles"])
+    return [
+        float(latency[np.searchsorted(below, p / 100)] if p / 100 <= below[-1] else thread["max"]) for p in PERCENTILES
+    ]
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """So many processes that compute and do nothing else."""
+    with ExitStack() as stack:
+        for _ in range(count):
+            process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+        yield
+
+
+def _us(values: list[float]) -> str:
+    return spread(values, ".1f", 1e-3)
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """The tables of it."""
+    pairs = options.few(options.pairs, 2)
+    seconds = 1.0 if options.quick else options.seconds
+    spins = options.few(5, 1)
+    have = shutil.which("cyclictest") is not None
+    runs: dict[int, list[Run]] = {rate: [] for rate in RATES_HZ}
+    theirs: dict[int, list[list[float]]] = {rate: [] for rate in RATES_HZ}
+    spun: dict[int, list[Run]] = {rate: [] for rate in RATES_HZ}
+    total = len(RATES_HZ) * (pairs * (2 if have else 1) + spins)
+    done = 0
+
+    def tell(what: str) -> None:
+        nonlocal done
+        done += 1
+        advance(done / total, what)
+
+    with busy(options.load):
+        for pair in range(pairs):
+            for rate in RATES_HZ:
+                # In turns, and neither always first.
+                for ours in (True, False) if pair % 2 == 0 else (False, True):
+                    if ours:
+                        runs[rate].append(servo_process(rate, seconds, 0.0))
+                        tell(f"servo at {rate} Hz")
+                    elif have:
+                        theirs[rate].append(cyclictest(rate, seconds))
+                        tell(f"cyclictest at {rate} Hz")
+        for _ in range(spins):
+            for rate in RATES_HZ:
+                spun[rate].append(servo_process(rate, seconds, SPIN_US[rate]))
+                tell(f"servo at {rate} Hz with spin")
+    first = runs[RATES_HZ[0]][0]
+    section = Section("The running servo")
+    section.parts.append(
+        f"Simulated joystick at rest above a wooden floor, "
+        f"{'SCHED_FIFO ' + str(PRIORITY) if first.scheduler == 'fifo' else 'no real-time priority'}"
+        f"{', not granted: ' + '; '.join(first.missing) if first.missing else ''}; runs of {seconds:g} s, "
+        f"{f'{options.load} busy processes beside them' if options.load else 'nothing else running'}. Lateness is "
+        "wake-up after the deadline, missed periods included; work is from wake-up to the force handed over: commands "
+        "and table looked at, device read, velocity estimated, tick, device written, and one reading of the clock."
+    )
+    section.parts.append(_work(runs, spun))
+    if have:
+        section.parts.append(_beside(runs, theirs))
+        section.parts.append(_ratios(runs, theirs))
+    else:
+        section.parts.append(
+            "**Not measured: wake-up lateness beside cyclictest.** It is not installed (Debian: rt-tests). The servo "
+            "alone:"
+        )
+        section.parts.append(_alone("Wake-up lateness, us, without spin", runs, dict.fromkeys(RATES_HZ, 0.0), None))
+    section.parts.append(_alone("Wake-up lateness, us, with spin", spun, SPIN_US, 1000.0))
+    return section
+
+
+def _work(runs: dict[int, list[Run]], spun: dict[int, list[Run]]) -> Table:
+    rows = []
+    for name, group in (("", runs), (" with spin", spun)):
+        for rate, found in group.items():
+            p50, p99, p999 = ([run.work_ns[i] for run in found] for i in range(3))
+            cells = [spread(p50, ".0f"), spread(p99, ".0f"), spread(p999, ".0f")]
+            rows.append([f"{rate} Hz{name}", str(len(found)), *cells, verdict(float(np.median(p50)), 200.0)])
+    return Table(
+        "Work inside the servo, ns: median over the runs (10 to 90 %); aim: p50 < 200",
+        ["servo", "runs", "p50", "p99", "p99.9", "reached"],
+        rows,
+    )
+
+
+def _beside(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) -> Table:
+    rows = []
+    for rate in RATES_HZ:
+        ours = [run.lateness_ns for run in runs[rate]]
+        for name, found in (("servo", ours), ("cyclictest", theirs[rate])):
+            rows.append([f"{rate} Hz, {name}", *(_us([run[i] for run in found]) for i in range(3))])
+    return Table(
+        f"Wake-up lateness, us, without spin, {len(runs[RATES_HZ[0]])} runs of each in turns: median (10 to 90 %)",
+        ["", "p50", "p99", "p99.9"],
+        rows,
+    )
+
+
+def _ratios(runs: dict[int, list[Run]], theirs: dict[int, list[list[float]]]) -> Table:
+    rows = []
+    for rate in RATES_HZ:
+        ratio = np.array([run.lateness_ns for run in runs[rate]]) / np.array(theirs[rate])
+        skipped = sum(run.skipped for run in runs[rate])
+        rows.append(
+            [
+                f"{rate} Hz",
+                *(spread(ratio[:, i], ".2f") for i in range(3)),
+                verdict(float(np.median(ratio[:, 1])), 1.2),
+                str(skipped),
+            ]
+        )
+    return Table(
+        "Servo over cyclictest, pair by pair: median (10 to 90 %); aim: p99 at most 1.2",
+        ["", "p50", "p99", "p99.9", "reached", "periods missed by the servo, all runs"],
+        rows,
+    )
+
+
+def _alone(caption: str, runs: dict[int, list[Run]], spin_us: dict[int, float], aim_ns: float | None) -> Table:
+    rows = []
+    for rate, found in runs.items():
+        cells = [_us([run.lateness_ns[i] for run in found]) for i in range(3)]
+        p50 = float(np.median([run.lateness_ns[0] for run in found]))
+        reached = "" if aim_ns is None else verdict(p50, aim_ns)
+        skipped = str(sum(run.skipped for run in found))
+        rows.append([f"{rate} Hz, spin {spin_us[rate]:g} us", str(len(found)), *cells, reached, skipped])
+    aim = "" if aim_ns is None else f"; aim: p50 < {aim_ns / 1e3:g}"
+    return Table(
+        f"{caption}: median over the runs (10 to 90 %){aim}",
+        ["", "runs", "p50", "p99", "p99.9", "reached", "periods missed"],
+        rows,
+    )
+
+
+if __name__ == "__main__":
+    found = servo(float(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3]))
+    fields = {name: getattr(found, name) for name in Run.__dataclass_fields__}
+    print(json.dumps(fields))

@@ -1,0 +1,109 @@
+"""Tables on the terminal and in Markdown, the machine they were measured on, and the statistics they show."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from rich.console import Console
+from rich.table import Table as RichTable
+
+ROOT = Path(__file__).resolve().parent.parent
+Floats = npt.NDArray[np.float64]
+Advance = Callable[[float, str], None]
+"""Progress of a measurement: the part that is done, 0 to 1, and what is under way."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How much is measured."""
+
+    pairs: int = 15
+    """Paired runs beside cyclictest, at each rate."""
+    seconds: float = 3.0
+    """Length of each of them, and of the runs with spin."""
+    minute_s: float = 60.0
+    """Length of the telemetry run."""
+    load: int = 0
+    """Busy processes beside the lateness runs."""
+    quick: bool = False
+    """Fewer repetitions everywhere: shows that it runs, not how fast."""
+
+    def few(self, many: int, few: int) -> int:
+        """`many`, or `few` in a quick run."""
+        return few if self.quick else many
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of text under a caption."""
+
+    caption: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def markdown(self) -> str:
+        """The table in Markdown, numbers to the right."""
+        rule = "| --- |" + " ---: |" * (len(self.columns) - 1)
+        lines = [self.caption, "", "| " + " | ".join(self.columns) + " |", rule]
+        return "\n".join([*lines, *("| " + " | ".join(row) + " |" for row in self.rows)])
+
+    def rich(self) -> RichTable:
+        """The table on the terminal."""
+        table = RichTable(title=self.caption, title_justify="left", title_style="", expand=False)
+        for index, column in enumerate(self.columns):
+            table.add_column(column, justify="right" if index else "left")
+        for row in self.rows:
+            table.add_row(*row)
+        return table
+
+
+@dataclass(slots=True)
+class Section:
+    """What one measurement found: paragraphs and tables, in their order."""
+
+    title: str
+    parts: list[str | Table] = field(default_factory=list)
+
+    def markdown(self) -> str:
+        """The section in Markdown."""
+        parts = (part if isinstance(part, str) else part.markdown() for part in self.parts)
+        return "\n\n".join([f"## {self.title}", *parts])
+
+    def show(self, console: Console) -> None:
+        """The section on the terminal."""
+        console.print(f"\n[bold]{self.title}[/bold]")
+        for part in self.parts:
+            console.print(part if isinstance(part, str) else part.rich(), markup=False, highlight=False)
+
+
+def spread(values: Sequence[float] | Floats, form: str = ".3g", scale: float = 1.0) -> str:
+    """Median, and from the tenth to the ninetieth percentile."""
+    low, middle, high = np.percentile(np.asarray(values, dtype=np.float64) * scale, [10, 50, 90])
+    return f"{middle:{form}} ({low:{form}} to {high:{form}})"
+
+
+def verdict(value: float, aim: float, *, above: bool = False) -> str:
+    """Whether an aim was reached."""
+    return "yes" if (value > aim if above else value <= aim) else "**no**"
+
+
+def machine() -> str:
+    """What was measured on, as a paragraph."""
+    info = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    model = re.search(r"model name\s*:\s*(.*)", info)
+    virtual = "hypervisor" in info
+    family = re.search(r"cpu family\s*:\s*(\d+)", info)
+    load = " ".join(f"{value:.2f}" for value in os.getloadavg())
+    return (
+        f"{model.group(1) if model else platform.machine()} (family {family.group(1) if family else '?'}), "
+        f"{os.cpu_count()} cores{' of a virtual machine' if virtual else ''}, Linux {platform.release().split('-')[0]} "
+        f"({'PREEMPT_RT' if 'PREEMPT_RT' in platform.version() else 'no PREEMPT_RT'}), "
+        f"Python {platform.python_version()}; load averages at the start {load}."
+    )

@@ -1,0 +1,86 @@
+"""What a daemon costs: time until it is ready, memory, processor time."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+from bench.daemon import daemon
+from bench.report import Advance, Options, Section, Table, spread, verdict
+
+RATES_HZ = (1000, 4000, 10_000)
+
+
+def memory_kib(pid: int) -> dict[str, int]:
+    """VmRSS, VmHWM, VmLck of a process, KiB."""
+    lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+    pairs = (line.split(":", 1) for line in lines if line.startswith(("VmRSS", "VmHWM", "VmLck")))
+    return {name: int(value.split()[0]) for name, value in pairs}
+
+
+def cpu_s(pid: int) -> tuple[float, float]:
+    """Processor seconds so far of a process, and of its real-time threads."""
+    total = servo = 0.0
+    for thread in Path(f"/proc/{pid}/task").iterdir():
+        fields = (thread / "stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        # The kernel's own account is finer than the ticks of stat.
+        seconds = int((thread / "schedstat").read_text(encoding="utf-8").split()[0]) / 1e9
+        total += seconds
+        servo += seconds if int(fields[37]) > 0 else 0.0  # rt_priority
+    return total, servo
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """The tables of it."""
+    starts, seconds = options.few(9, 2), 1.0 if options.quick else 6.0
+    ready, answered = [], []
+    for index in range(starts):
+        with daemon(rate_hz=10_000) as running:
+            ready.append(running.ready_s)
+            answered.append(running.answered_s)
+        advance(0.3 * (index + 1) / starts, "starts")
+    rows = []
+    resident = []
+    for index, rate in enumerate(RATES_HZ):
+        with daemon(rate_hz=rate) as running:
+            time.sleep(0.5)
+            before, then = cpu_s(running.pid), time.monotonic()
+            time.sleep(seconds)
+            after, lasted = cpu_s(running.pid), time.monotonic() - then
+            memory = memory_kib(running.pid)
+        share = [100 * (b - a) / lasted for a, b in zip(before, after, strict=True)]
+        resident.append(memory["VmHWM"] / 1024)
+        rows.append(
+            [
+                f"{rate} Hz",
+                f"{share[0]:.1f}",
+                f"{share[1]:.1f}",
+                f"{memory['VmRSS'] / 1024:.1f}",
+                f"{memory['VmHWM'] / 1024:.1f}",
+                f"{memory['VmLck'] / 1024:.1f}",
+                verdict(resident[-1], 80.0),
+            ]
+        )
+        advance(0.3 + 0.7 * (index + 1) / len(RATES_HZ), f"{rate} Hz")
+    return Section(
+        "What a daemon costs",
+        [
+            Table(
+                f"Start, s, {starts} starts: median (10 to 90 %); aim: ready < 0.5",
+                ["from the start of its process", "s", "reached"],
+                [
+                    ["to the command socket", spread(ready, ".3f"), verdict(float(np.median(ready)), 0.5)],
+                    ["to the first answer", spread(answered, ".3f"), ""],
+                ],
+            ),
+            Table(
+                f"Processor, % of one of {os.cpu_count()}, over {seconds:g} s, nobody connected; memory, MB, aim < 80 "
+                "(locked counts address space, of which only what is used is resident)",
+                ["servo", "daemon", "of it the servo thread", "resident", "most ever", "locked", "reached"],
+                rows,
+            ),
+        ],
+    )

@@ -1,0 +1,265 @@
+"""Work per tick, warm: hd_render over a stretch that fits the first-level cache, again and again on one state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
+from hapticd.compile import Compiler
+from hapticd.config import load_config
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.engine import output_of
+
+RATE_HZ = 10_000.0
+STRETCH = 128
+"""Ticks a call: 14 KiB of samples and 4 KiB of motion."""
+STEP_M = 20e-6
+
+FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "plain"}
+MATERIALS: Mapping[str, object] = {
+    "plain": {"stiffness_n_per_m": 800, "damping_n_s_per_m": 1},
+    # Rings for ten seconds, so that every tick of a measurement has it.
+    "bell": {
+        "stiffness_n_per_m": 800,
+        "damping_n_s_per_m": 1,
+        "tap": {"attack_slope_per_s": 10, "frequency_hz": 200, "decay_time_s": 2},
+    },
+}
+FIELDS: Mapping[str, object] = {
+    "pull": {"kind": "spring", "center_m": [0, 0], "stiffness_n_per_m": 50, "damping_n_s_per_m": 0.5},
+    "honey": {"kind": "viscous", "damping_n_s_per_m": 2},
+    "push": {"kind": "constant", "force_n": [0, -0.2]},
+}
+SKIN = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.2, "material": "plain"}
+
+
+def walls(count: int, material: str) -> dict[str, object]:
+    """Walls that are touched together."""
+    return {f"wall{i}": {**FLOOR, "point_m": [0, 1e-4 * i], "material": material} for i in range(count)}
+
+
+class Stretch:
+    """A scene, a state and a small circle around one height, rendered in calls of STRETCH ticks."""
+
+    def __init__(
+        self, objects: Mapping[str, object], height_m: float, *, estimate: bool = False, step_m: float = 0.0
+    ) -> None:
+        config = load_config({"materials": MATERIALS, "scene": {"objects": objects}})
+        self._compiler = Compiler(output_of(config, RATE_HZ))
+        self._table = self._compiler.update(config.scene, config.scene.objects, config.materials, 1)
+        self._state = ffi.gc(lib.hd_state_new(64), lib.hd_state_free)
+        lib.hd_state_set_resolution(self._state, step_m)
+        turn = 2 * np.pi * np.arange(STRETCH) / STRETCH
+        radius = 2e-4
+        self._path = np.stack((radius * np.cos(turn), height_m + radius * np.sin(turn)), 1)
+        if step_m:
+            self._path = np.round(self._path / step_m) * step_m
+        speed = radius * 2 * np.pi / STRETCH * RATE_HZ
+        self._speeds = np.stack((-speed * np.sin(turn), speed * np.cos(turn)), 1)
+        self._samples = records(SAMPLE_DTYPE, STRETCH)
+        self._events = records(EVENT_DTYPE, 1024)
+        self._found = ffi.new("size_t *")
+        self._estimate = estimate
+        self._begun = False
+        self._arguments = self._prepare(self._path, self._speeds)
+
+    def _prepare(self, path: Floats, speeds: Floats) -> tuple[Any, ...]:
+        return (
+            self._table,
+            self._state,
+            pointer("double[]", path),
+            ffi.NULL if self._estimate else pointer("double[]", speeds),
+            ffi.NULL,
+            len(path),
+            pointer("struct hd_sample[]", self._samples),
+            pointer("struct hd_event[]", self._events),
+            len(self._events),
+            self._found,
+        )
+
+    def enter(self) -> None:
+        """Leaves whatever is touched and comes back at 0.2 m/s, which strikes what can be struck."""
+        # A new state begins outside: a membrane is touched from the side that the probe comes from.
+        begin = self._path[-1, 1] if self._begun else 0.004
+        self._begun = True
+        height = np.concatenate((np.linspace(begin, 0.004, 60), np.linspace(0.004, self._path[0, 1], 60)))
+        path = np.stack((np.full(120, self._path[0, 0]), height), 1)
+        speeds = np.tile([0.0, -0.2], (120, 1))
+        if lib.hd_render(*self._prepare(path, speeds)) != Status.OK:
+            raise RuntimeError(invalid_reason())
+
+    def render(self, calls: int) -> None:
+        """So many calls."""
+        for _ in range(calls):
+            lib.hd_render(*self._arguments)
+
+    def timed(self, calls: int) -> list[float]:
+        """Nanoseconds a tick, of each call."""
+        now, render, arguments = time.perf_counter_ns, lib.hd_render, self._arguments
+        taken = []
+        for _ in range(calls):
+            start = now()
+            render(*arguments)
+            taken.append((now() - start) / STRETCH)
+        return taken
+
+    def empty_call(self, calls: int) -> list[float]:
+        """The same for a call of no tick at all: the share of the clock, of Python and of hd_table_check."""
+        arguments = (*self._arguments[:5], 0, *self._arguments[6:])
+        taken = []
+        for _ in range(calls):
+            start = time.perf_counter_ns()
+            lib.hd_render(*arguments)
+            taken.append((time.perf_counter_ns() - start) / STRETCH)
+        return taken
+
+    def flags(self) -> Flag:
+        """What every tick of the last call had."""
+        return Flag(int(np.bitwise_and.reduce(self._samples["flags"])))
+
+
+def _ticks(options: Options, advance: Advance) -> Table:
+    cases: dict[str, tuple[Stretch, Flag, float | None]] = {
+        "empty scene": (Stretch({}, 0.01), Flag(0), 30.0),
+        "wall out of reach": (Stretch(walls(1, "plain"), 0.01), Flag(0), None),
+        "wall in contact": (Stretch(walls(1, "plain"), -0.001), Flag.CONTACT, None),
+        "wall in contact and ringing": (Stretch(walls(1, "bell"), -0.001), Flag.CONTACT | Flag.RINGING, 60.0),
+        "four walls in contact and ringing": (Stretch(walls(4, "bell"), -0.001), Flag.CONTACT | Flag.RINGING, None),
+        "membrane in contact": (Stretch({"skin": SKIN}, -0.001), Flag.CONTACT, None),
+        "fields: spring, viscous, constant": (Stretch(FIELDS, 0.01), Flag(0), None),
+        "wall in contact, estimator on exact positions": (
+            Stretch(walls(1, "plain"), -0.001, estimate=True),
+            Flag.CONTACT,
+            None,
+        ),
+        "wall in contact, estimator on 20 um steps": (
+            Stretch(walls(1, "plain"), -0.001, estimate=True, step_m=STEP_M),
+            Flag.CONTACT,
+            None,
+        ),
+    }
+    rounds, calls = options.few(40, 6), options.few(200, 50)
+    medians: dict[str, list[float]] = {name: [] for name in cases}
+    overhead = []
+    for index in range(rounds):
+        for name, (case, wanted, _) in cases.items():
+            case.enter()
+            case.render(20)
+            medians[name].append(float(np.median(case.timed(calls))))
+            if case.flags() & (Flag.CONTACT | Flag.RINGING) != wanted:
+                raise RuntimeError(f"{name}: the scene is not what it is said to be ({case.flags()!r})")
+        overhead.append(float(np.median(cases["empty scene"][0].empty_call(calls))))
+        advance((index + 1) / rounds, "scenes")
+    rows = [
+        [
+            name,
+            spread(medians[name], ".1f"),
+            "" if aim is None else f"< {aim:g}",
+            "" if aim is None else verdict(float(np.median(medians[name])), aim),
+        ]
+        for name, (_, _, aim) in cases.items()
+    ]
+    rows.append(["of each row: the call itself (a call of no tick)", spread(overhead, ".1f"), "", ""])
+    return Table(
+        f"ns a tick, {rounds} rounds of {calls} calls of {STRETCH} ticks: median of the rounds' medians (10 to 90 %)",
+        ["scene", "ns a tick", "aim", "reached"],
+        rows,
+    )
+
+
+def _estimator(options: Options, advance: Advance) -> Table:
+    count, rounds = 4096, options.few(40, 6)
+    time_s = np.arange(count) / RATE_HZ
+    interval_s = np.full(count, 1.0 / RATE_HZ)
+    turn = 2 * np.pi * time_s
+    motions = {
+        "at rest": np.zeros((count, 2)),
+        "0.1 and 0.3 m/s": np.stack((0.1 * time_s, 0.3 * time_s), 1),
+        "circle of 5 cm, 1 Hz": 0.05 * np.stack((np.sin(turn), np.cos(turn)), 1),
+    }
+    out = np.empty((count, 2))
+    rows = []
+    for index, (name, truth) in enumerate(motions.items()):
+        cells = [name]
+        for step_m in (0.0, STEP_M):
+            path = np.ascontiguousarray(np.round(truth / STEP_M) * STEP_M if step_m else truth)
+            arguments = [pointer("double[]", array) for array in (interval_s, path, out)]
+            taken = []
+            for _ in range(rounds):
+                start = time.perf_counter_ns()
+                status = lib.hd_velocity_run(step_m, count, *arguments, ffi.NULL)
+                taken.append((time.perf_counter_ns() - start) / count)
+                if status != Status.OK:
+                    raise RuntimeError(invalid_reason())
+            cells.append(spread(taken, ".1f"))
+        rows.append(cells)
+        advance((index + 1) / len(motions), "estimator")
+    return Table(
+        f"The velocity estimator alone, ns an update of both axes, {rounds} runs of {count} updates (10 to 90 %)",
+        ["motion", "exact positions", "20 um steps"],
+        rows,
+    )
+
+
+def _subnormals(options: Options, advance: Advance) -> Table:
+    """A state that never was struck, and one a minute after its last tap, in turns."""
+    fresh, tapped = Stretch(walls(1, "bell"), 0.01), Stretch(walls(1, "bell"), 0.01)
+    fresh.render(20)
+    # The way of `enter` ends where it began, out of reach; this one goes through the floor.
+    through = np.concatenate((np.linspace(0.01, -0.002, 100), np.linspace(-0.002, 0.01, 100)))
+    path = np.stack((np.zeros(200), through), 1)
+    samples, events = records(SAMPLE_DTYPE, 200), records(EVENT_DTYPE, 1024)
+    status = lib.hd_render(
+        tapped._table,
+        tapped._state,
+        pointer("double[]", path),
+        pointer("double[]", np.tile([0.0, -1.2], (200, 1))),
+        ffi.NULL,
+        200,
+        pointer("struct hd_sample[]", samples),
+        pointer("struct hd_event[]", events),
+        len(events),
+        ffi.new("size_t *"),
+    )
+    if status != Status.OK or not samples["flags"][-1] & Flag.RINGING:
+        raise RuntimeError("the tap does not ring")
+    minute = round(60 * RATE_HZ / STRETCH)
+    for part in range(10):
+        tapped.render(minute // 10 + 1)
+        advance((part + 1) / 20, "a minute after the last tap")
+    rounds, calls = options.few(40, 6), 100
+    before, after = [], []
+    for index in range(rounds):
+        before.append(float(np.median(fresh.timed(calls))))
+        after.append(float(np.median(tapped.timed(calls))))
+        advance(0.5 + (index + 1) / rounds / 2, "a minute after the last tap")
+    ratio = np.array(after) / np.array(before)
+    return Table(
+        f"Subnormal numbers, ns a tick with a wall out of reach, {rounds} rounds in turns (10 to 90 %)",
+        ["state", "ns a tick"],
+        [
+            ["never struck", spread(before, ".1f")],
+            ["a minute after the last tap", spread(after, ".1f")],
+            ["ratio of the two, round by round", spread(ratio, ".3f")],
+        ],
+    )
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """All tables of it."""
+    return Section(
+        "Work per tick",
+        [
+            "What is timed is `hd_render` from Python: its loop, the checks of the table, the tick, and the 112-byte "
+            "sample it writes; the state and all memory are warm. There is no clock and no device in it, and no "
+            "estimator either where the row does not name it (velocities are given). Nothing is subtracted: the last "
+            "row says how much of every other is the call itself.",
+            _ticks(options, lambda part, what: advance(0.7 * part, what)),
+            _estimator(options, lambda part, what: advance(0.7 + 0.1 * part, what)),
+            _subnormals(options, lambda part, what: advance(0.8 + 0.2 * part, what)),
+        ],
+    )

@@ -1,0 +1,252 @@
+"""The command line against a real daemon, as a shell script would use it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hapticd.cli import main
+from hapticd.client import connect
+from hapticd.yaml_source import load_text
+from tests.daemon_process import Daemon, running_daemon
+
+ROOT = Path(__file__).parents[2]
+SCENE = """\
+scene:
+  objects:
+    floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}
+    skin: {kind: membrane, center_m: [0, 0.03], normal: [0, 1], width_m: 0.02, material: cellophane}
+"""
+OPERATOR = "waypoints: [[0, 0, 0.01], [0.1, 0, 0.01], [0.2, 0, -0.003], [0.3, 0, 0.01]]\n"
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    config = tmp_path_factory.mktemp("config") / "quiet.yaml"
+    config.write_text("servo: {rate_hz: 1000, realtime: off}\n")
+    with running_daemon("-c", str(config)) as daemon:
+        yield daemon
+
+
+class Shell:
+    """Runs commands in this process and keeps what they said."""
+
+    def __init__(self, directory: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        self._directory = directory
+        self._capsys = capsys
+
+    def __call__(self, *arguments: str) -> str:
+        """What a command prints that must succeed."""
+        code = main(["--runtime-dir", str(self._directory), *arguments])
+        captured = self._capsys.readouterr()
+        assert (code, captured.err) == (0, "")
+        return captured.out
+
+    def fails(self, *arguments: str) -> str:
+        """The line of a command that must fail."""
+        assert main(["--runtime-dir", str(self._directory), *arguments]) == 1
+        captured = self._capsys.readouterr()
+        assert captured.out == ""
+        assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1
+        return captured.err
+
+
+@pytest.fixture
+def shell(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Shell:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text(SCENE)
+    Path("operator.yaml").write_text(OPERATOR)
+    return Shell(daemon.directory, capsys)
+
+
+def command(daemon: Daemon, *arguments: str) -> subprocess.Popen[str]:
+    """A command in a process of its own, for those that are ended by a signal."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=ROOT,
+        text=True,
+    )
+
+
+def test_status(shell: Shell) -> None:
+    status = json.loads(shell("status", "--json"))
+    assert status["rate_hz"] == 1000
+    text = shell("status")
+    assert "sim at 1000 Hz" in text and "forces" in text
+
+
+def test_the_runtime_directory_may_come_from_the_environment(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(daemon.directory))
+    assert main(["status"]) == 0
+    assert "sim at 1000 Hz" in capsys.readouterr().out
+
+
+def test_a_scene_goes_round(shell: Shell) -> None:
+    first = json.loads(shell("scene", "set", "scene.yaml", "--json"))["revision"]
+    printed = shell("scene", "get")
+    assert printed.startswith(f"# revision {first}\n")
+    Path("again.yaml").write_text(printed)
+    assert shell("scene", "set", "again.yaml") == f"revision {first + 1}\n"
+    scene = json.loads(shell("scene", "get", "--json"))["scene"]
+    assert load_text(printed, "printed").data == {"scene": scene}
+    assert "in force from tick" in shell("scene", "set", "scene.yaml", "--wait")
+
+
+def test_the_standard_input_is_a_file(daemon: Daemon) -> None:
+    with command(daemon, "scene", "set", "-", "--json") as process:
+        out, err = process.communicate(SCENE, 60)
+    assert (process.returncode, err) == (0, "")
+    assert json.loads(out)["revision"] > 0
+
+
+def test_scene_update(shell: Shell) -> None:
+    shell("scene", "set", "scene.yaml")
+    Path("update.yaml").write_text("objects:\n  floor: {material: steel}\n  skin: null\n")
+    shell("scene", "update", "update.yaml")
+    scene = json.loads(shell("scene", "get", "--json"))["scene"]
+    assert list(scene["objects"]) == ["floor"] and scene["objects"]["floor"]["material"] == "steel"
+
+
+def test_a_scene_that_is_wrong_changes_nothing(shell: Shell) -> None:
+    shell("scene", "set", "scene.yaml")
+    before = shell("scene", "get")
+    Path("bad.yaml").write_text(SCENE.replace("[0, 1]", "[0, off]", 1))
+    assert "bad.yaml:3: scene.objects.floor.normal[1]" in shell.fails("scene", "set", "bad.yaml")
+    Path("bad.yaml").write_text(SCENE.replace("wood", "woood"))
+    assert 'unknown material "woood"; did you mean wood?' in shell.fails("scene", "set", "bad.yaml")
+    assert "is stale" in shell.fails("scene", "set", "scene.yaml", "--expect-revision", "0")
+    assert "missing.yaml: cannot be read" in shell.fails("scene", "set", "missing.yaml")
+    assert shell("scene", "get") == before
+
+
+def test_materials(shell: Shell) -> None:
+    Path("felt.yaml").write_text("materials:\n  felt: {stiffness_n_per_m: 90}\n")
+    shell("material", "set", "felt.yaml")
+    assert json.loads(shell("material", "list", "--json"))["materials"]["felt"]["stiffness_n_per_m"] == 90
+    printed = load_text(shell("material", "list"), "printed").data
+    assert isinstance(printed, dict) and {"wood", "felt"} <= printed["materials"].keys()  # type: ignore[union-attr]
+    Path("felt.yaml").write_text("materials:\n  felt: {stiffness_n_per_m: -1}\n")
+    assert "materials.felt.stiffness_n_per_m" in shell.fails("material", "set", "felt.yaml")
+
+
+def test_play_force_reset_operator(shell: Shell) -> None:
+    shell("scene", "set", "scene.yaml")
+    assert shell("play", "wood", "--amplitude", "2").startswith("struck at tick ")
+    played = shell(
+        "play", "--mode", "frequency_hz=90,decay_time_s=0.01", "--amplitude", "1", "--direction", "-1", "0", "--json"
+    )
+    assert json.loads(played)["tick"] > 0
+    assert "unknown material" in shell.fails("play", "cheese", "--amplitude", "2")
+    assert shell("force", "off") == "forces off\n"
+    assert "forces are off" in shell.fails("play", "wood", "--amplitude", "2")
+    assert json.loads(shell("force", "on", "--json"))["forces"] == "on"
+    assert shell("reset", "skin").startswith("reset at tick ")
+    assert shell("reset").startswith("reset at tick ")
+    assert 'no object "nothing"' in shell.fails("reset", "nothing")
+    assert shell("operator", "operator.yaml") == "under way for 0.3 s\n"
+    Path("tap.yaml").write_text("gesture: {kind: tap, object: floor, speed_m_per_s: 0.1}\n")
+    assert shell("operator", "tap.yaml").startswith("under way for ")
+    Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0.5,0,0.02\n")
+    assert shell("operator", "way.csv") == "under way for 0.5 s\n"
+    Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0,0,0.02\n")
+    assert "way.csv:3" in shell.fails("operator", "way.csv")
+
+
+def test_record_npz(shell: Shell, daemon: Daemon) -> None:
+    Path("run.npz").write_text("an old recording")
+    shell("scene", "set", "scene.yaml")
+    shell("operator", "operator.yaml")
+    result = json.loads(shell("record", "run.npz", "--for", "600ms", "--json"))
+    assert result["file"] == "run.npz" and result["ended"] is None
+    assert (result["lost"], result["dropped"]) == (0, 0)
+    with np.load("run.npz") as archive:
+        samples, events = archive["samples"], archive["events"]
+        assert len(samples) == result["ticks"] and len(events) == result["events"]
+        assert (np.diff(samples["tick"]) == 1).all()
+        span_ns = int(samples["time_ns"][-1] - samples["time_ns"][0])
+        assert 599_000_000 - 2 * 10**6 * 50 <= span_ns < 600_000_000, (
+            "ends at the time asked for, on the daemon's clock"
+        )
+        assert {"floor", "skin"} == json.loads(str(archive["scene"]))["objects"].keys()
+        assert "wood" in json.loads(str(archive["materials"]))
+        assert json.loads(str(archive["status"]))["rate_hz"] == 1000
+        assert (events["tick"] >= samples["tick"][0]).all() and (events["tick"] <= samples["tick"][-1]).all()
+        assert os.listdir() and not [name for name in os.listdir() if name.startswith(".")]
+
+
+def test_record_csv(shell: Shell) -> None:
+    assert "nothing lost" in shell("record", "run.csv", "--for", "0.1s")
+    with open("run.csv", newline="") as file:
+        ticks = [int(row["tick"]) for row in csv.DictReader(file)]
+    assert ticks == list(range(ticks[0], ticks[0] + len(ticks))) and ticks
+    assert Path("run.events.csv").exists()
+
+
+def test_record_refuses_before_it_records(shell: Shell) -> None:
+    assert "must end in .npz or .csv" in shell.fails("record", "run.mat")
+    assert "No such file or directory" in shell.fails("record", "no/run.npz")
+
+
+@pytest.mark.parametrize(
+    ("number", "options", "code"),
+    [(signal.SIGINT, [], 0), (signal.SIGTERM, [], 0), (signal.SIGINT, ["--for", "1h"], 130)],
+)
+def test_an_interrupted_recording_is_kept(
+    daemon: Daemon, tmp_path: Path, number: int, options: list[str], code: int
+) -> None:
+    target = tmp_path / "run.npz"
+    with (
+        connect(daemon.directory) as client,
+        client.samples() as batches,
+        command(daemon, "record", str(target), *options) as process,
+    ):
+        part = target.with_name(f".run.npz.{process.pid}.samples")
+        for _ in batches:  # 50 times a second
+            if part.exists() and part.stat().st_size > 0:
+                break
+            assert process.poll() is None
+        process.send_signal(number)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (code, "")
+    assert "nothing lost" in out
+    with np.load(target) as archive:
+        assert len(archive["samples"]) > 0
+    assert os.listdir(tmp_path) == ["run.npz"]
+
+
+def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
+    target = tmp_path / "run.npz"
+    with running_daemon() as daemon, connect(daemon.directory) as client, client.samples() as batches:
+        with command(daemon, "record", str(target)) as process:
+            part = target.with_name(f".run.npz.{process.pid}.samples")
+            for _ in batches:
+                if part.exists() and part.stat().st_size > 0:
+                    break
+                assert process.poll() is None
+            daemon.stop()
+            out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "no daemon at" in err and err.count("\n") == 1
+    with np.load(target) as archive:
+        assert len(archive["samples"]) > 0
+
+
+def test_run_ends_well_and_refuses_a_second(daemon: Daemon) -> None:
+    with command(daemon, "run") as second:
+        _, err = second.communicate(timeout=60)
+    assert second.returncode == 1
+    assert "another daemon" in err and err.count("\n") == 1

@@ -1,0 +1,78 @@
+"""Scene updates as fast as they come, while the simulated hand presses on a wall and a tap rings."""
+
+from __future__ import annotations
+
+import threading
+
+import hapticd
+import msgpack
+import numpy as np
+
+from tests.daemon_process import running_daemon, wired
+
+FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
+UPDATES = 3000
+EVERY = 100  # of them is a play, and one a reset of another object
+
+
+def test_updates_lose_nothing_and_step_nothing() -> None:
+    with running_daemon() as daemon, wired(daemon) as wire:
+        wire.result("set_scene", scene={"objects": {"floor": FLOOR, "far": {**FLOOR, "point_m": [0, -0.06]}}})
+        wire.result("set_operator", waypoints=[[0.05, 0, 0.002], [0.3, 0, -0.004], [0.6, 0, -0.004]])
+        batches: list[np.ndarray] = []
+        done = threading.Event()
+        with hapticd.connect(daemon.directory) as client, client.samples() as samples:
+
+            def listen() -> None:
+                for batch in samples:
+                    assert batch.lost == 0
+                    batches.append(np.array(batch))
+                    if done.is_set():
+                        return
+
+            with client.events() as events:
+                listener = threading.Thread(target=listen)
+                listener.start()
+                while True:
+                    event = next(events)
+                    if event["event"] == "contact":
+                        break
+            # Pressed: let it come to rest, then go.
+            while len(batches) < 50:
+                done.wait(0.05)
+            strikes = wire.result("get_status")["counters"]["strikes"]
+            begin = wire.result("get_status")["tick"]
+            ticks = []
+            for n in range(UPDATES):
+                stiff = {"kind": "wall", "material": "wood", "point_m": [0, 1e-5 * (n % 2)]}
+                answer = wire.result("update_scene", objects={"floor": stiff})
+                assert answer["revision"]
+                if n % EVERY == 0:
+                    ticks.append(wire.result("play", material="wood", direction=[1, 0], amplitude_m_per_s2=0.5)["tick"])
+                    wire.result("reset", objects=["far"])
+            end = wire.result("get_status")["tick"]
+            assert wire.result("get_status")["counters"]["strikes"] - strikes == UPDATES // EVERY
+            assert len(set(ticks)) == UPDATES // EVERY
+            done.set()
+            listener.join()
+        data = np.concatenate(batches)
+        span = data[(data["tick"] >= begin) & (data["tick"] < end)]
+        assert len(span) == end - begin
+        assert len(np.unique(span["revision"])) > UPDATES / 3
+        # In contact throughout: the force never falls to nothing, and steps by no more than a ramp of the whole force.
+        contact = span["contact_force_n"][:, 1]
+        largest = contact.max()
+        assert contact.min() > 0.3 * largest
+        moved = 800 * np.abs(np.diff(span["position_m"][:, 1]))  # what the hand itself moved
+        allowed = moved + largest * np.diff(span["time_ns"]) / 20e6
+        assert np.all(np.abs(np.diff(contact)) <= allowed + 1e-9)
+        assert wire.result("get_status")["counters"]["samples_dropped"] == 0
+        for tick in ticks:
+            ringing = span[(span["tick"] > tick) & (span["tick"] < tick + 60)]["vibration_force_n"][:, 0]
+            assert np.any(ringing != 0.0)
+
+
+def test_every_answer_is_msgpack_with_the_same_form() -> None:
+    with running_daemon() as daemon, wired(daemon) as wire:
+        (frame,) = wire.raw(msgpack.packb({"jsonrpc": "2.0", "id": "a", "method": "get_scene"}))
+        assert set(msgpack.unpackb(frame)) == {"jsonrpc", "id", "result"}

@@ -1,0 +1,274 @@
+"""The daemon's process: start, refusals, signals, stalls, clients that come and go."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import hapticd
+import msgpack
+import numpy as np
+import pytest
+import zmq
+from hapticd.config import load_config
+from hapticd.core import SAMPLE_DTYPE, Fault, Flag, records
+from hapticd.engine import Engine
+
+from tests.daemon_process import Daemon, Wire, running_daemon, wired
+
+PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
+
+
+def run_once(*arguments: str, directory: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "hapticd", "--runtime-dir", str(directory), "run", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def one_line(result: subprocess.CompletedProcess[str]) -> str:
+    assert result.returncode != 0
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    return lines[0]
+
+
+def largest_slope(data: np.ndarray) -> float:
+    """How fast the force changed, N/s; ticks that were missed on a busy machine count as the time that they were."""
+    return float(np.max(np.abs(np.diff(data["force_n"][:, 1])) / np.diff(data["time_ns"]) * 1e9))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signal_fades_the_force_and_exits_with_0(number: int) -> None:
+    with running_daemon() as daemon, wired(daemon) as wire:
+        wire.result("set_scene", scene={"objects": PUSH}, wait=True)
+        batches = []
+        with hapticd.connect(daemon.directory) as client, client.samples(timeout_s=2) as samples:
+            for _ in range(3):
+                batches.append(np.array(next(samples)))
+            assert batches[-1]["force_n"][-1, 1] == pytest.approx(0.5)
+            assert daemon.stop(number) == 0
+            while (batch := samples.receive(0.5)) is not None:
+                batches.append(np.array(batch))
+        data = np.concatenate(batches)
+        assert data["force_n"][-1, 1] == 0.0
+        assert largest_slope(data) <= 0.5 / 0.02 * 1.001
+        assert not (daemon.directory / "hapticd.command").exists()
+        assert not (daemon.directory / "hapticd.telemetry").exists()
+
+
+def test_second_daemon_is_refused_with_a_clear_line_and_the_first_goes_on() -> None:
+    with running_daemon() as daemon:
+        line = one_line(run_once(directory=daemon.directory))
+        assert "another daemon" in line
+        assert str(daemon.process.pid) in line
+        with wired(daemon) as wire:
+            assert wire.result("get_status")["state"] == "running"
+
+
+def test_stale_socket_files_do_not_stop_the_restart() -> None:
+    with running_daemon() as daemon:
+        daemon.process.send_signal(signal.SIGKILL)
+        daemon.process.wait()
+        assert (daemon.directory / "hapticd.command").exists()
+        again = Daemon(daemon.directory)
+        # The old file is still there, so readiness is an answer.
+        with wired(again) as wire:
+            assert wire.result("get_status")["state"] == "running"
+        assert again.stop() == 0
+        daemon.process = again.process
+
+
+def test_permissions_of_the_runtime_directory() -> None:
+    with running_daemon() as daemon:
+        assert os.stat(daemon.directory).st_mode & 0o777 == 0o700
+        for name in ("hapticd.command", "hapticd.telemetry"):
+            assert os.stat(daemon.directory / name).st_mode & 0o777 == 0o660
+
+
+def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "real").mkdir(mode=0o700)
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    assert "symbolic link" in one_line(run_once(directory=tmp_path / "link"))
+    (tmp_path / "open").mkdir()
+    os.chmod(tmp_path / "open", 0o777)
+    assert "others may write" in one_line(run_once(directory=tmp_path / "open"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("servo: {rate_hz: 1}\n", ["c.yaml:1", "rate_hz", "1000"]),
+        ("servo: {rate_hz: 20000}\n", ["c.yaml:1", "rate_hz", "10000"]),
+        ("servo:\n  rate_hz: 8000\n  rat: 1\n", ["c.yaml:3", "rat"]),
+        ("scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wod}\n", ["c.yaml:3", "wood"]),
+        ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
+        ("servo: [\n", ["c.yaml:2"]),
+    ],
+)
+def test_bad_configuration_is_one_line(tmp_path: Path, text: str, words: list[str]) -> None:
+    file = tmp_path / "c.yaml"
+    file.write_text(text)
+    line = one_line(run_once("-c", str(file), directory=tmp_path / "run"))
+    for word in words:
+        assert word in line
+
+
+def test_realtime_required_is_refused_without_rights(tmp_path: Path) -> None:
+    """As an ordinary user, or as root with the rights taken away."""
+    config = tmp_path / "c.yaml"
+    config.write_text("servo: {realtime: required}\n")
+    dropped = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
+    limits = "import resource as r; r.setrlimit(r.RLIMIT_RTPRIO, (0, 0)); "
+    program = (
+        f"{limits}import sys; from hapticd.cli import main; "
+        f"sys.exit(main(['--runtime-dir', {str(tmp_path / 'run')!r}, 'run', '-c', {str(config)!r}]))"
+    )
+    result = subprocess.run([*dropped, sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    line = one_line(result)
+    assert "realtime is required but refused" in line
+    assert "SCHED_FIFO" in line
+
+
+def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path) -> None:
+    dropped = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
+    limits = (
+        "import resource as r; r.setrlimit(r.RLIMIT_RTPRIO, (0, 0)); r.setrlimit(r.RLIMIT_MEMLOCK, (65536, 65536)); "
+    )
+    directory = tmp_path / "run"
+    program = f"{limits}import sys; from hapticd.cli import main; sys.exit(main(['--runtime-dir', {str(directory)!r}, 'run']))"
+    command = [*dropped, sys.executable, "-c", program]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        said = ""
+        for line in process.stderr:
+            said += line
+            if "ready" in line:
+                break
+        wire = Wire(directory)
+        status = wire.result("get_status")
+        wire.close()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(60) == 0
+    assert "not granted: SCHED_FIFO priority 80" in said
+    assert "not granted: locked memory" in said
+    assert status["realtime"]["scheduler"] == "other"
+    assert status["realtime"]["memory_locked"] == "none"
+    assert len(status["realtime"]["missing"]) == 2
+    assert status["state"] == "running"
+
+
+def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
+    with running_daemon() as daemon, wired(daemon) as wire:
+        wire.result("set_scene", scene={"objects": PUSH}, wait=True)
+        before = wire.result("get_status")["counters"]
+        with hapticd.connect(daemon.directory) as client, client.samples() as samples:
+            next(samples)
+            daemon.process.send_signal(signal.SIGSTOP)
+            os.waitpid(daemon.process.pid, os.WUNTRACED)
+            stopped = threading.Event()
+            stopped.wait(1.0)  # the stall itself
+            daemon.process.send_signal(signal.SIGCONT)
+            parts = [np.array(next(samples)) for _ in range(30)]
+        data = np.concatenate(parts)
+        gaps = np.diff(data["time_ns"])
+        stall = int(np.argmax(gaps))
+        assert gaps[stall] >= 900_000_000
+        assert data["flags"][stall + 1] & Flag.SKIPPED
+        assert np.all(np.diff(data["tick"]) == 1)  # ticks have no gap, time has
+        assert gaps.min() >= 99_999  # no burst: at least a period between any two (of 1e5 ns, rounded)
+        after = data[stall + 1 : stall + 301]
+        assert abs(after["force_n"][0, 1]) <= 0.5 / 200 * 1.001  # it comes in over the ramp again
+        assert largest_slope(after) <= 0.5 / 0.02 * 1.001
+        status = wire.result("get_status")
+        assert status["counters"]["skipped"] - before["skipped"] >= 9000
+        assert status["forces"] == "on"
+        assert status["faults"] == []
+
+
+def test_control_plane_that_hangs_fades_the_force() -> None:
+    """An engine whose control thread does not beat; samples say when the force is gone."""
+    engine = Engine(load_config({"scene": {"objects": PUSH}, "servo": {"realtime": "off", "rate_hz": 1000}}))
+    engine.start()
+    try:
+        room = records(SAMPLE_DTYPE, 16384)
+        data = room[:0]
+        pause = threading.Event()
+        while len(data) < 5000 and not (len(data) > 500 and data["force_n"][-1, 1] == 0.0):
+            count, _ = engine.read_samples(room)
+            data = np.concatenate([data, room[:count]])
+            pause.wait(0.01)
+        faded = int(np.flatnonzero(data["force_n"][:, 1])[-1]) + 1
+        assert data["force_n"].max() == pytest.approx(0.5)
+        assert 1000 <= faded <= 1100  # a second of ticks, and the ramp of 20
+        assert largest_slope(data) <= 0.5 / 0.02 * 1.001
+        assert engine.counters().faults == Fault.CONTROL
+        engine.beat()
+        engine.set_forces(True)
+        assert engine.counters().faults == Fault(0)
+    finally:
+        engine.stop()
+
+
+def test_client_killed_in_mid_request_and_ten_at_once() -> None:
+    with running_daemon() as daemon:
+        # Half a ZMTP greeting, and half a message, from sockets that then vanish.
+        for part in (b"", b"\xff\x00\x00\x00", b"\xff" + b"\x00" * 8 + b"\x7f\x03\x00NULL" + b"\x00" * 40):
+            with socket.socket(socket.AF_UNIX) as raw:
+                raw.connect(str(daemon.directory / "hapticd.command"))
+                raw.sendall(part)
+        program = (
+            "import sys, zmq, msgpack, os, signal\n"
+            f"s = zmq.Context().socket(zmq.DEALER); s.connect('ipc://{daemon.directory}/hapticd.command')\n"
+            "s.send(msgpack.packb({'jsonrpc': '2.0', 'id': 1, 'method': 'get_scene'})); s.poll(10000)\n"
+            "for i in range(1000): s.send(msgpack.packb({'jsonrpc': '2.0', 'id': i, 'method': 'get_materials'}))\n"
+            "os.kill(os.getpid(), signal.SIGKILL)\n"
+        )
+        killed = subprocess.run([sys.executable, "-c", program], timeout=60, check=False)
+        assert killed.returncode == -signal.SIGKILL
+        errors: list[BaseException] = []
+
+        def client(n: int) -> None:
+            try:
+                with wired(daemon) as wire:
+                    for i in range(50):
+                        wire.result("update_scene", objects={f"o{n}": {"kind": "viscous", "damping_n_s_per_m": i / 100}})
+                        assert f"o{n}" in wire.result("get_scene")["scene"]["objects"]
+            except BaseException as error:
+                errors.append(error)
+
+        threads = [threading.Thread(target=client, args=(n,)) for n in range(10)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert not errors
+        with wired(daemon) as wire:
+            objects = wire.result("get_scene")["scene"]["objects"]
+            assert {f"o{n}" for n in range(10)} <= set(objects)
+
+
+def test_client_that_does_not_read_its_answers_stops_nobody() -> None:
+    with running_daemon() as daemon, wired(daemon) as wire:
+        context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        deaf = context.socket(zmq.DEALER)
+        deaf.setsockopt(zmq.LINGER, 0)
+        deaf.setsockopt(zmq.RCVHWM, 1)
+        deaf.setsockopt(zmq.SNDTIMEO, 200)
+        deaf.connect(f"ipc://{daemon.directory}/hapticd.command")
+        body = msgpack.packb({"jsonrpc": "2.0", "id": 1, "method": "get_materials"})
+        try:
+            for _ in range(5000):
+                deaf.send(body)
+        except zmq.Again:
+            pass
+        assert wire.result("get_status")["state"] == "running"
+        context.destroy(0)

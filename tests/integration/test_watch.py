@@ -1,0 +1,362 @@
+"""The live view: what it draws, and that it lives on a real terminal and a real daemon."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hapticd.calls import State, Status
+from hapticd.client import connect
+from hapticd.watch import View, bar, draw_scene, event_line, signed_bar
+from tests.daemon_process import Daemon, running_daemon
+
+ROOT = Path(__file__).parents[2]
+SCENE: dict[str, Any] = {
+    "objects": {
+        "floor": {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"},
+        "skin": {"kind": "membrane", "center_m": [0.0, 0.04], "normal": [0.0, 1.0], "width_m": 0.06, "material": "x"},
+        "honey": {"kind": "viscous", "damping_n_s_per_m": 1.0},
+    }
+}
+
+
+def status(**members: Any) -> Status:
+    plain = {
+        "version": "1.2.3",
+        "protocol": 1,
+        "state": "running",
+        "device": "sim",
+        "rate_hz": 10000.0,
+        "realtime": None,
+        "revision": 3,
+        "tick": 5,
+        "forces": "on",
+        "faults": [],
+        "lease_s": None,
+        "counters": {"overruns": 0, "skipped": 0},
+        "undisplayable": [],
+    }
+    return plain | members  # type: ignore[return-value]
+
+
+def state(tick: int = 100, **members: Any) -> State:
+    plain = {
+        "tick": tick,
+        "time_ns": tick * 100_000,
+        "position_m": [0.01, 0.02],
+        "velocity_m_per_s": [0.1, -0.2],
+        "contact_force_n": [0.0, 0.0],
+        "vibration_force_n": [0.0, 0.0],
+        "force_n": [0.0, 0.0],
+        "revision": 3,
+        "flags": 32,
+        "lateness_ns": 12_000,
+        "work_ns": 300,
+        "touching": [],
+        "flag_names": ["forces_on"],
+    }
+    return plain | members  # type: ignore[return-value]
+
+
+def view(**members: Any) -> View:
+    shown = View()
+    shown.feed("status", status())
+    shown.feed("state", state(tick=90))
+    shown.feed("state", state(**members))
+    shown.set_scene(SCENE, 3)
+    return shown
+
+
+def drawn(shown: View, width: int = 80, height: int = 24) -> list[str]:
+    return shown.render(width, height).plain.split("\n")
+
+
+def test_it_fits_the_terminal() -> None:
+    shown = view(force_n=[-123.0, 99.0], touching=["a" * 100])
+    shown.feed("event", {"event": "contact", "object": "x" * 200, "tick": 1, "time_ns": 10**18})
+    for width, height in ((80, 24), (120, 50), (200, 24), (40, 10), (1, 1), (20, 3)):
+        lines = drawn(shown, width, height)
+        assert len(lines) == height
+        assert max(map(len, lines)) <= width
+
+
+def test_it_shows_what_matters() -> None:
+    shown = view(force_n=[0.0, 1.25], contact_force_n=[0.0, 1.0], vibration_force_n=[0.0, 0.25], touching=["floor"])
+    shown.feed(
+        "status", status(forces="faulted", faults=["lease"], counters={"overruns": 7, "skipped": 9}, lease_s=2.0)
+    )
+    text = "\n".join(drawn(shown))
+    for wanted in (
+        "hapticd 1.2.3",
+        "sim",
+        "10000 Hz",
+        "forces faulted",
+        "+10.000  +20.000 mm",
+        "+100.0   -200.0 mm/s",
+        "+1.25 N",
+        "touching   floor",
+        "rate       10000 Hz",
+        "12 us",
+        "300 ns",
+        "overruns   7",
+        "skipped    9",
+        "faults     lease",
+        "lease      2.0 s left",
+    ):
+        assert wanted in text, wanted
+
+
+def test_before_anything_came_and_after_the_daemon_left() -> None:
+    assert "connecting" in drawn(View())[0]
+    shown = view()
+    shown.lost_for_s = 3.0
+    assert "daemon lost: nothing for 3 s" in drawn(shown)[0]
+    assert not shown.wants_scene
+    shown.feed("state", state(tick=200))
+    assert "daemon lost" not in drawn(shown)[0]
+
+
+def test_the_picture_shows_probe_wall_and_membrane() -> None:
+    lines = [line[:46] for line in drawn(view())[1:19]]
+    probe_row = next(row for row, line in enumerate(lines) if "●" in line)
+    probe_column = lines[probe_row].index("●")
+    skin_row = next(row for row, line in enumerate(lines) if "─" in line)
+    floor_row = next(row for row, line in enumerate(lines) if "░" in line)
+    assert skin_row < probe_row < floor_row, "from the top: 40 mm, 20 mm, 0"
+    assert probe_column > 46 / 2, "to the right of the middle"
+    assert all(set(line) == {"░"} for line in lines[floor_row:])
+    # A character is as wide as the plane's 160 mm over twice the 18 rows, and twice as high.
+    cell_m = 0.16 / 36
+    assert probe_column == int(0.01 / cell_m + 46 / 2)
+    assert probe_row == int(18 / 2 - 0.02 / (2 * cell_m))
+
+
+def test_a_probe_outside_widens_the_picture() -> None:
+    assert any("●" in line for line in drawn(view(position_m=[0.0, -0.3])))
+
+
+def test_a_punctured_membrane_has_a_hole_until_it_is_touched_again() -> None:
+    shown = view()
+    whole = sum(line.count("─") for line in drawn(shown)[:-5])
+    shown.feed("event", {"event": "puncture", "object": "skin", "depth_m": 0.004})
+    assert 0 < sum(line.count("─") for line in drawn(shown)[:-5]) < whole
+    shown.feed("event", {"event": "contact", "object": "skin"})
+    assert sum(line.count("─") for line in drawn(shown)[:-5]) == whole
+
+
+@pytest.mark.parametrize(
+    ("normal", "mark"), [([0, 1], "─"), ([0, -2], "─"), ([1, 0], "│"), ([-1, 0.5], "/"), ([1, 0.5], "\\")]
+)
+def test_membranes_lean_as_they_do(normal: list[float], mark: str) -> None:
+    skin = {"kind": "membrane", "center_m": [0, 0], "normal": normal, "width_m": 0.1, "material": "x"}
+    cells = draw_scene({"objects": {"skin": skin}}, 40, 20, 0.004)
+    assert {cell for row in cells for cell in row} == {" ", mark}
+
+
+@given(
+    st.floats(-10, 10),
+    st.floats(-10, 10),
+    st.floats(-1e9, 1e9),
+    st.floats(-1e9, 1e9),
+    st.floats(1e-4, 20),
+    st.integers(1, 60),
+)
+def test_any_scene_can_be_drawn(x: float, y: float, nx: float, ny: float, width: float, size: int) -> None:
+    objects = {
+        "wall": {"kind": "wall", "point_m": [x, y], "normal": [nx, ny]},
+        "skin": {"kind": "membrane", "center_m": [x, y], "normal": [nx, ny], "width_m": width},
+    }
+    cells = draw_scene({"objects": objects}, size, size, 0.004, ["skin"])
+    assert len(cells) == size and {len(row) for row in cells} == {size}
+
+
+def test_walls_are_shaded_where_they_are_solid() -> None:
+    wall = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [1.0, 0.0]}
+    cells = np.array(draw_scene({"objects": {"wall": wall}}, 10, 4, 0.01))
+    assert (cells[:, :5] == "░").all() and (cells[:, 5:] == " ").all()
+
+
+def test_bars() -> None:
+    assert bar(0, 2, 4) == "····" and bar(1, 2, 4) == "██··" and bar(9, 2, 4) == "████"
+    assert signed_bar(0, 2, 4) == "··│··"
+    assert signed_bar(1, 2, 4) == "··│█·" and signed_bar(-2, 2, 4) == "██│··" and signed_bar(99, 2, 4) == "··│██"
+
+
+@pytest.mark.parametrize(
+    ("event", "words"),
+    [
+        (
+            {"event": "contact", "object": "floor", "speed_m_per_s": 0.1234, "amplitude_m_per_s2": 31.0, "scale": 1.0},
+            "contact floor at 0.123 m/s, 31.0 m/s²",
+        ),
+        (
+            {"event": "contact", "object": "a", "speed_m_per_s": 0.1, "amplitude_m_per_s2": 31.0, "scale": 0.5},
+            "contact a at 0.100 m/s, 31.0 m/s² scaled to 0.50 by the force limit",
+        ),
+        ({"event": "contact", "object": "a", "appeared": True}, "contact a inside it when it appeared"),
+        ({"event": "puncture", "object": "skin", "depth_m": 0.004}, "puncture skin at 4.00 mm"),
+        ({"event": "fault", "faults": ["lease", "device"]}, "fault lease, device"),
+        ({"event": "fault", "faults": []}, "fault cleared"),
+        ({"event": "saturation", "wanted_n": 12.0}, "saturation wanted 12.00 N"),
+        ({"event": "overrun", "missed": 3}, "overrun 3 ticks missed"),
+        ({"event": "glitch", "speed_m_per_s": 100.0}, "glitch a jump of 100 m/s"),
+        ({"event": "revision", "revision": 4}, "revision 4"),
+        ({"event": "device_lost"}, "device lost"),
+        ({"event": "something_new", "x": 1}, "something new"),
+    ],
+)
+def test_events_in_words(event: dict[str, object], words: str) -> None:
+    assert event_line(event) == words
+
+
+def test_a_stream_of_updates_leaves_room_for_other_events() -> None:
+    shown = view()
+    shown.feed("event", {"event": "puncture", "object": "skin", "depth_m": 0.004})
+    for revision in range(100):
+        shown.feed("event", {"event": "revision", "revision": revision})
+        shown.feed("event", {"event": "overrun", "missed": 1})
+    text = "\n".join(drawn(shown))
+    assert "puncture skin" in text and "revision 99" in text and "revision 98" not in text
+
+
+def test_a_new_daemon_is_taken_for_one() -> None:
+    shown = view(tick=1_000_000)
+    assert not shown.wants_scene
+    shown.feed("state", state(tick=5))
+    assert shown.wants_scene, "its scene may be another under the same revision"
+    assert shown.rate_hz is None
+
+
+# ---- on a real daemon ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def quiet_config(tmp_path: Path) -> str:
+    path = tmp_path / "quiet.yaml"
+    path.write_text("servo: {rate_hz: 1000, realtime: off}\n")
+    return str(path)
+
+
+@pytest.fixture
+def daemon(quiet_config: str) -> Iterator[Daemon]:
+    with running_daemon("-c", quiet_config) as daemon:
+        yield daemon
+
+
+def arguments(daemon: Daemon, *more: str) -> list[str]:
+    return [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "watch", *more]
+
+
+class Terminal:
+    """A command on a pseudo-terminal of 80x24."""
+
+    def __init__(self, command: list[str]) -> None:
+        self._master, slave = pty.openpty()
+        fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+        environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", "LINES": "24", "LC_ALL": "C.UTF-8"}
+        self.process = subprocess.Popen(
+            command,
+            stdin=slave,
+            stdout=slave,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+            env=environment,
+            start_new_session=True,
+        )
+        os.close(slave)
+        self.output = b""
+
+    def read_until(self, wanted: str) -> None:
+        """Reads on until `wanted` was written after what was read before."""
+        start = len(self.output)
+        deadline = time.monotonic() + 60
+        while wanted.encode() not in self.output[start:]:
+            assert time.monotonic() < deadline, self.output[start:].decode(errors="replace")
+            if select.select([self._master], [], [], 1.0)[0]:
+                self.output += os.read(self._master, 65536)
+
+    def end(self, number: int) -> tuple[int, bytes]:
+        self.process.send_signal(number)
+        assert self.process.stderr is not None
+        with self.process.stderr:
+            # What it still writes must be read, or it never ends.
+            while self.process.poll() is None:
+                if select.select([self._master], [], [], 0.05)[0]:
+                    self.output += os.read(self._master, 65536)
+            while select.select([self._master], [], [], 0)[0]:
+                try:
+                    self.output += os.read(self._master, 65536)
+                except OSError:  # the other end is closed
+                    break
+            os.close(self._master)
+            return self.process.returncode, self.process.stderr.read()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_on_a_terminal(daemon: Daemon, number: int, code: int) -> None:
+    terminal = Terminal(arguments(daemon))
+    terminal.read_until("forces on")
+    terminal.read_until("●")
+    terminal.read_until("░")
+    with connect(daemon.directory) as client:
+        client.set_forces(False)
+    terminal.read_until("forces off")
+    assert terminal.end(number) == (code, b"")
+    assert terminal.output.rstrip().endswith(b"\x1b[?25h"), "the cursor is shown again"
+    assert b"\x1b[?1049l" in terminal.output, "and the screen as it was before"
+
+
+def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str) -> None:
+    terminal = Terminal(arguments(daemon))
+    terminal.read_until("touching")
+    daemon.stop()
+    terminal.read_until("daemon lost")
+    again = Daemon(daemon.directory, "-c", quiet_config)
+    try:
+        again.wait_ready()
+        terminal.read_until("forces on")
+    finally:
+        assert again.stop() == 0
+    assert terminal.end(signal.SIGINT) == (130, b"")
+
+
+def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
+    process = subprocess.Popen(arguments(daemon), stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True)
+    assert process.stdout is not None and process.stderr is not None
+    with process:
+        first = process.stdout.readline()
+        assert first.startswith("tick ") and "position" in first and "forces on" in first
+        with connect(daemon.directory) as client:
+            revision = client.set_scene(SCENE | {"objects": {}})["revision"]
+        while process.stdout.readline() != f"revision {revision}\n":
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 130
+        assert process.stderr.read() == ""
+
+
+def test_json_lines(daemon: Daemon) -> None:
+    process = subprocess.Popen(arguments(daemon, "--json"), stdout=subprocess.PIPE, cwd=ROOT, text=True)
+    assert process.stdout is not None
+    with process:
+        lines = [json.loads(process.stdout.readline()) for _ in range(2)]
+        process.send_signal(signal.SIGINT)
+    assert {line["topic"] for line in lines} <= {"state", "event"}
+    assert all("tick" in line for line in lines)

@@ -1,0 +1,234 @@
+"""The command line without a daemon: what it understands, and how it says what it does not."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hapticd import __version__
+from hapticd.cli import main
+from hapticd.cli.common import duration, print_yaml
+from hapticd.yaml_source import load_text
+
+ROOT = Path(__file__).parents[2]
+SCENE = "objects:\n  floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
+WAYPOINTS = "waypoints: [[0, 0, 0.01], [0.05, 0, -0.002], [0.1, 0, 0.01]]\n"
+COMMANDS = [
+    "run",
+    "status",
+    "scene",
+    "material",
+    "play",
+    "force",
+    "reset",
+    "operator",
+    "watch",
+    "record",
+    "simulate",
+    "schema",
+]
+
+
+@pytest.fixture(autouse=True)
+def _nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+
+
+def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
+    """The one line on stderr of a command that fails with `code`."""
+    assert main(arguments) == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1, captured.err
+    return captured.err
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in ([], ["--help"], ["-h"]):
+        assert main(arguments) == 0
+        out = capsys.readouterr().out
+        assert all(f"\n  {command} " in out for command in COMMANDS)
+    for command in COMMANDS:
+        assert main([command, "--help"]) == 0
+        assert "Usage: hapticd " + command in capsys.readouterr().out
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"hapticd {__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["status"],
+        ["scene", "get"],
+        ["material", "list"],
+        ["play", "wood", "--amplitude", "1"],
+        ["force", "on"],
+        ["reset"],
+        ["watch"],
+        ["record", "x.npz", "--for", "1s"],
+    ],
+)
+def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: list[str]) -> None:
+    line = f"hapticd: no daemon at {tmp_path}/hapticd; start one with: hapticd run\n"
+    assert said(capsys, 1, *arguments) == line
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["nonsense"], "No such command 'nonsense'"),
+        (["scene"], "Missing command"),
+        (["scene", "nonsense"], "No such command 'nonsense'"),
+        (["status", "--nonsense"], "--nonsense"),
+        (["status", "more"], "unexpected extra argument"),
+        (["force", "maybe"], "'maybe' is not one of 'on', 'off'"),
+        (["force"], "Missing argument"),
+        (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
+        (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
+        (["play", "--mode", "frequency_hz", "--amplitude", "1"], "write it as frequency_hz=200"),
+        (["play", "--mode", "a=1,a=2", "--amplitude", "1"], "each key once"),
+        (["play", "--mode", "a=1e", "--amplitude", "1"], "write it as"),
+        (["play", "wood"], "--amplitude"),
+        (["play", "wood", "--amplitude", "-1"], "x>=0"),
+        (["record", "x.npz", "--for", "5 parsecs"], "is not a time such as 5s, 500ms or 2min"),
+        (["record", "x.npz", "--for", "0s"], "is not a time"),
+        (["scene", "set", "x", "--expect-revision", "-1"], "x>=0"),
+    ],
+)
+def test_commands_that_are_not_understood(capsys: pytest.CaptureFixture[str], arguments: list[str], told: str) -> None:
+    line = said(capsys, 2, *arguments)
+    assert told in line and "--help)" in line
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("5s", 5), ("500ms", 0.5), ("2min", 120), ("1h", 3600), ("3", 3), ("1.5s", 1.5), (".5s", 0.5), (" 5 s ", 5)],
+)
+def test_durations(text: str, seconds: float) -> None:
+    context, option = click.Context(click.Command("x")), click.Option(["--for"])
+    assert duration(context, option, text) == seconds
+
+
+def test_schema(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["schema"]) == 0
+    schema = json.loads(capsys.readouterr().out)
+    assert {"servo", "device", "materials", "scene"} <= schema["properties"].keys()
+
+
+NAMES = st.text(
+    st.characters(exclude_categories=["Cs", "Cc"], exclude_characters="\ufffe\uffff"), min_size=1, max_size=8
+)
+NAMES |= st.sampled_from(["null", "true", "False", "off", "1", "1e-3", "-", "~", "a b", "#", "a: b", "<<", "", "=="])
+LEAVES = (
+    st.none() | st.booleans() | st.integers(-(2**63), 2**63) | st.floats(allow_nan=False, allow_infinity=False) | NAMES
+)
+CONTENT = st.dictionaries(
+    NAMES,
+    st.recursive(LEAVES, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAMES, inner, max_size=3)),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(CONTENT)
+def test_printed_yaml_is_read_back(content: dict[str, object]) -> None:
+    lines: list[str] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(click, "echo", lines.append)
+        print_yaml(content)
+    assert load_text("\n".join(lines), "printed").data == content
+
+
+def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("scene.yaml").write_text(SCENE)
+    Path("config.yaml").write_text("scene:\n  " + SCENE.replace("\n", "\n  ").rstrip() + "\n")
+    Path("operator.yaml").write_text(WAYPOINTS)
+    assert main(["simulate", "scene.yaml", "--operator", "operator.yaml", "-o", "a.npz", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result == {"file": "a.npz", "ticks": 1000, "duration_s": 0.1, "events": result["events"]}
+    assert main(["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "b.npz"]) == 0
+    assert capsys.readouterr().out.startswith("b.npz: 1000 ticks in 0.100 s, ")
+    with np.load("a.npz") as first, np.load("b.npz") as second:
+        assert first["samples"].tobytes() == second["samples"].tobytes(), "the same run, however it is written"
+        assert first["truth"].shape == (1000, 4)
+        contact = first["events"][first["events"]["event"] == "contact"][0]
+        assert contact["object"] == "floor"
+    assert (
+        main(
+            ["simulate", "scene.yaml", "--operator", "operator.yaml", "-o", "c.csv", "--for", "50ms", "--rate", "2000"]
+        )
+        == 0
+    )
+    with open("c.csv", newline="") as file:
+        assert sum(1 for _ in csv.reader(file)) == 101
+
+
+@pytest.mark.parametrize(
+    ("scene", "operator", "output", "told"),
+    [
+        (SCENE.replace("wood", "woood"), WAYPOINTS, "x.npz", 'unknown material "woood"'),
+        (
+            SCENE.replace("[0, 1]", "[0, 0]"),
+            WAYPOINTS,
+            "x.npz",
+            "scene.yaml:2: objects.floor.normal: must have a direction",
+        ),
+        (SCENE, "waypoints: []\n", "x.npz", "operator.yaml:1: waypoints"),
+        (SCENE, WAYPOINTS, "x.mat", "x.mat: must end in .npz or .csv"),
+        (SCENE, WAYPOINTS, "no/x.npz", "no/x.npz: cannot be written: No such file or directory"),
+        ("- 1\n", WAYPOINTS, "x.npz", "scene.yaml:1"),
+        ("a: &x 1\nb: *x\n", WAYPOINTS, "x.npz", "scene.yaml:2:4: aliases are not allowed"),
+    ],
+)
+def test_simulate_says_what_is_wrong(
+    capsys: pytest.CaptureFixture[str], scene: str, operator: str, output: str, told: str
+) -> None:
+    Path("scene.yaml").write_text(scene)
+    Path("operator.yaml").write_text(operator)
+    assert told in said(capsys, 1, "simulate", "scene.yaml", "--operator", "operator.yaml", "-o", output)
+    assert sorted(os.listdir()) == ["operator.yaml", "scene.yaml"]
+
+
+def test_a_broken_pipe_is_quiet() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        process = subprocess.run(
+            [sys.executable, "-m", "hapticd", "schema"],
+            stdout=writer,
+            stderr=subprocess.PIPE,
+            cwd=ROOT,
+            text=True,
+            timeout=60,
+        )
+    finally:
+        os.close(writer)
+    assert (process.returncode, process.stderr) == (1, "")
+
+
+@pytest.mark.parametrize("command", ["--version", "--help", "status"])
+def test_a_command_loads_no_more_than_it_needs(command: str) -> None:
+    program = (
+        "import sys; from hapticd.cli import main; main([sys.argv[1]]); "
+        "print(*sorted({'numpy', 'pydantic', 'rich', 'yaml', 'asyncio', 'hapticd._core'} & sys.modules.keys()))"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", program, command], capture_output=True, cwd=ROOT, text=True, timeout=60
+    )
+    assert process.stdout.splitlines()[-1] == ""
