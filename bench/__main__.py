@@ -51,8 +51,8 @@ def _velocity(options: Options, advance: Advance) -> Section:
     return Section(
         "Velocity estimators",
         [
-            f"{velocity.TRIALS} seeded trials of two axes at {rate_hz:.0f} Hz, positions rounded to {1e6 * step_m:g} um: "
-            "constant speeds of 0.05 to 0.5 m/s, at contact while slowing down, and after an impact from 0.3 to "
+            f"{velocity.TRIALS} seeded trials of two axes at {rate_hz:.0f} Hz, positions rounded to {1e6 * step_m:g} "
+            "um: constant speeds of 0.05 to 0.5 m/s, at contact while slowing down, and after an impact from 0.3 to "
             "-0.15 m/s (samples until within 0.045 m/s, median and worst; rms from 1 to 10 ms after, mm/s).",
             Table("Error against the true speed", ["estimator", *heads, "impact: samples / worst / rms"], errors),
             f"Half the width of the set of speeds that the samples allow, at constant speed, mm/s, median: {width}.",

@@ -1,7 +1,7 @@
 """The closed loop against its continuous closed form (error over rate), and what is rendered against references.
 
-The loop is `hapticd.simulate` without what is not the hold's doing: no encoder step, no dry friction, no rounding of the
-force, no vibration. A hand draws a mass onto a wall; along the normal
+The loop is `hapticd.simulate` without what is not the hold's doing: no encoder step, no dry friction, no rounding of
+the force, no vibration. A hand draws a mass onto a wall; along the normal
 
     M y'' = k (w - y) + b_h (w' - y') - b y' + F,        F = -K y - D y' inside the wall, 0 outside,
 
@@ -180,7 +180,7 @@ def error(loop: Loop, rate_hz: float, delay_periods: int = 0) -> Error:
 def without_hold(loop: Loop, rate_hz: float) -> float:
     """Largest difference in penetration from a continuous loop whose wall has K T/2 less damping, m (D = 0).
 
-    A held force is on average T/2 old: K y(t - T/2) is K y - (K T/2) y' to first order. What is left is of second order.
+    A held force is T/2 old on average: K y(t - T/2) is K y - (K T/2) y' to first order, the rest of second order.
     """
     worst = 0.0
     for phase in range(PHASES):
@@ -247,8 +247,8 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Error against cost",
         [
-            f"The closed loop of a hand on a wall of K = {loop.stiffness:g} N/m, D = {loop.damping:g} N s/m against its "
-            f"closed form (docs/accuracy.md), and the tick's own work, {tick_ns:.0f} ns warm, at that rate.",
+            f"The closed loop of a hand on a wall of K = {loop.stiffness:g} N/m, D = {loop.damping:g} N s/m against "
+            f"its closed form (docs/accuracy.md), and the tick's own work, {tick_ns:.0f} ns warm, at that rate.",
             Table(
                 "Largest error at ticks, of the peak; processor time, ms a second",
                 ["rate", "force", "penetration", "processor"],
@@ -321,7 +321,7 @@ def _config(material: dict[str, Any], mass_kg: float) -> dict[str, object]:
     }
 
 
-def approach_error(rate_hz: float) -> tuple[float, float, float, float]:
+def approach_error(rate_hz: float) -> Floats:
     """Straight approaches at 0.13 m/s to the seven materials that can be tapped, velocities estimated.
 
     Worst of: vibration over the peak of the closed form; onset, s; speed at the onset, relative; wall force, relative.
@@ -363,7 +363,7 @@ def approach_error(rate_hz: float) -> tuple[float, float, float, float]:
             np.abs(contact - wall).max() / wall.max(),
         )
         worst = np.maximum(worst, found)
-    return tuple(worst.tolist())
+    return worst
 
 
 def handle_error(rate_hz: float) -> float:
@@ -427,9 +427,9 @@ def accuracy(options: Options, advance: Advance) -> list[Section]:
     loops = Section(
         "The closed loop",
         [
-            "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall at 0.1 m/s and rests; the simulated joystick "
-            "without encoder step, dry friction, force resolution and vibration. The reference is the closed form of "
-            f"the continuous loop. Each figure is the largest over {PHASES} places of the onset within the tick.",
+            "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall at 0.1 m/s and rests; the simulated "
+            "joystick without encoder step, dry friction, force resolution and vibration. The reference is the closed "
+            f"form of the continuous loop. Each figure is the largest over {PHASES} places of the onset within the tick.",
         ],
     )
     for index, (name, loop) in enumerate(LOOPS.items()):
@@ -457,7 +457,8 @@ def accuracy(options: Options, advance: Advance) -> list[Section]:
     times = [a.penetration_m / b.penetration_m for a, b in zip(late, prompt, strict=True)]
     loops.parts.append(
         "A device whose reports are one tick old makes the force 3 T/2 old instead of T/2: the error in penetration is "
-        f"{min(times):.1f} to {max(times):.1f} times as large, and the force at a tick lags by what the wall gains in one:"
+        f"{min(times):.1f} to {max(times):.1f} times as large, and the force at a tick lags by what the wall gains in "
+        "one:"
     )
     loops.parts.append(table)
     advance(1.0, "closed loop")

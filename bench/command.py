@@ -20,7 +20,7 @@ import numpy as np
 import zmq
 
 from bench.daemon import daemon, dealer
-from bench.report import ROOT, Advance, Options, Section, Table, spread, verdict
+from bench.report import ROOT, Advance, Options, Section, Table, spread
 from hapticd.errors import HapticdError
 
 RATE_HZ = 10_000
@@ -109,8 +109,9 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Command round trip",
         [
-            f"The whole daemon with the servo at {RATE_HZ} Hz, over ipc; the echo is another process. update_scene moves "
-            "one wall, another way each time. Ratios of p50 are taken block by block, that of p99 over all of the run.",
+            f"The whole daemon with the servo at {RATE_HZ} Hz, over ipc; the echo is another process. update_scene "
+            "moves one wall, another way each time. Ratios of p50 are taken block by block, that of p99 over all "
+            "of the run.",
             Table(
                 f"us, {blocks} blocks of {trips} round trips of each, in turns",
                 ["", "p50 (10 to 90 %)", "p99", "worst", "p50 over echo's", "p99 over echo's", "aims, reached"],

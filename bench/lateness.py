@@ -2,9 +2,9 @@
 
     python -m bench.lateness RATE_HZ SECONDS SPIN_US       one run of the servo, as JSON; what the measurement starts
 
-Servo and cyclictest are each a fresh process, with one thread at SCHED_FIFO 80, no affinity, all memory locked, woken at
-absolute times of CLOCK_MONOTONIC. cyclictest keeps the processors out of deep idle states (/dev/cpu_dma_latency) as long
-as it runs; so must the servo, or it loses.
+Servo and cyclictest are each a fresh process, with one thread at SCHED_FIFO 80, no affinity, all memory locked, woken
+at absolute times of CLOCK_MONOTONIC. cyclictest keeps the processors out of idle states that are slow to leave
+(/dev/cpu_dma_latency) as long as it runs; so must the servo, or it loses.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Run:
 def lateness_of(samples: np.ndarray[tuple[int], np.dtype[np.void]], rate_hz: float) -> tuple[Floats, int]:
     """Wake-up after the deadline, ns, and the periods missed.
 
-    A sample's own lateness is that after the deadline it was rendered for; periods that were missed before it are added,
-    which is how late cyclictest calls the same wake-up.
+    A sample's own lateness is that after the deadline it was rendered for; periods that were missed before it are
+    added, which is how late cyclictest calls the same wake-up.
     """
     period_ns = 1e9 / rate_hz
     missed = np.rint(np.diff(samples["time_ns"]) / period_ns) - 1

@@ -114,9 +114,9 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Telemetry",
         [
-            f"The whole daemon at {RATE_HZ} Hz, {parts * seconds:g} s of each kind of run, {parts} of them in turns; the "
-            "readers are one process that takes all topics and unpacks every batch. The dead subscriber is connected and "
-            f"never reads. The daemon's ring dropped {dropped['samples_dropped']} samples and the servo missed "
+            f"The whole daemon at {RATE_HZ} Hz, {parts * seconds:g} s of each kind of run, {parts} of them in turns; "
+            "the readers are one process that takes all topics and unpacks every batch. The dead subscriber is "
+            f"connected and never reads. The daemon's ring dropped {dropped['samples_dropped']} samples and the servo missed "
             f"{dropped['skipped']} periods in all of it, start to end.",
             Table(
                 "Servo and subscribers; aim: nothing missing, the servo unmoved",

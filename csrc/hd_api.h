@@ -87,8 +87,8 @@ struct hd_table {
     uint32_t display_vibration; /* 0 or 1 */
     uint32_t field_version;     /* raised whenever the field changes */
     double period_s;
-    double max_force_n;         /* magnitude of the whole command */
-    double max_speed_m_per_s;   /* a step between two samples that implies more is a glitch */
+    double max_force_n;       /* magnitude of the whole command */
+    double max_speed_m_per_s; /* a step between two samples that implies more is a glitch */
     double ramp_s;
     double ramp_step; /* period_s / ramp_s: what a ramp moves on in a tick */
     struct hd_field field;
@@ -146,10 +146,10 @@ struct hd_event {
     uint32_t code;
     uint32_t slot; /* HD_NO_SLOT where no object is meant */
     uint32_t generation;
-    double speed_m_per_s;        /* along the normal, as estimated at the onset */
-    double true_speed_m_per_s;   /* the simulated handle's own; NaN on a real device */
-    double amplitude_m_per_s2;   /* of the strike, before scaling; 0: none */
-    double scale;                /* what the limit left of the strike, 0 to 1 */
+    double speed_m_per_s;      /* along the normal, as estimated at the onset */
+    double true_speed_m_per_s; /* the simulated handle's own; NaN on a real device */
+    double amplitude_m_per_s2; /* of the strike, before scaling; 0: none */
+    double scale;              /* what the limit left of the strike, 0 to 1 */
     double value;
 };
 
@@ -206,8 +206,8 @@ struct hd_sim_config {
     double force_step_n;       /* its resolution; 0: exact */
     double report_interval_s;  /* 0: a report at every servo period */
     double report_delay_s;
-    double workspace_m;        /* half the travel, per axis; inelastic stops */
-    double force_timeout_s;    /* the force expires by itself this long after the last put */
+    double workspace_m;     /* half the travel, per axis; inelastic stops */
+    double force_timeout_s; /* the force expires by itself this long after the last put */
     double hand_mass_kg;
     double hand_stiffness_n_per_m;
     double hand_damping_n_s_per_m;
@@ -219,14 +219,15 @@ enum hd_interpolation { HD_LINEAR = 0, HD_MINIMUM_JERK = 1 };
 /* What one look at a device gives. */
 struct hd_reading {
     double position_m[2];
-    double interval_s;             /* between this report and the one before; 0: no new report */
+    double interval_s;               /* between this report and the one before; 0: no new report */
     double true_velocity_m_per_s[2]; /* NaN where nobody knows */
 };
 
 struct hd_sim;      /* opaque */
 struct hd_operator; /* opaque: where the hand wants to be, over time; immutable */
 
-/* `waypoints` [count][3]: t_s, x_m, y_m, strictly rising times, copied. NULL: invalid (hd_invalid_reason) or no memory. */
+/* `waypoints` [count][3]: t_s, x_m, y_m, strictly rising times, copied. NULL: invalid (hd_invalid_reason) or no memory.
+ */
 struct hd_operator *hd_operator_new(const double *waypoints, size_t count, enum hd_interpolation interpolation);
 void hd_operator_free(struct hd_operator *path);
 /* NULL: invalid (hd_invalid_reason) or no memory. */
@@ -245,7 +246,8 @@ void hd_sim_read(struct hd_sim *sim, struct hd_reading *reading);
 /* The handle itself: position [2], velocity [2], force of the actuator [2]. */
 void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
 
-/* Closed loop without clock: `count` ticks of table, state and sim. `truth` [count][4] (true position, velocity) or NULL. */
+/* Closed loop without clock: `count` ticks of table, state and sim. `truth` [count][4] (true position, velocity) or
+ * NULL. */
 int hd_simulate(const struct hd_table *table, struct hd_state *state, struct hd_sim *sim, size_t count,
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count);

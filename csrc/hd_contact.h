@@ -39,9 +39,9 @@ HD_RT static inline struct hd_slot *hd_contact_slot(struct hd_walk *walk, const 
 
 /* How a contact begins. */
 struct hd_onset {
-    int silent;             /* no onset was seen: no tap, and the force comes in over the ramp */
-    double before_s;        /* before the tick */
-    double direction[2];    /* into which a tap pushes: the normal on the side entered */
+    int silent;          /* no onset was seen: no tap, and the force comes in over the ramp */
+    double before_s;     /* before the tick */
+    double direction[2]; /* into which a tap pushes: the normal on the side entered */
 };
 
 /* Touches: reports it and strikes `tap`. */

@@ -1,4 +1,5 @@
-/* Memory that the servo never waits for: touched before it starts, and locked as far as the limit allows. Control side. */
+/* Memory that the servo never waits for: touched before it starts, and locked as far as the limit allows. Control side.
+ */
 #ifndef HD_MEMORY_H
 #define HD_MEMORY_H
 

@@ -1,5 +1,6 @@
 /* The mark of functions that the servo thread may call: no allocation, no lock, no log, no system call but clock and
- * sleep. Where clang knows the attribute, -Wfunction-effects proves it at compile time and RealtimeSanitizer at run time. */
+ * sleep. Where clang knows the attribute, -Wfunction-effects proves it at compile time and RealtimeSanitizer at run
+ * time. */
 #ifndef HD_RT_H
 #define HD_RT_H
 
@@ -12,8 +13,8 @@
 #define HD_RT
 #endif
 
-/* Around calls into libm, the clock and the sleep: their headers do not say that they are nonblocking, and these are the
- * only foreign functions that the servo may call. */
+/* Around calls into libm, the clock and the sleep: their headers do not say that they are nonblocking, and these are
+ * the only foreign functions that the servo may call. */
 #if defined(__clang__) && defined(__has_warning)
 #if __has_warning("-Wfunction-effects")
 #define HD_RT_FOREIGN_BEGIN _Pragma("clang diagnostic push") _Pragma("clang diagnostic ignored \"-Wfunction-effects\"")

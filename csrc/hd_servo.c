@@ -483,7 +483,8 @@ static int command_check(const struct hd_servo *servo, const struct hd_command *
     case HD_COMMAND_PLAY: {
         const double *direction = command->direction;
         const double square = direction[0] * direction[0] + direction[1] * direction[1];
-        if (!(square > 1.0 - 1e-9 && square < 1.0 + 1e-9) || !(command->amplitude >= 0.0 && command->amplitude <= 1e9)) {
+        if (!(square > 1.0 - 1e-9 && square < 1.0 + 1e-9) ||
+            !(command->amplitude >= 0.0 && command->amplitude <= 1e9)) {
             return hd_invalid("play: direction (%g, %g) or amplitude %g", direction[0], direction[1],
                               command->amplitude);
         }

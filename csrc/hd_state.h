@@ -57,15 +57,15 @@ struct hd_strike {
     uint32_t slot;
     uint32_t generation;
     uint32_t use;
-    uint32_t event;    /* index of the event that reports it */
-    double units;      /* of what excites the mode */
-    double before_s;   /* began this long before the tick, 0 to T */
-    double growth_n;   /* the surface's own force by the time of the first peak */
+    uint32_t event;  /* index of the event that reports it */
+    double units;    /* of what excites the mode */
+    double before_s; /* began this long before the tick, 0 to T */
+    double growth_n; /* the surface's own force by the time of the first peak */
     double direction[2];
 };
 
 struct hd_state {
-    uint64_t tick; /* the one that is being rendered, or comes next; the first is 0 */
+    uint64_t tick;   /* the one that is being rendered, or comes next; the first is 0 */
     uint64_t period; /* periods that have begun, missed ones too: the clock of offline runs */
     uint32_t voice_count;
     uint32_t active_count;

@@ -1,7 +1,7 @@
 /* Checking and copying tables.
  *
- * Invariant: no table that passes hd_table_check can make a tick read out of bounds, divide by zero or run for ever, and
- * no two records share a slot's generation by accident of the check: slots are within the state's capacity and used
+ * Invariant: no table that passes hd_table_check can make a tick read out of bounds, divide by zero or run for ever,
+ * and no two records share a slot's generation by accident of the check: slots are within the state's capacity and used
  * once. What finite numbers can still overflow to in a tick, the tick itself catches. Control side. */
 #include "hd_table.h"
 
@@ -28,7 +28,8 @@ int hd_mode_check(const struct hd_mode *mode, const char *what) {
         mode->rotor_re * mode->rotor_re + mode->rotor_im * mode->rotor_im > 1.0 + 1e-12) {
         return hd_invalid("%s: rotor (%g, %g) is not within the unit circle", what, mode->rotor_re, mode->rotor_im);
     }
-    if (!between(mode->decay_rate_per_s, 0.0, HD_LARGEST) || !between(mode->angular_frequency_rad_per_s, 0.0, HD_LARGEST)) {
+    if (!between(mode->decay_rate_per_s, 0.0, HD_LARGEST) ||
+        !between(mode->angular_frequency_rad_per_s, 0.0, HD_LARGEST)) {
         return hd_invalid("%s: decay rate %g and angular frequency %g must lie between 0 and %g", what,
                           mode->decay_rate_per_s, mode->angular_frequency_rad_per_s, HD_LARGEST);
     }
@@ -46,15 +47,16 @@ int hd_mode_check(const struct hd_mode *mode, const char *what) {
 
 static int surface_check(const struct hd_surface *surface, const char *kind, uint32_t index) {
     if (!bounded(surface->point_m[0]) || !bounded(surface->point_m[1])) {
-        return hd_invalid("%s %u: point (%g, %g) is out of range", kind, index, surface->point_m[0], surface->point_m[1]);
+        return hd_invalid("%s %u: point (%g, %g) is out of range", kind, index, surface->point_m[0],
+                          surface->point_m[1]);
     }
-    const double square =
-        surface->normal[0] * surface->normal[0] + surface->normal[1] * surface->normal[1];
+    const double square = surface->normal[0] * surface->normal[0] + surface->normal[1] * surface->normal[1];
     if (!between(square, 1.0 - 1e-9, 1.0 + 1e-9)) {
         return hd_invalid("%s %u: normal (%g, %g) is not a unit vector", kind, index, surface->normal[0],
                           surface->normal[1]);
     }
-    if (!between(surface->stiffness_n_per_m, 0.0, HD_LARGEST) || !between(surface->damping_n_s_per_m, 0.0, HD_LARGEST)) {
+    if (!between(surface->stiffness_n_per_m, 0.0, HD_LARGEST) ||
+        !between(surface->damping_n_s_per_m, 0.0, HD_LARGEST)) {
         return hd_invalid("%s %u: stiffness %g and damping %g must lie between 0 and %g", kind, index,
                           surface->stiffness_n_per_m, surface->damping_n_s_per_m, HD_LARGEST);
     }
@@ -104,8 +106,8 @@ int hd_table_check(const struct hd_table *table, uint32_t slot_capacity) {
     }
     if (!between(table->max_force_n, 1e-6, 1e6) || !between(table->max_speed_m_per_s, 1e-6, 1e6) ||
         !between(table->ramp_s, 1e-6, 1e3)) {
-        return hd_invalid("table: force limit %g N, speed limit %g m/s or ramp %g s is out of range", table->max_force_n,
-                          table->max_speed_m_per_s, table->ramp_s);
+        return hd_invalid("table: force limit %g N, speed limit %g m/s or ramp %g s is out of range",
+                          table->max_force_n, table->max_speed_m_per_s, table->ramp_s);
     }
     if (!between(table->ramp_step * table->ramp_s, table->period_s * (1.0 - 1e-12), table->period_s * (1.0 + 1e-12))) {
         return hd_invalid("table: ramp step %g is not period over ramp", table->ramp_step);

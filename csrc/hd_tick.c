@@ -1,8 +1,8 @@
 /* The tick, top to bottom: sense, ring, touch, strike, limit, fade.
  *
  * Bounded work: it walks the objects of the table once and the ringing modes twice. Whatever it is given, the force it
- * returns is finite and within the table's limit; a NaN or an infinity anywhere latches HD_FAULT_NONFINITE and the force
- * is zero from that tick on. Called by the servo thread and by the offline runs alike. */
+ * returns is finite and within the table's limit; a NaN or an infinity anywhere latches HD_FAULT_NONFINITE and the
+ * force is zero from that tick on. Called by the servo thread and by the offline runs alike. */
 #include "hd_tick.h"
 
 #include <math.h>

@@ -15,23 +15,30 @@ from typing import TYPE_CHECKING
 from hapticd._version import __version__
 
 if TYPE_CHECKING:
-    from hapticd.client import connect
+    from hapticd import aio
+    from hapticd.client import DaemonNotRunning, RemoteError, TelemetryLoss, connect
     from hapticd.config import Config, load_config
     from hapticd.core import SAMPLE_DTYPE
     from hapticd.errors import HapticdError, InvalidError, Problem
     from hapticd.materials import Material
     from hapticd.offline import render, simulate
+    from hapticd.samples import SampleBatch
     from hapticd.scene import Scene, load_scene
 
 __all__ = [
     "SAMPLE_DTYPE",
     "Config",
+    "DaemonNotRunning",
     "HapticdError",
     "InvalidError",
     "Material",
     "Problem",
+    "RemoteError",
+    "SampleBatch",
     "Scene",
+    "TelemetryLoss",
     "__version__",
+    "aio",
     "connect",
     "load_config",
     "load_scene",
@@ -41,6 +48,10 @@ __all__ = [
 
 _HOMES = {
     "connect": "client",
+    "DaemonNotRunning": "client",
+    "RemoteError": "client",
+    "TelemetryLoss": "client",
+    "SampleBatch": "samples",
     "Config": "config",
     "load_config": "config",
     "SAMPLE_DTYPE": "core",
@@ -56,6 +67,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> object:
+    if name == "aio":
+        return importlib.import_module("hapticd.aio")
     home = _HOMES.get(name)
     if home is None:
         raise AttributeError(f"module 'hapticd' has no attribute {name!r}")

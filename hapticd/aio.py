@@ -73,9 +73,7 @@ class Client:
     daemon refuses, and DaemonNotRunning where it does not answer within `timeout_s`.
     """
 
-    def __init__(
-        self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S
-    ) -> None:
+    def __init__(self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> None:
         self.paths: RuntimePaths = daemon_paths(runtime_dir)
         self.timeout_s = timeout_s
         self._last_id = 0

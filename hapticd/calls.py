@@ -222,9 +222,7 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     return data
 
 
-def change_params(
-    key: str, value: Mapping[str, object], expect_revision: int | None, wait: bool
-) -> dict[str, object]:
+def change_params(key: str, value: Mapping[str, object], expect_revision: int | None, wait: bool) -> dict[str, object]:
     """Params of set_scene, update_scene and update_materials."""
     params: dict[str, object] = {key: value}
     if expect_revision is not None:
@@ -317,9 +315,7 @@ def probe(paths: RuntimePaths) -> None:
             trial.connect(os.fspath(paths.command))
         except OSError as error:
             if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
-                raise DaemonNotRunning(
-                    f"no daemon at {paths.directory}; start one with: hapticd run"
-                ) from None
+                raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run") from None
             raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 

@@ -67,9 +67,7 @@ class Client:
     within `timeout_s`; such a call is not repeated later by itself.
     """
 
-    def __init__(
-        self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S
-    ) -> None:
+    def __init__(self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> None:
         self.paths: RuntimePaths = daemon_paths(runtime_dir)
         self.timeout_s = timeout_s
         self._lock = threading.Lock()
@@ -146,9 +144,7 @@ class Client:
         """The scene and its revision."""
         return cast(SceneResult, self.call("get_scene"))
 
-    def set_scene(
-        self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False
-    ) -> RevisionResult:
+    def set_scene(self, scene: SceneSource, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
         """Replaces the scene, all or nothing.
 
         `scene` is a mapping, the path of a YAML file that holds a scene, or a `hapticd.Scene`. With
@@ -187,9 +183,7 @@ class Client:
         amplitude_m_per_s2: float,
     ) -> PlayResult:
         """Strikes a mode, or a material's tap, along `direction` [x, y], whatever is touched."""
-        return cast(
-            PlayResult, self.call("play", calls.play_params(material, mode, direction, amplitude_m_per_s2))
-        )
+        return cast(PlayResult, self.call("play", calls.play_params(material, mode, direction, amplitude_m_per_s2)))
 
     def reset(self, objects: Iterable[str] | None = None) -> TickResult:
         """Heals membranes and clears contact state, of the objects with these ids or of all."""

@@ -106,9 +106,7 @@ class Config(Model):
     scene: Scene = Field(default=Scene(), description="The scene at the start.")
 
 
-ConfigSource: TypeAlias = (
-    "Config | Mapping[str, object] | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"
-)
+ConfigSource: TypeAlias = "Config | Mapping[str, object] | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"
 
 
 def load_config(source: ConfigSource) -> Config:

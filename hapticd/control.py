@@ -166,7 +166,7 @@ class Control:
             known = self.__dict__["_undisplayable_of"] = (engine.revision, found)
         return cast(list[dict[str, object]], known[1])
 
-    # ---- Scene and materials -------------------------------------------------------------------------------------------
+    # ---- Scene and materials ---------------------------------------------------------------------------------------
 
     def _get_status(self, _: _NoParams) -> dict[str, object]:
         return self.status()
@@ -252,7 +252,7 @@ class Control:
             result["warning"] = self._off_because(faults)
         return result
 
-    # ---- Commands ------------------------------------------------------------------------------------------------------
+    # ---- Commands --------------------------------------------------------------------------------------------------
 
     def _play(self, params: _Play) -> dict[str, object]:
         if (params.mode is None) == (params.material is None):

@@ -142,7 +142,7 @@ class Engine:
         self._servo = ffi.gc(made, lib.hd_servo_free)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
-    # ---- Life ----------------------------------------------------------------------------------------------------------
+    # ---- Life ------------------------------------------------------------------------------------------------------
 
     def start(self) -> Granted:
         """Starts the servo thread. Raises HapticdError where real time is required and refused."""
@@ -182,7 +182,7 @@ class Engine:
         """The thread that serves commands lives; without a beat for a second the forces fade out."""
         lib.hd_servo_beat(self._servo)
 
-    # ---- Scene and materials -------------------------------------------------------------------------------------------
+    # ---- Scene and materials ---------------------------------------------------------------------------------------
 
     def set_scene(self, scene: Scene) -> int:
         """Takes a validated scene; returns its revision."""
@@ -232,7 +232,7 @@ class Engine:
             self._compiler.update(self.scene, changed, self.materials, self.revision)
             raise HapticdError(f"the scene cannot be rendered: {reason}")
 
-    # ---- Commands ------------------------------------------------------------------------------------------------------
+    # ---- Commands --------------------------------------------------------------------------------------------------
 
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
@@ -309,7 +309,7 @@ class Engine:
             raise WaitTimeoutError(f"the servo did not take the command within {WAIT_S:g} s")
         return int(self._tick[0])
 
-    # ---- What the servo says -------------------------------------------------------------------------------------------
+    # ---- What the servo says ---------------------------------------------------------------------------------------
 
     def counters(self) -> Counters:
         """What was counted so far."""

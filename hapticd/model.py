@@ -18,9 +18,7 @@ from hapticd.yaml_source import MAX_DEPTH, Json
 NAME_MAX_CHARACTERS = 64
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
 
-Name: TypeAlias = Annotated[
-    str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)
-]
+Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
 """Name of a material or id of an object: no dot, so that a path can be read, and no control character."""
 
 Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]

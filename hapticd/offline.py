@@ -132,10 +132,11 @@ def render(
 ) -> Samples:
     """Forces for a path of positions, open loop.
 
-    `config` is what a YAML file holds, as a mapping or a path (materials, device, scene); `position_m` has shape
+    `config` is what a YAML file holds, as a mapping or a path (materials, device, scene). `position_m` has shape
     (n, 2), one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `velocity_m_per_s`,
-    shape (n, 2), is used where the caller knows it; otherwise it is estimated (exact positions: the backward difference). Forces are
-    on from the first sample; a probe that starts inside an object comes in over the scene's ramp_s.
+    shape (n, 2), is used where the caller knows it; otherwise it is estimated (exact positions: the backward
+    difference). Forces are on from the first sample; a probe that starts inside an object comes in over the scene's
+    ramp_s.
 
     Returns (n,) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
     """

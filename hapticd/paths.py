@@ -95,8 +95,7 @@ def check_directory(paths: RuntimePaths) -> None:
     if status.st_mode & 0o022:
         mode = stat.S_IMODE(status.st_mode)
         raise HapticdError(
-            f"runtime directory {paths.directory}: others may write to it (mode {mode:04o}); "
-            "it must be 0750 or 0700"
+            f"runtime directory {paths.directory}: others may write to it (mode {mode:04o}); it must be 0750 or 0700"
         )
 
 

@@ -158,9 +158,7 @@ def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
     return validate_scene({"objects": {name: data}}, root).objects[name]
 
 
-def reference_faults(
-    objects: Mapping[str, SceneObject], materials: Collection[str]
-) -> list[tuple[Path, str]]:
+def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
     """Materials that objects name and nobody defines, with paths relative to the scene."""
     return [
         (

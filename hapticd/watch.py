@@ -85,9 +85,7 @@ class View:
         elapsed_ns = self._clock[-1][1] - self._clock[0][1]
         self.rate_hz = ticks / elapsed_ns * 1e9 if elapsed_ns > 0 else None
         self.state = state
-        self._largest_n = max(
-            self._largest_n, *map(abs, state["force_n"]), *map(abs, state["vibration_force_n"])
-        )
+        self._largest_n = max(self._largest_n, *map(abs, state["force_n"]), *map(abs, state["vibration_force_n"]))
         self._half_m = max(self._half_m, 1.05 * max(map(abs, state["position_m"])))
 
     def _feed_event(self, event: Mapping[str, object]) -> None:
@@ -104,11 +102,7 @@ class View:
     @property
     def wants_scene(self) -> bool:
         """Whether the daemon shows another scene than the one that is drawn."""
-        return (
-            self.lost_for_s is None
-            and self.state is not None
-            and self.state["revision"] != self.scene_revision
-        )
+        return self.lost_for_s is None and self.state is not None and self.state["revision"] != self.scene_revision
 
     def set_scene(self, scene: Mapping[str, object], revision: int) -> None:
         """Takes the scene that is drawn."""
@@ -132,8 +126,8 @@ class View:
             lines.append(line)
         lines.append(Text("─" * width, style="dim"))
         for event in self._events:
-            line = Text(f"{event.time_s:12.3f}", style="dim")
-            line.append(f"  {event.text}", style="default")
+            line = _label(f"{event.time_s:12.3f}")
+            line.append(f"  {event.text}")
             lines.append(line)
         lines += [Text()] * (height - len(lines))
         for line in lines:
@@ -150,15 +144,16 @@ class View:
         left = f" hapticd {status['version']}  {status['device']}  {status['rate_hz']:g} Hz"
         right = f"forces {status['forces']} "
         style = {"on": "black on green", "off": "black on yellow"}.get(status["forces"], "bold white on red")
-        line = Text(left.ljust(max(0, width - len(right))), style="reverse")
+        line = Text()
+        line.append(left.ljust(max(0, width - len(right))), style="reverse")
         line.append(right, style=style)
         return line
 
     def _panel(self) -> list[Text]:
         lines: list[Text] = []
 
-        def put(label: str, value: str, style: str = "default") -> None:
-            line = Text(f"{label:<11}", style="dim")
+        def put(label: str, value: str, style: str = "") -> None:
+            line = _label(f"{label:<11}")
             line.append(value, style=style)
             lines.append(line)
 
@@ -172,17 +167,17 @@ class View:
         scale = _nice(self._largest_n)
         contact, vibration = math.hypot(*state["contact_force_n"]), math.hypot(*state["vibration_force_n"])
         for label, value in (("force x", state["force_n"][0]), ("force y", state["force_n"][1])):
-            line = Text(f"{label:<11}", style="dim")
+            line = _label(f"{label:<11}")
             line.append(signed_bar(value, scale, _BAR), style="cyan")
             line.append(f" {value:+.2f} N")
             lines.append(line)
         for label, value in (("contact", contact), ("vibration", vibration)):
-            line = Text(f"{label:<11}", style="dim")
+            line = _label(f"{label:<11}")
             line.append(bar(value, scale, _BAR), style="green")
             line.append(f"  {value:.2f} N")
             lines.append(line)
         touching = state.get("touching", [])
-        put("touching", ", ".join(touching) or "nothing", "bold" if touching else "default")
+        put("touching", ", ".join(touching) or "nothing", "bold" if touching else "")
         lines.append(Text())
         put("rate", "" if self.rate_hz is None else f"{self.rate_hz:.0f} Hz")
         late = [value / 1e3 for value in self._lateness]
@@ -193,10 +188,10 @@ class View:
         if status is not None:
             counters = status["counters"]
             overruns, skipped = counters.get("overruns", 0), counters.get("skipped", 0)
-            put("overruns", f"{overruns}", "yellow" if overruns else "default")
+            put("overruns", f"{overruns}", "yellow" if overruns else "")
             put("skipped", f"{skipped} ticks")
             faults = status["faults"]
-            put("faults", ", ".join(faults) or "none", "bold red" if faults else "default")
+            put("faults", ", ".join(faults) or "none", "bold red" if faults else "")
             if status["lease_s"] is not None:
                 put("lease", f"{status['lease_s']:.1f} s left")
         return lines
@@ -207,7 +202,7 @@ class View:
         key = (columns, rows, cell_m, self.scene_revision, frozenset(self._punctured))
         if self._background is None or self._background[0] != key:
             self._background = (key, draw_scene(self.scene, columns, rows, cell_m, self._punctured))
-        lines = [Text("".join(line), style="dim") for line in self._background[1]]
+        lines = [_label("".join(line)) for line in self._background[1]]
         if self.state is not None:
             x, y = self.state["position_m"]
             column = math.floor(x / cell_m + columns / 2)
@@ -215,8 +210,8 @@ class View:
             if 0 <= row < rows and 0 <= column < columns:
                 touched = bool(self.state.get("touching"))
                 line = "".join(self._background[1][row])
-                lines[row] = Text(line[:column], style="dim")
-                lines[row].append("●", style="bold red" if touched else "bold default not dim")
+                lines[row] = _label(line[:column])
+                lines[row].append("●", style="bold red" if touched else "bold")
                 lines[row].append(line[column + 1 :], style="dim")
         return lines
 
@@ -242,6 +237,13 @@ class View:
         return "  ".join(part for part in parts if part)
 
 
+def _label(text: str) -> Text:
+    """Dim text that others can be appended to: a style of the whole would be theirs too."""
+    label = Text()
+    label.append(text, style="dim")
+    return label
+
+
 # ---- pieces of text ----------------------------------------------------------------------------------------
 
 
@@ -252,8 +254,7 @@ def event_line(event: Mapping[str, object]) -> str:
     match kind:
         case "contact" if not event.get("appeared"):
             words.append(
-                f"at {_number(event, 'speed_m_per_s'):.3f} m/s,"
-                f" {_number(event, 'amplitude_m_per_s2'):.1f} m/s²"
+                f"at {_number(event, 'speed_m_per_s'):.3f} m/s, {_number(event, 'amplitude_m_per_s2'):.1f} m/s²"
             )
             if _number(event, "scale", 1.0) < 1:
                 words.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")

@@ -137,9 +137,7 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
             scanner.skip()
             if scanner.tell() != size:
                 raise _bad(f"{size - scanner.tell()} trailing bytes")
-        result = msgpack.unpackb(
-            body, raw=False, strict_map_key=False, object_pairs_hook=_map, ext_hook=_extension
-        )
+        result = msgpack.unpackb(body, raw=False, strict_map_key=False, object_pairs_hook=_map, ext_hook=_extension)
     except WireError:
         raise
     except (msgpack.StackError, RecursionError):

@@ -31,9 +31,7 @@ _CORE = "tag:yaml.org,2002:"
 _NULL = re.compile(r"null|Null|NULL|~|")
 _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
-_FLOAT = re.compile(
-    r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"
-)
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LONGEST_NUMBER = 400
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -181,9 +179,7 @@ def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidE
     return value
 
 
-def _value(
-    event: "yaml.ScalarEvent | yaml.CollectionStartEvent", refuse: Callable[[str], InvalidError]
-) -> Json:
+def _value(event: "yaml.ScalarEvent | yaml.CollectionStartEvent", refuse: Callable[[str], InvalidError]) -> Json:
     if isinstance(event, yaml.ScalarEvent):
         return _scalar(event, refuse)
     is_mapping = isinstance(event, yaml.MappingStartEvent)

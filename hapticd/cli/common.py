@@ -37,9 +37,7 @@ def change_options(command: _F) -> _F:
     command = click.option(
         "--expect-revision", type=click.IntRange(min=0), metavar="N", help="Refuse another revision."
     )(command)
-    return click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick.")(
-        command
-    )
+    return click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick.")(command)
 
 
 def yaml_file(name: str) -> str:

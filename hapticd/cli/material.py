@@ -39,9 +39,7 @@ def material_list(ctx: click.Context, as_json: bool) -> None:
 @change_options
 @json_option
 @click.pass_context
-def material_set(
-    ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool
-) -> None:
+def material_set(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Change materials as FILE says: what it holds is merged into them by name and key, null removes."""
     with daemon(ctx) as client:
         result = client.update_materials(yaml_file(file), expect_revision, wait)

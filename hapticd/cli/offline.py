@@ -11,9 +11,7 @@ from hapticd.cli.common import duration, json_option, print_json, yaml_file
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
 @click.argument("scene")
-@click.option(
-    "--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV)."
-)
+@click.option("--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV).")
 @click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz or .csv).")
 @click.option(
     "--for",

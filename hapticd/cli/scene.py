@@ -52,9 +52,7 @@ def scene_set(ctx: click.Context, file: str, expect_revision: int | None, wait: 
 @change_options
 @json_option
 @click.pass_context
-def scene_update(
-    ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool
-) -> None:
+def scene_update(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Change objects as FILE says: what it holds is merged into them by id and key, null removes."""
     with daemon(ctx) as client:
         result = client.update_scene(yaml_file(file), expect_revision, wait)

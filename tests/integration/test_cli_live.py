@@ -230,15 +230,19 @@ def test_an_interrupted_recording_is_kept(
 
 def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
-    with running_daemon() as daemon, connect(daemon.directory) as client, client.samples() as batches:
-        with command(daemon, "record", str(target)) as process:
-            part = target.with_name(f".run.npz.{process.pid}.samples")
-            for _ in batches:
-                if part.exists() and part.stat().st_size > 0:
-                    break
-                assert process.poll() is None
-            daemon.stop()
-            out, err = process.communicate(timeout=60)
+    with (
+        running_daemon() as daemon,
+        connect(daemon.directory) as client,
+        client.samples() as batches,
+        command(daemon, "record", str(target)) as process,
+    ):
+        part = target.with_name(f".run.npz.{process.pid}.samples")
+        for _ in batches:
+            if part.exists() and part.stat().st_size > 0:
+                break
+            assert process.poll() is None
+        daemon.stop()
+        err = process.communicate(timeout=60)[1]
     assert process.returncode == 1
     assert "no daemon at" in err and err.count("\n") == 1
     with np.load(target) as archive:

@@ -7,10 +7,10 @@ import subprocess
 import sys
 from collections.abc import Iterator
 
-import hapticd
 import numpy as np
 import pytest
 
+import hapticd
 from tests.daemon_process import Daemon, Wire, running_daemon, wired
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 
-import hapticd
 import msgpack
 import numpy as np
 
+import hapticd
 from tests.daemon_process import running_daemon, wired
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}

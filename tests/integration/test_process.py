@@ -10,15 +10,15 @@ import sys
 import threading
 from pathlib import Path
 
-import hapticd
 import msgpack
 import numpy as np
 import pytest
 import zmq
+
+import hapticd
 from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.engine import Engine
-
 from tests.daemon_process import Daemon, Wire, running_daemon, wired
 
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
@@ -109,7 +109,10 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
         ("servo: {rate_hz: 1}\n", ["c.yaml:1", "rate_hz", "1000"]),
         ("servo: {rate_hz: 20000}\n", ["c.yaml:1", "rate_hz", "10000"]),
         ("servo:\n  rate_hz: 8000\n  rat: 1\n", ["c.yaml:3", "rat"]),
-        ("scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wod}\n", ["c.yaml:3", "wood"]),
+        (
+            "scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wod}\n",
+            ["c.yaml:3", "wood"],
+        ),
         ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
         ("servo: [\n", ["c.yaml:2"]),
     ],
@@ -132,7 +135,9 @@ def test_realtime_required_is_refused_without_rights(tmp_path: Path) -> None:
         f"{limits}import sys; from hapticd.cli import main; "
         f"sys.exit(main(['--runtime-dir', {str(tmp_path / 'run')!r}, 'run', '-c', {str(config)!r}]))"
     )
-    result = subprocess.run([*dropped, sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    result = subprocess.run(
+        [*dropped, sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
     line = one_line(result)
     assert "realtime is required but refused" in line
     assert "SCHED_FIFO" in line
@@ -144,7 +149,10 @@ def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path
         "import resource as r; r.setrlimit(r.RLIMIT_RTPRIO, (0, 0)); r.setrlimit(r.RLIMIT_MEMLOCK, (65536, 65536)); "
     )
     directory = tmp_path / "run"
-    program = f"{limits}import sys; from hapticd.cli import main; sys.exit(main(['--runtime-dir', {str(directory)!r}, 'run']))"
+    program = (
+        f"{limits}import sys; from hapticd.cli import main; "
+        f"sys.exit(main(['--runtime-dir', {str(directory)!r}, 'run']))"
+    )
     command = [*dropped, sys.executable, "-c", program]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
@@ -240,7 +248,9 @@ def test_client_killed_in_mid_request_and_ten_at_once() -> None:
             try:
                 with wired(daemon) as wire:
                     for i in range(50):
-                        wire.result("update_scene", objects={f"o{n}": {"kind": "viscous", "damping_n_s_per_m": i / 100}})
+                        wire.result(
+                            "update_scene", objects={f"o{n}": {"kind": "viscous", "damping_n_s_per_m": i / 100}}
+                        )
                         assert f"o{n}" in wire.result("get_scene")["scene"]["objects"]
             except BaseException as error:
                 errors.append(error)

@@ -14,8 +14,9 @@ import sys
 import termios
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -283,6 +284,14 @@ class Terminal:
         os.close(slave)
         self.output = b""
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.process.wait()
+
     def read_until(self, wanted: str) -> None:
         """Reads on until `wanted` was written after what was read before."""
         start = len(self.output)
@@ -297,44 +306,38 @@ class Terminal:
         assert self.process.stderr is not None
         with self.process.stderr:
             # What it still writes must be read, or it never ends.
-            while self.process.poll() is None:
-                if select.select([self._master], [], [], 0.05)[0]:
+            with suppress(OSError):  # the other end is closed: all is read
+                while True:
                     self.output += os.read(self._master, 65536)
-            while select.select([self._master], [], [], 0)[0]:
-                try:
-                    self.output += os.read(self._master, 65536)
-                except OSError:  # the other end is closed
-                    break
             os.close(self._master)
-            return self.process.returncode, self.process.stderr.read()
+            return self.process.wait(60), self.process.stderr.read()
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_on_a_terminal(daemon: Daemon, number: int, code: int) -> None:
-    terminal = Terminal(arguments(daemon))
-    terminal.read_until("forces on")
-    terminal.read_until("●")
-    terminal.read_until("░")
-    with connect(daemon.directory) as client:
+    with connect(daemon.directory) as client, Terminal(arguments(daemon)) as terminal:
+        client.set_scene({"objects": {"floor": SCENE["objects"]["floor"]}})
+        terminal.read_until("forces on")
+        terminal.read_until("●")
+        terminal.read_until("░")
         client.set_forces(False)
-    terminal.read_until("forces off")
-    assert terminal.end(number) == (code, b"")
-    assert terminal.output.rstrip().endswith(b"\x1b[?25h"), "the cursor is shown again"
-    assert b"\x1b[?1049l" in terminal.output, "and the screen as it was before"
+        terminal.read_until("forces off")
+        assert terminal.end(number) == (code, b"")
+        assert terminal.output.endswith(b"\x1b[?25h\x1b[?1049l"), "the cursor and the screen of before are back"
 
 
 def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str) -> None:
-    terminal = Terminal(arguments(daemon))
-    terminal.read_until("touching")
-    daemon.stop()
-    terminal.read_until("daemon lost")
-    again = Daemon(daemon.directory, "-c", quiet_config)
-    try:
-        again.wait_ready()
-        terminal.read_until("forces on")
-    finally:
-        assert again.stop() == 0
-    assert terminal.end(signal.SIGINT) == (130, b"")
+    with Terminal(arguments(daemon)) as terminal:
+        terminal.read_until("touching")
+        daemon.stop()
+        terminal.read_until("daemon lost")
+        again = Daemon(daemon.directory, "-c", quiet_config)
+        try:
+            again.wait_ready()
+            terminal.read_until("forces on")
+        finally:
+            assert again.stop() == 0
+        assert terminal.end(signal.SIGINT) == (130, b"")
 
 
 def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:

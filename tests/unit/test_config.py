@@ -77,9 +77,7 @@ def faults_of_key(model: str, key: str, value: Json) -> list[str]:
 NUMBERS = list(numbers())
 
 
-@pytest.mark.parametrize(
-    ("model", "key", "limits", "is_vector"), NUMBERS, ids=[f"{n[0]}.{n[1]}" for n in NUMBERS]
-)
+@pytest.mark.parametrize(("model", "key", "limits", "is_vector"), NUMBERS, ids=[f"{n[0]}.{n[1]}" for n in NUMBERS])
 def test_every_number_is_strict_and_has_limits(model: str, key: str, limits: Schema, is_vector: bool) -> None:
     low, high = limits["minimum"], limits["maximum"]
     assert isinstance(low, int | float)
@@ -109,11 +107,7 @@ def test_rates_of_1_hz_and_20_khz_are_refused() -> None:
 def test_defaults_have_the_type_of_their_key() -> None:
     for model in Model.by_name.values():
         for key, field in model.model_fields.items():
-            if (
-                field.annotation in (float, int, bool, str)
-                and not field.is_required()
-                and not field.default_factory
-            ):
+            if field.annotation in (float, int, bool, str) and not field.is_required() and not field.default_factory:
                 assert type(field.default) is field.annotation, f"{model.__name__}.{key}"
 
 
@@ -128,10 +122,7 @@ def test_start_is_inside_the_workspace() -> None:
     assert faults({"device": {"sim": {"start_m": [0, 0.1]}}}) == {
         "device.sim": "start_m must be inside the workspace, 0.075 either way"
     }
-    assert (
-        load_config({"device": {"sim": {"start_m": [0, -0.1], "workspace_m": 0.1}}}).device.sim.start_m[1]
-        == -0.1
-    )
+    assert load_config({"device": {"sim": {"start_m": [0, -0.1], "workspace_m": 0.1}}}).device.sim.start_m[1] == -0.1
 
 
 def test_words() -> None:
@@ -186,8 +177,7 @@ def test_every_fault_names_file_line_key_and_limit(tmp_path: pathlib.Path) -> No
         f"{path}:4: servo.prioriti": "unknown key; did you mean priority? "
         "known: rate_hz, cpu, priority, realtime, spin_us",
         f"{path}:7: materials.pine.stiffness_n_per_m": 'must be a number, is "1"',
-        f"{path}:8: materials.pine.tap": "needs exactly one of decay_time_s and decay_rate_per_s, "
-        "has neither",
+        f"{path}:8: materials.pine.tap": "needs exactly one of decay_time_s and decay_rate_per_s, has neither",
         f"{path}:14: scene.objects.table.point_m[1]": "must be a number, is true",
         f"{path}:12: scene.objects.table.normal": "is missing",
     }
@@ -356,9 +346,7 @@ WORDS += [
 words = st.sampled_from([*WORDS, "", "a.b"])
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | words | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(words | st.text(max_size=3), inner, max_size=5)
-    ),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(words | st.text(max_size=3), inner, max_size=5),
     max_leaves=30,
 )
 
@@ -388,9 +376,7 @@ def sections(inner: st.SearchStrategy[Json]) -> st.SearchStrategy[dict[str, Json
             "servo": inner,
             "device": st.fixed_dictionaries({}, optional={"sim": inner, "kind": inner}),
             "materials": st.dictionaries(words, material, max_size=2),
-            "scene": st.fixed_dictionaries(
-                {}, optional={"objects": st.dictionaries(words, wall, max_size=3)}
-            ),
+            "scene": st.fixed_dictionaries({}, optional={"objects": st.dictionaries(words, wall, max_size=3)}),
         },
     )
 
@@ -542,9 +528,7 @@ def table_of(name: str, schema: Schema) -> str:
 def test_the_reference_has_every_key_as_it_is() -> None:
     sections = re.findall(r"^### (\w+)\n\n(.*?)\n\n(\|.*?)\n(?=\n|\Z)", REFERENCE.read_text(), re.M | re.S)
     told = {name: (description, table) for name, description, table in sections}
-    assert told == {
-        name: (schema["description"], table_of(name, schema)) for name, schema in models().items()
-    }
+    assert told == {name: (schema["description"], table_of(name, schema)) for name, schema in models().items()}
 
 
 def test_the_example_of_the_reference_is_valid() -> None:

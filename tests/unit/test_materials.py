@@ -135,9 +135,7 @@ def test_a_mode_is_given_once(keys: dict[str, Json], problem: str) -> None:
 )
 def test_a_rupture_is_given_once(keys: dict[str, Json], has: str) -> None:
     found = faults({"m": {"stiffness_n_per_m": 1, "rupture": {"amplitude_m_per_s2": 1, **MODE, **keys}}})
-    assert found == {
-        "materials.m.rupture": f"needs either depth_m or both max_strain and radius_m, has {has}"
-    }
+    assert found == {"materials.m.rupture": f"needs either depth_m or both max_strain and radius_m, has {has}"}
 
 
 def test_every_fault_between_keys_is_told() -> None:
@@ -174,9 +172,7 @@ def test_a_name_like_pydantics_own_marks_stays_in_the_path() -> None:
 
 def test_number_of_materials_is_limited() -> None:
     many: dict[str, Json] = {f"m{i}": {"stiffness_n_per_m": 1} for i in range(MAX_MATERIALS + 1)}
-    assert faults(many) == {
-        "materials": f"must hold at most {MAX_MATERIALS} entries, holds {MAX_MATERIALS + 1}"
-    }
+    assert faults(many) == {"materials": f"must hold at most {MAX_MATERIALS} entries, holds {MAX_MATERIALS + 1}"}
 
 
 @pytest.mark.parametrize("name", list(shipped_materials()))

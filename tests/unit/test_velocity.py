@@ -269,9 +269,7 @@ def test_after_a_long_pause_only_the_mean_speed_is_known() -> None:
         max_size=200,
     ),
 )
-def test_any_intervals_and_positions_stay_finite(
-    step_m: float, samples: list[tuple[float, float, int]]
-) -> None:
+def test_any_intervals_and_positions_stay_finite(step_m: float, samples: list[tuple[float, float, int]]) -> None:
     data = np.array(samples, np.float64).reshape(-1, 3)
     position = data[:, 1:] * [1.0, STEP_M]
     velocity, width = run(step_m, data[:, 0], position)
@@ -323,9 +321,7 @@ def test_a_million_samples_do_not_drift() -> None:
         (STEP_M, 1e-4, math.nan, "position[1]"),
     ],
 )
-def test_faulty_arguments_are_refused(
-    step_m: float, interval_s: float, position_m: float, reason: str
-) -> None:
+def test_faulty_arguments_are_refused(step_m: float, interval_s: float, position_m: float, reason: str) -> None:
     interval = np.array([0.0, interval_s])
     position = np.array([[0.0, 0.0], [0.0, position_m]])
     velocity = pointer("double[]", np.zeros((2, 2)))

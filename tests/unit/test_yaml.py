@@ -48,10 +48,7 @@ SCALARS: list[tuple[str, Json]] = [
     ),
     *(("1e-3", 0.001), (".5", 0.5), ("1.", 1.0), ("-2.5E+3", -2500.0), ("12e03", 12000.0), ("+.5", 0.5)),
     *((".inf", math.inf), ("-.INF", -math.inf), ("+.Inf", math.inf), ("1e999", math.inf)),
-    *(
-        (text, text)
-        for text in ("0b11", "1_000", "1:30", "-0x1F", "0o8", "0x", ".", "1e", "e5", "inf", "nan")
-    ),
+    *((text, text) for text in ("0b11", "1_000", "1:30", "-0x1F", "0o8", "0x", ".", "1e", "e5", "inf", "nan")),
     *((text, text) for text in ("2001-12-14", "=", "+", "-.nan", "\u0661", "1.5.2", "0X1F", "0O7")),
     *(('"1"', "1"), ("'true'", "true"), ('""', ""), ("!!str 1", "1"), ("! 1", "1"), ('"\\u00e9"', "\xe9")),
     *(
@@ -207,9 +204,7 @@ json_values = st.recursive(
     | st.integers()
     | st.floats(allow_nan=False, allow_infinity=False)
     | st.text(st.characters(categories=["L", "N", "P", "S", "Zs"]), max_size=20),
-    lambda inner: (
-        st.lists(inner, max_size=4) | st.dictionaries(st.text("abc:#-'\"{ ", max_size=8), inner, max_size=4)
-    ),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text("abc:#-'\"{ ", max_size=8), inner, max_size=4),
     max_leaves=20,
 )
 

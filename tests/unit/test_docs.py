@@ -1,0 +1,281 @@
+"""The documentation against the code: names, limits and files are compared, examples are run."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import msgpack
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from hapticd import wire
+from hapticd.calls import State
+from hapticd.cli import cli
+from hapticd.config import default_config
+from hapticd.control import _METHODS, Control
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
+from hapticd.engine import Engine, Granted
+from hapticd.events import event_map, fault_names
+from hapticd.materials import ModeKeys
+from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
+from tests.daemon_process import Daemon, running_daemon
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+README = (ROOT / "README.md").read_text()
+PROTOCOL = (ROOT / "docs" / "protocol.md").read_text()
+ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
+
+Rows = list[list[str]]
+
+
+def section(text: str, heading: str) -> str:
+    """What stands below a heading, up to the next of its level or a higher one."""
+    level = len(heading) - len(heading.lstrip("#"))
+    _, found, rest = text.partition(f"\n{heading}\n")
+    assert found, heading
+    return re.split(rf"^#{{1,{level}}} ", rest, maxsplit=1, flags=re.MULTILINE)[0]
+
+
+def tables(text: str) -> dict[str, Rows]:
+    """Every table by its first heading cell, without heading and rule; cells are stripped."""
+    found: dict[str, Rows] = {}
+    for block in re.findall(r"(?:^\|.*\n)+", text, flags=re.MULTILINE):
+        rows = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in block.splitlines()]
+        rows = [[cell.strip("| ") for cell in row] for row in rows]
+        found[rows[0][0]] = rows[2:]
+    return found
+
+
+def names(cell: str) -> list[str]:
+    """What stands in backticks."""
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def first_names(rows: Rows) -> list[str]:
+    return [name for row in rows for name in names(row[0])]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+# ---- protocol.md ---------------------------------------------------------------------------------------------------
+
+
+def test_every_method_is_documented() -> None:
+    documented = re.findall(r"^### (\w+)$", section(PROTOCOL, "## Methods"), flags=re.MULTILINE)
+    assert documented == list(_METHODS)
+
+
+@pytest.mark.parametrize("method", _METHODS)
+def test_parameters(method: str) -> None:
+    model: type[BaseModel] = _METHODS[method][0] or OperatorParams
+    rows = tables(section(PROTOCOL, f"### {method}")).get("parameter", [])
+    assert {name for name in first_names(rows) if name != "id"} == set(model.model_fields)
+    for row in rows:
+        (name,) = names(row[0])
+        optional = not model.model_fields[name].is_required()
+        assert row[0].startswith("[") == optional, name
+
+
+def test_the_keys_of_a_mode() -> None:
+    (row,) = [row for row in tables(section(PROTOCOL, "### play"))["parameter"] if "`mode`" in row[0]]
+    assert set(names(row[2])) == set(ModeKeys.model_fields)
+
+
+@pytest.mark.parametrize("model", [TapGesture, StrokeGesture, PunctureGesture])
+def test_gestures(model: type[BaseModel]) -> None:
+    documented: dict[str, dict[str, bool]] = {}
+    for row in tables(section(PROTOCOL, "### set_operator"))["gesture"]:
+        if names(row[0]):
+            (kind,) = names(row[0])
+            documented[kind] = {}
+        for name in names(row[1]):
+            documented[kind][name] = row[1].startswith("[")
+    (kind,) = [kind for kind in documented if kind == model.__name__.removesuffix("Gesture").lower()]
+    assert documented[kind] == {name: not field.is_required() for name, field in model.model_fields.items()}
+
+
+def test_error_codes() -> None:
+    rows = tables(section(PROTOCOL, "## Errors"))["code"]
+    assert {(int(row[0]), *names(row[1])) for row in rows} == {(int(code), code.name) for code in wire.Code}
+
+
+def test_limits_of_a_body() -> None:
+    body = section(PROTOCOL, "## Body")
+    assert f"at most {wire.MAX_BODY // 2**20} MiB" in body
+    assert f"at most {wire.MAX_DEPTH} deep" in body
+    assert f"Version {wire.PROTOCOL}." in PROTOCOL
+
+
+def test_status() -> None:
+    described = section(PROTOCOL, "### get_status")
+    engine = Engine(default_config())
+    status = Control(engine).status()
+    assert first_names(tables(described)["member"]) == list(status)
+    assert first_names(tables(described)["counter"]) == list(status["counters"])  # type: ignore[call-overload]
+    (realtime,) = re.findall(r"^`realtime` has (.*?)$\n\n", described, flags=re.MULTILINE | re.DOTALL)
+    granted = Granted("fifo", 80, None, "process", ())
+    assert set(granted.to_dict()) <= set(names(realtime))
+
+
+def test_samples() -> None:
+    described = tables(section(PROTOCOL, "### samples"))
+    formats = {"f8[2]": ("<f8", (2,)), **{form: (f"<{form}", ()) for form in ("u8", "i8", "u4", "i4")}}
+    documented = [(*names(row[0]), *formats[row[1]]) for row in described["field"]]
+    fields = [(name, SAMPLE_DTYPE[name]) for name in SAMPLE_DTYPE.names or ()]
+    assert documented == [(name, dtype.base.str, dtype.shape) for name, dtype in fields]
+    assert f"{SAMPLE_DTYPE.itemsize} bytes each" in PROTOCOL
+    assert np.lib.format.descr_to_dtype(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) == SAMPLE_DTYPE
+
+
+def test_flags() -> None:
+    rows = tables(section(PROTOCOL, "### samples"))["flag"]
+    assert [(*names(row[0]), int(row[1])) for row in rows] == [(flag.name, flag.value) for flag in Flag]
+
+
+def test_state() -> None:
+    rows = tables(section(PROTOCOL, "### state"))["member"]
+    assert set(first_names(rows)) == set(State.__annotations__) - set(SAMPLE_DTYPE.names or ())
+
+
+def test_events() -> None:
+    described = tables(section(PROTOCOL, "### event"))
+    documented = {names(row[0])[0]: set(names(row[1])) for row in described["event"]}
+    event = records(EVENT_DTYPE, 1)[0]
+    expected = {}
+    for kind in EventKind:
+        event["kind"] = kind
+        expected[kind.name.lower()] = set(event_map(event, "x")) - {"event", "tick", "time_ns"}
+    assert documented == expected
+    assert set(first_names(described["member"])) == set().union(*expected.values())
+
+
+def test_faults() -> None:
+    rows = tables(section(PROTOCOL, "## Faults"))["fault"]
+    assert first_names(rows) == fault_names(Fault(sum(Fault)))
+
+
+def commands(group: click.Group, prefix: str = "") -> Iterator[str]:
+    context = click.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        if isinstance(command, click.Group):
+            yield from commands(command, f"{prefix}{name} ")
+        else:
+            yield prefix + name
+
+
+def test_commands() -> None:
+    rows = tables(section(PROTOCOL, "## The command line"))["command"]
+    documented = [re.split(r" [\[A-Z]", name)[0] for name in first_names(rows)]
+    assert [re.sub("^force o(n|ff)$", "force", name) for name in documented if name != "force off"] == list(
+        commands(cli)
+    )
+
+
+def test_the_bytes_of_the_example() -> None:
+    example = section(PROTOCOL, "## A client in another language")
+    listings = re.findall(r"((?:^ {4}[0-9a-f]{2} .*\n)+)", example, flags=re.MULTILINE)
+    question, answer = (
+        bytes.fromhex("".join(re.match(r" {4}((?:[0-9a-f]{2} {1,2})+)", line)[1] for line in listing.splitlines()))  # type: ignore[index]
+        for listing in listings
+    )
+    assert question == wire.request(1, "set_forces", {"enabled": True})
+    assert wire.parse_request(wire.decode(question)).params == {"enabled": True}
+    assert answer == wire.result_reply(1, {"forces": "on", "tick": 1500})
+    assert msgpack.unpackb(answer) == {"jsonrpc": "2.0", "id": 1, "result": {"forces": "on", "tick": 1500}}
+
+
+# ---- architecture.md, decision records, links ----------------------------------------------------------------------
+
+
+def test_every_file_has_its_line() -> None:
+    described = section(ARCHITECTURE, "## Files")
+    core, package = described.split("The package, ")
+    assert sorted(first_names(tables(core)["file"])) == sorted(path.name for path in ROOT.glob("csrc/*.[ch]"))
+    home = ROOT / "hapticd"
+    present = [*home.glob("*.py"), *home.glob("*.pyi"), *home.glob("cli/*.py"), home / "shipped", home / "py.typed"]
+    assert sorted(first_names(tables(package)["file"])) == sorted(str(path.relative_to(home)) for path in present)
+
+
+def test_every_decision_record_is_listed() -> None:
+    index = (ROOT / "docs" / "adr" / "README.md").read_text()
+    for record in sorted((ROOT / "docs" / "adr").glob("[0-9]*.md")):
+        assert f"({record.name})" in index
+
+
+def anchors(text: str) -> set[str]:
+    headings = re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        if target.startswith("http"):
+            continue
+        name, _, anchor = target.partition("#")
+        there = page.parent / name if name else page
+        assert there.exists(), target
+        assert not anchor or anchor in anchors(there.read_text()), target
+
+
+# ---- README.md -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    with running_daemon() as daemon:
+        yield daemon
+
+
+def environment(daemon: Daemon) -> dict[str, str]:
+    return {**os.environ, "RUNTIME_DIRECTORY": str(daemon.directory), "PYTHONPATH": str(ROOT)}
+
+
+@pytest.mark.parametrize("number", range(len(blocks(README, "python"))))
+def test_the_python_of_the_readme_runs(daemon: Daemon, number: int) -> None:
+    code = blocks(README, "python")[number]
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment(daemon), capture_output=True, text=True, timeout=60
+    )
+    assert run.returncode == 0, run.stderr
+    assert run.stdout
+
+
+def test_the_shell_of_the_readme_runs(daemon: Daemon) -> None:
+    (script,) = blocks(README, "sh")
+    activation = ". .venv/bin/activate\n"
+    assert script.startswith(activation)
+    here = f'hapticd() {{ "{sys.executable}" -m hapticd "$@"; }}\nset -e\n'
+    with tempfile.TemporaryDirectory() as directory:
+        run = subprocess.run(
+            ["sh", "-c", here + script.removeprefix(activation)],
+            cwd=directory,
+            env=environment(daemon),
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert run.returncode == 0, run.stderr
+        assert (Path(directory) / "tap.npz").stat().st_size > 0
+    assert "daemon" in run.stdout
+
+
+def test_the_targets_of_the_readme_exist() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    targets = set(re.findall(r"\bmake ([a-z]+)\b", README))
+    assert {"demo", "test"} <= targets
+    for target in targets:
+        assert re.search(rf"^{target}:|^\.PHONY:.*\b{target}\b", makefile, flags=re.MULTILINE), target
