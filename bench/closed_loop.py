@@ -429,7 +429,8 @@ def accuracy(options: Options, advance: Advance) -> list[Section]:
         [
             "A hand (300 N/m, 5 N s/m) draws a mass of 0.05 kg onto a wall at 0.1 m/s and rests; the simulated "
             "joystick without encoder step, dry friction, force resolution and vibration. The reference is the closed "
-            f"form of the continuous loop. Each figure is the largest over {PHASES} places of the onset within the tick.",
+            f"form of the continuous loop. Each figure is the largest over {PHASES} places of the onset within "
+            "the tick.",
         ],
     )
     for index, (name, loop) in enumerate(LOOPS.items()):

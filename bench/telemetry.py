@@ -116,8 +116,8 @@ def run(options: Options, advance: Advance) -> Section:
         [
             f"The whole daemon at {RATE_HZ} Hz, {parts * seconds:g} s of each kind of run, {parts} of them in turns; "
             "the readers are one process that takes all topics and unpacks every batch. The dead subscriber is "
-            f"connected and never reads. The daemon's ring dropped {dropped['samples_dropped']} samples and the servo missed "
-            f"{dropped['skipped']} periods in all of it, start to end.",
+            f"connected and never reads. The daemon's ring dropped {dropped['samples_dropped']} samples and the servo "
+            f"missed {dropped['skipped']} periods in all of it, start to end.",
             Table(
                 "Servo and subscribers; aim: nothing missing, the servo unmoved",
                 [

@@ -237,9 +237,9 @@ class Compiler:
         Returns the `struct hd_table *`, which stays valid and is the same one at every call.
         """
         fields_changed = False
-        for id in changed:
-            item = scene.objects.get(id)
-            fields_changed |= self._put(id, item, materials)
+        # What goes makes room for what comes: there are as many slots as objects.
+        for id in sorted(changed, key=lambda id: id in scene.objects):
+            fields_changed |= self._put(id, scene.objects.get(id), materials)
         table = self._table
         table.revision = revision
         table.display_force = scene.display.force

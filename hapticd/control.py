@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Annotated, Any, Final, TypeVar, cast
 
 from pydantic import Field, ValidationError
@@ -105,6 +106,7 @@ class Control:
         self._engine = engine
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._wish = engine.config.device.sim.start_m
+        self._undisplayable: tuple[int, list[dict[str, object]]] = (0, [])
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method. Raises MethodError."""
@@ -151,20 +153,17 @@ class Control:
                 "glitches": counters.glitches,
                 "saturations": counters.saturations,
             },
-            "undisplayable": self._undisplayable,
+            "undisplayable": self._find_undisplayable(),
         }
 
-    @property
-    def _undisplayable(self) -> list[dict[str, object]]:
-        engine = self._engine
-        known = self.__dict__.get("_undisplayable_of")
-        if known is None or known[0] != engine.revision:
-            found = [
-                {"material": u.material, "mode": u.mode, "frequency_hz": u.frequency_hz, "shown_hz": u.shown_hz}
-                for u in engine.undisplayable()
-            ]
-            known = self.__dict__["_undisplayable_of"] = (engine.revision, found)
-        return cast(list[dict[str, object]], known[1])
+    def _find_undisplayable(self) -> list[dict[str, object]]:
+        """What the rate cannot carry, found anew only when the scene or the materials changed."""
+        revision, found = self._undisplayable
+        if revision != self._engine.revision:
+            revision = self._engine.revision
+            found = [asdict(mode) for mode in self._engine.undisplayable()]
+            self._undisplayable = (revision, found)
+        return found
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
 
