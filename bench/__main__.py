@@ -84,7 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure [default: everything]")
-    parser.add_argument("--quick", action="store_true", help="a minute in all: shows that it runs, writes nothing")
+    parser.add_argument("--quick", action="store_true", help="a minute or two: shows that it runs, writes nothing")
     parser.add_argument("--pairs", type=int, default=defaults.pairs, help="paired runs beside cyclictest at each rate")
     parser.add_argument("--seconds", type=float, default=defaults.seconds, help="length of each of them")
     parser.add_argument("--minute", type=float, default=defaults.minute_s, help="seconds of the telemetry run")

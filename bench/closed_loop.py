@@ -276,7 +276,7 @@ def rotor_error(rate_hz: float) -> tuple[float, int, bool]:
 
     The worst difference over the peak, how many modes there were, and whether each was exactly zero after.
     """
-    import mpmath
+    import mpmath  # type: ignore[import-untyped]
 
     worst, count, silent = 0.0, 0, True
     mass, slope = 0.05, 256.0

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +27,7 @@ from bench.report import ROOT, Advance, Floats, Options, Section, Table, spread,
 from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE, records
 from hapticd.engine import SAMPLE_CAPACITY, Engine
+from hapticd.errors import HapticdError
 
 RATES_HZ = (1000, 4000, 10_000)
 SPIN_US = {1000: 100.0, 4000: 100.0, 10_000: 50.0}
@@ -92,8 +93,16 @@ def servo(rate_hz: float, seconds: float, spin_us: float) -> Run:
 def servo_process(rate_hz: float, seconds: float, spin_us: float) -> Run:
     """The same in a process of its own."""
     arguments = [sys.executable, "-m", "bench.lateness", str(rate_hz), str(seconds), str(spin_us)]
-    said = subprocess.run(arguments, cwd=ROOT, check=True, capture_output=True, text=True).stdout
-    return Run(**json.loads(said))
+    return Run(**json.loads(said_by(arguments)))
+
+
+def said_by(arguments: Sequence[str]) -> str:
+    """What a process of ours prints. Raises HapticdError with its last line where it fails."""
+    process = subprocess.run(arguments, cwd=ROOT, capture_output=True, text=True)
+    if process.returncode != 0:
+        last = (process.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        raise HapticdError(f"{' '.join(arguments[1:])} ended with {process.returncode}: {last}")
+    return process.stdout
 
 
 def cyclictest(rate_hz: float, seconds: float) -> list[float]:
@@ -171,9 +180,10 @@ def run(options: Options, advance: Advance) -> Section:
         f"Simulated joystick at rest above a wooden floor, "
         f"{'SCHED_FIFO ' + str(PRIORITY) if first.scheduler == 'fifo' else 'no real-time priority'}"
         f"{', not granted: ' + '; '.join(first.missing) if first.missing else ''}; runs of {seconds:g} s, "
-        f"{f'{options.load} busy processes beside them' if options.load else 'nothing else running'}. Lateness is "
-        "wake-up after the deadline, missed periods included; work is from wake-up to the force handed over: commands "
-        "and table looked at, device read, velocity estimated, tick, device written, and one reading of the clock."
+        f"{f'{options.load} busy processes' if options.load else 'no load'} added to what the machine has. "
+        "Lateness is wake-up after the deadline, missed periods included; work is from wake-up to the force handed "
+        "over: commands and table looked at, device read, velocity estimated, tick, device written, and one reading of "
+        "the clock."
     )
     section.parts.append(_work(runs, spun))
     if have:

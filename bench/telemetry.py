@@ -6,7 +6,6 @@ python -m bench.telemetry ENDPOINT SECONDS READERS DEAD       the subscribers, i
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import time
 from typing import Any
@@ -16,8 +15,8 @@ import numpy as np
 import zmq
 
 from bench.daemon import Running, call, daemon, dealer
-from bench.lateness import lateness_of
-from bench.report import ROOT, Advance, Options, Section, Table
+from bench.lateness import lateness_of, said_by
+from bench.report import Advance, Options, Section, Table
 from bench.resources import memory_kib
 from hapticd.samples import dtype_of
 
@@ -73,10 +72,7 @@ def subscribe(endpoint: str, seconds: float, readers: int, dead: int) -> dict[st
 
 def _subscribers(running: Running, seconds: float, readers: int, dead: int) -> dict[str, Any]:
     arguments = [running.paths.telemetry_endpoint, str(seconds), str(readers), str(dead)]
-    said = subprocess.run(
-        [sys.executable, "-m", "bench.telemetry", *arguments], cwd=ROOT, check=True, capture_output=True, text=True
-    ).stdout
-    found: dict[str, Any] = json.loads(said)
+    found: dict[str, Any] = json.loads(said_by([sys.executable, "-m", "bench.telemetry", *arguments]))
     return found
 
 

@@ -187,11 +187,11 @@ def _estimator(options: Options, advance: Advance) -> Table:
         cells = [name]
         for step_m in (0.0, STEP_M):
             path = np.ascontiguousarray(np.round(truth / STEP_M) * STEP_M if step_m else truth)
-            arguments = [pointer("double[]", array) for array in (interval_s, path, out)]
+            intervals, positions, speeds = (pointer("double[]", array) for array in (interval_s, path, out))
             taken = []
             for _ in range(rounds):
                 start = time.perf_counter_ns()
-                status = lib.hd_velocity_run(step_m, count, *arguments, ffi.NULL)
+                status = lib.hd_velocity_run(step_m, count, intervals, positions, speeds, ffi.NULL)
                 taken.append((time.perf_counter_ns() - start) / count)
                 if status != Status.OK:
                     raise RuntimeError(invalid_reason())

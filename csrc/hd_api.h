@@ -265,6 +265,7 @@ struct hd_servo_config {
     uint32_t sample_capacity; /* of the telemetry ring, a power of two */
     int64_t spin_ns;          /* busy-wait this long before each deadline */
     double resolution_m;      /* encoder step for the velocity estimator */
+    double device_timeout_s;  /* without a report for this long, the device is lost */
     uint32_t forces_on;       /* 0 or 1, at the start */
 };
 

@@ -37,7 +37,6 @@
 #define HD_ADOPTED_CAPACITY 256u /* revisions whose first tick is remembered */
 #define HD_COMMANDS_PER_TICK 64u
 #define HD_CONTROL_TIMEOUT_S 1.0 /* of ticks rendered, so that a stopped process does not count against control */
-#define HD_DEVICE_TIMEOUT_S 0.1
 
 struct hd_servo {
     struct hd_servo_config config;
@@ -202,7 +201,7 @@ HD_RT static void watch(struct hd_servo *servo, const struct hd_reading *reading
     }
     /* Periods that the servo itself missed say nothing about the device. */
     servo->since_report_s += (periods == 1 ? 1.0 : 0.0) * servo->period_s;
-    if (servo->since_report_s > HD_DEVICE_TIMEOUT_S && !servo->device_lost) {
+    if (servo->since_report_s > servo->config.device_timeout_s && !servo->device_lost) {
         servo->device_lost = 1;
         report(servo, HD_EVENT_DEVICE_LOST, time_ns, 0, servo->since_report_s);
         hd_state_latch(servo->state, HD_FAULT_DEVICE, 1, time_ns);
@@ -311,6 +310,9 @@ static int config_check(const struct hd_servo_config *config) {
     }
     if (config->sample_capacity == 0 || (config->sample_capacity & (config->sample_capacity - 1)) != 0) {
         return hd_invalid("servo: %u samples is no power of two", config->sample_capacity);
+    }
+    if (!(config->device_timeout_s > 0.0)) {
+        return hd_invalid("servo: a device time-out of %g s", config->device_timeout_s);
     }
     if (!(config->resolution_m >= 0.0 && config->resolution_m < 1.0)) {
         return hd_invalid("servo: an encoder step of %g m", config->resolution_m);

@@ -176,6 +176,7 @@ class Control:
     def _set_scene(self, params: _SetScene) -> dict[str, object]:
         self._expect(params)
         scene = validate_scene(params.scene, ("scene",))
+        self._engine.beat()  # the largest scenes take their time; every stage shows that somebody is at work
         problems = reference_problems(scene.objects, self._engine.materials, ("scene",))
         if problems:
             raise _faulty(problems)
@@ -202,6 +203,7 @@ class Control:
             problems = reference_problems(present, engine.materials)
         if problems:
             raise _faulty(problems)
+        engine.beat()
         return self._changed(engine.update_objects(changes), params)
 
     def _get_materials(self, _: _NoParams) -> dict[str, object]:
@@ -306,8 +308,6 @@ class Control:
             ) from None
         except LeaseLapsedError:
             raise self._lapsed() from None
-        if params.token is not None and token is not None and self._engine.counters().faults & Fault.LEASE:
-            raise self._lapsed()
         result: dict[str, object] = {"token": token}
         faults = self._engine.counters().faults
         if faults:

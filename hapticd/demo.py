@@ -35,7 +35,7 @@ Floats = npt.NDArray[np.float64]
 SPEEDS_M_PER_S = (0.04, 0.05, 0.06, 0.07, 0.08, 0.09, 0.10, 0.11, 0.12, 0.13, 0.14, 0.15, 0.30)
 HOVER_M = 0.012
 PRESS_M = 0.004
-HOLD_S = 0.12
+HOLD_S = 0.08
 PLOT = "demo.png"
 
 
@@ -149,7 +149,7 @@ def tapping(speeds: Sequence[float], x_m: float = 0.0) -> list[list[float]]:
             (HOVER_M, 0.06),
             (-PRESS_M, (HOVER_M + PRESS_M) / speed),
             (-PRESS_M, HOLD_S),
-            (HOVER_M, 0.12),
+            (HOVER_M, 0.09),
         ):
             now += lasting
             path.append([now, x_m, height])
@@ -191,6 +191,8 @@ def perform(daemon: Client, waypoints: list[list[float]], advance: Part) -> Reco
             batch = next(samples)
             if batch.lost:
                 raise HapticdError(f"{batch.lost} samples were lost: the machine is too busy for the demo")
+            while (event := feed.receive(0.0)) is not None:
+                events.append(dict(event))
             kept = batch[batch["tick"] >= begin]
             if len(kept):
                 start_ns = int(kept["time_ns"][0]) if start_ns is None else start_ns
@@ -200,9 +202,8 @@ def perform(daemon: Client, waypoints: list[list[float]], advance: Part) -> Reco
                     break
         end_ns = int(batches[-1]["time_ns"][-1])
         while (event := feed.receive(0.1)) is not None:
-            message: dict[str, Any] = dict(event)
-            if begin <= message["tick"] and message["time_ns"] <= end_ns:
-                events.append(message)
+            events.append(dict(event))
+    events = [event for event in events if begin <= event["tick"] and event["time_ns"] <= end_ns]
     data = np.concatenate(batches)
     zero = int(data["time_ns"][0])
     taps = tuple(
@@ -322,7 +323,7 @@ def report(
         error = measured / wanted - 1
         if abs(error) > limit:
             worst.append(f"{what} is off by {100 * error:+.2f} % (limit {100 * limit:g} %)")
-        return f"{100 * error:+.2f} %"
+        return f"{100 * error:+.2f}%"
 
     for name, recorded in recordings.items():
         material: Material = library[name]
@@ -410,7 +411,7 @@ def plot(
         whole = [t.scale == 1.0 for t in recorded.taps]
         speeds = np.array([t.true_speed for t in recorded.taps])[whole]
         (line,) = panel.plot(speeds, np.abs(fits[name].amplitudes[whole]), "o", ms=3, label=name)
-        ends = np.array([0, 0.17])
+        ends = np.array([0, 1.05 * max(SPEEDS_M_PER_S)])
         panel.plot(ends, library[name].tap.attack_slope_per_s * ends, lw=0.8, color=line.get_color())
     panel.set_title("amplitude over the handle's true speed; lines: library", fontsize=10)
     panel.set_xlabel("m/s")

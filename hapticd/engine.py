@@ -42,6 +42,9 @@ from hapticd.scene import MAX_OBJECTS, Scene, SceneObject
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
 
+DEVICE_TIMEOUT_S: Final = 0.1
+"""A device that is this much later than its reports should be is lost."""
+
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
 
@@ -134,7 +137,9 @@ class Engine:
         settings.slot_capacity = MAX_OBJECTS
         settings.sample_capacity = SAMPLE_CAPACITY
         settings.spin_ns = round(servo.spin_us * 1000)
-        settings.resolution_m = config.device.sim.encoder_step_m
+        sim = config.device.sim
+        settings.resolution_m = sim.encoder_step_m
+        settings.device_timeout_s = DEVICE_TIMEOUT_S + sim.report_interval_s + sim.report_delay_s
         settings.forces_on = 1
         made = lib.hd_servo_new(settings, self._sim)
         if made == ffi.NULL:

@@ -14,6 +14,7 @@ Path: TypeAlias = tuple[str | int, ...]
 
 _SHOWN_CHARACTERS = 60
 _SHOWN_NAMES = 20
+_COMPARED_NAMES = 64
 _SHOWN_PROBLEMS = 50
 
 
@@ -89,6 +90,8 @@ def path_text(path: Sequence[str | int]) -> str:
 def known_names(name: str, known: Iterable[str]) -> str:
     """What would be right instead of an unknown name: 'did you mean wood? known: wood, steel'."""
     names = list(known)
-    close = difflib.get_close_matches(name, names, n=1) if len(name) <= 2 * _SHOWN_CHARACTERS else []
+    # Looking for what was meant costs a comparison for each name; in a long list a person would look there.
+    guess = len(name) <= 2 * _SHOWN_CHARACTERS and len(names) <= _COMPARED_NAMES
+    close = difflib.get_close_matches(name, names, n=1) if guess else []
     listed = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
     return (f"did you mean {close[0]}? " if close else "") + f"known: {listed or 'none'}"

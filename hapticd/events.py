@@ -48,7 +48,7 @@ def event_map(event: Any, object_id: str | None) -> dict[str, object]:
         case EventKind.SATURATION:
             message["wanted_n"] = float(event["value"])
         case EventKind.OVERRUN:
-            message["missed"] = int(event["value"])
+            message |= {"missed": int(event["value"]), "count": 1}
         case EventKind.FAULT:
             message["faults"] = fault_names(Fault(int(event["code"])))
         case EventKind.REVISION:

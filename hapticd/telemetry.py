@@ -7,7 +7,7 @@ collection. A slow subscriber costs itself messages (PUB drops them), nobody els
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy.typing as npt
 import zmq
 
 from hapticd import wire
-from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, records
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
 from hapticd.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
 from hapticd.events import event_map
 
@@ -79,10 +79,19 @@ class Telemetry:
             self._send_samples()
         while True:
             count, _ = self._engine.read_events(self._events)
-            for event in self._events[:count]:
-                self._send("event", self._note(event))
+            for message in self._maps(self._events[:count]):
+                self._send("event", message)
             if count < len(self._events):
                 break
+
+    def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
+        """Events as maps. Overruns come in floods on a busy machine: those found together are told as one."""
+        overruns = events[events["kind"] == EventKind.OVERRUN]
+        for event in events[events["kind"] != EventKind.OVERRUN]:
+            yield self._note(event)
+        if len(overruns):
+            total = {"missed": int(overruns["value"].sum()), "count": len(overruns)}
+            yield event_map(overruns[-1], None) | total
 
     def _send_samples(self) -> None:
         if self._held:

@@ -51,7 +51,6 @@ class Code(enum.IntEnum):
     RING_FULL = -32005
     WAIT_TIMED_OUT = -32006
     LEASE_LAPSED = -32007
-    NOT_SUPPORTED = -32008
 
 
 class WireError(HapticdError):

@@ -53,7 +53,9 @@ def play_command(
     mode = None if mode_text is None else _mode(mode_text)
     with daemon(ctx) as client:
         result = client.play(material, mode=mode, direction=direction, amplitude_m_per_s2=amplitude)
-    print_result(result, as_json, f"struck at tick {result['tick']}")
+    shown = result["displayed_hz"]
+    heard = f"shown at {shown:g} Hz" if shown is not None else "silent: its frequency is above 0.4 of the servo's rate"
+    print_result(result, as_json, f"struck at tick {result['tick']}, {heard}")
 
 
 def _mode(text: str) -> dict[str, float]:

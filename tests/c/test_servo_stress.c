@@ -35,6 +35,7 @@ static const struct hd_sim_config joystick = {
 };
 
 static const struct hd_servo_config config = {
+    .device_timeout_s = 0.1,
     .rate_hz = RATE_HZ,
     .cpu = -1,
     .realtime = HD_REALTIME_OFF,

@@ -366,7 +366,7 @@ def check_answered(wire: Wire, body: bytes) -> None:
     answer = wire.body(body)
     if "error" in answer:
         error = answer["error"]
-        assert error["code"] in {-32700, -32600, -32601, -32602, *range(-32008, -32000)}, answer
+        assert error["code"] in {-32700, -32600, -32601, -32602, *range(-32007, -32000)}, answer
         assert isinstance(error["message"], str)
         assert error["message"]
         assert "\n" not in error["message"]
