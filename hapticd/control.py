@@ -193,9 +193,9 @@ class Control:
                 if before is not None:
                     changes[id] = None
                 continue
-            merged = patch if before is None else merge_patch(before.to_dict(), cast(Any, patch))
+            merged = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
             try:
-                changes[id] = validate_object(id, merge_patch(None, cast(Any, merged)))
+                changes[id] = validate_object(id, merged)
             except InvalidError as error:
                 problems += error.problems
         if not problems:
@@ -248,7 +248,7 @@ class Control:
         result: dict[str, object] = {"revision": revision}
         if params.wait:
             result["tick"] = self._engine.wait_revision(revision)
-        faults = self._engine.counters().faults
+        faults = self._engine.faults()
         if faults:
             result["warning"] = self._off_because(faults)
         return result
@@ -293,7 +293,7 @@ class Control:
     def _set_forces(self, params: _SetForces) -> dict[str, object]:
         self._lease.forget_lapsed()
         tick = self._engine.set_forces(params.enabled)
-        faults = self._engine.counters().faults
+        faults = self._engine.faults()
         if params.enabled and faults:
             raise MethodError(Code.FORCES_OFF, self._off_because(faults), {"faults": fault_names(faults)})
         return {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
@@ -309,13 +309,13 @@ class Control:
         except LeaseLapsedError:
             raise self._lapsed() from None
         result: dict[str, object] = {"token": token}
-        faults = self._engine.counters().faults
+        faults = self._engine.faults()
         if faults:
             result["warning"] = self._off_because(faults)
         return result
 
     def _lapsed(self) -> MethodError:
-        faults = self._engine.counters().faults
+        faults = self._engine.faults()
         message = "token: no lease is held by it: it lapsed, was ended, or never was"
         if faults:
             message += f"; {self._off_because(faults)}"

@@ -185,14 +185,15 @@ def perform(daemon: Client, waypoints: list[list[float]], advance: Part) -> Reco
         answer = daemon.set_operator(waypoints)
         begin, lasting = int(answer["tick"]), float(answer["duration_s"])
         rate = float(daemon.get_status()["rate_hz"])
-        batches, events = [], []
+        batches = []
+        events: list[dict[str, Any]] = []
         start_ns = None
         while True:
             batch = next(samples)
             if batch.lost:
                 raise HapticdError(f"{batch.lost} samples were lost: the machine is too busy for the demo")
             while (event := feed.receive(0.0)) is not None:
-                events.append(dict(event))
+                events.append({**event})
             kept = batch[batch["tick"] >= begin]
             if len(kept):
                 start_ns = int(kept["time_ns"][0]) if start_ns is None else start_ns
@@ -202,7 +203,7 @@ def perform(daemon: Client, waypoints: list[list[float]], advance: Part) -> Reco
                     break
         end_ns = int(batches[-1]["time_ns"][-1])
         while (event := feed.receive(0.1)) is not None:
-            events.append(dict(event))
+            events.append({**event})
     events = [event for event in events if begin <= event["tick"] and event["time_ns"] <= end_ns]
     data = np.concatenate(batches)
     zero = int(data["time_ns"][0])

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,6 +34,7 @@ from hapticd.core import (
     lib,
     pointer,
 )
+from hapticd.awake import Awake
 from hapticd.errors import HapticdError
 from hapticd.joystick import new_operator, new_sim
 from hapticd.materials import Attack, Material, Materials, Mode
@@ -48,6 +49,7 @@ DEVICE_TIMEOUT_S: Final = 0.1
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
 
+_NO_FAULT: Final = Fault(0)
 _MEMORY_KINDS: Final = ("none", "servo", "process")
 
 
@@ -79,6 +81,7 @@ class Granted:
     priority: int
     cpu: int | None
     memory: str
+    awake: bool
     missing: tuple[str, ...]
 
     def to_dict(self) -> dict[str, object]:
@@ -87,12 +90,12 @@ class Granted:
             "priority": self.priority,
             "cpu": self.cpu,
             "memory_locked": self.memory,
+            "idle_states_held": self.awake,
             "missing": list(self.missing),
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Counters:
+class Counters(NamedTuple):
     """What the servo has counted since it started."""
 
     ticks: int
@@ -121,6 +124,7 @@ class Engine:
         self.materials: Materials = config.materials
         self.revision = 1
         self.granted: Granted | None = None
+        self._awake = Awake()
         self._output = output_of(config, servo.rate_hz)
         self._compiler = Compiler(self._output)
         self._sim = new_sim(config.device.sim, servo.rate_hz)
@@ -128,7 +132,6 @@ class Engine:
         self._dropped = ffi.new("uint64_t *")
         self._sequence = ffi.new("uint64_t *")
         self._tick = ffi.new("uint64_t *")
-        self._counters = ffi.new("struct hd_counters *")
         settings = ffi.new("struct hd_servo_config *")
         settings.rate_hz = servo.rate_hz
         settings.cpu = -1 if servo.cpu is None else servo.cpu
@@ -162,6 +165,11 @@ class Engine:
         if grant.memory:
             kept = "only the servo's memory is locked" if grant.memory_kind else "nothing is locked"
             missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
+        if servo.realtime != "off":
+            try:
+                self._awake.hold()
+            except OSError as error:
+                missing.append(f"processors kept out of deep idle states: {error.strerror} ({error.filename})")
         if status == Status.ERR_DENIED:
             raise HapticdError(
                 f"servo.realtime is required but refused: {'; '.join(missing)}; "
@@ -174,12 +182,14 @@ class Engine:
             priority=grant.priority,
             cpu=None if grant.affinity else servo.cpu,
             memory=_MEMORY_KINDS[grant.memory_kind],
+            awake=self._awake.held,
             missing=tuple(missing),
         )
         return self.granted
 
     def stop(self) -> None:
         """Fades the force out over the ramp, puts zero and ends the thread."""
+        self._awake.release()
         if lib.hd_servo_stop(self._servo) != Status.OK:
             raise HapticdError(f"the servo thread does not end: {os.strerror(ffi.errno)}")
 
@@ -321,19 +331,25 @@ class Engine:
         raw = ffi.new("struct hd_counters *")
         lib.hd_servo_counters(self._servo, raw)
         return Counters(
-            ticks=raw.ticks,
-            skipped=raw.skipped,
-            overruns=raw.overruns,
-            samples_dropped=raw.samples_dropped,
-            events_dropped=raw.events_dropped,
-            strikes=raw.strikes,
-            glitches=raw.glitches,
-            saturations=raw.saturations,
-            revision=raw.revision,
-            faults=Fault(raw.faults),
-            forces_on=bool(raw.forces_on),
-            running=bool(raw.running),
+            raw.ticks,
+            raw.skipped,
+            raw.overruns,
+            raw.samples_dropped,
+            raw.events_dropped,
+            raw.strikes,
+            raw.glitches,
+            raw.saturations,
+            raw.revision,
+            Fault(raw.faults) if raw.faults else _NO_FAULT,
+            bool(raw.forces_on),
+            bool(raw.running),
         )
+
+    def faults(self) -> Fault:
+        """The faults that are latched."""
+        raw = ffi.new("struct hd_counters *")
+        lib.hd_servo_counters(self._servo, raw)
+        return Fault(raw.faults) if raw.faults else _NO_FAULT
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
         """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped."""

@@ -113,7 +113,8 @@ class Scene(Model):
         if len(objects) > MAX_OBJECTS:
             problem = f"must hold at most {MAX_OBJECTS} entries, holds {len(objects)}"
             raise InvalidError([Problem("objects", problem)])
-        return self.model_copy(update={"objects": objects})
+        # All three are valid already; copying the model would cost more than the rest of an update.
+        return Scene.model_construct(display=self.display, ramp_s=self.ramp_s, objects=objects)
 
 
 SceneSource: TypeAlias = "Scene | Mapping[str, object] | str | os.PathLike[str]"
