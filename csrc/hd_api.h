@@ -279,11 +279,10 @@ struct hd_grant {
 };
 
 enum hd_command_kind {
-    HD_COMMAND_PLAY = 1,     /* mode, direction, amplitude (in the mode's unit) */
-    HD_COMMAND_RESET = 2,    /* slot and generation, or HD_NO_SLOT for all */
-    HD_COMMAND_FORCES = 3,   /* value 0 or 1; 1 clears latched faults whose cause is gone */
-    HD_COMMAND_OPERATOR = 4, /* path; simulated device only */
-    HD_COMMAND_FAULT = 5     /* value: bits of enum hd_fault to latch */
+    HD_COMMAND_PLAY = 1,    /* mode, direction, amplitude (in the mode's unit) */
+    HD_COMMAND_RESET = 2,   /* slot and generation, or HD_NO_SLOT for all */
+    HD_COMMAND_FORCES = 3,  /* value 0 or 1; 1 clears latched faults whose cause is gone */
+    HD_COMMAND_OPERATOR = 4 /* path; simulated device only */
 };
 
 struct hd_command {

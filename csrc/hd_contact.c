@@ -27,7 +27,7 @@ HD_RT struct hd_slot *hd_contact_take(struct hd_walk *walk, const struct hd_key 
         hd_contact_drop(walk, key->slot);
     }
     /* A mode of the former owner goes on ringing on its own. */
-    *slot = (struct hd_slot){.generation = key->generation, .version = key->version};
+    *slot = (struct hd_slot){.generation = key->generation, .version = key->version - 1u}; /* no surface seen yet */
     return slot;
 }
 
@@ -126,7 +126,6 @@ HD_RT void hd_contact_follow(struct hd_walk *walk, struct hd_slot *slot, const s
     const double a = 1.0 - b;
     const struct hd_surface *from = &slot->from;
     for (int axis = 0; axis < 2; axis++) {
-        slot->now.point_m[axis] = a * from->point_m[axis] + b * surface->point_m[axis];
         slot->now.normal[axis] = a * from->normal[axis] + b * surface->normal[axis];
     }
     HD_RT_FOREIGN_BEGIN
@@ -135,6 +134,15 @@ HD_RT void hd_contact_follow(struct hd_walk *walk, struct hd_slot *slot, const s
     for (int axis = 0; axis < 2; axis++) {
         slot->now.normal[axis] /= length; /* at least sqrt(1/2): the two are at most a right angle apart */
     }
+    /* Height and place along it are blended where the probe is: the points themselves may lie anywhere. */
+    const double *p = walk->input->position_m;
+    const double off[2] = {p[0] - from->point_m[0], p[1] - from->point_m[1]};
+    const double on[2] = {p[0] - surface->point_m[0], p[1] - surface->point_m[1]};
+    const double height = a * hd_dot(off, from->normal) + b * hd_dot(on, surface->normal);
+    const double along = a * (off[0] * from->normal[1] - off[1] * from->normal[0]) +
+                         b * (on[0] * surface->normal[1] - on[1] * surface->normal[0]);
+    slot->now.point_m[0] = p[0] - height * slot->now.normal[0] - along * slot->now.normal[1];
+    slot->now.point_m[1] = p[1] - height * slot->now.normal[1] + along * slot->now.normal[0];
     slot->now.stiffness_n_per_m = a * from->stiffness_n_per_m + b * surface->stiffness_n_per_m;
     slot->now.damping_n_s_per_m = a * from->damping_n_s_per_m + b * surface->damping_n_s_per_m;
     slot->now.half_width_m = a * from->half_width_m + b * surface->half_width_m;

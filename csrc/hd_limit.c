@@ -28,7 +28,7 @@ HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *tabl
     const double contact = contact_n[0] * contact_n[0] + contact_n[1] * contact_n[1];
     double factor = 0.0;
     double cut = 1.0;
-    if (contact < limit * limit) {
+    if (contact <= HD_JUST_BELOW * limit * limit) {
         /* The larger root of |contact + g vibration|^2 = limit^2. */
         const double a = vibration_n[0] * vibration_n[0] + vibration_n[1] * vibration_n[1];
         const double b = contact_n[0] * vibration_n[0] + contact_n[1] * vibration_n[1];

@@ -102,6 +102,38 @@ HD_RT static int crosses(const struct hd_walk *walk, const struct hd_slot *slot,
     return magnitude(from.along + *fraction * (to->along - from.along)) <= surface->half_width_m;
 }
 
+/* Sides are told by the normal: they turn with it. */
+HD_RT static void remember_surface(struct hd_slot *slot, const struct hd_membrane *membrane) {
+    if (hd_dot(slot->now.normal, membrane->surface.normal) < 0.0) {
+        slot->side = (int8_t)-slot->side;
+        slot->last_side = (int8_t)-slot->last_side;
+        slot->resume = (int8_t)-slot->resume;
+    }
+    slot->now = membrane->surface;
+    slot->version = membrane->key.version;
+}
+
+/* A membrane whose contact was cleared while it was pressed is met anew from the same side: silently, over the ramp. */
+HD_RT static void resume(struct hd_walk *walk, struct hd_slot *slot, const struct hd_membrane *membrane,
+                         const struct place *to) {
+    const struct hd_surface *surface = &membrane->surface;
+    const double depth = -(double)slot->resume * to->height;
+    const int inside = depth > 0.0 && magnitude(to->along) <= surface->half_width_m &&
+                       (surface->rupture_depth_m == 0.0 || depth <= surface->rupture_depth_m);
+    if (inside) {
+        const double sign = (double)slot->resume;
+        const struct hd_onset onset = {
+            .silent = 1,
+            .direction = {sign * surface->normal[0], sign * surface->normal[1]},
+        };
+        slot->side = slot->resume;
+        slot->last_side = slot->resume;
+        hd_contact_begin(walk, slot, &membrane->key, surface, &membrane->tap, &onset);
+        press(walk, slot, membrane);
+    }
+    slot->resume = 0;
+}
+
 HD_RT void hd_membranes_walk(struct hd_walk *walk) {
     const uint32_t count = walk->table->membrane_count;
     for (uint32_t i = 0; i < count; i++) {
@@ -115,6 +147,12 @@ HD_RT void hd_membranes_walk(struct hd_walk *walk) {
         }
         const struct place to = place_of(&membrane->surface, walk->input->position_m);
         const int8_t side = sign_of(to.height);
+        if (!slot->touched && slot->version != membrane->key.version) {
+            remember_surface(slot, membrane);
+        }
+        if (!slot->touched && !slot->open && slot->resume != 0) {
+            resume(walk, slot, membrane, &to);
+        }
         if (slot->open) {
             /* slot->side is where the probe came from. */
             slot->open = membrane->key.heals && side == slot->side ? 0 : 1;

@@ -6,6 +6,9 @@
 #include "hd_sim.h"
 #include "hd_tick.h"
 
+/* Times are nanoseconds in 63 bits. */
+#define HD_LONGEST_RUN_S 9e9
+
 /* Where events of a run are kept. */
 struct event_sink {
     struct hd_event *events;
@@ -41,6 +44,9 @@ int hd_render(const struct hd_table *table, struct hd_state *state, const double
             return hd_invalid("periods[%zu]: at least 1 period lies between two ticks", i);
         }
         state->period += input.periods;
+        if ((double)state->period * table->period_s > HD_LONGEST_RUN_S) {
+            return hd_invalid("periods[%zu]: the run is longer than %g s", i, HD_LONGEST_RUN_S);
+        }
         input.time_ns = period_time_ns(table, state->period - 1u);
         struct hd_reading reading = {
             .position_m = {position[2 * i], position[2 * i + 1]},

@@ -77,6 +77,7 @@ struct hd_servo {
     uint64_t ticks_since_beat;
     double since_report_s;
     uint8_t device_lost;
+    uint8_t ending; /* the force fades out, whatever is still commanded */
     pthread_t thread;
     uint8_t started;
 };
@@ -152,9 +153,6 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
     case HD_COMMAND_OPERATOR:
         hd_sim_step_operate(servo->sim, command->path);
         return HD_OK;
-    case HD_COMMAND_FAULT:
-        hd_state_latch(state, command->value, 0, time_ns);
-        return HD_OK;
     default:
         return HD_OK; /* refused by hd_servo_send */
     }
@@ -178,8 +176,7 @@ HD_RT static void take_commands(struct hd_servo *servo, int64_t time_ns) {
 }
 
 /* Everything but the tick itself that can call for zero force. */
-HD_RT static void watch(struct hd_servo *servo, const struct hd_reading *reading, uint32_t periods, int64_t now_ns,
-                        int64_t time_ns) {
+HD_RT static void watch(struct hd_servo *servo, const struct hd_reading *reading, int64_t now_ns, int64_t time_ns) {
     const uint64_t beat = hd_atomic_u64_load_relaxed(&servo->beat);
     if (beat != servo->last_beat) {
         servo->last_beat = beat;
@@ -199,8 +196,8 @@ HD_RT static void watch(struct hd_servo *servo, const struct hd_reading *reading
         }
         return;
     }
-    /* Periods that the servo itself missed say nothing about the device. */
-    servo->since_report_s += (periods == 1 ? 1.0 : 0.0) * servo->period_s;
+    /* A period for each tick: those that the servo itself missed say nothing about the device. */
+    servo->since_report_s += servo->period_s;
     if (servo->since_report_s > servo->config.device_timeout_s && !servo->device_lost) {
         servo->device_lost = 1;
         report(servo, HD_EVENT_DEVICE_LOST, time_ns, 0, servo->since_report_s);
@@ -220,9 +217,6 @@ HD_RT static void leave_events(struct hd_servo *servo) {
         hd_ring_drop(&servo->events);
         state->events_dropped--;
     }
-    hd_atomic_u64_store_relaxed(&servo->strikes, state->strikes_total);
-    hd_atomic_u64_store_relaxed(&servo->glitches, state->glitches_total);
-    hd_atomic_u64_store_relaxed(&servo->saturations, state->saturations_total);
 }
 
 HD_RT static void leave_sample(struct hd_servo *servo, const struct hd_sample *sample) {
@@ -242,9 +236,12 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     struct hd_input input = {.time_ns = deadline_ns, .periods = periods};
     take_table(servo, deadline_ns);
     take_commands(servo, deadline_ns);
+    if (servo->ending) {
+        hd_state_want_forces(state, 0);
+    }
     hd_sim_step_advance(servo->sim, periods);
     hd_sim_step_read(servo->sim, &reading);
-    watch(servo, &reading, periods, now_ns, deadline_ns);
+    watch(servo, &reading, now_ns, deadline_ns);
     hd_sense(state, servo->table, &reading, NULL, &input);
     hd_tick(servo->table, state, &input, &sample);
     hd_sim_step_put(servo->sim, sample.force_n);
@@ -254,6 +251,9 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     if (state->event_count > 0) {
         leave_events(servo);
     }
+    hd_atomic_u64_store_relaxed(&servo->strikes, state->strikes_total);
+    hd_atomic_u64_store_relaxed(&servo->glitches, state->glitches_total);
+    hd_atomic_u64_store_relaxed(&servo->saturations, state->saturations_total);
     hd_atomic_u32_store_relaxed(&servo->faults, state->faults);
     hd_atomic_u32_store_relaxed(&servo->forces_on, state->enabled);
     hd_atomic_u64_store_release(&servo->ticks, state->tick);
@@ -263,8 +263,7 @@ HD_RT static void loop(struct hd_servo *servo) {
     struct hd_state *state = servo->state;
     uint64_t period = 0;
     const int64_t start_ns = hd_clock_now_ns() + (int64_t)servo->period_ns;
-    int stopping = 0;
-    while (!stopping || state->gain > 0.0) {
+    while (!servo->ending || state->gain > 0.0) {
         int64_t deadline_ns = deadline_of(servo, start_ns, period);
         const int64_t now_ns = wait_until(deadline_ns, servo->config.spin_ns);
         uint32_t periods = 1;
@@ -279,9 +278,8 @@ HD_RT static void loop(struct hd_servo *servo) {
             hd_atomic_u64_add_relaxed(&servo->overruns, 1);
             report(servo, HD_EVENT_OVERRUN, deadline_ns, 0, (double)skip);
         }
-        if (!stopping && hd_atomic_u32_load_acquire(&servo->stopping)) {
-            stopping = 1;
-            hd_state_want_forces(state, 0);
+        if (hd_atomic_u32_load_acquire(&servo->stopping)) {
+            servo->ending = 1;
         }
         one_tick(servo, deadline_ns, now_ns, periods);
         period++;
@@ -496,7 +494,6 @@ static int command_check(const struct hd_servo *servo, const struct hd_command *
         return command->path != NULL && servo->sim != NULL ? HD_OK : hd_invalid("operator: no path or no simulation");
     case HD_COMMAND_RESET:
     case HD_COMMAND_FORCES:
-    case HD_COMMAND_FAULT:
         return HD_OK;
     default:
         return hd_invalid("command: kind %u", command->kind);

@@ -14,7 +14,7 @@
 #include "hd_core.h"
 #include "hd_velocity.h"
 
-#define HD_VOICE_CAPACITY 4096u  /* ringing at once; the one nearest its end is given up beyond that */
+#define HD_VOICE_CAPACITY 4096u  /* ringing at once; beyond that, one that is near its end is given up */
 #define HD_STRIKE_CAPACITY 4096u /* struck within one tick */
 #define HD_EVENT_CAPACITY 256u   /* reported by one tick */
 #define HD_PLAYED_CAPACITY 64u   /* modes played by hand within one tick */
@@ -32,6 +32,7 @@ struct hd_slot {
     uint8_t known;    /* seen by an earlier tick: a crossing can be told from an appearance */
     int8_t side;      /* membrane: of the normal that the contact came from, +1 or -1 */
     int8_t last_side; /* membrane: where the probe last was off the surface */
+    int8_t resume;    /* membrane: was pressed from this side when its contact was cleared; 0: was not */
     double ramp;      /* of the contact force, 0 to 1, for a contact without an onset */
     double blend;     /* from `from` to the table's surface, 0 to 1 */
     double force_n[2];

@@ -112,6 +112,9 @@ int hd_table_check(const struct hd_table *table, uint32_t slot_capacity) {
     if (!between(table->ramp_step * table->ramp_s, table->period_s * (1.0 - 1e-12), table->period_s * (1.0 + 1e-12))) {
         return hd_invalid("table: ramp step %g is not period over ramp", table->ramp_step);
     }
+    if (table->ramp_step > 1.0) {
+        return hd_invalid("table: a ramp of %g s is shorter than a period", table->ramp_s);
+    }
     if (table->display_force > 1 || table->display_vibration > 1) {
         return hd_invalid("table: display flags are 0 or 1");
     }

@@ -48,10 +48,13 @@ HD_RT void hd_sense(struct hd_state *state, const struct hd_table *table, const 
     }
 }
 
-/* Everything is met as if it had just appeared. */
-HD_RT static void resynchronise(struct hd_state *state, const struct hd_input *input) {
+/* Everything is met as if it had just appeared; but with `resume`, a membrane that was pressed is met from the side
+ * that it was pressed from. */
+HD_RT static void resynchronise(struct hd_state *state, const struct hd_input *input, int resume) {
     while (state->active_count > 0) {
-        hd_contact_end(state, state->active[state->active_count - 1], input->time_ns);
+        const uint32_t index = state->active[state->active_count - 1];
+        state->slots[index].resume = resume ? state->slots[index].side : 0;
+        hd_contact_end(state, index, input->time_ns);
     }
     state->residual_n[0] = 0.0;
     state->residual_n[1] = 0.0;
@@ -87,15 +90,15 @@ HD_RT static void drop_unseen(struct hd_walk *walk) {
     }
 }
 
-HD_RT static void fade_residual(struct hd_state *state, uint32_t periods) {
-    if (state->residual_left <= periods) {
+HD_RT static void fade_residual(struct hd_state *state) {
+    if (state->residual_left <= 1) {
         state->residual_left = 0;
         state->residual_n[0] = 0.0;
         state->residual_n[1] = 0.0;
     } else {
-        state->residual_left -= periods;
-        state->residual_n[0] -= (double)periods * state->residual_step_n[0];
-        state->residual_n[1] -= (double)periods * state->residual_step_n[1];
+        state->residual_left--;
+        state->residual_n[0] -= state->residual_step_n[0];
+        state->residual_n[1] -= state->residual_step_n[1];
     }
 }
 
@@ -104,7 +107,7 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, str
     hd_voices_silence(state);
     state->strike_count = 0;
     state->played_count = 0;
-    resynchronise(state, input);
+    resynchronise(state, input, 0);
     state->resync = 1;
     state->located = 0;
     hd_state_latch(state, HD_FAULT_NONFINITE, 1, input->time_ns);
@@ -147,7 +150,8 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
         .state = state,
         .input = input,
         .from_m = {state->position_m[0], state->position_m[1]},
-        .ramp_step = (double)input->periods * table->ramp_step,
+        /* A ramp counts ticks, not the periods that were missed before it began. */
+        .ramp_step = table->ramp_step,
     };
     if (!state->started) {
         state->show_force = (double)table->display_force;
@@ -155,12 +159,12 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
     }
     /* A jump, or a stall longer than the ramp: what was felt before says nothing about now. */
     const int jumped = input->glitch_m_per_s > 0.0;
-    const int stalled = state->started && walk.ramp_step > 1.0;
+    const double elapsed = (double)input->periods * table->ramp_step; /* in ramps */
+    const int stalled = state->started && elapsed > 1.0;
     walk.resync = state->resync || !state->located || jumped || stalled;
     if (walk.resync) {
-        resynchronise(state, input);
+        resynchronise(state, input, stalled && !jumped);
         state->resync = 0;
-        walk.ramp_step = table->ramp_step; /* ramps begin now, not when the stall did */
     }
     if (jumped) {
         flags |= HD_FLAG_GLITCH;
@@ -192,7 +196,7 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
     if (state->residual_left > 0) {
         contact[0] += state->residual_n[0];
         contact[1] += state->residual_n[1];
-        fade_residual(state, input->periods);
+        fade_residual(state);
     }
     if (state->strike_count > 0) {
         HD_RT_FOREIGN_BEGIN
@@ -218,7 +222,8 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
         state->tick++;
         return;
     }
-    state->gain = toward(state->gain, (double)state->enabled, walk.ramp_step);
+    /* Only on its way out does the command hurry: zero is due by the clock. */
+    state->gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
     flags |= (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) | (state->enabled ? HD_FLAG_FORCES_ON : 0u) |
              (state->faults != 0 ? HD_FLAG_FAULT : 0u) | ramping(state, table);
     for (int axis = 0; axis < 2; axis++) {
@@ -256,6 +261,7 @@ HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const
 
 HD_RT static void reset_slot(struct hd_walk *walk, uint32_t index) {
     struct hd_slot *slot = &walk->state->slots[index];
+    slot->resume = slot->touched ? slot->side : 0;
     if (slot->touched) {
         hd_contact_drop(walk, index);
     }

@@ -11,6 +11,7 @@
 
 /* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
 #define HD_SMALLEST_SQUARE 1e-290
+#define HD_VOICES_COMPARED 16u
 
 HD_RT static void remove_voice(struct hd_state *state, uint32_t index) {
     struct hd_voice *voice = &state->voices[index];
@@ -129,10 +130,12 @@ HD_RT static struct hd_voice *find_voice(const struct hd_state *state, const str
 
 HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_strike *strike) {
     if (state->voice_count == HD_VOICE_CAPACITY) {
-        uint32_t nearest = 0;
-        for (uint32_t i = 1; i < state->voice_count; i++) {
-            if (state->voices[i].left < state->voices[nearest].left) {
-                nearest = i;
+        /* The one nearest its end among a few, so that a tick that strikes thousands stays bounded. */
+        uint32_t nearest = state->strike_count % HD_VOICE_CAPACITY;
+        for (uint32_t i = 1; i < HD_VOICES_COMPARED; i++) {
+            const uint32_t other = (nearest + 257u * i) % HD_VOICE_CAPACITY;
+            if (state->voices[other].left < state->voices[nearest].left) {
+                nearest = other;
             }
         }
         remove_voice(state, nearest);

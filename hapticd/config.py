@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import Field, ValidationError, model_validator
 
-from hapticd.errors import InvalidError, Path, Problem
+from hapticd.errors import InvalidError, Path, Problem, shown
 from hapticd.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
 from hapticd.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
 from hapticd.scene import Scene, reference_faults
@@ -125,6 +125,10 @@ def load_config(source: ConfigSource) -> Config:
         return _load([Document(plain(source))])
     if isinstance(source, str | os.PathLike):
         return _load([load_path(source)])
+    if not isinstance(source, Sequence) or not all(isinstance(path, str | os.PathLike) for path in source):
+        raise InvalidError(
+            [Problem("", f"a configuration is a mapping, a path or a list of paths, not {shown(source)}")]
+        )
     return _load([load_path(path) for path in source])
 
 

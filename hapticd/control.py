@@ -15,15 +15,15 @@ from pydantic import Field, ValidationError
 from hapticd._version import __version__
 from hapticd.core import Fault
 from hapticd.engine import Engine, RingFullError, WaitTimeoutError, monotonic_ns
-from hapticd.errors import InvalidError, Problem, known_names
+from hapticd.errors import InvalidError, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
 from hapticd.materials import MAX_MATERIALS, Material, ModeKeys, shipped_materials, validate_materials
 from hapticd.merge_patch import merge_patch
-from hapticd.model import Model, Name, Position, problems_of
+from hapticd.model import MAX_FAULTS, Model, Name, Position, problems_of
 from hapticd.operator import Target, parse_operator
-from hapticd.scene import Membrane, SceneObject, Wall, reference_problems, validate_object, validate_scene
+from hapticd.scene import MAX_OBJECTS, Membrane, SceneObject, Wall, reference_problems, validate_object, validate_scene
 from hapticd.wire import PROTOCOL, Code
 
 _FAULT_WORDS: Final = {
@@ -32,6 +32,9 @@ _FAULT_WORDS: Final = {
     Fault.LEASE: "a lease lapsed",
     Fault.DEVICE: "the device does not report",
 }
+
+
+_MOST_PARAMS: Final = 16
 
 
 class MethodError(Exception):
@@ -114,6 +117,9 @@ class Control:
         if entry is None:
             raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
         model, handler = entry
+        if len(params) > _MOST_PARAMS:
+            raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
+        self._engine.beat()
         try:
             return handler(self, params if model is None else model.model_validate(params))
         except ValidationError as error:
@@ -177,7 +183,7 @@ class Control:
         self._expect(params)
         scene = validate_scene(params.scene, ("scene",))
         self._engine.beat()  # the largest scenes take their time; every stage shows that somebody is at work
-        problems = reference_problems(scene.objects, self._engine.materials, ("scene",))
+        problems = reference_problems(scene.objects, self._engine.materials, ("scene",))[:MAX_FAULTS]
         if problems:
             raise _faulty(problems)
         return self._changed(self._engine.set_scene(scene), params)
@@ -187,7 +193,12 @@ class Control:
         engine = self._engine
         changes: dict[str, SceneObject | None] = {}
         problems: list[Problem] = []
+        if len(params.objects) > MAX_OBJECTS:
+            raise _faulty([Problem("objects", f"must hold at most {MAX_OBJECTS} entries, holds {len(params.objects)}")])
         for id, patch in params.objects.items():
+            if len(problems) > MAX_FAULTS:
+                problems.append(Problem("objects", "the rest was not looked at"))
+                break
             before = engine.scene.objects.get(id)
             if patch is None:
                 if before is not None:
@@ -200,7 +211,7 @@ class Control:
                 problems += error.problems
         if not problems:
             present = {id: item for id, item in changes.items() if item is not None}
-            problems = reference_problems(present, engine.materials)
+            problems = reference_problems(present, engine.materials)[:MAX_FAULTS]
         if problems:
             raise _faulty(problems)
         engine.beat()
@@ -227,7 +238,9 @@ class Control:
         if len(materials) > MAX_MATERIALS:
             raise _faulty([Problem("materials", f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}")])
         missing = [
-            Problem(f"materials.{item.material}", f'is used by object "{id}" of the scene and cannot be removed')
+            Problem(
+                path_text(("materials", item.material)), f"is used by object {quoted(id)} of the scene, so it must stay"
+            )
             for id, item in engine.scene.objects.items()
             if isinstance(item, Wall | Membrane) and item.material not in materials
         ]
@@ -260,7 +273,6 @@ class Control:
             raise _faulty([Problem("", "needs exactly one of mode and material")])
         if math.hypot(*params.direction) < 1e-9:
             raise _faulty([Problem("direction", "must have a direction: a length of at least 1e-9")])
-        self._need_forces()
         attack = "coefficient"
         if params.mode is not None:
             mode = params.mode.mode
@@ -268,13 +280,16 @@ class Control:
             material = self._engine.materials.get(params.material or "")
             if material is None:
                 names = known_names(params.material or "", self._engine.materials)
-                raise _faulty([Problem("material", f'unknown material "{params.material}"; {names}')])
+                raise _faulty([Problem("material", f"unknown material {quoted(params.material or '')}; {names}")])
             if material.tap is not None:
                 mode, attack = material.tap.mode, material.tap.attack
             elif material.rupture is not None:
                 mode = material.rupture.mode
             else:
-                raise _faulty([Problem("material", f'"{params.material}" has neither a tap nor a rupture to play')])
+                raise _faulty(
+                    [Problem("material", f"{quoted(params.material or '')} has neither a tap nor a rupture to play")]
+                )
+        self._need_forces()
         tick, shown_hz = self._engine.play(mode, cast(Any, attack), params.direction, params.amplitude_m_per_s2)
         return {"tick": tick, "displayed_hz": shown_hz}
 
@@ -282,7 +297,7 @@ class Control:
         if params.objects is not None:
             objects = self._engine.scene.objects
             unknown = [
-                Problem(f"objects[{place}]", f'no object "{id}"; {known_names(id, objects)}')
+                Problem(f"objects[{place}]", f"no object {quoted(id)}; {known_names(id, objects)}")
                 for place, id in enumerate(params.objects)
                 if id not in objects
             ]
@@ -324,6 +339,7 @@ class Control:
     def _set_operator(self, params: Mapping[str, object]) -> dict[str, object]:
         engine = self._engine
         operator = parse_operator(params)
+        engine.beat()
         waypoints = operator.waypoints_for(self._target, grip_of(engine.config.device.sim), self._wish)
         tick = engine.set_operator(waypoints, operator.interpolation)
         self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))

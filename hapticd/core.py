@@ -178,7 +178,6 @@ class CommandKind(IntEnum):
     RESET = lib.HD_COMMAND_RESET
     FORCES = lib.HD_COMMAND_FORCES
     OPERATOR = lib.HD_COMMAND_OPERATOR
-    FAULT = lib.HD_COMMAND_FAULT
 
 
 def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:

@@ -17,6 +17,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.awake import Awake
 from hapticd.compile import Compiler, Output, Undisplayable, displayed_mode, mode_record
 from hapticd.config import Config
 from hapticd.core import (
@@ -34,11 +35,10 @@ from hapticd.core import (
     lib,
     pointer,
 )
-from hapticd.awake import Awake
 from hapticd.errors import HapticdError
 from hapticd.joystick import new_operator, new_sim
 from hapticd.materials import Attack, Material, Materials, Mode
-from hapticd.scene import MAX_OBJECTS, Scene, SceneObject
+from hapticd.scene import MAX_OBJECTS, Membrane, Scene, SceneObject, Wall
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -147,7 +147,12 @@ class Engine:
         made = lib.hd_servo_new(settings, self._sim)
         if made == ffi.NULL:
             raise HapticdError(invalid_reason())
-        self._servo = ffi.gc(made, lib.hd_servo_free)
+
+        # The thread ends first: the destructor itself keeps alive what the thread uses until then.
+        def free(servo: CData, _used: tuple[CData, deque[tuple[int, CData]]] = (self._sim, self._operators)) -> None:
+            lib.hd_servo_free(servo)
+
+        self._servo = ffi.gc(made, free)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
     # ---- Life ------------------------------------------------------------------------------------------------------
@@ -213,7 +218,9 @@ class Engine:
     def set_materials(self, materials: Materials) -> int:
         """Takes validated materials that define every name the scene uses; returns the revision."""
         new = {name for name, material in materials.items() if self.materials.get(name) is not material}
-        changed = [id for id, item in self.scene.objects.items() if getattr(item, "material", None) in new]
+        changed = [
+            id for id, item in self.scene.objects.items() if isinstance(item, Wall | Membrane) and item.material in new
+        ]
         return self._take(self.scene, changed, materials)
 
     def wait_revision(self, revision: int) -> int:
@@ -225,7 +232,7 @@ class Engine:
 
     def undisplayable(self) -> list[Undisplayable]:
         """The modes of the scene's materials that the rate cannot carry."""
-        used = {getattr(item, "material", None) for item in self.scene.objects.values()}
+        used = {item.material for item in self.scene.objects.values() if isinstance(item, Wall | Membrane)}
         return self._compiler.undisplayable({n: m for n, m in self.materials.items() if n in used})
 
     def name_of(self, slot: int, generation: int) -> str | None:

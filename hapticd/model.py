@@ -16,6 +16,8 @@ from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, 
 from hapticd.yaml_source import MAX_DEPTH, Json
 
 NAME_MAX_CHARACTERS = 64
+MAX_FAULTS = 200
+"""So many are told one by one; nobody reads more, and telling thousands takes seconds."""
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
 
 Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
@@ -52,10 +54,14 @@ def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
 def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     """As problems_of, with paths relative to the validated data."""
     faults: dict[tuple[Path, str], None] = {}
-    for details in error.errors(include_url=False):
+    told = error.errors(include_url=False)
+    for details in told[:MAX_FAULTS]:
         if details["type"] != "default_factory_not_called":
             faults[_fault(Model.by_name.get(error.title), details)] = None
-    return list(faults)
+    found = list(faults)
+    if len(told) > MAX_FAULTS:
+        found.append(((), f"has {len(told) - MAX_FAULTS} more faults"))
+    return found
 
 
 def plain(data: object) -> Json:

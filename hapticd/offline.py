@@ -29,7 +29,7 @@ from hapticd.core import (
     records,
 )
 from hapticd.engine import output_of
-from hapticd.errors import HapticdError, InvalidError, Problem
+from hapticd.errors import HapticdError, InvalidError, Problem, shown
 from hapticd.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.model import problems_of
 from hapticd.operator import Operator, load_operator, parse_operator
@@ -107,14 +107,34 @@ class _Recorder:
         return np.concatenate(self._taken) if self._taken else self._room[:0].copy()
 
 
-def _positions(position_m: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+def _ticks(duration_s: float, rate_hz: float) -> int:
+    wanted = f"must be a number of seconds, at least one tick and at most {MAX_DURATION_S:g} s"
+    if isinstance(duration_s, bool) or not isinstance(duration_s, int | float | np.integer | np.floating):
+        raise InvalidError([Problem("duration_s", f"{wanted}, is {shown(duration_s)}")])
+    if not 0 < duration_s <= MAX_DURATION_S or round(float(duration_s) * rate_hz) < 1:
+        raise InvalidError([Problem("duration_s", f"{wanted}, is {shown(duration_s)}")])
+    return round(float(duration_s) * rate_hz)
+
+
+def _numbers(values: npt.ArrayLike, name: str, columns: int) -> npt.NDArray[np.float64]:
+    """Real numbers, shape (n, columns); whether they are finite is not asked here."""
     try:
-        array = np.ascontiguousarray(position_m, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidError([Problem(name, f"must be numbers, shape (n, 2): {error}")]) from None
-    if array.ndim != 2 or array.shape[1] != 2:
-        raise InvalidError([Problem(name, f"must have shape (n, 2), has {array.shape}")])
-    if not np.isfinite(array.sum()):  # one pass; the sum of finite numbers may overflow, so look again
+        given = np.asarray(values)
+        if given.dtype.kind not in "fiu" or isinstance(values, np.ma.MaskedArray):
+            raise InvalidError([Problem(name, f"must be real numbers, shape (n, {columns}), has type {given.dtype}")])
+        array = np.ascontiguousarray(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidError([Problem(name, f"must be numbers, shape (n, {columns}): {error}")]) from None
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise InvalidError([Problem(name, f"must have shape (n, {columns}), has {array.shape}")])
+    return array
+
+
+def _positions(position_m: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+    array = _numbers(position_m, name, 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = array.sum()
+    if not np.isfinite(total):  # one pass; the sum of finite numbers may overflow, so look again
         finite = np.isfinite(array).all(axis=1)
         if finite.all():
             return array
@@ -190,7 +210,7 @@ def simulate(
     duration_s: float | None = None,
     rate_hz: float = 10_000,
     *,
-    interpolation: Literal["linear", "minimum_jerk"] = "linear",
+    interpolation: Literal["linear", "minimum_jerk"] | None = None,
 ) -> Samples:
     """The closed loop of the tick and the simulated joystick of `config`, whose hand follows `waypoints`.
 
@@ -208,7 +228,7 @@ def simulate_run(
     duration_s: float | None = None,
     rate_hz: float = 10_000,
     *,
-    interpolation: Literal["linear", "minimum_jerk"] = "linear",
+    interpolation: Literal["linear", "minimum_jerk"] | None = None,
 ) -> Run:
     """As `simulate`, with the events and the handle's true motion."""
     scene = _Scene(config, rate_hz)
@@ -219,12 +239,7 @@ def simulate_run(
         grip_of(device),
         device.start_m,
     )
-    lasting = float(path[-1, 0]) if duration_s is None else float(duration_s)
-    if not 0 < lasting <= MAX_DURATION_S:
-        raise InvalidError(
-            [Problem("duration_s", f"must be more than 0 and at most {MAX_DURATION_S:g}, is {lasting:g}")]
-        )
-    count = round(lasting * scene.rate_hz)
+    count = _ticks(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
     sim = new_sim(device, scene.rate_hz)
     hand = new_operator(path.tolist(), operator.interpolation)
     lib.hd_sim_operate(sim, hand)
@@ -251,11 +266,11 @@ def simulate_run(
 
 def _operator(
     waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
-    interpolation: Literal["linear", "minimum_jerk"],
+    interpolation: Literal["linear", "minimum_jerk"] | None,
 ) -> Operator:
-    if isinstance(waypoints, str | os.PathLike):
-        return load_operator(waypoints)
-    if isinstance(waypoints, Mapping):
-        return parse_operator(waypoints)
-    points = np.asarray(waypoints, dtype=np.float64).tolist()
-    return parse_operator({"waypoints": points, "interpolation": interpolation})
+    if isinstance(waypoints, str | os.PathLike | Mapping):
+        if interpolation is not None:
+            raise InvalidError([Problem("interpolation", "belongs to the operator's own keys here")])
+        return parse_operator(waypoints) if isinstance(waypoints, Mapping) else load_operator(waypoints)
+    points = _numbers(waypoints, "waypoints", 3).tolist()
+    return parse_operator({"waypoints": points, "interpolation": interpolation or "linear"})

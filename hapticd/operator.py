@@ -230,7 +230,11 @@ def gesture_waypoints(
             _stroke(gesture, target, grip, path)
         case PunctureGesture():
             _puncture(gesture, target, grip, path)
-    return np.array(path.rows, dtype=np.float64)
+    rows = np.array(path.rows, dtype=np.float64)
+    if not (np.isfinite(rows).all() and rows[-1, 0] <= MAX_TIME_S and len(rows) <= MAX_WAYPOINTS):
+        problem = f"would last {rows[-1, 0]:g} s or go out of reach; at most {MAX_TIME_S:g} s"
+        raise InvalidError([Problem("gesture", problem)])
+    return rows
 
 
 class _Path:

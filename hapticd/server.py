@@ -15,6 +15,7 @@ import zmq
 from hapticd import wire
 from hapticd.control import Control, MethodError
 from hapticd.engine import Engine
+from hapticd.errors import quoted
 
 BEAT_EVERY_MS: Final = 100
 LARGEST_MESSAGE: Final = 64 * 1024 * 1024
@@ -47,12 +48,12 @@ def answer(control: Control, body: bytes | None) -> bytes | None:
         result = control.call(request.method, request.params)
     except MethodError as error:
         if not request.has_id:
-            _log.warning("notification %s: %s", request.method, error.message)
+            _log.warning("notification %s: %s", quoted(request.method), quoted(error.message))
             return None
         return wire.error_reply(request.id, error.code, error.message, error.data)
     except Exception:
         # A defect of ours must neither leave the client without an answer nor stop the daemon.
-        _log.exception("method %s failed", request.method)
+        _log.exception("method %s failed", quoted(request.method))
         if not request.has_id:
             return None
         return wire.error_reply(request.id, wire.Code.INTERNAL, "the daemon failed; its log says how")

@@ -25,6 +25,7 @@ STATUS_EVERY_S: Final = 1.0
 SEND_HIGH_WATER_MARK: Final = 400
 """Messages kept for a subscriber that does not read: about three seconds of them."""
 
+_EVENT_READS: Final = 2
 _DESCRIPTION: Final = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
 
 
@@ -77,7 +78,8 @@ class Telemetry:
             self._newest = self._samples[self._held - 1 : self._held].copy()
         if self._held == len(self._samples):
             self._send_samples()
-        while True:
+        # Bounded: a flood of events must not keep the samples waiting, and the ring counts what it has to drop.
+        for _ in range(_EVENT_READS):
             count, _ = self._engine.read_events(self._events)
             for message in self._maps(self._events[:count]):
                 self._send("event", message)

@@ -77,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         result = cli.main(
             args=None if arguments is None else list(arguments), prog_name="hapticd", standalone_mode=False
         )
-        sys.stdout.flush()
+        if sys.stdout is not None:  # closed by whoever started us
+            sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except HapticdError as error:
         return _told(str(error), 1)
@@ -92,6 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read our output has had enough. Nothing more can be written, not even at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except MemoryError:
+        return _told("there is not enough memory for this; a shorter run or a lower rate needs less", 1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _told(f"{where}{error.strerror or error}", 1)

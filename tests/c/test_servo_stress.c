@@ -207,8 +207,6 @@ static size_t make_commands(struct hd_command commands[3], uint32_t revision) {
                                       .mode = ringing(200.0, 300.0, 1.0)};
     commands[1] = (struct hd_command){.kind = HD_COMMAND_RESET, .revision = revision, .slot = HD_NO_SLOT};
     commands[2] = (struct hd_command){.kind = HD_COMMAND_FORCES, .revision = revision, .value = revision % 16 != 15};
-    if (revision % 32 == 10)
-        commands[1] = (struct hd_command){.kind = HD_COMMAND_FAULT, .revision = revision, .value = HD_FAULT_CONTROL};
     return revision % 4;
 }
 
@@ -242,7 +240,9 @@ static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct 
             sched_yield();
         CHECK(status == HD_OK);
         hd_servo_beat(servo);
-        hd_servo_set_lease(servo, revision % 3 == 0 ? INT64_MAX : 0);
+        /* None, one that lasts, and one that has lapsed: forces fade, and a later HD_COMMAND_FORCES brings them back.
+         */
+        hd_servo_set_lease(servo, revision % 32 == 10 ? 1 : revision % 3 == 0 ? INT64_MAX : 0);
         if (revision % 4 == 0) {
             CHECK(hd_servo_wait_revision(servo, revision, PATIENCE_NS, &tick) == HD_OK);
             CHECK(tick >= earlier);

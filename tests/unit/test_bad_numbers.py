@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hapticd import InvalidError, render
+from hapticd import InvalidError, render, simulate
 from hapticd.core import EventKind, Fault, Flag, Status, ffi, invalid_reason, lib
 from tests.rig import FLOOR, SKIN, Rig, line, still
 
@@ -99,3 +99,25 @@ def test_null_records_are_refused() -> None:
     rig = Rig({"w": FLOOR})
     rig.table.walls = ffi.NULL
     assert lib.hd_table_check(rig.table, 64) == Status.ERR_INVALID
+
+
+def test_runs_refuse_what_they_cannot_take_in_one_line() -> None:
+    hand = [[0, 0, 0], [1, 0, 0]]
+    calls = [
+        (lambda: simulate({}, hand, "x"), "duration_s"),  # type: ignore[arg-type]
+        (lambda: simulate({}, hand, True), "duration_s"),
+        (lambda: simulate({}, hand, 1e-9), "duration_s"),
+        (lambda: simulate({}, hand, float("inf")), "duration_s"),
+        (lambda: simulate({}, [[0, 0, 0], [1, 0]]), "waypoints"),  # type: ignore[list-item]
+        (lambda: simulate({}, [["a", 0, 0]]), "waypoints"),  # type: ignore[list-item]
+        (lambda: simulate({}, {"waypoints": hand}, interpolation="linear"), "interpolation"),
+        (lambda: render({}, [["1", "2"]]), "position_m"),
+        (lambda: render({}, [[1j, 0]]), "position_m"),
+        (lambda: render({}, [[10**400, 0]]), "position_m"),
+        (lambda: render(None, hand), "a configuration is"),  # type: ignore[arg-type]
+        (lambda: render(1, hand), "a configuration is"),  # type: ignore[arg-type]
+    ]
+    for call, words in calls:
+        with pytest.raises(InvalidError, match=words) as caught:
+            call()
+        assert "\n" not in str(caught.value)

@@ -255,3 +255,52 @@ def test_display_flags_choose_force_vibration_or_both() -> None:
     rig = Rig({"skin": SKIN}, display={"force": False, "vibration": True})
     rig.render(line(0.001, 0.1, 600))
     assert EventKind.PUNCTURE in rig.kinds()
+
+
+def test_pressed_membrane_is_met_from_the_same_side_after_a_stall() -> None:
+    rig = Rig({"skin": SKIN})
+    rig.render(line(0.001, 0.1, 201))  # 1 mm in
+    path = still(0, -0.001, 400)
+    samples = rig.render(path, velocity=np.zeros((400, 2)), periods=[500] + [1] * 399)
+    force = samples["contact_force_n"][:, 1]
+    assert force[0] == 0.0
+    assert np.diff(force).max() <= 0.6 / 200 * (1 + 1e-9)
+    assert force[-1] == pytest.approx(0.6)
+    up = rig.render(line(-0.001, -0.05, 400))
+    assert np.all(up["contact_force_n"][:, 1] >= 0.0)
+    assert not np.any(up["contact_force_n"][-1])
+
+
+def test_membrane_that_the_probe_left_during_a_stall_is_not_met() -> None:
+    rig = Rig({"skin": SKIN})
+    rig.render(line(0.001, 0.1, 201))
+    samples = rig.render(still(0, -0.02, 10), periods=[500] + [1] * 9)
+    assert not np.any(samples["contact_force_n"])
+
+
+def test_open_membrane_whose_normal_is_turned_round_stays_open() -> None:
+    cellophane = shipped_materials()["cellophane"].to_dict()
+    rupture = cellophane["rupture"]
+    assert isinstance(rupture, dict)
+    heals = {**cellophane, "rupture": {**rupture, "heals": True}}
+    rig = Rig({"skin": {**SKIN, "material": "m"}}, materials={"m": heals})
+    rig.render(line(0.001, 0.1, 900))  # 8 mm through
+    slot, _ = rig.compiler.slot_of("skin") or (0, 0)
+    assert lib.hd_state_slot(rig.state, slot) == 2
+    rig.update({"skin": {**SKIN, "material": "m", "normal": [0, -1]}})
+    back = rig.render(line(-0.008, -0.05, 120))
+    assert lib.hd_state_slot(rig.state, slot) == 2
+    assert not np.any(back["contact_force_n"])
+    rig.render(line(-0.0074, -0.05, 1600))
+    assert lib.hd_state_slot(rig.state, slot) == 0  # it came out where it had gone in
+
+
+def test_thousands_of_taps_in_one_tick_stay_within_the_limit_and_end() -> None:
+    """More strikes than voices: two floors of 40 walls each here, the capacity is exercised in C."""
+    walls = {f"w{i}": {**FLOOR, "point_m": [0, -1e-9 * i]} for i in range(60)}
+    rig = Rig(walls)
+    samples = rig.render(line(0.0005, 0.1, 60))
+    assert np.hypot(*samples["force_n"].T).max() <= 8.9
+    assert len(rig.of(EventKind.CONTACT)) == 60
+    rig.render(still(0, 0.01, 400))
+    assert not np.any(rig.render(still(0, 0.01, 5))["force_n"])

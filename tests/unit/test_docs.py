@@ -124,7 +124,7 @@ def test_status() -> None:
     assert first_names(tables(described)["member"]) == list(status)
     assert first_names(tables(described)["counter"]) == list(status["counters"])  # type: ignore[call-overload]
     (realtime,) = re.findall(r"^`realtime` has (.*?)$\n\n", described, flags=re.MULTILINE | re.DOTALL)
-    granted = Granted("fifo", 80, None, "process", ())
+    granted = Granted("fifo", 80, None, "process", True, ())
     assert set(granted.to_dict()) <= set(names(realtime))
 
 

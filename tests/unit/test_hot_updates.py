@@ -132,3 +132,61 @@ def test_fading_out_and_coming_in() -> None:
     assert steps(again, out) <= 1.6 / (RAMP * RATE) * (1 + 1e-9)
     assert again["force_n"][-1, 1] == pytest.approx(1.6)
     assert not np.any(again["vibration_force_n"])
+
+
+@pytest.mark.parametrize(("far", "degrees"), [(0.1, 30), (0.1, -30), (10.0, 10), (10.0, -10)])
+def test_wall_described_anew_from_far_away_moves_as_little_as_it_does(far: float, degrees: float) -> None:
+    """The point of a wall may be anywhere on it: what counts is where the surface is at the probe."""
+    rig, before = pressed({"w": FLOOR})
+    angle = np.radians(degrees)
+    normal = np.array([np.sin(angle), np.cos(angle)])
+    along = np.array([normal[1], -normal[0]])
+    point = np.array([0, -0.002]) + 0.0015 * normal + far * along  # 1.5 mm deep afterwards
+    rig.update({"w": {**FLOOR, "normal": normal.tolist(), "point_m": point.tolist()}})
+    samples = rig.render(still(0, -0.002, 400))
+    force = np.hypot(*samples["force_n"].T)
+    assert force.max() <= 1.6 * (1 + 1e-9)
+    assert force.min() >= 1.2 * (1 - 1e-9)
+    assert steps(samples, before) <= 3 * 1.6 / (RAMP * RATE)
+    assert samples["force_n"][-1] == pytest.approx(1.2 * normal, rel=1e-6)
+    assert EventKind.RELEASE not in rig.kinds()
+
+
+def test_ramps_that_begin_after_missed_periods_begin_at_their_beginning() -> None:
+    """190 missed periods are no stall at 10 kHz, and no part of a ramp that begins after them either."""
+    late = [190] + [1] * 399
+    largest = 1.6 / (RAMP * RATE) * (1 + 1e-9)
+    path = still(0, -0.002, 400)
+
+    appears = Rig({})
+    before = appears.render(still(0, -0.002, 10))
+    appears.update({"w": FLOOR})
+    samples = appears.render(path, periods=late)
+    assert steps(samples, before) <= largest
+    assert samples["force_n"][-1, 1] == pytest.approx(1.6)
+
+    vanishes, before = pressed({"w": FLOOR})
+    vanishes.update({"w": None})
+    samples = vanishes.render(path, periods=late)
+    assert steps(samples, before) <= largest
+    assert samples["force_n"][-1, 1] == 0.0
+
+    pushed = Rig({})
+    before = pushed.render(still(0, 0, 10))
+    pushed.update({"push": {"kind": "constant", "force_n": [0, 1.6]}})
+    assert steps(pushed.render(still(0, 0, 400), periods=late), before) <= largest
+
+    enabled, _ = pressed({"w": FLOOR})
+    lib.hd_state_enable(enabled.state, 0)
+    before = enabled.render(path)
+    assert not np.any(before["force_n"][-1])
+    lib.hd_state_enable(enabled.state, 1)
+    assert steps(enabled.render(path, periods=late), before) <= largest
+
+
+def test_fade_to_zero_is_due_by_the_clock() -> None:
+    rig, _ = pressed({"w": FLOOR})
+    lib.hd_state_enable(rig.state, 0)
+    out = rig.render(still(0, -0.002, 30), periods=[10] * 30)
+    assert not np.any(out["force_n"][20:])
+    assert np.any(out["force_n"][18])

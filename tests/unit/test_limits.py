@@ -7,7 +7,7 @@ import pytest
 
 from hapticd.core import EventKind, Flag, Status, lib
 from hapticd.materials import shipped_materials
-from tests.rig import FLOOR, Rig, line
+from tests.rig import FLOOR, Rig, line, still
 
 RATE = 10_000
 
@@ -104,6 +104,19 @@ def test_limit_holds_for_anything(rng_seed: int = 5) -> None:
     force = np.hypot(*samples["force_n"].T)
     assert np.all(np.isfinite(force))
     assert force.max() <= 4
+
+
+def test_force_at_the_very_limit_is_a_force_and_no_fault() -> None:
+    """A field of exactly the limit, in every direction: rounding puts some a little above it and some below."""
+    for degrees in range(360):
+        angle = np.radians(degrees)
+        push = {"kind": "constant", "force_n": [8.9 * np.cos(angle), 8.9 * np.sin(angle)]}
+        rig = Rig({"push": push}, device={"max_force_n": 8.9})
+        samples = rig.render(still(0, 0, 3))
+        assert lib.hd_state_faults(rig.state) == 0, degrees
+        force = np.hypot(*samples["force_n"].T)
+        assert np.all(force <= 8.9)
+        assert force == pytest.approx(8.9, rel=1e-12)
 
 
 def test_limit_that_is_no_limit_is_refused() -> None:
