@@ -210,11 +210,11 @@ static size_t make_commands(struct hd_command commands[3], uint32_t revision) {
     return revision % 4;
 }
 
-static uint64_t ticks_of(const struct hd_servo *servo) {
+static struct hd_counters counters_of(const struct hd_servo *servo) {
     struct hd_counters counters;
 
     hd_servo_counters(servo, &counters);
-    return counters.ticks;
+    return counters;
 }
 
 /* Hot updates with commands among them, for REVISIONS revisions and TICKS ticks at the least. */
@@ -231,7 +231,7 @@ static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct 
         uint64_t earlier = tick;
         int status = HD_OK;
 
-        if (ticks_of(servo) / STROKE_TICKS >= strokes)
+        if (counters_of(servo).ticks / STROKE_TICKS >= strokes)
             commands[count++] =
                 (struct hd_command){.kind = HD_COMMAND_OPERATOR, .revision = revision, .path = paths[strokes++ % 2]};
         make_scene(&scene, revision);
@@ -243,6 +243,8 @@ static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct 
         /* None, one that lasts, and one that has lapsed: forces fade, and a later HD_COMMAND_FORCES brings them back.
          */
         hd_servo_set_lease(servo, revision % 32 == 10 ? 1 : revision % 3 == 0 ? INT64_MAX : 0);
+        while (revision % 32 == 10 && (counters_of(servo).faults & HD_FAULT_LEASE) == 0)
+            sched_yield();
         if (revision % 4 == 0) {
             CHECK(hd_servo_wait_revision(servo, revision, PATIENCE_NS, &tick) == HD_OK);
             CHECK(tick >= earlier);
