@@ -78,6 +78,7 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
     _thread("command", lambda stop: server.serve(router, engine, control, stop), failures, stack)
     gc.collect()
     gc.freeze()
+    gc.enable()
     _log.info(
         "ready: %s at %g Hz, %s%s, commands at %s",
         config.device.kind,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 import click
@@ -21,6 +22,8 @@ from hapticd.cli.common import daemon, json_option, print_json
 @click.pass_context
 def run_command(ctx: click.Context, configs: tuple[str, ...]) -> int:
     """Run the daemon in the foreground."""
+    # What is loaded now stays: looking for garbage among it would only take time. The daemon turns it on again.
+    gc.disable()
     # Before numpy is loaded: its BLAS would start a thread for each processor, and the daemon multiplies no matrices.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.daemon import run
