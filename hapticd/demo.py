@@ -202,7 +202,8 @@ def perform(daemon: Client, waypoints: list[list[float]], advance: Part) -> Reco
                 if int(kept["time_ns"][-1]) - start_ns > (lasting + 5 / rate) * 1e9:
                     break
         end_ns = int(batches[-1]["time_ns"][-1])
-        while (event := feed.receive(0.1)) is not None:
+        # What happened until the end may still be on its way; what happened after it says that it has come.
+        while not (events and events[-1]["time_ns"] > end_ns) and (event := feed.receive(0.1)) is not None:
             events.append({**event})
     events = [event for event in events if begin <= event["tick"] and event["time_ns"] <= end_ns]
     data = np.concatenate(batches)
