@@ -413,7 +413,7 @@ def plot(
         whole = [t.scale == 1.0 for t in recorded.taps]
         speeds = np.array([t.true_speed for t in recorded.taps])[whole]
         (line,) = panel.plot(speeds, np.abs(fits[name].amplitudes[whole]), "o", ms=3, label=name)
-        ends = np.array([0, 1.05 * max(SPEEDS_M_PER_S)])
+        ends = np.array([0, 1.02 * max(t.true_speed for t in recorded.taps)])
         panel.plot(ends, library[name].tap.attack_slope_per_s * ends, lw=0.8, color=line.get_color())
     panel.set_title("amplitude over the handle's true speed; lines: library", fontsize=10)
     panel.set_xlabel("m/s")
