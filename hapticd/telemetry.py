@@ -87,9 +87,13 @@ class Telemetry:
                 break
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
-        """Events as maps. Overruns come in floods on a busy machine: those found together are told as one."""
-        overruns = events[events["kind"] == EventKind.OVERRUN]
-        for event in events[events["kind"] != EventKind.OVERRUN]:
+        """Events as maps. Those that come in floods are told once for all that were found together: overruns of a busy
+        machine are added up, and of revisions the newest is the one in force. Telling each would hold up commands."""
+        kinds = events["kind"]
+        overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]
+        if len(revisions):
+            yield event_map(revisions[-1], None)
+        for event in events[(kinds != EventKind.OVERRUN) & (kinds != EventKind.REVISION)]:
             yield self._note(event)
         if len(overruns):
             total = {"missed": int(overruns["value"].sum()), "count": len(overruns)}
