@@ -153,6 +153,9 @@ struct hd_event {
     double value;
 };
 
+/* The code of a contact event without an onset: the object appeared, or was met anew. */
+#define HD_CONTACT_SILENT 1
+
 #define HD_NO_SLOT 4294967295
 #define HD_PLAY_SLOT 4294967294
 

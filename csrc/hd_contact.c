@@ -13,9 +13,6 @@
 
 #include "hd_voice.h"
 
-/* Contact events: the code that says that there was no onset. */
-#define HD_CONTACT_SILENT 1u
-
 HD_RT static double later(double time_s) {
     return time_s > 0.0 ? time_s : 0.0;
 }
@@ -48,7 +45,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, struct hd_slot *slot, const st
     if (report != NULL) {
         report->slot = key->slot;
         report->generation = key->generation;
-        report->code = onset->silent ? HD_CONTACT_SILENT : 0u;
+        report->code = onset->silent ? HD_CONTACT_SILENT : 0;
         report->before_tick_s = onset->before_s;
         report->speed_m_per_s = approach;
         report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, onset->direction);

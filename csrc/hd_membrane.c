@@ -68,13 +68,13 @@ HD_RT static void press(struct hd_walk *walk, struct hd_slot *slot, const struct
     const double depth_to = -side * to.height;
     /* Where, between the samples, the probe leaves over the edge; 1: it does not. */
     double leaves = 1.0;
-    if (magnitude(to.along) > surface->half_width_m) {
+    const int outside = magnitude(to.along) > surface->half_width_m;
+    if (outside) {
         const double edge = to.along > 0.0 ? surface->half_width_m : -surface->half_width_m;
         const double travel = to.along - from.along;
         leaves = travel != 0.0 ? (edge - from.along) / travel : 0.0;
         leaves = leaves < 0.0 ? 0.0 : leaves > 1.0 ? 1.0 : leaves;
     }
-    const int outside = magnitude(to.along) > surface->half_width_m;
     const double deepest = depth_from + leaves * (depth_to - depth_from);
     const double limit = surface->rupture_depth_m;
     if (limit > 0.0 && deepest > limit) {
@@ -86,6 +86,17 @@ HD_RT static void press(struct hd_walk *walk, struct hd_slot *slot, const struct
         const double direction[2] = {side * surface->normal[0], side * surface->normal[1]};
         hd_contact_push(walk, slot, depth_to, direction);
     }
+}
+
+/* Touches the membrane from the side where the probe was; the onset's direction follows from that. */
+HD_RT static void enter(struct hd_walk *walk, struct hd_slot *slot, const struct hd_membrane *membrane,
+                        struct hd_onset onset) {
+    const struct hd_surface *surface = &membrane->surface;
+    slot->side = slot->last_side;
+    onset.direction[0] = (double)slot->side * surface->normal[0];
+    onset.direction[1] = (double)slot->side * surface->normal[1];
+    hd_contact_begin(walk, slot, &membrane->key, surface, &membrane->tap, &onset);
+    press(walk, slot, membrane);
 }
 
 /* Whether the last step crossed the closed membrane from the side where the probe was, and where. */
@@ -121,15 +132,9 @@ HD_RT static void resume(struct hd_walk *walk, struct hd_slot *slot, const struc
     const int inside = depth > 0.0 && magnitude(to->along) <= surface->half_width_m &&
                        (surface->rupture_depth_m == 0.0 || depth <= surface->rupture_depth_m);
     if (inside) {
-        const double sign = (double)slot->resume;
-        const struct hd_onset onset = {
-            .silent = 1,
-            .direction = {sign * surface->normal[0], sign * surface->normal[1]},
-        };
-        slot->side = slot->resume;
+        const struct hd_onset onset = {.silent = 1};
         slot->last_side = slot->resume;
-        hd_contact_begin(walk, slot, &membrane->key, surface, &membrane->tap, &onset);
-        press(walk, slot, membrane);
+        enter(walk, slot, membrane, onset);
     }
     slot->resume = 0;
 }
@@ -159,14 +164,8 @@ HD_RT void hd_membranes_walk(struct hd_walk *walk) {
         } else if (!slot->touched) {
             double fraction;
             if (crosses(walk, slot, &membrane->surface, &to, &fraction)) {
-                const double sign = (double)slot->last_side;
-                const struct hd_onset onset = {
-                    .before_s = hd_before_tick(walk, fraction),
-                    .direction = {sign * membrane->surface.normal[0], sign * membrane->surface.normal[1]},
-                };
-                slot->side = slot->last_side;
-                hd_contact_begin(walk, slot, &membrane->key, &membrane->surface, &membrane->tap, &onset);
-                press(walk, slot, membrane);
+                const struct hd_onset onset = {.before_s = hd_before_tick(walk, fraction)};
+                enter(walk, slot, membrane, onset);
             }
         }
         /* Pressed in, or exactly on the surface, the probe is still on the side that it came from. */

@@ -78,6 +78,7 @@ class Lib:
     HD_EVENT_GLITCH: int
     HD_EVENT_DEVICE_LOST: int
     HD_EVENT_DEVICE_FOUND: int
+    HD_CONTACT_SILENT: int
     HD_NO_SLOT: int
     HD_PLAY_SLOT: int
     HD_FAULT_NONFINITE: int

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Annotated, Any, Final, TypeVar, cast
+from typing import Annotated, Any, Final, cast
 
 from pydantic import Field, ValidationError
 
@@ -53,21 +53,18 @@ class _NoParams(Model):
 
 class _Change(Model):
     expect_revision: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None
-
-
-class _Waiting(_Change):
     wait: bool = False
 
 
-class _SetScene(_Waiting):
+class _SetScene(_Change):
     scene: object
 
 
-class _UpdateScene(_Waiting):
+class _UpdateScene(_Change):
     objects: dict[str, object]
 
 
-class _UpdateMaterials(_Waiting):
+class _UpdateMaterials(_Change):
     materials: dict[str, object]
 
 
@@ -91,7 +88,6 @@ class _LeaseParams(Model):
     token: Annotated[str, Field(max_length=256)] | None = None
 
 
-_P = TypeVar("_P", bound=Model)
 _Handler = Callable[["Control", Any], dict[str, object]]
 
 
@@ -257,7 +253,7 @@ class Control:
                 {"revision": revision},
             )
 
-    def _changed(self, revision: int, params: _Waiting) -> dict[str, object]:
+    def _changed(self, revision: int, params: _Change) -> dict[str, object]:
         result: dict[str, object] = {"revision": revision}
         if params.wait:
             result["tick"] = self._engine.wait_revision(revision)

@@ -6,11 +6,9 @@ Telemetry sends these maps, recordings and simulated runs store them; docs/proto
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from typing import Any
 
-from hapticd.core import EventKind, Fault
-
-_APPEARED: Final = 1
+from hapticd.core import EventKind, Fault, lib
 
 
 def fault_names(faults: Fault) -> list[str]:
@@ -42,7 +40,7 @@ def event_map(event: Any, object_id: str | None) -> dict[str, object]:
         }
     match kind:
         case EventKind.CONTACT:
-            message["appeared"] = bool(int(event["code"]) & _APPEARED)
+            message["appeared"] = bool(int(event["code"]) & lib.HD_CONTACT_SILENT)
         case EventKind.PUNCTURE:
             message["depth_m"] = float(event["value"])
         case EventKind.SATURATION:
