@@ -25,9 +25,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
-from hapticd.errors import HapticdError, InvalidError, Path, Problem, path_text, quoted, shown
+from hapticd.errors import InvalidError, Path, Problem, path_text, quoted, shown
 from hapticd.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.yaml_source import load_path, load_text
+from hapticd.yaml_source import load_path, load_text, one_line, read_file
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
@@ -426,18 +426,11 @@ def _number(cell: str) -> float | str:
 
 
 def _line(name: str, line: int) -> str:
-    return f"{name if name.isprintable() else quoted(name)}:{line}"
+    return f"{one_line(name)}:{line}"
 
 
 def _read(name: str) -> str:
-    shown_name = name if name.isprintable() else quoted(name)
-    try:
-        with open(name, "rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise HapticdError(f"{shown_name}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise HapticdError(f"{shown_name}: cannot be read: {error}") from None
+    content = read_file(name, MAX_BYTES)
     if len(content) > MAX_BYTES:
         raise InvalidError([Problem(_line(name, 1), f"larger than {MAX_BYTES} bytes")])
     try:

@@ -67,7 +67,7 @@ class Document:
             return path_text(path)
         lines = (self.line_of(path[:length]) for length in range(len(path), -1, -1))
         line = next((line for line in lines if line is not None), 1)
-        place = f"{_one_line(self.name)}:{line}"
+        place = f"{one_line(self.name)}:{line}"
         return f"{place}: {path_text(path)}" if path else place
 
 
@@ -88,14 +88,18 @@ def load_path(path: "str | os.PathLike[str]") -> Document:
     a file that cannot be read.
     """
     name = os.fspath(path)
+    return load_bytes(read_file(name, MAX_BYTES), name)
+
+
+def read_file(name: str, most: int) -> bytes:
+    """The bytes of a file, one more than `most` at the most, so that a larger one shows. Raises HapticdError."""
     try:
         with open(name, "rb") as file:
-            content = file.read(MAX_BYTES + 1)
+            return file.read(most + 1)
     except OSError as error:
-        raise HapticdError(f"{_one_line(name)}: cannot be read: {error.strerror}") from None
+        raise HapticdError(f"{one_line(name)}: cannot be read: {error.strerror}") from None
     except ValueError as error:
-        raise HapticdError(f"{_one_line(name)}: cannot be read: {error}") from None
-    return load_bytes(content, name)
+        raise HapticdError(f"{one_line(name)}: cannot be read: {error}") from None
 
 
 def load_bytes(content: bytes, name: str) -> Document:
@@ -216,9 +220,10 @@ def _line_column(before: str) -> tuple[int, int]:
     return len(lines) - 1, len(lines[-1])
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
+    """A file's name, or other text, as a message shows it: as it is, or quoted where it would break the line."""
     return text if text.isprintable() else quoted(text)
 
 
 def _refusal(name: str, line: int, column: int, problem: str) -> InvalidError:
-    return InvalidError([Problem(f"{_one_line(name)}:{line + 1}:{column + 1}", _one_line(problem))])
+    return InvalidError([Problem(f"{one_line(name)}:{line + 1}:{column + 1}", one_line(problem))])
