@@ -14,6 +14,7 @@ from hapticd.compile import Compiler
 from hapticd.config import load_config
 from hapticd.core import EVENT_DTYPE, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.engine import output_of
+from hapticd.offline import new_world
 
 CONFIG = {"scene": {"objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}}}}
 
@@ -27,7 +28,7 @@ def run(options: Options, advance: Advance) -> Section:
     quantised = np.ascontiguousarray(np.round(path / STEP_M) * STEP_M)
     compiled = load_config(CONFIG)
     compiler = Compiler(output_of(compiled, RATE_HZ))
-    table = compiler.update(compiled.scene, compiled.scene.objects, compiled.materials, 1)
+    world = new_world(compiler.update(compiled.scene, compiled.scene.objects, compiled.materials, 1))
     samples = np.zeros(count, hapticd.SAMPLE_DTYPE)
     events = records(EVENT_DTYPE, 8 * 4096)
 
@@ -35,7 +36,7 @@ def run(options: Options, advance: Advance) -> Section:
         state = ffi.gc(lib.hd_state_new(1), lib.hd_state_free)
         lib.hd_state_set_resolution(state, STEP_M)
         status = lib.hd_render(
-            table,
+            world,
             state,
             pointer("double[]", quantised),
             ffi.NULL,

@@ -13,6 +13,7 @@ from hapticd.compile import Compiler
 from hapticd.config import load_config
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.engine import output_of
+from hapticd.offline import new_world
 
 RATE_HZ = 10_000.0
 STRETCH = 128
@@ -49,10 +50,10 @@ class Stretch:
         self, objects: Mapping[str, object], height_m: float, *, estimate: bool = False, step_m: float = 0.0
     ) -> None:
         config = load_config({"materials": MATERIALS, "scene": {"objects": objects}})
-        self._compiler = Compiler(output_of(config, RATE_HZ))
-        self._table = self._compiler.update(config.scene, config.scene.objects, config.materials, 1)
-        self._state = ffi.gc(lib.hd_state_new(64), lib.hd_state_free)
-        lib.hd_state_set_resolution(self._state, step_m)
+        compiler = Compiler(output_of(config, RATE_HZ))
+        self.world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+        self.state = ffi.gc(lib.hd_state_new(max(1, len(objects))), lib.hd_state_free)
+        lib.hd_state_set_resolution(self.state, step_m)
         turn = 2 * np.pi * np.arange(STRETCH) / STRETCH
         radius = 2e-4
         self._path = np.stack((radius * np.cos(turn), height_m + radius * np.sin(turn)), 1)
@@ -69,8 +70,8 @@ class Stretch:
 
     def _prepare(self, path: Floats, speeds: Floats) -> tuple[Any, ...]:
         return (
-            self._table,
-            self._state,
+            self.world,
+            self.state,
             pointer("double[]", path),
             ffi.NULL if self._estimate else pointer("double[]", speeds),
             ffi.NULL,
@@ -108,7 +109,7 @@ class Stretch:
         return taken
 
     def empty_call(self, calls: int) -> list[float]:
-        """The same for a call of no tick at all: the share of the clock, of Python and of hd_table_check."""
+        """The same for a call of no tick at all: the share of the clock and of Python."""
         arguments = (*self._arguments[:5], 0, *self._arguments[6:])
         taken = []
         for _ in range(calls):
@@ -214,8 +215,8 @@ def _subnormals(options: Options, advance: Advance) -> Table:
     path = np.stack((np.zeros(200), through), 1)
     samples, events = records(SAMPLE_DTYPE, 200), records(EVENT_DTYPE, 1024)
     status = lib.hd_render(
-        tapped._table,
-        tapped._state,
+        tapped.world,
+        tapped.state,
         pointer("double[]", path),
         pointer("double[]", np.tile([0.0, -1.2], (200, 1))),
         ffi.NULL,
@@ -254,7 +255,7 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Work per tick",
         [
-            "What is timed is `hd_render` from Python: its loop, the checks of the table, the tick, and the 112-byte "
+            "What is timed is `hd_render` from Python: its loop, the tick, and the 112-byte "
             "sample it writes; the state and all memory are warm. There is no clock and no device in it, and no "
             "estimator either where the row does not name it (velocities are given). Nothing is subtracted: the last "
             "row says how much of every other is the call itself.",

@@ -5,10 +5,10 @@
  *
  * The model, in five sentences. A *table* is an immutable snapshot of the scene, compiled by Python into flat
  * arrays that are already in the units a tick needs. A *state* is what the tick remembers: contacts, ringing modes,
- * punctures, ramps; it lives in slots that belong to an object as long as the object keeps its id and kind. A *tick*
- * is a function of table, state and one input, and gives one sample. The *servo* calls the tick on time, with a
- * device on one side and rings on the other. Python compiles tables, sends commands and drains samples and events;
- * it never runs inside a tick.
+ * punctures, friction anchors, noise, ramps; it lives in slots that belong to an object as long as it keeps id and
+ * kind. A *tick* is a function of table, state and one input, and gives one sample. The *servo* calls the tick on time,
+ * with a device on one side and rings on the other. Python compiles tables, sends commands and drains samples and
+ * events; it never runs inside a tick.
  *
  * Units are SI and stand in the names. Vectors are [x, y]. Times are CLOCK_MONOTONIC nanoseconds, or seconds where
  * the name says so. Functions that can fail return HD_OK or a negative enum hd_status. Functions here are for the
@@ -40,36 +40,97 @@ struct hd_mode {
     double force_per_unit;              /* N of coefficient per the same unit; 0: nothing is struck */
 };
 
-/* A flat surface that pushes back along its normal. */
-struct hd_surface {
-    double point_m[2];
-    double normal[2]; /* unit, out of the solid */
+/* How a texture is displayed. */
+enum hd_texture {
+    HD_TEXTURE_NONE = 0,
+    HD_TEXTURE_STRIKES = 1,  /* grooves, each passage strikes the groove mode along the motion */
+    HD_TEXTURE_GEOMETRY = 2, /* grooves, the surface is lowered by a raised cosine */
+    HD_TEXTURE_DRAG = 3,     /* grooves, a viscous force against tangential motion */
+    HD_TEXTURE_NOISE = 4     /* coloured noise */
+};
+
+/* What a surface is made of. */
+struct hd_material {
+    uint32_t texture; /* enum hd_texture */
+    uint32_t noise;   /* index in the table's noises, for HD_TEXTURE_NOISE; else 0 */
+    uint32_t heals;   /* membranes: closes again when the probe withdraws */
+    uint32_t unused;
     double stiffness_n_per_m;
     double damping_n_s_per_m;
-    double half_width_m;    /* membranes; walls are unbounded and keep 0 */
-    double rupture_depth_m; /* membranes; 0: never ruptures */
+    double rupture_depth_m;            /* membranes; 0: never ruptures */
+    double friction_coefficient;       /* 0: no friction */
+    double friction_stiffness_n_per_m; /* more than 0 where there is friction */
+    double spacing_m;                  /* grooves; more than 0 where there are any */
+    double width_m;
+    double depth_m;                   /* HD_TEXTURE_GEOMETRY */
+    double drag_n_s_per_m;            /* HD_TEXTURE_DRAG */
+    double velocity_gain_per_s;       /* HD_TEXTURE_STRIKES: A = velocity gain |v_t| + force gain F_n */
+    double force_gain_m_per_s2_per_n; /* the same */
+    struct hd_mode tap;               /* per m/s of approach */
+    struct hd_mode rupture;           /* per rupture */
+    struct hd_mode groove;            /* per m/s^2 of A */
 };
 
-/* Which object a record belongs to. `generation` is raised whenever the slot gets another object or another kind,
- * `version` whenever the surface changes. */
-struct hd_key {
-    uint32_t slot;
+#define HD_NOISE_ORDER 32 /* the highest of a filter */
+
+/* Coloured noise of unit power out of a normalised lattice, times an RMS acceleration that follows tangential speed and
+ * normal force:
+ *
+ *     rms(v, F) = max(0, velocity gain |v| + force gain F + grid(v, F)) min(1, |v| / threshold)
+ *
+ * `numbers[first]` and on: speeds [speed_count], forces [force_count], both strictly rising, then the nodes of the grid
+ * [speed_count][force_count], each of them
+ *     rms (m/s^2), reflection coefficients k_1 .. k_order [order], ladder taps v_0 .. v_order [taps ? order + 1 : 0].
+ * Between nodes everything is interpolated (bilinear), beyond the outermost it stays. |k| < 1; the squares of the taps
+ * of a node add up to one. Without taps the output is that of the all-pole lattice. */
+struct hd_noise {
+    uint32_t order;        /* 0 (white) to HD_NOISE_ORDER */
+    uint32_t taps;         /* 0 or 1 */
+    uint32_t along_normal; /* 0: acts along the tangent, 1: along the normal */
+    uint32_t speed_count;  /* at least 1 */
+    uint32_t force_count;  /* at least 1 */
+    uint32_t first;        /* index in the table's numbers */
+    uint64_t seed;
+    double threshold_m_per_s; /* at least 0 */
+    double velocity_gain_per_s;
+    double force_gain_m_per_s2_per_n;
+    double force_per_unit; /* N per m/s^2; 0: silent */
+};
+
+/* Where one material of a wall ends and the next begins, along the wall's tangential coordinate s. The first piece of a
+ * wall has no beginning (from_m is 0 and unused); the others are in rising order. Around from_m, from half_ramp_m
+ * before it to half_ramp_m after it, one material goes over into the other. Ramps of a wall do not overlap. */
+struct hd_piece {
+    double from_m;
+    double half_ramp_m; /* more than 0, except for the first */
+    uint32_t material;
+    uint32_t unused;
+};
+
+enum hd_shape {
+    HD_SHAPE_NONE = 0, /* the slot is free */
+    HD_SHAPE_WALL = 1,
+    HD_SHAPE_MEMBRANE = 2,
+    HD_SHAPE_BOX = 3,
+    HD_SHAPE_DISC = 4
+};
+
+/* An object, at the place in the table's array that is its slot. `generation` is raised whenever the slot gets another
+ * object or another kind, `place_version` whenever point, normal or half change, `skin_version` whenever its materials
+ * change, in themselves or for others. Numbers are never reused. */
+struct hd_object {
     uint32_t generation;
-    uint32_t version;
-    uint32_t heals; /* membranes: closes again when the probe withdraws */
-};
-
-struct hd_wall {
-    struct hd_key key;
-    struct hd_surface surface;
-    struct hd_mode tap;
-};
-
-struct hd_membrane {
-    struct hd_key key;
-    struct hd_surface surface;
-    struct hd_mode tap;
-    struct hd_mode rupture;
+    uint32_t place_version;
+    uint32_t skin_version;
+    uint32_t shape;       /* enum hd_shape */
+    uint32_t material;    /* index in the table's materials */
+    uint32_t piece_first; /* walls with patches: in the table's pieces */
+    uint32_t piece_count; /* 0: all of one material; else at least 2 */
+    uint32_t unused;
+    double point_m[2]; /* wall: a point of the surface, where s is 0; others: the centre */
+    double normal[2];  /* unit. wall: out of the solid; membrane: across; box: out of its upper face; disc: (0, 1) */
+    double half_m[2];  /* membrane: half its width, 0; box: half its extent along (n_y, -n_x) and along n; disc: radius,
+                          radius; wall: 0, 0 */
 };
 
 /* All fields of a scene are one affine law: F = force - stiffness p - damping v. */
@@ -81,19 +142,29 @@ struct hd_field {
 
 struct hd_table {
     uint32_t revision;
-    uint32_t wall_count;
-    uint32_t membrane_count;
+    uint32_t object_count; /* slots in the array, free ones too */
+    uint32_t material_count;
+    uint32_t piece_count;
+    uint32_t noise_count;
+    uint32_t number_count;
     uint32_t display_force;     /* 0 or 1 */
     uint32_t display_vibration; /* 0 or 1 */
     uint32_t field_version;     /* raised whenever the field changes */
+    uint32_t parts_version;     /* raised whenever materials, pieces, noises or numbers change */
+    uint32_t changed_count;     /* slots whose record changed since the table that was published before this one, */
+    uint32_t all_changed;       /* or 1: take them all as changed */
     double period_s;
     double max_force_n;       /* magnitude of the whole command */
     double max_speed_m_per_s; /* a step between two samples that implies more is a glitch */
     double ramp_s;
     double ramp_step; /* period_s / ramp_s: what a ramp moves on in a tick */
     struct hd_field field;
-    struct hd_wall *walls;
-    struct hd_membrane *membranes;
+    struct hd_object *objects;
+    struct hd_material *materials;
+    struct hd_piece *pieces;
+    struct hd_noise *noises;
+    double *numbers;
+    uint32_t *changed;
 };
 
 /* ---- What a tick gives --------------------------------------------------------------------------------------- */
@@ -135,7 +206,8 @@ enum hd_event_kind {
     HD_EVENT_REVISION = 7,   /* code: the revision in force from this tick on */
     HD_EVENT_GLITCH = 8,     /* value: the speed that the jump implied, m/s */
     HD_EVENT_DEVICE_LOST = 9,
-    HD_EVENT_DEVICE_FOUND = 10
+    HD_EVENT_DEVICE_FOUND = 10,
+    HD_EVENT_GROOVE = 11 /* speed: tangential, signed along t; value: grooves struck in this contact so far */
 };
 
 struct hd_event {
@@ -181,15 +253,25 @@ uint32_t hd_state_faults(const struct hd_state *state);
 /* The latest contact state of a slot: bit 0 touched, bit 1 punctured. */
 uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot);
 
-/* Checks a table whole: counts, slots, finite numbers, unit normals, signs. HD_OK or HD_ERR_INVALID. */
-int hd_table_check(const struct hd_table *table, uint32_t slot_capacity);
+/* A world is a table as C owns it: checked, copied, and with an index that finds what is near. */
+struct hd_world; /* opaque */
+
+struct hd_world *hd_world_new(void); /* NULL without memory */
+void hd_world_free(struct hd_world *world);
+/* Takes a table whole. HD_ERR_INVALID (hd_invalid_reason) and HD_ERR_MEMORY leave the world as it was. */
+int hd_world_load(struct hd_world *world, const struct hd_table *table);
+/* The slots of what lies within `radius_m` of a point, or may: nothing nearer is missing. Up to `capacity` of them; how
+ * many there were. For tests and benchmarks of the index. */
+size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
+                     size_t capacity);
+
 /* Why the last check on this thread failed, as one line. */
 const char *hd_invalid_reason(void);
 
 /* Renders `count` positions, one a tick, [count][2]. `velocity` is [count][2], or NULL to estimate it. `periods` is
  * [count], periods since the tick before, or NULL for 1 each. Up to `event_capacity` events are kept; *event_count
  * says how many there were. Ticks go on counting from the state's last. */
-int hd_render(const struct hd_table *table, struct hd_state *state, const double *position, const double *velocity,
+int hd_render(const struct hd_world *world, struct hd_state *state, const double *position, const double *velocity,
               const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
               size_t event_capacity, size_t *event_count);
 
@@ -197,6 +279,11 @@ int hd_render(const struct hd_table *table, struct hd_state *state, const double
  * half the width of the set of speeds consistent with the samples, [count][2], where `half_width` is not NULL. */
 int hd_velocity_run(double step_m, size_t count, const double *interval_s, const double *position, double *velocity,
                     double *half_width);
+
+/* One noise alone, as a touched surface makes it: `speed` [count] (tangential, m/s) and `force` [count] (normal, N)
+ * give `out` [count], the acceleration in m/s^2 before force_per_unit. HD_ERR_INVALID as for a table. */
+int hd_noise_run(const struct hd_noise *noise, const double *numbers, uint32_t number_count, size_t count,
+                 const double *speed, const double *force, double *out);
 
 /* ---- The simulated joystick ------------------------------------------------------------------------------------ */
 
@@ -251,7 +338,7 @@ void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[
 
 /* Closed loop without clock: `count` ticks of table, state and sim. `truth` [count][4] (true position, velocity) or
  * NULL. */
-int hd_simulate(const struct hd_table *table, struct hd_state *state, struct hd_sim *sim, size_t count,
+int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_sim *sim, size_t count,
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count);
 

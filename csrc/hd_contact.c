@@ -1,165 +1,151 @@
-/* Contacts: one life cycle for every kind of surface.
+/* Contacts: one life cycle for every shape.
  *
  *   free --onset--> touched            the tap is struck, force at once
- *   free --met inside--> touched       silent, force over the ramp (appeared, forces came on, jump, stall)
- *   touched --surface changed--> touched   the parameters move to the new ones over the ramp, the state stays
+ *   free --met inside--> touched       silent, force over the ramp (appeared, forces came on, jump, stall, reset)
+ *   touched --changed--> touched       place and skin move to the new ones over the ramp, the state stays (hd_touch.c)
  *   touched --let go--> free           the probe left
  *   touched --dropped--> free          the object went away under the hand: its last force fades out over the ramp
  *
  * So no message, however timed, steps the force by more than the ramp allows. */
 #include "hd_contact.h"
 
-#include <math.h>
-
+#include "hd_skin.h"
 #include "hd_voice.h"
 
 HD_RT static double later(double time_s) {
     return time_s > 0.0 ? time_s : 0.0;
 }
 
-HD_RT struct hd_slot *hd_contact_take(struct hd_walk *walk, const struct hd_key *key) {
-    struct hd_state *state = walk->state;
-    struct hd_slot *slot = &state->slots[key->slot];
-    if (slot->touched) {
-        hd_contact_drop(walk, key->slot);
+HD_RT void hd_contact_silence(struct hd_state *state, struct hd_slot *slot) {
+    if (slot->noise != 0) {
+        state->free_noises[state->free_noise_count++] = slot->noise - 1u;
+        slot->noise = 0;
     }
-    /* A mode of the former owner goes on ringing on its own. */
-    *slot = (struct hd_slot){.generation = key->generation, .version = key->version - 1u}; /* no surface seen yet */
-    return slot;
 }
 
-HD_RT void hd_contact_begin(struct hd_walk *walk, struct hd_slot *slot, const struct hd_key *key,
-                            const struct hd_surface *surface, const struct hd_mode *tap, const struct hd_onset *onset) {
+HD_RT void hd_contact_close(struct hd_state *state, uint32_t index) {
+    struct hd_slot *slot = &state->slots[index];
+    slot->open = 0;
+    if (slot->healing_index != 0) {
+        const uint32_t last = state->healing[--state->healing_count];
+        state->healing[slot->healing_index - 1u] = last;
+        state->slots[last].healing_index = slot->healing_index;
+        slot->healing_index = 0;
+    }
+}
+
+HD_RT void hd_contact_take(struct hd_state *state, uint32_t index, uint32_t generation, int64_t time_ns) {
+    struct hd_slot *slot = &state->slots[index];
+    if (slot->touched) {
+        hd_contact_drop(state, index, time_ns);
+    }
+    hd_contact_close(state, index);
+    /* A mode of the former owner goes on ringing on its own. */
+    *slot = (struct hd_slot){.generation = generation, .looked = slot->looked};
+}
+
+HD_RT static const struct hd_material *material_at(const struct hd_walk *walk, const struct hd_object *object,
+                                                   double along_m) {
+    const struct hd_table *table = walk->table;
+    const uint32_t material = object->piece_count == 0
+                                  ? object->material
+                                  : table->pieces[object->piece_first + hd_skin_piece(table, object, along_m)].material;
+    return &table->materials[material];
+}
+
+HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+                            const struct hd_onset *onset) {
     struct hd_state *state = walk->state;
+    struct hd_slot *slot = &state->slots[index];
     slot->touched = 1;
     slot->active_index = state->active_count;
-    state->active[state->active_count++] = key->slot;
-    slot->now = *surface;
-    slot->version = key->version;
-    slot->blend = 1.0;
+    state->active[state->active_count++] = index;
+    slot->side = onset->side;
+    slot->face = onset->face;
+    slot->last = onset->place;
+    slot->place_version = object->place_version;
+    slot->skin_version = object->skin_version;
+    slot->moving = 0;
+    slot->place_blend = 1.0;
+    slot->skin_blend = 1.0;
+    slot->anchor_m = onset->place.along_m;
+    slot->normal_n = 0.0;
+    slot->grooves = 0;
+    slot->contacts++;
     /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
     slot->ramp = onset->silent && state->gain > 0.0 ? 0.0 : 1.0;
-    const double approach = -hd_dot(walk->input->velocity_m_per_s, onset->direction);
+    const double *direction = onset->place.normal;
+    const double before = onset->silent ? 0.0 : hd_before_tick(walk, onset->fraction);
+    const double approach = -hd_dot(walk->input->velocity_m_per_s, direction);
     const uint32_t event = hd_state_event(state, HD_EVENT_CONTACT, walk->input->time_ns);
     struct hd_event *report = event < HD_EVENT_CAPACITY ? &state->events[event] : NULL;
     if (report != NULL) {
-        report->slot = key->slot;
-        report->generation = key->generation;
+        report->slot = index;
+        report->generation = slot->generation;
         report->code = onset->silent ? HD_CONTACT_SILENT : 0;
-        report->before_tick_s = onset->before_s;
+        report->before_tick_s = before;
         report->speed_m_per_s = approach;
-        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, onset->direction);
+        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, direction);
     }
     if (onset->silent || !(approach > 0.0)) {
         return;
     }
+    const struct hd_material *material = material_at(walk, object, onset->place.along_m);
     if (report != NULL) {
-        report->amplitude_m_per_s2 = tap->amplitude_per_unit * approach;
+        report->amplitude_m_per_s2 = material->tap.amplitude_per_unit * approach;
     }
     const struct hd_strike strike = {
-        .mode = tap,
-        .slot = key->slot,
-        .generation = key->generation,
+        .mode = &material->tap,
+        .slot = index,
+        .generation = slot->generation,
         .use = HD_MODE_TAP,
         .event = event,
         .units = approach,
-        .before_s = onset->before_s,
-        .growth_n = surface->stiffness_n_per_m * approach * later(tap->peak_time_s - onset->before_s),
-        .direction = {onset->direction[0], onset->direction[1]},
+        .before_s = before,
+        .growth_n = material->stiffness_n_per_m * approach * later(material->tap.peak_time_s - before),
+        .direction = {direction[0], direction[1]},
     };
     hd_strike_add(state, &strike);
 }
 
-HD_RT void hd_contact_end(struct hd_state *state, uint32_t slot_index, int64_t time_ns) {
-    struct hd_slot *slot = &state->slots[slot_index];
+HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_ns) {
+    struct hd_slot *slot = &state->slots[index];
     const uint32_t last = state->active[--state->active_count];
     state->active[slot->active_index] = last;
     state->slots[last].active_index = slot->active_index;
     slot->touched = 0;
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;
+    hd_contact_silence(state, slot);
     const uint32_t event = hd_state_event(state, HD_EVENT_RELEASE, time_ns);
     if (event < HD_EVENT_CAPACITY) {
-        state->events[event].slot = slot_index;
+        state->events[event].slot = index;
         state->events[event].generation = slot->generation;
     }
 }
 
-HD_RT void hd_contact_drop(struct hd_walk *walk, uint32_t slot_index) {
-    struct hd_state *state = walk->state;
-    const struct hd_slot *slot = &state->slots[slot_index];
-    const double ticks = walk->table->ramp_s / walk->table->period_s;
+HD_RT void hd_contact_drop(struct hd_state *state, uint32_t index, int64_t time_ns) {
+    const struct hd_slot *slot = &state->slots[index];
+    const double ticks = state->ramp_ticks;
     state->residual_left = ticks < 1.0 ? 1u : ticks > 1e6 ? 1000000u : (uint32_t)ticks;
     for (int axis = 0; axis < 2; axis++) {
         state->residual_n[axis] += state->show_force * slot->force_n[axis];
         state->residual_step_n[axis] = state->residual_n[axis] / (double)state->residual_left;
     }
-    hd_contact_end(state, slot_index, walk->input->time_ns);
+    hd_contact_end(state, index, time_ns);
 }
 
-HD_RT void hd_contact_follow(struct hd_walk *walk, struct hd_slot *slot, const struct hd_key *key,
-                             const struct hd_surface *surface) {
-    if (slot->version != key->version) {
-        if (hd_dot(slot->now.normal, surface->normal) <= 0.0) {
-            /* It turned its back on the probe: there is no way in between, so it went and another came. */
-            hd_contact_drop(walk, key->slot);
-            slot->known = 0;
-            slot->last_side = 0;
-            return;
-        }
-        slot->version = key->version;
-        slot->from = slot->now;
-        slot->blend = 0.0;
+HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int dropped, int64_t time_ns) {
+    if (dropped) {
+        hd_contact_drop(state, index, time_ns);
+    } else {
+        hd_contact_end(state, index, time_ns);
     }
-    if (slot->blend >= 1.0) {
-        return;
+    struct hd_slot *slot = &state->slots[index];
+    if (!slot->resume) {
+        slot->resume = 1;
+        state->resumed[state->resumed_count++] = index;
     }
-    slot->blend += walk->ramp_step;
-    if (slot->blend >= 1.0) {
-        slot->now = *surface;
-        return;
-    }
-    const double b = slot->blend;
-    const double a = 1.0 - b;
-    const struct hd_surface *from = &slot->from;
-    for (int axis = 0; axis < 2; axis++) {
-        slot->now.normal[axis] = a * from->normal[axis] + b * surface->normal[axis];
-    }
-    HD_RT_FOREIGN_BEGIN
-    const double length = sqrt(hd_dot(slot->now.normal, slot->now.normal));
-    HD_RT_FOREIGN_END
-    for (int axis = 0; axis < 2; axis++) {
-        slot->now.normal[axis] /= length; /* at least sqrt(1/2): the two are at most a right angle apart */
-    }
-    /* Height and place along it are blended where the probe is: the points themselves may lie anywhere. */
-    const double *p = walk->input->position_m;
-    const double off[2] = {p[0] - from->point_m[0], p[1] - from->point_m[1]};
-    const double on[2] = {p[0] - surface->point_m[0], p[1] - surface->point_m[1]};
-    const double height = a * hd_dot(off, from->normal) + b * hd_dot(on, surface->normal);
-    const double along = a * (off[0] * from->normal[1] - off[1] * from->normal[0]) +
-                         b * (on[0] * surface->normal[1] - on[1] * surface->normal[0]);
-    slot->now.point_m[0] = p[0] - height * slot->now.normal[0] - along * slot->now.normal[1];
-    slot->now.point_m[1] = p[1] - height * slot->now.normal[1] + along * slot->now.normal[0];
-    slot->now.stiffness_n_per_m = a * from->stiffness_n_per_m + b * surface->stiffness_n_per_m;
-    slot->now.damping_n_s_per_m = a * from->damping_n_s_per_m + b * surface->damping_n_s_per_m;
-    slot->now.half_width_m = a * from->half_width_m + b * surface->half_width_m;
-    slot->now.rupture_depth_m = surface->rupture_depth_m;
-}
-
-HD_RT void hd_contact_push(struct hd_walk *walk, struct hd_slot *slot, double depth_m, const double direction[2]) {
-    const double approach = -hd_dot(walk->input->velocity_m_per_s, direction);
-    double force = slot->now.stiffness_n_per_m * depth_m + slot->now.damping_n_s_per_m * approach;
-    force = force > 0.0 ? force : 0.0;
-    if (slot->ramp < 1.0) {
-        force *= slot->ramp;
-        slot->ramp += walk->ramp_step;
-        slot->ramp = slot->ramp < 1.0 ? slot->ramp : 1.0;
-    }
-    slot->force_n[0] = force * direction[0];
-    slot->force_n[1] = force * direction[1];
-    walk->force_n[0] += slot->force_n[0];
-    walk->force_n[1] += slot->force_n[1];
-    slot->seen_tick = walk->state->tick;
 }
 
 HD_RT void hd_strike_add(struct hd_state *state, const struct hd_strike *strike) {
@@ -169,7 +155,7 @@ HD_RT void hd_strike_add(struct hd_state *state, const struct hd_strike *strike)
     }
 }
 
-HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *table, double contact_force_n) {
+HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *table, double felt_n) {
     double wanted = 0.0;
     double growth = 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
@@ -177,7 +163,7 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
         wanted += strike->units * strike->mode->force_per_unit * strike->mode->peak;
         growth += state->show_force * strike->growth_n;
     }
-    const double room = table->max_force_n - contact_force_n - growth - hd_voices_bound(state);
+    const double room = table->max_force_n - felt_n - growth - hd_voices_bound(state);
     const double scale = wanted <= room ? 1.0 : room > 0.0 ? room / wanted : 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
         const struct hd_strike *strike = &state->strikes[i];

@@ -1,6 +1,6 @@
 /* Fields: constant, spring and viscous objects. Each is affine in position and velocity, so all of them together are
  * one law, F = f - K p - D v, that costs the same however many there are. A change comes in over the ramp. */
-#include "hd_contact.h"
+#include "hd_walk.h"
 
 HD_RT static double between(double from, double to, double blend) {
     return from + blend * (to - from);

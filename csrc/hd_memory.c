@@ -20,20 +20,28 @@ void hd_memory_touch(const struct hd_region *regions, size_t count) {
     }
 }
 
+int hd_memory_lock_regions(const struct hd_region *regions, size_t count) {
+    for (size_t i = 0; i < count; i++) {
+        if (regions[i].size > 0 && mlock(regions[i].start, regions[i].size) != 0) {
+            return errno;
+        }
+    }
+    return 0;
+}
+
 enum hd_memory_kind hd_memory_lock(const struct hd_region *regions, size_t count, int *error) {
     *error = 0;
     if (mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0) {
         return HD_MEMORY_PROCESS;
     }
     *error = errno;
-    for (size_t i = 0; i < count; i++) {
-        if (mlock(regions[i].start, regions[i].size) != 0) {
-            *error = errno;
-            for (size_t done = 0; done < i; done++) {
-                munlock(regions[done].start, regions[done].size);
-            }
-            return HD_MEMORY_NONE;
-        }
+    const int refused = hd_memory_lock_regions(regions, count);
+    if (refused == 0) {
+        return HD_MEMORY_REGIONS;
     }
-    return HD_MEMORY_REGIONS;
+    *error = refused;
+    for (size_t i = 0; i < count; i++) {
+        munlock(regions[i].start, regions[i].size);
+    }
+    return HD_MEMORY_NONE;
 }

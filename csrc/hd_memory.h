@@ -17,5 +17,7 @@ void hd_memory_touch(const struct hd_region *regions, size_t count);
 /* Locks the whole process on fault, or else the regions. Returns what was locked; *error is the errno of what was
  * refused, 0 if nothing was. */
 enum hd_memory_kind hd_memory_lock(const struct hd_region *regions, size_t count, int *error);
+/* Locks these regions too. 0, or the errno of the first that was refused; those before it stay locked. */
+int hd_memory_lock_regions(const struct hd_region *regions, size_t count);
 
 #endif

@@ -5,6 +5,7 @@
 
 #include "hd_sim.h"
 #include "hd_tick.h"
+#include "hd_world.h"
 
 /* Times are nanoseconds in 63 bits. */
 #define HD_LONGEST_RUN_S 9e9
@@ -30,10 +31,17 @@ static int64_t period_time_ns(const struct hd_table *table, uint64_t period) {
     return (int64_t)((double)period * table->period_s * 1e9 + 0.5);
 }
 
-int hd_render(const struct hd_table *table, struct hd_state *state, const double *position, const double *velocity,
+/* The tick takes neither an empty world nor slots that are not there yet. */
+static int prepare(const struct hd_world *world, struct hd_state *state) {
+    return world->loaded ? hd_state_reserve(state, world->table.object_count)
+                         : hd_invalid("world: no table was loaded");
+}
+
+int hd_render(const struct hd_world *world, struct hd_state *state, const double *position, const double *velocity,
               const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
               size_t event_capacity, size_t *event_count) {
-    const int status = hd_table_check(table, state->slot_capacity);
+    const struct hd_table *table = &world->table;
+    const int status = prepare(world, state);
     if (status != HD_OK) {
         return status;
     }
@@ -56,7 +64,7 @@ int hd_render(const struct hd_table *table, struct hd_state *state, const double
         hd_sense(state, table, &reading, velocity != NULL ? &velocity[2 * i] : NULL, &input);
         samples[i].lateness_ns = 0;
         samples[i].work_ns = 0;
-        hd_tick(table, state, &input, &samples[i]);
+        hd_tick(world, state, &input, &samples[i]);
         if (state->event_count > 0) {
             take_events(state, &sink);
         }
@@ -65,10 +73,11 @@ int hd_render(const struct hd_table *table, struct hd_state *state, const double
     return HD_OK;
 }
 
-int hd_simulate(const struct hd_table *table, struct hd_state *state, struct hd_sim *sim, size_t count,
+int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_sim *sim, size_t count,
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count) {
-    const int status = hd_table_check(table, state->slot_capacity);
+    const struct hd_table *table = &world->table;
+    const int status = prepare(world, state);
     if (status != HD_OK) {
         return status;
     }
@@ -87,7 +96,7 @@ int hd_simulate(const struct hd_table *table, struct hd_state *state, struct hd_
         hd_sense(state, table, &reading, NULL, &input);
         samples[i].lateness_ns = 0;
         samples[i].work_ns = 0;
-        hd_tick(table, state, &input, &samples[i]);
+        hd_tick(world, state, &input, &samples[i]);
         hd_sim_put(sim, samples[i].force_n);
         if (state->event_count > 0) {
             take_events(state, &sink);

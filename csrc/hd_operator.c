@@ -51,7 +51,7 @@ struct hd_operator *hd_operator_new(const double *waypoints, size_t count, enum 
         return NULL;
     }
     path->count = count;
-    path->shape = interpolation == HD_LINEAR ? HD_SHAPE_LINEAR : HD_SHAPE_MINIMUM_JERK;
+    path->course = interpolation == HD_LINEAR ? HD_COURSE_LINEAR : HD_COURSE_MINIMUM_JERK;
     memcpy(path->waypoints, waypoints, count * sizeof path->waypoints[0]);
     return path;
 }
@@ -69,7 +69,7 @@ HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, con
     if (index >= path->count) {
         const double *last = path->waypoints[path->count - 1];
         *segment = (struct hd_segment){
-            .shape = HD_SHAPE_HOLD,
+            .course = HD_COURSE_HOLD,
             .start_s = last[0],
             .end_s = (double)INFINITY,
             .duration_s = (double)INFINITY,
@@ -83,7 +83,7 @@ HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, con
     const double rate_per_s = 1.0 / (to[0] - start_s);
     const double travel_m[2] = {to[1] - from_m[0], to[2] - from_m[1]};
     *segment = (struct hd_segment){
-        .shape = path->shape,
+        .course = path->course,
         .start_s = start_s,
         .end_s = to[0],
         .duration_s = to[0] - start_s,

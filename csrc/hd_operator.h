@@ -6,13 +6,13 @@
 #include "hd_core.h"
 #include "hd_rt.h"
 
-/* The wish and its time derivatives, 0 to 5, and a 0 behind them: no shape is of a higher degree than 5. */
+/* The wish and its time derivatives, 0 to 5, and a 0 behind them: no course is of a higher degree than 5. */
 #define HD_WISH_ORDERS 7
 
-enum hd_shape { HD_SHAPE_HOLD = 0, HD_SHAPE_LINEAR = 1, HD_SHAPE_MINIMUM_JERK = 2 };
+enum hd_course { HD_COURSE_HOLD = 0, HD_COURSE_LINEAR = 1, HD_COURSE_MINIMUM_JERK = 2 };
 
 struct hd_segment {
-    enum hd_shape shape;
+    enum hd_course course;
     double start_s; /* since the path began */
     double end_s;   /* infinite for HOLD */
     double duration_s;
@@ -24,7 +24,7 @@ struct hd_segment {
 
 struct hd_operator {
     size_t count;
-    enum hd_shape shape;
+    enum hd_course course;
     double waypoints[][3]; /* t_s, x_m, y_m */
 };
 
@@ -42,9 +42,9 @@ HD_RT static inline void hd_segment_wish(const struct hd_segment *segment, int a
     for (int order = 0; order < HD_WISH_ORDERS; order++) {
         wish[order] = 0.0;
     }
-    if (segment->shape == HD_SHAPE_HOLD) {
+    if (segment->course == HD_COURSE_HOLD) {
         wish[0] = from;
-    } else if (segment->shape == HD_SHAPE_LINEAR) {
+    } else if (segment->course == HD_COURSE_LINEAR) {
         wish[1] = segment->speed_m_per_s[axis];
         wish[0] = from + wish[1] * local_s;
     } else {

@@ -6,8 +6,9 @@
  * its only system calls are the clock and the sleep.
  *
  * Who touches what:
- *   config, device, buffers' memory   made by hd_servo_new, constant while the thread runs
- *   triple + buffers                  the publisher fills the back one, the servo reads the front one
+ *   config, device, rings' memory     made by hd_servo_new, constant while the thread runs
+ *   triple + worlds                   the publisher fills the back one, the servo reads the front one
+ *   changes, locked                   the publisher's own
  *   commands                          the sender produces, the servo consumes
  *   samples, events                   the servo produces, one reader consumes
  *   beat, lease_ns, stopping          control writes, the servo reads
@@ -28,15 +29,24 @@
 #include "hd_memory.h"
 #include "hd_ring.h"
 #include "hd_sim.h"
-#include "hd_table.h"
 #include "hd_tick.h"
 #include "hd_triple.h"
+#include "hd_world.h"
 
 #define HD_COMMAND_CAPACITY 1024u
 #define HD_EVENT_RING_CAPACITY 8192u
 #define HD_ADOPTED_CAPACITY 256u /* revisions whose first tick is remembered */
 #define HD_COMMANDS_PER_TICK 64u
 #define HD_CONTROL_TIMEOUT_S 1.0 /* of ticks rendered, so that a stopped process does not count against control */
+#define HD_CHANGE_CAPACITY 4096u
+#define HD_SERVO_REGIONS (HD_STATE_REGIONS + 3u * HD_WORLD_REGIONS + 5u)
+
+/* What a world has missed since it was filled last. More slots than are changed do no harm. */
+struct hd_changes {
+    uint32_t all; /* 0 or 1 */
+    uint32_t count;
+    uint32_t slots[HD_CHANGE_CAPACITY];
+};
 
 struct hd_servo {
     struct hd_servo_config config;
@@ -45,7 +55,12 @@ struct hd_servo {
     double period_s;
 
     struct hd_triple triple;
-    struct hd_table_buffer buffers[3];
+    struct hd_world worlds[3];
+    struct hd_changes changes[3]; /* of each world */
+    uint32_t object_count;        /* of the table that was published last */
+    struct hd_region locked[3][HD_WORLD_REGIONS];
+    uint32_t locked_slots;
+    uint8_t locking; /* only regions are locked, so that those that come later must be, too */
     struct hd_ring commands;
     struct hd_ring samples;
     struct hd_ring events;
@@ -72,7 +87,7 @@ struct hd_servo {
     struct hd_atomic_u64 adopted_tick[HD_ADOPTED_CAPACITY];
 
     struct hd_state *state;
-    const struct hd_table *table;
+    const struct hd_world *world;
     uint64_t last_beat;
     uint64_t ticks_since_beat;
     double since_report_s;
@@ -121,14 +136,15 @@ HD_RT static void take_table(struct hd_servo *servo, int64_t time_ns) {
     if (!hd_triple_acquire(&servo->triple)) {
         return;
     }
-    servo->table = &servo->buffers[hd_triple_front(&servo->triple)].table;
+    servo->world = &servo->worlds[hd_triple_front(&servo->triple)];
+    const uint32_t revision = servo->world->table.revision;
     const uint64_t count = hd_atomic_u64_load_relaxed(&servo->adopted);
     const size_t at = (size_t)(count % HD_ADOPTED_CAPACITY);
-    hd_atomic_u32_store_relaxed(&servo->adopted_revision[at], servo->table->revision);
+    hd_atomic_u32_store_relaxed(&servo->adopted_revision[at], revision);
     hd_atomic_u64_store_relaxed(&servo->adopted_tick[at], servo->state->tick);
     hd_atomic_u64_store_release(&servo->adopted, count + 1);
-    hd_atomic_u32_store_relaxed(&servo->revision, servo->table->revision);
-    report(servo, HD_EVENT_REVISION, time_ns, servo->table->revision, 0.0);
+    hd_atomic_u32_store_relaxed(&servo->revision, revision);
+    report(servo, HD_EVENT_REVISION, time_ns, revision, 0.0);
 }
 
 /* HD_ERR_FULL: not in this tick. */
@@ -138,7 +154,7 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
     case HD_COMMAND_PLAY:
         return hd_tick_play(state, &command->mode, command->direction, command->amplitude);
     case HD_COMMAND_RESET:
-        hd_tick_reset(servo->table, state, command->slot, command->generation, time_ns);
+        hd_tick_reset(state, command->slot, command->generation, time_ns);
         return HD_OK;
     case HD_COMMAND_FORCES:
         if (command->value != 0) {
@@ -162,7 +178,7 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
 HD_RT static void take_commands(struct hd_servo *servo, int64_t time_ns) {
     for (uint32_t i = 0; i < HD_COMMANDS_PER_TICK; i++) {
         const struct hd_command *command = hd_ring_peek(&servo->commands);
-        if (command == NULL || (int32_t)(command->revision - servo->table->revision) > 0) {
+        if (command == NULL || (int32_t)(command->revision - servo->world->table.revision) > 0) {
             return;
         }
         if (apply(servo, command, time_ns) == HD_ERR_FULL) {
@@ -242,8 +258,8 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     hd_sim_step_advance(servo->sim, periods);
     hd_sim_step_read(servo->sim, &reading);
     watch(servo, &reading, now_ns, deadline_ns);
-    hd_sense(state, servo->table, &reading, NULL, &input);
-    hd_tick(servo->table, state, &input, &sample);
+    hd_sense(state, &servo->world->table, &reading, NULL, &input);
+    hd_tick(servo->world, state, &input, &sample);
     hd_sim_step_put(servo->sim, sample.force_n);
     sample.lateness_ns = saturate(now_ns - deadline_ns);
     sample.work_ns = saturate(hd_clock_now_ns() - now_ns);
@@ -356,7 +372,7 @@ void hd_servo_free(struct hd_servo *servo) {
         hd_servo_stop(servo);
     }
     for (int i = 0; i < 3; i++) {
-        hd_table_release(&servo->buffers[i]);
+        hd_world_release(&servo->worlds[i]);
     }
     hd_ring_destroy(&servo->commands);
     hd_ring_destroy(&servo->samples);
@@ -365,22 +381,62 @@ void hd_servo_free(struct hd_servo *servo) {
     free(servo);
 }
 
-static size_t regions_of(struct hd_servo *servo, struct hd_region regions[11]) {
-    struct hd_state *state = servo->state;
-    size_t count = 0;
+/* Everything that the servo touches: of what has room for more, no more than is in use. */
+static size_t regions_of(struct hd_servo *servo, struct hd_region regions[HD_SERVO_REGIONS]) {
+    size_t count = hd_state_regions(servo->state, 0, hd_state_slot_count(servo->state), regions);
+    for (int i = 0; i < 3; i++) {
+        count += hd_world_regions(&servo->worlds[i], &regions[count]);
+    }
     regions[count++] = (struct hd_region){servo, sizeof *servo};
-    regions[count++] = (struct hd_region){state, sizeof *state};
-    regions[count++] = (struct hd_region){state->slots, state->slot_capacity * sizeof *state->slots};
-    regions[count++] = (struct hd_region){state->active, state->slot_capacity * sizeof *state->active};
-    regions[count++] = (struct hd_region){state->voices, HD_VOICE_CAPACITY * sizeof *state->voices};
-    regions[count++] = (struct hd_region){state->strikes, HD_STRIKE_CAPACITY * sizeof *state->strikes};
-    regions[count++] = (struct hd_region){state->events, HD_EVENT_CAPACITY * sizeof *state->events};
     regions[count++] = (struct hd_region){servo->commands.slots, HD_COMMAND_CAPACITY * sizeof(struct hd_command)};
     regions[count++] =
         (struct hd_region){servo->samples.slots, servo->config.sample_capacity * sizeof(struct hd_sample)};
     regions[count++] = (struct hd_region){servo->events.slots, HD_EVENT_RING_CAPACITY * sizeof(struct hd_event)};
     regions[count++] = (struct hd_region){servo->sim, hd_sim_size()};
     return count;
+}
+
+static int lock_refused(const struct hd_servo *servo, uint32_t object_count, int error) {
+    return hd_invalid("table: %u objects need more locked memory than is allowed (%s; %u objects did not): raise the "
+                      "limit (ulimit -l), or publish as many before the servo starts",
+                      object_count, strerror(error), servo->locked_slots);
+}
+
+/* Locks what the state reserved since the last time. */
+static int lock_slots(struct hd_servo *servo) {
+    const uint32_t slot_count = hd_state_slot_count(servo->state);
+    if (!servo->locking || slot_count <= servo->locked_slots) {
+        return HD_OK;
+    }
+    struct hd_region regions[HD_STATE_REGIONS];
+    const size_t count = hd_state_regions(servo->state, servo->locked_slots, slot_count, regions);
+    const int error = hd_memory_lock_regions(regions, count);
+    if (error != 0) {
+        return lock_refused(servo, slot_count, error);
+    }
+    servo->locked_slots = slot_count;
+    return HD_OK;
+}
+
+/* Locks what a world has that it had not when it was locked last. */
+static int lock_world(struct hd_servo *servo, uint32_t index) {
+    if (!servo->locking) {
+        return HD_OK;
+    }
+    struct hd_region regions[HD_WORLD_REGIONS];
+    struct hd_region *locked = servo->locked[index];
+    const size_t count = hd_world_regions(&servo->worlds[index], regions);
+    for (size_t i = 0; i < count; i++) {
+        if (regions[i].start == locked[i].start && regions[i].size == locked[i].size) {
+            continue;
+        }
+        const int error = hd_memory_lock_regions(&regions[i], 1);
+        if (error != 0) {
+            return lock_refused(servo, servo->worlds[index].table.object_count, error);
+        }
+        locked[i] = regions[i];
+    }
+    return HD_OK;
 }
 
 /* Tries the thread with real-time priority, the highest that the limit allows, then without. 0 or an errno. */
@@ -418,17 +474,24 @@ int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
     if (servo->started || !hd_triple_acquire(&servo->triple)) {
         return hd_invalid("servo: start it once, with a table published");
     }
-    servo->table = &servo->buffers[hd_triple_front(&servo->triple)].table;
-    hd_atomic_u32_store_relaxed(&servo->adopted_revision[0], servo->table->revision);
+    servo->world = &servo->worlds[hd_triple_front(&servo->triple)];
+    hd_atomic_u32_store_relaxed(&servo->adopted_revision[0], servo->world->table.revision);
     hd_atomic_u64_store_relaxed(&servo->adopted, 1);
-    hd_atomic_u32_store_relaxed(&servo->revision, servo->table->revision);
-    struct hd_region regions[11];
+    hd_atomic_u32_store_relaxed(&servo->revision, servo->world->table.revision);
+    struct hd_region regions[HD_SERVO_REGIONS];
     const size_t count = regions_of(servo, regions);
     hd_memory_touch(regions, count);
     if (servo->config.realtime != HD_REALTIME_OFF) {
         grant->memory_kind = (int32_t)hd_memory_lock(regions, count, &grant->memory);
         if (grant->memory_kind == HD_MEMORY_NONE && servo->config.realtime == HD_REALTIME_REQUIRED) {
             return HD_ERR_DENIED;
+        }
+    }
+    if (grant->memory_kind == HD_MEMORY_REGIONS) {
+        servo->locking = 1;
+        servo->locked_slots = hd_state_slot_count(servo->state);
+        for (int i = 0; i < 3; i++) {
+            hd_world_regions(&servo->worlds[i], servo->locked[i]);
         }
     }
     hd_atomic_u32_store_relaxed(&servo->running, 1);
@@ -462,20 +525,56 @@ int hd_servo_stop(struct hd_servo *servo) {
     return HD_OK;
 }
 
-int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
-    int status = hd_table_check(table, servo->config.slot_capacity);
-    if (status != HD_OK) {
-        return status;
+/* What the table changes is missing in all three worlds, whether or not it will be accepted. */
+static void note_changes(struct hd_servo *servo, const struct hd_table *table) {
+    /* A slot that was given up and comes back is another one, but a world that misses both times could not tell. */
+    const int all = table->all_changed || table->object_count < servo->object_count;
+    for (int i = 0; i < 3; i++) {
+        struct hd_changes *changes = &servo->changes[i];
+        if (all || table->changed_count > HD_CHANGE_CAPACITY - changes->count) {
+            changes->all = 1;
+        }
+        if (!changes->all && table->changed_count > 0) {
+            memcpy(&changes->slots[changes->count], table->changed, table->changed_count * sizeof *table->changed);
+            changes->count += table->changed_count;
+        }
     }
+    servo->object_count = table->object_count;
+}
+
+int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     if (fabs(table->period_s - servo->period_s) > 1e-12) {
         return hd_invalid("table: compiled for a period of %.17g s, the servo has %.17g s", table->period_s,
                           servo->period_s);
     }
-    status = hd_table_copy(&servo->buffers[hd_triple_back(&servo->triple)], table);
-    if (status == HD_OK) {
-        hd_triple_publish(&servo->triple);
+    if (table->changed_count > 0 && table->changed == NULL) {
+        return hd_invalid("table: %u changes without slots", table->changed_count);
     }
-    return status;
+    const uint32_t back = hd_triple_back(&servo->triple);
+    struct hd_world *world = &servo->worlds[back];
+    struct hd_changes *changes = &servo->changes[back];
+    int status = hd_state_reserve(servo->state, table->object_count);
+    if (status == HD_OK) {
+        status = lock_slots(servo);
+    }
+    if (status != HD_OK) {
+        return status;
+    }
+    note_changes(servo, table);
+    status = changes->all ? hd_world_load(world, table) : hd_world_update(world, table, changes->slots, changes->count);
+    if (status != HD_OK) {
+        return status;
+    }
+    /* From here to its publication the world holds what nobody was shown. */
+    changes->all = 1;
+    status = lock_world(servo, back);
+    if (status != HD_OK) {
+        return status;
+    }
+    changes->all = 0;
+    changes->count = 0;
+    hd_triple_publish(&servo->triple);
+    return HD_OK;
 }
 
 static int command_check(const struct hd_servo *servo, const struct hd_command *command) {

@@ -19,7 +19,7 @@
  * Such a step holds while nothing happens. What can happen is found on the solution itself and splits the step there:
  * the velocity passes zero (then friction holds, or the motion turns), the handle meets a stop (and rests there:
  * inelastic), the force on a resting handle exceeds the friction, the wish enters another segment, the force expires, a
- * report is due. Within one part the net force changes its sign at most once (hd_segment shapes are cut further for
+ * report is due. Within one part the net force changes its sign at most once (hd_segment courses are cut further for
  * that), so that an event cannot hide between two looks. A jump of the wish moves the spring only; its damper is not
  * struck.
  *
@@ -168,7 +168,7 @@ HD_RT static inline struct hd_axis carried(const struct hd_sim *sim, const struc
     const double rise = sim->stiffness * (wish[1] - axis.v) + sim->hand_damping * wish[2];
     double dx = axis.v * kernel->span_s + j[0] * net + j[1] * rise;
     double dv = j[-1] * net + j[0] * rise;
-    if (sim->segment.shape == HD_SHAPE_MINIMUM_JERK) {
+    if (sim->segment.course == HD_COURSE_MINIMUM_JERK) {
         for (int order = 2; order <= 5; order++) {
             const double drive = sim->stiffness * wish[order] + sim->hand_damping * wish[order + 1];
             dx += j[order] * drive;
@@ -203,11 +203,11 @@ HD_RT static inline bool axis_glide(struct hd_sim *sim, int which, double local_
     hd_segment_wish(&sim->segment, which, local_s, wish);
     if (axis->v == 0.0) {
         /* The force on a resting handle is monotonic along a straight wish; a curved one is left to axis_walk. */
-        if (sim->segment.shape == HD_SHAPE_MINIMUM_JERK || fabs(axis->x) >= sim->workspace_m ||
+        if (sim->segment.course == HD_COURSE_MINIMUM_JERK || fabs(axis->x) >= sim->workspace_m ||
             fabs(still_force(sim, force_n, wish, axis->x)) > friction_n) {
             return false;
         }
-        if (sim->segment.shape == HD_SHAPE_HOLD) {
+        if (sim->segment.course == HD_COURSE_HOLD) {
             return true;
         }
         hd_segment_wish(&sim->segment, which, local_s + kernel->span_s, wish_after);
@@ -368,11 +368,11 @@ HD_RT static bool rest_ends(const struct hd_sim *sim, int which, double local_s,
     if (*direction != 0.0) {
         return true;
     }
-    if (sim->segment.shape == HD_SHAPE_HOLD) {
+    if (sim->segment.course == HD_COURSE_HOLD) {
         return false;
     }
     double looks_s[2] = {left_s, left_s};
-    if (sim->segment.shape == HD_SHAPE_MINIMUM_JERK) {
+    if (sim->segment.course == HD_COURSE_MINIMUM_JERK) {
         const double extreme_s = extreme_force_s(sim) - local_s;
         if (extreme_s > 0.0 && extreme_s < left_s) {
             looks_s[0] = extreme_s;
@@ -464,11 +464,11 @@ HD_RT static void span(struct hd_sim *sim, double local_s, double span_s) {
 HD_RT static void enter_segment(struct hd_sim *sim, const double wish_m[2]) {
     hd_operator_segment(sim->path, sim->path_index, wish_m, &sim->segment);
     sim->segment_limit_s = sim->limit_s;
-    if (sim->segment.shape == HD_SHAPE_MINIMUM_JERK && sim->segment.duration_s < 8.0 * sim->limit_s) {
+    if (sim->segment.course == HD_COURSE_MINIMUM_JERK && sim->segment.duration_s < 8.0 * sim->limit_s) {
         sim->segment_limit_s = sim->segment.duration_s / 8.0;
     }
     sim->calm_tick = UINT64_MAX;
-    if (sim->segment.shape == HD_SHAPE_HOLD) {
+    if (sim->segment.course == HD_COURSE_HOLD) {
         sim->path = NULL;
     } else {
         sim->calm_tick = sim->path_tick + (uint64_t)(sim->segment.end_s / sim->period_s + HD_SAME_TIME);
@@ -614,7 +614,7 @@ HD_RT static void many_periods(struct hd_sim *sim, uint32_t periods) {
         const struct hd_axis before[2] = {sim->axes[0], sim->axes[1]};
         const uint64_t step = count < sim->stretch_periods ? count : sim->stretch_periods;
         span(sim, path_time_s(sim) - sim->segment.start_s, (double)(int64_t)step * sim->period_s);
-        const bool rests = sim->segment.shape == HD_SHAPE_HOLD && before[0].x == sim->axes[0].x &&
+        const bool rests = sim->segment.course == HD_COURSE_HOLD && before[0].x == sim->axes[0].x &&
                            before[0].v == sim->axes[0].v && before[1].x == sim->axes[1].x &&
                            before[1].v == sim->axes[1].v;
         sim->tick += rests ? count : step;
@@ -836,7 +836,7 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
     sim->axes[0].x = config->start_m[0];
     sim->axes[1].x = config->start_m[1];
     sim->segment = (struct hd_segment){
-        .shape = HD_SHAPE_HOLD,
+        .course = HD_COURSE_HOLD,
         .end_s = (double)INFINITY,
         .duration_s = (double)INFINITY,
         .from_m = {config->start_m[0], config->start_m[1]},

@@ -4,24 +4,50 @@
 #include <math.h>
 #include <stdlib.h>
 
+/* What there is one of for each slot. */
+#define SLOT_ARRAYS 5u
+
+static size_t slot_regions(const struct hd_state *state, uint32_t from, uint32_t to, struct hd_region *regions) {
+    const size_t count = to - from;
+    regions[0] = (struct hd_region){state->slots + from, count * sizeof *state->slots};
+    regions[1] = (struct hd_region){state->active + from, count * sizeof *state->active};
+    regions[2] = (struct hd_region){state->resumed + from, count * sizeof *state->resumed};
+    regions[3] = (struct hd_region){state->healing + from, count * sizeof *state->healing};
+    regions[4] = (struct hd_region){state->near + from, count * sizeof *state->near};
+    return SLOT_ARRAYS;
+}
+
 struct hd_state *hd_state_new(uint32_t slot_capacity) {
     struct hd_state *state = calloc(1, sizeof *state);
     if (state == NULL) {
         return NULL;
     }
+    const size_t capacity = slot_capacity > 0 ? slot_capacity : 1;
     state->slot_capacity = slot_capacity;
-    state->slots = calloc(slot_capacity > 0 ? slot_capacity : 1, sizeof *state->slots);
-    state->active = calloc(slot_capacity > 0 ? slot_capacity : 1, sizeof *state->active);
+    /* calloc of what is large takes address space only; memory comes with the first touch. */
+    state->slots = calloc(capacity, sizeof *state->slots);
+    state->active = calloc(capacity, sizeof *state->active);
+    state->resumed = calloc(capacity, sizeof *state->resumed);
+    state->healing = calloc(capacity, sizeof *state->healing);
+    state->near = calloc(capacity, sizeof *state->near);
     state->voices = calloc(HD_VOICE_CAPACITY, sizeof *state->voices);
+    state->noises = calloc(HD_NOISE_CAPACITY, sizeof *state->noises);
+    state->free_noises = calloc(HD_NOISE_CAPACITY, sizeof *state->free_noises);
     state->strikes = calloc(HD_STRIKE_CAPACITY, sizeof *state->strikes);
     state->events = calloc(HD_EVENT_CAPACITY, sizeof *state->events);
-    if (state->slots == NULL || state->active == NULL || state->voices == NULL || state->strikes == NULL ||
-        state->events == NULL) {
+    if (state->slots == NULL || state->active == NULL || state->resumed == NULL || state->healing == NULL ||
+        state->near == NULL || state->voices == NULL || state->noises == NULL || state->free_noises == NULL ||
+        state->strikes == NULL || state->events == NULL) {
         hd_state_free(state);
         return NULL;
     }
+    for (uint32_t i = 0; i < HD_NOISE_CAPACITY; i++) {
+        state->free_noises[i] = HD_NOISE_CAPACITY - 1u - i;
+    }
+    state->free_noise_count = HD_NOISE_CAPACITY;
     state->enabled = 1;
     state->gain = 1.0;
+    state->epoch = 1;
     state->resync = 1;
     hd_velocity_init(&state->velocity, 0.0);
     return state;
@@ -31,11 +57,45 @@ void hd_state_free(struct hd_state *state) {
     if (state != NULL) {
         free(state->slots);
         free(state->active);
+        free(state->resumed);
+        free(state->healing);
+        free(state->near);
         free(state->voices);
+        free(state->noises);
+        free(state->free_noises);
         free(state->strikes);
         free(state->events);
         free(state);
     }
+}
+
+int hd_state_reserve(struct hd_state *state, uint32_t slot_count) {
+    if (slot_count > state->slot_capacity) {
+        return hd_invalid("table: %u objects, room for %u", slot_count, state->slot_capacity);
+    }
+    if (slot_count > state->slot_count) {
+        struct hd_region regions[SLOT_ARRAYS];
+        hd_memory_touch(regions, slot_regions(state, state->slot_count, slot_count, regions));
+        state->slot_count = slot_count;
+    }
+    return HD_OK;
+}
+
+uint32_t hd_state_slot_count(const struct hd_state *state) {
+    return state->slot_count;
+}
+
+size_t hd_state_regions(const struct hd_state *state, uint32_t from_slot, uint32_t to_slot, struct hd_region *regions) {
+    size_t count = slot_regions(state, from_slot, to_slot, regions);
+    if (from_slot == 0) {
+        regions[count++] = (struct hd_region){(void *)(uintptr_t)state, sizeof *state};
+        regions[count++] = (struct hd_region){state->voices, HD_VOICE_CAPACITY * sizeof *state->voices};
+        regions[count++] = (struct hd_region){state->noises, HD_NOISE_CAPACITY * sizeof *state->noises};
+        regions[count++] = (struct hd_region){state->free_noises, HD_NOISE_CAPACITY * sizeof *state->free_noises};
+        regions[count++] = (struct hd_region){state->strikes, HD_STRIKE_CAPACITY * sizeof *state->strikes};
+        regions[count++] = (struct hd_region){state->events, HD_EVENT_CAPACITY * sizeof *state->events};
+    }
+    return count;
 }
 
 void hd_state_set_resolution(struct hd_state *state, double step_m) {
@@ -54,7 +114,8 @@ uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot) {
     if (slot >= state->slot_capacity) {
         return 0;
     }
-    return (uint32_t)state->slots[slot].touched | (uint32_t)state->slots[slot].open << 1;
+    const struct hd_slot *found = &state->slots[slot];
+    return (uint32_t)found->touched | (found->open == state->epoch ? 2u : 0u);
 }
 
 HD_RT void hd_state_want_forces(struct hd_state *state, int enabled) {

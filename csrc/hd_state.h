@@ -1,43 +1,92 @@
 /* What the tick remembers from one call to the next.
  *
- *   slots[]   one per object, by the slot number in its table record; belongs to the object while the generation agrees
+ *   slots[]   one per object, at the object's place in the table; belongs to the object while the generation agrees
  *   active[]  the slots that are touched now, dense, in no order
+ *   near[]    what a probe can reach before it has moved by near_radius_m; see hd_near.h
+ *   resumed[] slots whose contact was cleared under the hand, looked at once by the next tick
+ *   healing[] punctured membranes that close again
  *   voices[]  the modes that ring now, dense, in no order; a slot knows its own
+ *   noises[]  the noises that sound now; a slot knows its own, free ones are stacked in free_noises[]
  *   strikes[] filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit
  *             leaves for vibration) is known
  *   events[]  filled by a tick, taken by whoever called it
  *
- * Owned by one thread: the servo's, or the caller's of an offline run. Everything is allocated by hd_state_new. */
+ * Owned by one thread: the servo's, or the caller's of an offline run. hd_state_new reserves address space for every
+ * slot there can be; hd_state_reserve touches the pages of those that a table is about to use, so that the servo never
+ * does. */
 #ifndef HD_STATE_H
 #define HD_STATE_H
 
 #include "hd_core.h"
+#include "hd_index.h"
+#include "hd_memory.h"
+#include "hd_noise.h"
 #include "hd_velocity.h"
 
 #define HD_VOICE_CAPACITY 4096u  /* ringing at once; beyond that, one that is near its end is given up */
 #define HD_STRIKE_CAPACITY 4096u /* struck within one tick */
 #define HD_EVENT_CAPACITY 256u   /* reported by one tick */
 #define HD_PLAYED_CAPACITY 64u   /* modes played by hand within one tick */
+#define HD_NOISE_CAPACITY 256u   /* surfaces with noise that are touched at once; further ones are silent */
+#define HD_STATE_REGIONS 16u
 
-enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_USES = 2 };
+enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_GROOVE = 2, HD_MODE_USES = 3 };
+
+/* Where the probe is on a surface: how deep below it, where along it, and which way the surface faces there. */
+struct hd_place {
+    double depth_m;
+    double along_m; /* the tangential coordinate s */
+    double normal[2];
+};
+
+/* A flat surface: what a surface was at one moment, until the new one has come in. */
+struct hd_plane {
+    double point_m[2];
+    double normal[2];
+    double along_m; /* s at the point */
+};
+
+/* What the material gives where the probe is: see hd_skin.h. */
+struct hd_skin {
+    double stiffness_n_per_m;
+    double stiffness_slope; /* dK/ds, N/m^2 */
+    double damping_n_s_per_m;
+    double lowering_m; /* of the surface, by geometry */
+    double lowering_slope;
+    double drag_n_s_per_m; /* against tangential motion */
+    double friction_coefficient;
+    double friction_stiffness_n_per_m;
+};
 
 struct hd_slot {
     uint32_t generation;
-    uint32_t version; /* of the surface that `now` is, or is on its way to */
-    uint64_t seen_tick;
+    uint32_t place_version; /* of the place and the skin that the contact follows */
+    uint32_t skin_version;
     uint32_t active_index;        /* place in active[] while touched */
+    uint32_t healing_index;       /* place in healing[] plus one; 0: not in it */
+    uint32_t open;                /* membrane: punctured, while this is the state's epoch */
     uint32_t voice[HD_MODE_USES]; /* place in voices[] plus one; 0: silent */
+    uint32_t noise;               /* place in noises[] plus one; 0: silent */
+    uint32_t contacts;            /* so far: the salt of their noise */
+    uint32_t grooves;             /* struck in this contact */
+    uint64_t looked;              /* the tick that looked at it last, plus one */
+    int64_t groove;               /* the one that was struck last */
     uint8_t touched;
-    uint8_t open;     /* membrane: punctured */
-    uint8_t known;    /* seen by an earlier tick: a crossing can be told from an appearance */
-    int8_t side;      /* membrane: of the normal that the contact came from, +1 or -1 */
-    int8_t last_side; /* membrane: where the probe last was off the surface */
-    int8_t resume;    /* membrane: was pressed from this side when its contact was cleared; 0: was not */
-    double ramp;      /* of the contact force, 0 to 1, for a contact without an onset */
-    double blend;     /* from `from` to the table's surface, 0 to 1 */
-    double force_n[2];
-    struct hd_surface now;
-    struct hd_surface from;
+    int8_t side;        /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
+    uint8_t face;       /* box: that was entered; see hd_box.c */
+    uint8_t resume;     /* its contact was cleared while it was pressed */
+    uint8_t moving;     /* the place is on its way to a new one */
+    uint8_t held;       /* `groove` was struck and the probe has not been away from it since */
+    double ramp;        /* of the contact force, 0 to 1, for a contact without an onset */
+    double place_blend; /* from `from_plane` to the table's, 0 to 1 */
+    double skin_blend;
+    double anchor_m;      /* friction: where the probe sticks, along the surface */
+    double normal_n;      /* the model's normal force at the last tick, without ramp */
+    double force_n[2];    /* at the last tick, as displayed */
+    struct hd_place last; /* at the last tick; its normal outlives the contact */
+    struct hd_plane from_plane;
+    struct hd_skin skin;
+    struct hd_skin from_skin;
 };
 
 struct hd_voice {
@@ -70,21 +119,30 @@ struct hd_state {
     uint64_t period; /* periods that have begun, missed ones too: the clock of offline runs */
     uint32_t voice_count;
     uint32_t active_count;
+    uint32_t near_count;
+    uint32_t resumed_count;
+    uint32_t healing_count;
+    uint32_t free_noise_count;
     uint32_t strike_count;
     uint32_t event_count;
     uint32_t played_count;
     uint32_t revision;
     uint32_t faults;
+    uint32_t epoch;       /* raised when every membrane heals at once; never 0 */
     uint8_t started;      /* a tick was rendered */
     uint8_t located;      /* position_m is a sample */
     uint8_t enabled;      /* forces are wanted */
-    uint8_t resync;       /* objects are met as if they had just appeared */
+    uint8_t resync;       /* objects are met as if they had just appeared, after contacts were cleared */
     uint8_t saturated;    /* the last tick was */
     uint8_t field_active; /* the field exerts a force, or is on its way to none */
+    uint8_t near_known;   /* near[] holds for near_center_m */
     double gain;          /* of the whole command: enabling and fading */
     double show_force;    /* of contacts and fields: the display flag, ramped */
     double show_vibration;
     double position_m[2]; /* the last sample */
+    double near_center_m[2];
+    double near_radius_m;
+    double ramp_ticks;
     double residual_n[2]; /* what is left of the force of objects that went away under the hand */
     double residual_step_n[2];
     uint32_t residual_left; /* ticks */
@@ -96,10 +154,16 @@ struct hd_state {
     uint64_t glitches_total;
     uint64_t saturations_total;
     uint64_t events_dropped;
-    uint32_t slot_capacity;
+    uint32_t slot_capacity; /* address space for so many */
+    uint32_t slot_count;    /* so many are in memory */
     struct hd_slot *slots;
     uint32_t *active;
+    uint32_t *resumed;
+    uint32_t *healing;
+    struct hd_near *near;
     struct hd_voice *voices;
+    struct hd_noise_voice *noises;
+    uint32_t *free_noises;
     struct hd_strike *strikes;
     struct hd_event *events;
     struct hd_mode played[HD_PLAYED_CAPACITY]; /* copies: strikes[] points to them until the tick is over */
@@ -116,6 +180,14 @@ struct hd_input {
     double glitch_m_per_s;           /* the speed that a jump implied; 0: no jump */
     uint32_t periods;                /* since the tick before: 1, and what was missed */
 };
+
+/* Control side: the pages of every slot below `slot_count` are there, before a table uses them. HD_ERR_INVALID beyond
+ * the capacity. */
+int hd_state_reserve(struct hd_state *state, uint32_t slot_count);
+uint32_t hd_state_slot_count(const struct hd_state *state);
+/* The memory of the slots from `from_slot` to `to_slot`, and with it, where from_slot is 0, of everything else; the
+ * number of regions, at most HD_STATE_REGIONS. */
+size_t hd_state_regions(const struct hd_state *state, uint32_t from_slot, uint32_t to_slot, struct hd_region *regions);
 
 /* Latches faults. `at_once`: the force is zero from this tick on; otherwise it fades out over the ramp. */
 HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, int64_t time_ns);

@@ -1,15 +1,16 @@
 /* The tick, top to bottom: sense, ring, touch, strike, limit, fade.
  *
- * Bounded work: it walks the objects of the table once and the ringing modes twice. Whatever it is given, the force it
+ * Bounded work: it looks at the objects in reach once and at the ringing modes twice. Whatever it is given, the force it
  * returns is finite and within the table's limit; a NaN or an infinity anywhere latches HD_FAULT_NONFINITE and the
  * force is zero from that tick on. Called by the servo thread and by the offline runs alike. */
 #include "hd_tick.h"
 
-#include <math.h>
-
 #include "hd_contact.h"
 #include "hd_limit.h"
 #include "hd_voice.h"
+
+/* Positions are rounded, so that motion at the very limit may seem to exceed it. */
+#define HD_SPEED_ROUNDING 1e-9
 
 HD_RT static inline int finite4(const double a[2], const double b[2]) {
     return (a[0] + a[1] + b[0] + b[1]) * 0.0 == 0.0;
@@ -32,11 +33,9 @@ HD_RT void hd_sense(struct hd_state *state, const struct hd_table *table, const 
     }
     if (state->located && reading->interval_s > 0.0) {
         const double step[2] = {position[0] - state->position_m[0], position[1] - state->position_m[1]};
-        const double bound = table->max_speed_m_per_s * reading->interval_s;
+        const double bound = table->max_speed_m_per_s * reading->interval_s * (1.0 + HD_SPEED_ROUNDING);
         if (hd_dot(step, step) > bound * bound) {
-            HD_RT_FOREIGN_BEGIN
-            input->glitch_m_per_s = sqrt(hd_dot(step, step)) / reading->interval_s;
-            HD_RT_FOREIGN_END
+            input->glitch_m_per_s = hd_root(hd_dot(step, step)) / reading->interval_s;
             hd_velocity_reset(&state->velocity);
         }
     }
@@ -48,13 +47,16 @@ HD_RT void hd_sense(struct hd_state *state, const struct hd_table *table, const 
     }
 }
 
-/* Everything is met as if it had just appeared; but with `resume`, a membrane that was pressed is met from the side
- * that it was pressed from. */
+/* Everything is met as if it had just appeared; but with `resume`, what was pressed is met from the side that it was
+ * pressed from. */
 HD_RT static void resynchronise(struct hd_state *state, const struct hd_input *input, int resume) {
     while (state->active_count > 0) {
         const uint32_t index = state->active[state->active_count - 1];
-        state->slots[index].resume = resume ? state->slots[index].side : 0;
-        hd_contact_end(state, index, input->time_ns);
+        if (resume) {
+            hd_contact_clear(state, index, 0, input->time_ns);
+        } else {
+            hd_contact_end(state, index, input->time_ns);
+        }
     }
     state->residual_n[0] = 0.0;
     state->residual_n[1] = 0.0;
@@ -74,20 +76,6 @@ HD_RT static inline double toward(double value, double target, double step) {
         return value + step < target ? value + step : target;
     }
     return value - step > target ? value - step : target;
-}
-
-/* The table changed: objects that went away under the hand let go. */
-HD_RT static void drop_unseen(struct hd_walk *walk) {
-    struct hd_state *state = walk->state;
-    uint32_t i = 0;
-    while (i < state->active_count) {
-        const uint32_t slot = state->active[i];
-        if (state->slots[slot].seen_tick != state->tick) {
-            hd_contact_drop(walk, slot);
-        } else {
-            i++;
-        }
-    }
 }
 
 HD_RT static void fade_residual(struct hd_state *state) {
@@ -126,13 +114,14 @@ HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_tabl
               state->show_vibration != (double)table->display_vibration;
     for (uint32_t i = 0; i < state->active_count && !any; i++) {
         const struct hd_slot *slot = &state->slots[state->active[i]];
-        any = slot->ramp < 1.0 || slot->blend < 1.0;
+        any = slot->ramp < 1.0 || slot->moving || slot->skin_blend < 1.0;
     }
     return any ? (uint32_t)HD_FLAG_RAMPING : 0u;
 }
 
-HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const struct hd_input *input,
+HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const struct hd_input *input,
                    struct hd_sample *sample) {
+    const struct hd_table *table = &world->table;
     sample->tick = state->tick;
     sample->time_ns = input->time_ns;
     sample->revision = table->revision;
@@ -145,14 +134,18 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
         return;
     }
 
-    struct hd_walk walk = {
-        .table = table,
-        .state = state,
-        .input = input,
-        .from_m = {state->position_m[0], state->position_m[1]},
-        /* A ramp counts ticks, not the periods that were missed before it began. */
-        .ramp_step = table->ramp_step,
-    };
+    struct hd_walk walk;
+    walk.world = world;
+    walk.table = table;
+    walk.state = state;
+    walk.input = input;
+    walk.new_table = state->revision != table->revision || !state->started;
+    /* A ramp counts ticks, not the periods that were missed before it began. */
+    walk.ramp_step = table->ramp_step;
+    walk.force_n[0] = walk.force_n[1] = 0.0;
+    walk.noise_n[0] = walk.noise_n[1] = 0.0;
+    state->ramp_ticks = table->ramp_s / table->period_s;
+    state->revision = table->revision;
     if (!state->started) {
         state->show_force = (double)table->display_force;
         state->show_vibration = (double)table->display_vibration;
@@ -166,6 +159,9 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
         resynchronise(state, input, stalled && !jumped);
         state->resync = 0;
     }
+    const double *from = walk.resync ? input->position_m : state->position_m;
+    walk.from_m[0] = from[0];
+    walk.from_m[1] = from[1];
     if (jumped) {
         flags |= HD_FLAG_GLITCH;
         state->glitches_total++;
@@ -178,17 +174,8 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
     if (state->voice_count > 0) {
         hd_voices_advance(state, input->periods, table->period_s);
     }
-    if (table->wall_count > 0) {
-        hd_walls_walk(&walk);
-    }
-    if (table->membrane_count > 0) {
-        hd_membranes_walk(&walk);
-    }
+    hd_walk_objects(&walk);
     hd_field_walk(&walk);
-    if (state->revision != table->revision) {
-        drop_unseen(&walk);
-        state->revision = table->revision;
-    }
 
     state->show_force = toward(state->show_force, (double)table->display_force, walk.ramp_step);
     state->show_vibration = toward(state->show_vibration, (double)table->display_vibration, walk.ramp_step);
@@ -199,20 +186,22 @@ HD_RT void hd_tick(const struct hd_table *table, struct hd_state *state, const s
         fade_residual(state);
     }
     if (state->strike_count > 0) {
-        HD_RT_FOREIGN_BEGIN
-        const double felt = sqrt(hd_dot(contact, contact));
-        HD_RT_FOREIGN_END
+        const double felt =
+            hd_root(hd_dot(contact, contact)) + state->show_vibration * hd_root(hd_dot(walk.noise_n, walk.noise_n));
         if (hd_strikes_apply(state, table, felt) < 1.0) {
             flags |= HD_FLAG_SATURATED;
         }
     }
-    double vibration[2] = {0.0, 0.0};
+    double vibration[2] = {walk.noise_n[0], walk.noise_n[1]};
     if (state->voice_count > 0) {
-        hd_voices_sum(state, vibration);
-        vibration[0] *= state->show_vibration;
-        vibration[1] *= state->show_vibration;
+        double ringing[2];
+        hd_voices_sum(state, ringing);
+        vibration[0] += ringing[0];
+        vibration[1] += ringing[1];
         flags |= HD_FLAG_RINGING;
     }
+    vibration[0] *= state->show_vibration;
+    vibration[1] *= state->show_vibration;
 
     double force[2];
     hd_limit_apply(state, table, contact, vibration, input->time_ns, force, &flags);
@@ -259,29 +248,19 @@ HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const
     return HD_OK;
 }
 
-HD_RT static void reset_slot(struct hd_walk *walk, uint32_t index) {
-    struct hd_slot *slot = &walk->state->slots[index];
-    slot->resume = slot->touched ? slot->side : 0;
-    if (slot->touched) {
-        hd_contact_drop(walk, index);
-    }
-    slot->open = 0;
-    slot->known = 0;
-    slot->last_side = 0;
-}
-
-HD_RT void hd_tick_reset(const struct hd_table *table, struct hd_state *state, uint32_t slot, uint32_t generation,
-                         int64_t time_ns) {
-    const struct hd_input input = {.time_ns = time_ns, .periods = 1};
-    struct hd_walk walk = {.table = table, .state = state, .input = &input};
+HD_RT void hd_tick_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns) {
     if (slot == HD_NO_SLOT) {
-        for (uint32_t i = 0; i < table->wall_count; i++) {
-            reset_slot(&walk, table->walls[i].key.slot);
+        while (state->active_count > 0) {
+            hd_contact_clear(state, state->active[state->active_count - 1], 1, time_ns);
         }
-        for (uint32_t i = 0; i < table->membrane_count; i++) {
-            reset_slot(&walk, table->membranes[i].key.slot);
+        while (state->healing_count > 0) {
+            hd_contact_close(state, state->healing[state->healing_count - 1]);
         }
-    } else if (slot < state->slot_capacity && state->slots[slot].generation == generation) {
-        reset_slot(&walk, slot);
+        state->epoch = state->epoch == UINT32_MAX ? 1u : state->epoch + 1u;
+    } else if (slot < state->slot_count && state->slots[slot].generation == generation) {
+        if (state->slots[slot].touched) {
+            hd_contact_clear(state, slot, 1, time_ns);
+        }
+        hd_contact_close(state, slot);
     }
 }

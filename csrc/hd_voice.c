@@ -13,23 +13,20 @@
 #define HD_SMALLEST_SQUARE 1e-290
 #define HD_VOICES_COMPARED 16u
 
-HD_RT static void remove_voice(struct hd_state *state, uint32_t index) {
-    struct hd_voice *voice = &state->voices[index];
-    if (voice->slot < state->slot_capacity) {
-        struct hd_slot *slot = &state->slots[voice->slot];
-        if (slot->voice[voice->use] == index + 1) {
-            slot->voice[voice->use] = 0;
-        }
+/* The slot that knows a voice by its place learns another one. */
+HD_RT static void repoint(struct hd_state *state, uint32_t index, uint32_t place) {
+    const struct hd_voice *voice = &state->voices[index];
+    if (voice->slot < state->slot_capacity && state->slots[voice->slot].voice[voice->use] == index + 1u) {
+        state->slots[voice->slot].voice[voice->use] = place;
     }
+}
+
+HD_RT static void remove_voice(struct hd_state *state, uint32_t index) {
+    repoint(state, index, 0);
     const uint32_t last = --state->voice_count;
     if (index != last) {
-        *voice = state->voices[last];
-        if (voice->slot < state->slot_capacity) {
-            struct hd_slot *slot = &state->slots[voice->slot];
-            if (slot->voice[voice->use] == last + 1) {
-                slot->voice[voice->use] = index + 1;
-            }
-        }
+        repoint(state, last, index + 1u);
+        state->voices[index] = state->voices[last];
     }
 }
 
@@ -108,15 +105,21 @@ HD_RT static int64_t ticks_left(double end_s, double before_s, double period_s) 
     return n;
 }
 
-/* The mode's own voice, if it rings. What is played has no slot and is known by its mode. */
-HD_RT static struct hd_voice *find_voice(const struct hd_state *state, const struct hd_strike *strike) {
+/* The mode's own voice, if it rings. What is played has no slot and is known by its mode. A mode that has become another
+ * one since (another material, or another patch of the surface) goes on ringing on its own. */
+HD_RT static struct hd_voice *find_voice(struct hd_state *state, const struct hd_strike *strike) {
     if (strike->slot < state->slot_capacity) {
         const uint32_t index = state->slots[strike->slot].voice[strike->use];
         if (index == 0) {
             return NULL;
         }
         struct hd_voice *voice = &state->voices[index - 1];
-        return voice->generation == strike->generation ? voice : NULL;
+        if (voice->generation == strike->generation && voice->rotor_re == strike->mode->rotor_re &&
+            voice->rotor_im == strike->mode->rotor_im) {
+            return voice;
+        }
+        voice->slot = HD_NO_SLOT;
+        return NULL;
     }
     for (uint32_t i = 0; i < state->voice_count; i++) {
         struct hd_voice *voice = &state->voices[i];

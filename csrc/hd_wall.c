@@ -1,41 +1,34 @@
-/* Walls: half planes. d = -(p - p0).n, F = max(0, K d + D v_n) n while d > 0, and a tap at the onset. */
-#include "hd_contact.h"
+/* Walls: half planes. d = -(p - p0).n, s = (p - p0).t; met when d goes from <= 0 to > 0. */
+#include "hd_shape.h"
 
-HD_RT static double depth_at(const struct hd_surface *surface, const double position_m[2]) {
-    const double offset[2] = {position_m[0] - surface->point_m[0], position_m[1] - surface->point_m[1]};
-    return -hd_dot(offset, surface->normal);
+HD_RT void hd_wall_place(const struct hd_object *object, const double position_m[2], struct hd_place *place) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(position_m, object->point_m, offset);
+    hd_tangent(object->normal, tangent);
+    place->depth_m = -hd_dot(offset, object->normal);
+    place->along_m = hd_dot(offset, tangent);
+    place->normal[0] = object->normal[0];
+    place->normal[1] = object->normal[1];
 }
 
-HD_RT void hd_walls_walk(struct hd_walk *walk) {
-    const uint32_t count = walk->table->wall_count;
-    for (uint32_t i = 0; i < count; i++) {
-        const struct hd_wall *wall = &walk->table->walls[i];
-        struct hd_slot *slot = hd_contact_slot(walk, &wall->key);
-        const struct hd_surface *surface = &wall->surface;
-        if (slot->touched) {
-            hd_contact_follow(walk, slot, &wall->key, surface);
-            surface = slot->touched ? &slot->now : surface;
-        }
-        const double depth = depth_at(surface, walk->input->position_m);
-        if (!(depth > 0.0)) {
-            slot->known = 1;
-            if (slot->touched) {
-                hd_contact_end(walk->state, wall->key.slot, walk->input->time_ns);
-            }
-            continue;
-        }
-        if (!slot->touched) {
-            struct hd_onset onset = {.silent = 1, .direction = {surface->normal[0], surface->normal[1]}};
-            if (slot->known && !walk->resync) {
-                const double before = depth_at(surface, walk->from_m);
-                if (before <= 0.0) {
-                    onset.silent = 0;
-                    onset.before_s = hd_before_tick(walk, before / (before - depth));
-                }
-            }
-            hd_contact_begin(walk, slot, &wall->key, surface, &wall->tap, &onset);
-        }
-        slot->known = 1;
-        hd_contact_push(walk, slot, depth, slot->now.normal);
+HD_RT int hd_wall_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+    hd_wall_place(object, walk->input->position_m, &onset->place);
+    const double depth = onset->place.depth_m;
+    if (!(depth > 0.0)) {
+        return 0;
     }
+    onset->side = 1;
+    onset->silent = 1;
+    if (!fresh) {
+        struct hd_place from;
+        hd_wall_place(object, walk->from_m, &from);
+        if (from.depth_m <= 0.0) {
+            onset->silent = 0;
+            onset->fraction = from.depth_m / (from.depth_m - depth);
+            onset->place.depth_m = 0.0;
+            onset->place.along_m = from.along_m + onset->fraction * (onset->place.along_m - from.along_m);
+        }
+    }
+    return 1;
 }

@@ -59,6 +59,17 @@ class Lib:
     HD_ERR_SYSTEM: int
     HD_ERR_TIMEOUT: int
     HD_ERR_DENIED: int
+    HD_TEXTURE_NONE: int
+    HD_TEXTURE_STRIKES: int
+    HD_TEXTURE_GEOMETRY: int
+    HD_TEXTURE_DRAG: int
+    HD_TEXTURE_NOISE: int
+    HD_NOISE_ORDER: int
+    HD_SHAPE_NONE: int
+    HD_SHAPE_WALL: int
+    HD_SHAPE_MEMBRANE: int
+    HD_SHAPE_BOX: int
+    HD_SHAPE_DISC: int
     HD_FLAG_SKIPPED: int
     HD_FLAG_CONTACT: int
     HD_FLAG_RINGING: int
@@ -78,6 +89,7 @@ class Lib:
     HD_EVENT_GLITCH: int
     HD_EVENT_DEVICE_LOST: int
     HD_EVENT_DEVICE_FOUND: int
+    HD_EVENT_GROOVE: int
     HD_CONTACT_SILENT: int
     HD_NO_SLOT: int
     HD_PLAY_SLOT: int
@@ -101,10 +113,13 @@ class Lib:
     def hd_state_enable(self, state: CData, enabled: int, /) -> None: ...
     def hd_state_faults(self, state: CData, /) -> int: ...
     def hd_state_slot(self, state: CData, slot: int, /) -> int: ...
-    def hd_table_check(self, table: CData, slot_capacity: int, /) -> int: ...
+    def hd_world_new(self) -> CData: ...
+    def hd_world_free(self, world: CData, /) -> None: ...
+    def hd_world_load(self, world: CData, table: CData, /) -> int: ...
+    def hd_world_near(self, world: CData, point_m: CData, radius_m: float, slots: CData, capacity: int, /) -> int: ...
     def hd_render(
         self,
-        table: CData,
+        world: CData,
         state: CData,
         position: CData,
         velocity: CData,
@@ -117,14 +132,10 @@ class Lib:
         /,
     ) -> int: ...
     def hd_velocity_run(
-        self,
-        step_m: float,
-        count: int,
-        interval_s: CData,
-        position: CData,
-        velocity: CData,
-        half_width: CData,
-        /,
+        self, step_m: float, count: int, interval_s: CData, position: CData, velocity: CData, half_width: CData, /
+    ) -> int: ...
+    def hd_noise_run(
+        self, noise: CData, numbers: CData, number_count: int, count: int, speed: CData, force: CData, out: CData, /
     ) -> int: ...
     def hd_operator_new(self, waypoints: CData, count: int, interpolation: int, /) -> CData: ...
     def hd_operator_free(self, path: CData, /) -> None: ...
@@ -138,7 +149,7 @@ class Lib:
     def hd_sim_truth(self, sim: CData, position: CData, velocity: CData, force: CData, /) -> None: ...
     def hd_simulate(
         self,
-        table: CData,
+        world: CData,
         state: CData,
         sim: CData,
         count: int,

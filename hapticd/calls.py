@@ -94,6 +94,7 @@ class Status(TypedDict):
     lease_s: float | None
     counters: dict[str, int]
     undisplayable: list[dict[str, Json]]
+    warnings: list[dict[str, str]]
 
 
 class SceneResult(TypedDict):

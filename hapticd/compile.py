@@ -1,79 +1,62 @@
 """From scene and materials to the table that the tick reads: flat C records in the units of a tick.
 
-The compiler keeps a record for each object and rewrites only what changed, so that an update of one object costs the
-same in a large scene as in a small one. It also hands out slots: an object keeps its slot and generation, and with
-them its contact state, as long as it keeps its id and kind. Validation is over when something gets here.
+    objects[]    one record a slot. An object keeps its slot, and with generation and slot its contact state, as long as
+                 it keeps its id and kind
+    materials[]  those that objects are made of, each at its index as long as anything is made of it
+    pieces[]     of the walls with patches, wall after wall
+    noises[]     of the materials that sound, each at its index; `numbers` holds their filters
+
+The compiler rewrites only what changed, so that an update of one object costs the same in a large scene as in a small
+one. Places are handed out lowest first, so that the arrays stay as dense as their fullest time made them. Validation is
+over when something gets here.
 """
 
 from __future__ import annotations
 
 import cmath
+import heapq
 import math
 import struct
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Final, Literal
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final, NamedTuple, TypeAlias, TypeGuard
 
-from hapticd.core import CData, ffi
-from hapticd.materials import Material, Mode
-from hapticd.scene import (
-    MAX_OBJECTS,
-    Constant,
-    Membrane,
-    Scene,
-    SceneObject,
-    Spring,
-    Viscous,
-    Wall,
+import numpy as np
+import numpy.typing as npt
+
+from hapticd import noise
+from hapticd.core import (
+    MATERIAL_DTYPE,
+    NOISE_DTYPE,
+    OBJECT_DTYPE,
+    PIECE_DTYPE,
+    CData,
+    Shape,
+    Texture,
+    ffi,
+    pointer,
+    records,
 )
+from hapticd.displayable import Output, displayed_mode, displayed_pair
+from hapticd.materials import Material
+from hapticd.mode import Mode
+from hapticd.scene import Scene, SceneObject, Surface, Wall
+from hapticd.texture import Autoregressive, Grooves, Stochastic
 
-DISPLAYABLE: Final = 0.4
-"""Modes above this fraction of the rate are not displayed as they are (models 1)."""
+HISTORY: Final = 65536
+"""Objects that are gone and still known by name: events speak of them a moment later."""
 
-_KEY = "4I"
-_SURFACE = "8d"
-_MODE = "9d"
-_WALL = struct.Struct("=" + _KEY + _SURFACE + _MODE)
-_MEMBRANE = struct.Struct("=" + _KEY + _SURFACE + 2 * _MODE)
-if _WALL.size != ffi.sizeof("struct hd_wall") or _MEMBRANE.size != ffi.sizeof("struct hd_membrane"):
+_RECORD = struct.Struct("=8I6d")
+if _RECORD.size != OBJECT_DTYPE.itemsize:
     raise ImportError("the records of hapticd.compile are not those of csrc/hd_api.h")
 
-_SILENT: tuple[float, ...] = (0.0,) * 9
+_LARGEST: Final = 0xFFFFFFFF
+_QUANTUM: Final = 1 << 1074
+"""Every double is a whole number of 1/_QUANTUM."""
 
-
-@dataclass(frozen=True, slots=True)
-class Output:
-    """What the device and the rate make of a scene."""
-
-    rate_hz: float
-    effective_mass_kg: float
-    max_force_n: float
-    max_speed_m_per_s: float
-    undisplayable: Literal["mute", "lower"]
-
-
-@dataclass(frozen=True, slots=True)
-class Undisplayable:
-    """A mode that the rate cannot carry: `shown_hz` is what is displayed in its place, None if nothing is."""
-
-    material: str
-    mode: Literal["tap", "rupture"]
-    frequency_hz: float
-    shown_hz: float | None
-
-
-def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
-    """The mode as the rate can carry it, and the factor on its coefficient that keeps the first peak.
-
-    Above 0.4 of the rate a mode is muted (None) or lowered to 0.4 of the rate (models 1).
-    """
-    highest = 2.0 * math.pi * DISPLAYABLE * output.rate_hz
-    if mode.angular_frequency_rad_per_s <= highest:
-        return mode, 1.0
-    if output.undisplayable == "mute":
-        return None, 1.0
-    lowered = Mode(decay_rate_per_s=mode.decay_rate_per_s, angular_frequency_rad_per_s=highest)
-    return lowered, mode.peak / lowered.peak
+_Place: TypeAlias = tuple[float, float, float, float, float, float]
+_Pieces: TypeAlias = tuple[tuple[float, float, int], ...]
 
 
 def mode_record(
@@ -105,125 +88,349 @@ def mode_record(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Compiled:
-    """A material in the units of a tick."""
-
-    stiffness: float
-    damping: float
-    rupture_depth: float
-    heals: bool
-    tap: tuple[float, ...]
-    rupture: tuple[float, ...]
-
-
-def compile_material(material: Material, output: Output) -> _Compiled:
-    """The records of a material's modes and the numbers of its surface."""
-    tap: tuple[float, ...] = _SILENT
-    rupture: tuple[float, ...] = _SILENT
-    depth, heals = 0.0, False
+def material_record(material: Material, noise_index: int, output: Output) -> CData:
+    """A `struct hd_material *`; `noise_index` is where its noise is, for a texture that is noise."""
+    record = ffi.new("struct hd_material *")
+    record.stiffness_n_per_m = material.stiffness_n_per_m
+    record.damping_n_s_per_m = material.damping_n_s_per_m
     if material.tap is not None:
-        slope = material.tap.attack_slope_per_s
-        mode = material.tap.mode
-        tap = mode_record(mode, slope, mode.coefficient(slope, material.tap.attack), output)
+        slope, mode = material.tap.attack_slope_per_s, material.tap.mode
+        record.tap = mode_record(mode, slope, mode.coefficient(slope, material.tap.attack), output)
     if material.rupture is not None:
         amplitude = material.rupture.amplitude_m_per_s2
-        rupture = mode_record(material.rupture.mode, amplitude, amplitude, output)
-        depth, heals = material.rupture.rupture_depth_m, material.rupture.heals
-    return _Compiled(material.stiffness_n_per_m, material.damping_n_s_per_m, depth, heals, tap, rupture)
+        record.rupture = mode_record(material.rupture.mode, amplitude, amplitude, output)
+        record.rupture_depth_m = material.rupture.rupture_depth_m
+        record.heals = material.rupture.heals
+    if material.friction is not None:
+        record.friction_coefficient = material.friction.coefficient
+        record.friction_stiffness_n_per_m = material.friction.stiffness_n_per_m
+    texture = material.texture
+    if isinstance(texture, Grooves):
+        record.spacing_m = texture.spacing_m
+        record.width_m = texture.width_m
+        if texture.display == "vibration":
+            assert material.groove_mode is not None
+            record.texture = Texture.STRIKES
+            record.velocity_gain_per_s = texture.velocity_gain_per_s
+            record.force_gain_m_per_s2_per_n = texture.force_gain_m_per_s2_per_n
+            record.groove = mode_record(material.groove_mode, 1.0, 1.0, output)
+        elif texture.display == "geometry":
+            record.texture = Texture.GEOMETRY
+            record.depth_m = texture.depth_m
+        else:
+            record.texture = Texture.DRAG
+            record.drag_n_s_per_m = texture.damping_n_s_per_m
+    elif texture is not None:
+        record.texture = Texture.NOISE
+        record.noise = noise_index
+    return record
 
 
-class _Records:
-    """Densely packed C records by object id, in memory that C reads in place."""
+class _Design(NamedTuple):
+    """The filters of a noise at the servo's rate, over tangential speed (m/s) and normal force (N)."""
 
-    def __init__(self, layout: struct.Struct, ctype: str) -> None:
-        self._layout = layout
+    order: int
+    taps: bool
+    speeds: tuple[float, ...]
+    forces: tuple[float, ...]
+    nodes: npt.NDArray[np.float64]
+    """(speeds, forces, 1 + order, and order + 1 with taps): RMS in m/s^2, reflection coefficients, ladder taps."""
+    muted: bool
+
+    def numbers(self) -> npt.NDArray[np.float64]:
+        return np.concatenate((self.speeds, self.forces, self.nodes.ravel()))
+
+
+_SILENCE: Final = _Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
+
+
+@lru_cache(maxsize=512)
+def _design(texture: Stochastic | Autoregressive, output: Output) -> _Design:
+    """Designed once: what is asked for is immutable, and materials come and go with the objects."""
+    if isinstance(texture, Stochastic):
+        pair = displayed_pair(texture, output)
+        if pair is None:
+            return _SILENCE
+        shown = noise.stochastic_filter(*pair, output.rate_hz)
+        taps = () if shown.taps is None else shown.taps
+        node = np.array([0.0, *shown.reflection, *taps])
+        return _Design(len(shown.reflection), bool(taps), (0.0,), (0.0,), node.reshape(1, 1, -1), False)
+    models = []
+    for model in texture.models:
+        given = noise.reflection_of(model.coefficients)
+        rms = model.innovation_m_per_s2 / math.sqrt(math.prod(1.0 - k * k for k in given))
+        reflection, kept = noise.resampled(given, texture.rate_hz, output.rate_hz)
+        models.append(noise.Model(model.speed_m_per_s, model.force_n, reflection, rms * math.sqrt(kept)))
+    order = max(len(model.reflection) for model in models)
+    grid = noise.grid(models, order)
+    return _Design(order, False, grid.speeds, grid.forces, grid.nodes, False)
+
+
+class _Places:
+    """Places in an array, the lowest free one first."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        """The array is so long."""
+        self._free: list[int] = []
+
+    def take(self, wanted: int | None = None) -> int:
+        """A free place; `wanted`, which is free, where that is given."""
+        if wanted is not None:
+            self._free.remove(wanted)
+            heapq.heapify(self._free)
+            return wanted
+        if self._free:
+            return heapq.heappop(self._free)
+        self.count += 1
+        return self.count - 1
+
+    def give(self, place: int) -> None:
+        heapq.heappush(self._free, place)
+
+
+class _Rows:
+    """C records in memory that C reads in place; it grows by doubling."""
+
+    def __init__(self, ctype: str, dtype: np.dtype[np.void]) -> None:
         self._ctype = ctype
-        self._ids: list[str] = []
-        self._place: dict[str, int] = {}
-        self._memory = bytearray()
-        self._reserve(16)
+        self._hold(records(dtype, 16))
 
-    def _reserve(self, capacity: int) -> None:
-        memory = bytearray(capacity * self._layout.size)
-        used = len(self._ids) * self._layout.size
-        if used:
-            memory[:used] = self._memory[:used]
-        self._memory = memory
-        self._capacity = capacity
-        self.pointer: CData = ffi.cast(self._ctype + " *", ffi.from_buffer("char[]", memory))
+    def _hold(self, array: npt.NDArray[np.void]) -> None:
+        self.array = array
+        self.memory = memoryview(array.view(np.uint8))  # type: ignore[arg-type]
+        self.pointer: CData = pointer(self._ctype + "[]", array)
 
-    def __len__(self) -> int:
-        return len(self._ids)
-
-    def put(self, id: str, *values: float) -> None:
-        place = self._place.get(id)
-        if place is None:
-            place = self._place[id] = len(self._ids)
-            if place == self._capacity:
-                self._reserve(2 * self._capacity)
-            self._ids.append(id)
-        self._layout.pack_into(self._memory, place * self._layout.size, *values)
-
-    def remove(self, id: str) -> None:
-        place = self._place.pop(id)
-        last = self._ids.pop()
-        if last != id:
-            size = self._layout.size
-            end = len(self._ids) * size
-            self._memory[place * size : (place + 1) * size] = self._memory[end : end + size]
-            self._ids[place] = last
-            self._place[last] = place
+    def reserve(self, count: int) -> None:
+        if count > len(self.array):
+            before = self.memory
+            self._hold(records(self.array.dtype, max(count, 2 * len(self.array))))
+            self.memory[: len(before)] = before
 
 
-@dataclass(slots=True)
-class _Placed:
-    """An object with a slot."""
-
-    slot: int
-    generation: int
-    version: int
-    kind: str
-    surface: tuple[float, ...]
-
-
-@dataclass(slots=True)
-class _Field:
-    """What a constant, spring or viscous object adds to the field: F = force - stiffness p - damping v."""
-
-    force_n: tuple[float, float]
-    stiffness_n_per_m: float
-    damping_n_s_per_m: float
-
-
-class Compiler:
-    """Keeps the table of one scene up to date."""
+class _Materials:
+    """The materials that are used: a record and an index for each, kept as long as anything is made of it."""
 
     def __init__(self, output: Output) -> None:
         self._output = output
-        self._walls = _Records(_WALL, "struct hd_wall")
-        self._membranes = _Records(_MEMBRANE, "struct hd_membrane")
-        self._placed: dict[str, _Placed] = {}
-        self._fields: dict[str, _Field] = {}
-        self._free = list(range(MAX_OBJECTS - 1, -1, -1))
-        self._generation = 0
-        self._version = 0
-        self._field_version = 0
-        self._materials: dict[str, tuple[Material, _Compiled]] = {}
-        self._names: dict[tuple[int, int], str] = {}
+        self._places = _Places()
+        self._index: dict[str, int] = {}
+        self._names: list[str] = []
+        self._uses: list[int] = []
+        self._known: list[Material] = []
+        self._source: Mapping[str, Material] = {}
+        self._rows = _Rows("struct hd_material", MATERIAL_DTYPE)
+        self._noise_places = _Places()
+        self._noise_of: dict[int, int] = {}
+        """Material to noise."""
+        self._noises = records(NOISE_DTYPE, 0)
+        self._numbers = np.zeros(0)
+        self._noises_changed = False
+        self.changed = False
+        """Since `write` was called."""
+
+    def turn_to(self, source: Mapping[str, Material]) -> list[int]:
+        """Takes materials from `source` from now on, which stays as it is; the indices whose material changed."""
+        if source is self._source:
+            return []
+        self._source = source
+        stale = []
+        for name, index in self._index.items():
+            material = source.get(name, self._known[index])
+            if material is not self._known[index] and material != self._known[index]:
+                stale.append(index)
+            self._known[index] = material
+        for index in stale:
+            self._compile(index)
+        return stale
+
+    def use(self, name: str) -> int:
+        """The index of a material that one thing more is made of."""
+        index = self._index.get(name)
+        if index is None:
+            index = self._index[name] = self._places.take()
+            if index == len(self._names):
+                self._names.append(name)
+                self._uses.append(0)
+                self._known.append(self._source[name])
+                self._rows.reserve(index + 1)
+            else:
+                self._names[index], self._known[index] = name, self._source[name]
+            self._compile(index)
+        self._uses[index] += 1
+        return index
+
+    def release(self, index: int) -> None:
+        """One thing less is made of it."""
+        self._uses[index] -= 1
+        if self._uses[index] == 0:
+            del self._index[self._names[index]]
+            self._places.give(index)
+            self._silence(index)
+            self._rows.pointer[index] = ffi.new("struct hd_material *")[0]
+            self.changed = True
+
+    def _compile(self, index: int) -> None:
+        material = self._known[index]
+        if isinstance(material.texture, Stochastic | Autoregressive):
+            if index not in self._noise_of:
+                self._noise_of[index] = self._noise_places.take()
+            self._noises_changed = True
+        else:
+            self._silence(index)
+        self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self._output)[0]
+        self.changed = True
+
+    def _silence(self, index: int) -> None:
+        place = self._noise_of.pop(index, None)
+        if place is not None:
+            self._noise_places.give(place)
+            self._noises_changed = True
+
+    def write(self, table: CData) -> None:
+        """Puts materials, noises and numbers into a table."""
+        if self._noises_changed:
+            self._rebuild_noises()
+        table.material_count = self._places.count
+        table.materials = self._rows.pointer
+        table.noise_count = len(self._noises)
+        table.noises = pointer("struct hd_noise[]", self._noises)
+        table.number_count = len(self._numbers)
+        table.numbers = pointer("double[]", self._numbers)
+        self.changed = self._noises_changed = False
+
+    def _rebuild_noises(self) -> None:
+        """All noises and their numbers. At a place that is free there is silence."""
+        self._noises = records(NOISE_DTYPE, self._noise_places.count)
+        used = {place: index for index, place in self._noise_of.items()}
+        numbers = []
+        first = 0
+        for place, record in enumerate(pointer("struct hd_noise[]", self._noises)):
+            design = _SILENCE
+            if place in used:
+                texture = self._known[used[place]].texture
+                assert isinstance(texture, Stochastic | Autoregressive)
+                design = _design(texture, self._output)
+                record.along_normal = texture.direction == "normal"
+                record.seed = texture.seed
+                record.threshold_m_per_s = texture.threshold_m_per_s
+                if isinstance(texture, Stochastic):
+                    record.velocity_gain_per_s = texture.velocity_gain_per_s
+                    record.force_gain_m_per_s2_per_n = texture.force_gain_m_per_s2_per_n
+            record.order, record.taps = design.order, design.taps
+            record.speed_count, record.force_count = len(design.speeds), len(design.forces)
+            record.first = first
+            record.force_per_unit = 0.0 if design.muted else self._output.effective_mass_kg
+            numbers.append(design.numbers())
+            first += len(numbers[-1])
+        self._numbers = np.concatenate(numbers)
+
+
+class _Fields:
+    """The sum of all fields, F = force - stiffness p - damping v, exact however often they come and go."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, tuple[float, float, float, float]] = {}
+        self._sums = [0, 0, 0, 0]
+
+    def put(self, id: str, item: SceneObject | None) -> bool:
+        """Takes what a field exerts, or None for what is none; whether the sum changed."""
+        before = self._parts.pop(id, None)
+        after = None if item is None else _field_of(item)
+        if after is not None:
+            self._parts[id] = after
+        if before == after:
+            return False
+        for place in range(4):
+            new = 0 if after is None else _quanta(after[place])
+            old = 0 if before is None else _quanta(before[place])
+            self._sums[place] += new - old
+        return True
+
+    def write(self, field: CData) -> None:
+        """Puts the sums, correctly rounded, into a `struct hd_field`."""
+        x, y, field.stiffness_n_per_m, field.damping_n_s_per_m = (total / _QUANTUM for total in self._sums)
+        field.force_n = (x, y)
+
+
+def _quanta(value: float) -> int:
+    numerator, denominator = value.as_integer_ratio()
+    return numerator * (_QUANTUM // denominator)
+
+
+def _field_of(item: SceneObject) -> tuple[float, float, float, float] | None:
+    """Force (x, y), stiffness and damping; None for a surface."""
+    if item.kind == "spring":
+        stiffness = item.stiffness_n_per_m
+        return stiffness * item.center_m[0], stiffness * item.center_m[1], stiffness, item.damping_n_s_per_m
+    if item.kind == "viscous":
+        return 0.0, 0.0, 0.0, item.damping_n_s_per_m
+    if item.kind == "constant":
+        return item.force_n[0], item.force_n[1], 0.0, 0.0
+    return None
+
+
+# By kind: isinstance of a pydantic model costs more than the rest of its record. So does a member of an enum.
+_SURFACE_KINDS: Final = frozenset(("wall", "membrane", "box", "disc"))
+_NONE, _WALL, _MEMBRANE, _BOX, _DISC = map(int, (Shape.NONE, Shape.WALL, Shape.MEMBRANE, Shape.BOX, Shape.DISC))
+
+
+def _is_surface(item: SceneObject | None) -> TypeGuard[Surface]:
+    return item is not None and item.kind in _SURFACE_KINDS
+
+
+def _place_of(item: Surface) -> tuple[int, _Place]:
+    """Shape, and point, normal and half as csrc/hd_api.h defines them."""
+    if item.kind == "wall":
+        return _WALL, (*item.point_m, *item.normal, 0.0, 0.0)
+    if item.kind == "box":
+        width, height = item.size_m
+        angle = item.angle_rad
+        return _BOX, (*item.center_m, -math.sin(angle), math.cos(angle), width / 2.0, height / 2.0)
+    if item.kind == "disc":
+        return _DISC, (*item.center_m, 0.0, 1.0, item.radius_m, item.radius_m)
+    return _MEMBRANE, (*item.center_m, *item.normal, item.width_m / 2.0, 0.0)
+
+
+class Compiler:
+    """Keeps the table of one scene up to date. One thread at a time, but for `name_of`."""
+
+    def __init__(self, output: Output) -> None:
+        self._objects = _Rows("struct hd_object", OBJECT_DTYPE)
+        self._places = _Places()
+        self._slots: dict[str, int] = {}
+        self._owners: list[tuple[int, str] | None] = []
+        """Generation and id, by slot."""
+        self._gone: dict[tuple[int, int], str] = {}
+        self._lost: dict[str, tuple[int, int]] = {}
+        """Slot and generation that ids lost at the last update."""
+        self._patched: dict[int, _Pieces] = {}
+        """What walls with patches are made of, by slot: (from_m, half_ramp_m, material)."""
+        self._pieces = records(PIECE_DTYPE, 0)
+        self._pieces_changed = False
+        self._materials = _Materials(output)
+        self._fields = _Fields()
+        self._changed: set[int] = set()
+        self._changed_slots = np.zeros(0, np.uint32)
+        self._stamp = 0
         self._table: CData = ffi.new("struct hd_table *")
         self._table.period_s = 1.0 / output.rate_hz
         self._table.max_force_n = output.max_force_n
         self._table.max_speed_m_per_s = output.max_speed_m_per_s
+        self._table.all_changed = 1
 
     def slot_of(self, id: str) -> tuple[int, int] | None:
         """Slot and generation of a surface; None for a field and for an unknown id."""
-        placed = self._placed.get(id)
-        return None if placed is None else (placed.slot, placed.generation)
+        slot = self._slots.get(id)
+        owner = None if slot is None else self._owners[slot]
+        return None if slot is None or owner is None else (slot, owner[0])
 
     def name_of(self, slot: int, generation: int) -> str | None:
-        """The id of the object that has, or had, a slot; None where it is too long ago."""
-        return self._names.get((slot, generation))
+        """The id of the object that has, or had, a slot; None where it is too long ago. For any thread."""
+        owner = self._owners[slot] if slot < len(self._owners) else None
+        if owner is not None and owner[0] == generation:
+            return owner[1]
+        return self._gone.get((slot, generation))
 
     def update(
         self,
@@ -232,107 +439,170 @@ class Compiler:
         materials: Mapping[str, Material],
         revision: int,
     ) -> CData:
-        """Bring the records of the objects `changed` (ids, present in the scene or not) up to date.
+        """Brings the records of the objects `changed` (ids, present in the scene or not) up to date, and those of all
+        objects that are made of a material that changed.
 
-        Returns the `struct hd_table *`, which stays valid and is the same one at every call.
+        `materials` defines every material of the scene, and stays as it is. Returns the `struct hd_table *`, which
+        stays valid and is the same one at every call. Its `changed` grows until `published` is called.
         """
+        self._lost = {}
+        return self._update(scene, list(changed), materials, revision, {})
+
+    def published(self) -> None:
+        """The table was taken: what changes from now on is a change to it."""
+        self._changed.clear()
+        self._table.all_changed = 0
+
+    def restore(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
+        """The table of the last update was refused: back to what was in force, given as in `update`, slots and
+        generations included. The next table is to be taken whole."""
+        self._table.all_changed = 1
+        former, self._lost = self._lost, {}
+        self._update(scene, list(changed), materials, revision, former)
+
+    def _update(
+        self,
+        scene: Scene,
+        ids: list[str],
+        materials: Mapping[str, Material],
+        revision: int,
+        former: Mapping[str, tuple[int, int]],
+    ) -> CData:
+        self._stamp = self._stamp % _LARGEST + 1
+        objects, table = scene.objects, self._table
         fields_changed = False
-        # What goes makes room for what comes: there are as many slots as objects.
-        for id in sorted(changed, key=lambda id: id in scene.objects):
-            fields_changed |= self._put(id, scene.objects.get(id), materials)
-        table = self._table
+        # What goes makes room for what comes.
+        for id in ids:
+            item = objects.get(id)
+            surface = _is_surface(item)
+            if not surface and id in self._slots:
+                self._remove(id)
+            fields_changed |= self._fields.put(id, None if surface else item)
+        self._show_again(self._materials.turn_to(materials))
+        for id in ids:
+            item = objects.get(id)
+            if _is_surface(item):
+                self._put(id, item, former.get(id))
+        if self._pieces_changed or self._materials.changed:
+            table.parts_version = self._stamp
+            self._write_parts()
+        if fields_changed:
+            table.field_version = self._stamp
+            self._fields.write(table.field)
         table.revision = revision
         table.display_force = scene.display.force
         table.display_vibration = scene.display.vibration
         table.ramp_s = scene.ramp_s
         table.ramp_step = table.period_s / scene.ramp_s
-        table.wall_count = len(self._walls)
-        table.membrane_count = len(self._membranes)
-        table.walls = self._walls.pointer
-        table.membranes = self._membranes.pointer
-        if fields_changed:
-            self._field_version += 1
-            fields = self._fields.values()
-            table.field_version = self._field_version
-            table.field.force_n[0] = math.fsum(field.force_n[0] for field in fields)
-            table.field.force_n[1] = math.fsum(field.force_n[1] for field in fields)
-            table.field.stiffness_n_per_m = math.fsum(field.stiffness_n_per_m for field in fields)
-            table.field.damping_n_s_per_m = math.fsum(field.damping_n_s_per_m for field in fields)
+        table.object_count = self._places.count
+        table.objects = self._objects.pointer
+        self._changed_slots = np.fromiter(self._changed, np.uint32, len(self._changed))
+        table.changed_count = len(self._changed_slots)
+        table.changed = pointer("uint32_t[]", self._changed_slots)
         return table
 
-    def undisplayable(self, materials: Mapping[str, Material]) -> list[Undisplayable]:
-        """The modes of these materials that the rate cannot carry."""
-        found = []
-        for name, material in materials.items():
-            tap = material.tap.mode if material.tap is not None else None
-            rupture = material.rupture.mode if material.rupture is not None else None
-            uses: tuple[tuple[Literal["tap", "rupture"], Mode | None], ...] = (("tap", tap), ("rupture", rupture))
-            for use, mode in uses:
-                if mode is None:
-                    continue
-                shown, _ = displayed_mode(mode, self._output)
-                if shown is not mode:
-                    shown_hz = None if shown is None else shown.frequency_hz
-                    found.append(Undisplayable(name, use, mode.frequency_hz, shown_hz))
-        return found
+    def _put(self, id: str, item: Surface, former: tuple[int, int] | None) -> None:
+        """`former`: slot and generation that it gets back."""
+        stamp = self._stamp
+        shape, place = _place_of(item)
+        material = self._materials.use(item.material)
+        pieces = self._use_pieces(item) if item.kind == "wall" and item.patches else ()
+        generation = stamp if former is None else former[1]
+        place_version = skin_version = stamp
+        first = 0
+        held: _Pieces = ()
+        slot = self._slots.get(id)
+        if slot is None:
+            slot = self._slots[id] = self._places.take(None if former is None else former[0])
+            if slot == len(self._owners):
+                self._owners.append(None)
+                self._objects.reserve(slot + 1)
+            self._owners[slot] = (generation, id)
+        else:
+            before = _RECORD.unpack_from(self._objects.memory, slot * _RECORD.size)
+            held = self._patched.get(slot, ())
+            if before[3] == shape:
+                generation = before[0]
+                if before[8:] == place:
+                    place_version = before[1]
+                if before[4] == material and held == pieces:
+                    skin_version, first = before[2], before[5]
+            else:
+                self._forget(slot)
+                self._owners[slot] = (generation, id)
+            self._materials.release(before[4])
+        if held or pieces:
+            self._turn_pieces(slot, held, pieces)
+        key = (generation, place_version, skin_version, shape, material, first, len(pieces), 0)
+        _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
+        self._changed.add(slot)
 
-    def _material(self, name: str, materials: Mapping[str, Material]) -> _Compiled:
-        material = materials[name]
-        known = self._materials.get(name)
-        if known is None or known[0] is not material:
-            known = self._materials[name] = (material, compile_material(material, self._output))
-        return known[1]
+    def _remove(self, id: str) -> None:
+        slot = self._slots.pop(id)
+        self._forget(slot)
+        self._materials.release(_RECORD.unpack_from(self._objects.memory, slot * _RECORD.size)[4])
+        self._turn_pieces(slot, self._patched.get(slot, ()), ())
+        _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, self._stamp, *(0,) * 7, *(0.0,) * 6)
+        self._places.give(slot)
+        self._changed.add(slot)
 
-    def _place(self, id: str, kind: str, surface: tuple[float, ...]) -> _Placed:
-        placed = self._placed.get(id)
-        if placed is not None and placed.kind == kind:
-            if placed.surface != surface:
-                self._version += 1
-                placed.version = self._version
-                placed.surface = surface
-            return placed
-        self._generation += 1
-        self._version += 1
-        placed = _Placed(self._free.pop(), self._generation, self._version, kind, surface)
-        self._placed[id] = placed
-        self._names[placed.slot, placed.generation] = id
-        if len(self._names) > 4 * MAX_OBJECTS:
-            del self._names[next(iter(self._names))]
-        return placed
+    def _forget(self, slot: int) -> None:
+        """The slot has no owner any more; its name is kept for a while."""
+        owner = self._owners[slot]
+        assert owner is not None
+        self._gone[slot, owner[0]] = owner[1]
+        self._lost[owner[1]] = (slot, owner[0])
+        self._owners[slot] = None
+        if len(self._gone) > HISTORY:
+            del self._gone[next(iter(self._gone))]
 
-    def _drop(self, id: str) -> None:
-        placed = self._placed.pop(id)
-        self._free.append(placed.slot)
-        (self._walls if placed.kind == "wall" else self._membranes).remove(id)
+    def _use_pieces(self, wall: Wall) -> _Pieces:
+        """The pieces of a wall; where two meet, they share the shorter of the ramp and the stretches beside it."""
+        pieces = wall.pieces()
+        begins = [piece.from_m for piece in pieces] + [math.inf]
+        lengths = [end - begin for begin, end in pairwise(begins)]
+        found = [(0.0, 0.0, self._materials.use(pieces[0].material))]
+        for piece, beside in zip(pieces[1:], pairwise(lengths), strict=True):
+            half_ramp = min(wall.patch_ramp_m, *beside) / 2.0
+            found.append((piece.from_m, half_ramp, self._materials.use(piece.material)))
+        return tuple(found)
 
-    def _put(self, id: str, item: SceneObject | None, materials: Mapping[str, Material]) -> bool:
-        """One object; whether the field changed."""
-        placed = self._placed.get(id)
-        if placed is not None and (item is None or item.kind != placed.kind):
-            self._drop(id)
-        before = self._fields.pop(id, None)
-        if isinstance(item, Wall):
-            material = self._material(item.material, materials)
-            surface = (*item.point_m, *item.normal, material.stiffness, material.damping, 0.0, 0.0)
-            placed = self._place(id, "wall", surface)
-            self._walls.put(id, placed.slot, placed.generation, placed.version, 0, *surface, *material.tap)
-        elif isinstance(item, Membrane):
-            material = self._material(item.material, materials)
-            width, depth = item.width_m / 2.0, material.rupture_depth
-            surface = (*item.center_m, *item.normal, material.stiffness, material.damping, width, depth)
-            placed = self._place(id, "membrane", surface)
-            key = (placed.slot, placed.generation, placed.version, int(material.heals))
-            self._membranes.put(id, *key, *surface, *material.tap, *material.rupture)
-        elif item is not None:
-            self._fields[id] = _field_of(item)
-        return before != self._fields.get(id)
+    def _turn_pieces(self, slot: int, held: _Pieces, pieces: _Pieces) -> None:
+        """What was of pieces `held` is of `pieces` now; those that stay lie where they are."""
+        for _, _, material in held:
+            self._materials.release(material)
+        if held != pieces:
+            self._pieces_changed = True
+            self._patched.pop(slot, None)
+            if pieces:
+                self._patched[slot] = pieces
 
+    def _show_again(self, materials: list[int]) -> None:
+        """Marks what is made of these materials."""
+        if not materials:
+            return
+        array = self._objects.array[: self._places.count]
+        touched = np.isin(array["material"], materials) & (array["shape"] != _NONE)
+        for slot, pieces in self._patched.items():
+            touched[slot] |= any(material in materials for _, _, material in pieces)
+        array["skin_version"][touched] = self._stamp
+        self._changed.update(np.flatnonzero(touched).tolist())
 
-def _field_of(item: Spring | Viscous | Constant) -> _Field:
-    if isinstance(item, Spring):
-        stiffness = item.stiffness_n_per_m
-        force = (stiffness * item.center_m[0], stiffness * item.center_m[1])
-        return _Field(force, stiffness, item.damping_n_s_per_m)
-    if isinstance(item, Viscous):
-        return _Field((0.0, 0.0), 0.0, item.damping_n_s_per_m)
-    return _Field((item.force_n[0], item.force_n[1]), 0.0, 0.0)
+    def _write_parts(self) -> None:
+        table = self._table
+        if self._pieces_changed:
+            self._pieces = records(PIECE_DTYPE, sum(map(len, self._patched.values())))
+            rows = pointer("struct hd_piece[]", self._pieces)
+            array = self._objects.array
+            first = 0
+            for slot, pieces in self._patched.items():
+                if array["piece_first"][slot] != first:
+                    array["piece_first"][slot] = first
+                    self._changed.add(slot)
+                for place, piece in enumerate(pieces, first):
+                    rows[place] = (*piece, 0)
+                first += len(pieces)
+            self._pieces_changed = False
+        table.piece_count = len(self._pieces)
+        table.pieces = pointer("struct hd_piece[]", self._pieces)
+        self._materials.write(table)

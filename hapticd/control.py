@@ -14,16 +14,25 @@ from pydantic import Field, ValidationError
 
 from hapticd._version import __version__
 from hapticd.core import Fault
+from hapticd.displayable import rate_faults
 from hapticd.engine import Engine, RingFullError, WaitTimeoutError, monotonic_ns
-from hapticd.errors import InvalidError, Problem, known_names, path_text, quoted
+from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
-from hapticd.materials import MAX_MATERIALS, Material, ModeKeys, shipped_materials, validate_materials
+from hapticd.materials import MAX_MATERIALS, Material, shipped_materials, validate_materials
 from hapticd.merge_patch import merge_patch
+from hapticd.mode import ModeKeys
 from hapticd.model import MAX_FAULTS, Model, Name, Position, problems_of
 from hapticd.operator import Target, parse_operator
-from hapticd.scene import MAX_OBJECTS, Membrane, SceneObject, Wall, reference_problems, validate_object, validate_scene
+from hapticd.scene import (
+    MAX_OBJECTS,
+    SceneObject,
+    materials_of,
+    reference_problems,
+    validate_object,
+    validate_scene,
+)
 from hapticd.wire import PROTOCOL, Code
 
 _FAULT_WORDS: Final = {
@@ -105,7 +114,7 @@ class Control:
         self._engine = engine
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._wish = engine.config.device.sim.start_m
-        self._undisplayable: tuple[int, list[dict[str, object]]] = (0, [])
+        self._limits: tuple[int, dict[str, object]] = (0, {})
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method. Raises MethodError."""
@@ -155,16 +164,20 @@ class Control:
                 "glitches": counters.glitches,
                 "saturations": counters.saturations,
             },
-            "undisplayable": self._find_undisplayable(),
+            **self._find_limits(),
         }
 
-    def _find_undisplayable(self) -> list[dict[str, object]]:
-        """What the rate cannot carry, found anew only when the scene or the materials changed."""
-        revision, found = self._undisplayable
-        if revision != self._engine.revision:
-            revision = self._engine.revision
-            found = [asdict(mode) for mode in self._engine.undisplayable()]
-            self._undisplayable = (revision, found)
+    def _find_limits(self) -> dict[str, object]:
+        """What the rate cannot carry as it is, found anew only when the scene or the materials changed."""
+        known, found = self._limits
+        revision = self._engine.revision
+        if known != revision:
+            undisplayable, warnings = self._engine.limits()
+            found = {
+                "undisplayable": [asdict(mode) for mode in undisplayable],
+                "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
+            }
+            self._limits = (revision, found)
         return found
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
@@ -179,9 +192,10 @@ class Control:
         self._expect(params)
         scene = validate_scene(params.scene, ("scene",))
         self._engine.beat()  # the largest scenes take their time; every stage shows that somebody is at work
-        problems = reference_problems(scene.objects, self._engine.materials, ("scene",))[:MAX_FAULTS]
+        problems = self._problems_of(scene.objects, ("scene",))
         if problems:
             raise _faulty(problems)
+        self._engine.beat()
         return self._changed(self._engine.set_scene(scene), params)
 
     def _update_scene(self, params: _UpdateScene) -> dict[str, object]:
@@ -207,11 +221,27 @@ class Control:
                 problems += error.problems
         if not problems:
             present = {id: item for id, item in changes.items() if item is not None}
-            problems = reference_problems(present, engine.materials)[:MAX_FAULTS]
+            problems = self._problems_of(present)
         if problems:
             raise _faulty(problems)
         engine.beat()
         return self._changed(engine.update_objects(changes), params)
+
+    def _problems_of(self, objects: Mapping[str, SceneObject], root: Path = ()) -> list[Problem]:
+        """Materials that these objects name and nobody defines, or no signal of this rate has."""
+        engine = self._engine
+        problems = reference_problems(objects, engine.materials, root)[:MAX_FAULTS]
+        if problems or not rate_faults(objects, engine.materials, engine.output):
+            return problems
+        for id, item in objects.items():
+            for index, name in enumerate(materials_of(item)):
+                inner: Path = ("patches", index - 1, "material") if index else ("material",)
+                where = path_text((*root, "objects", id, *inner))
+                alone = {name: engine.materials[name]}
+                problems += [Problem(where, str(fault)) for fault in rate_faults({id: item}, alone, engine.output)]
+            if len(problems) >= MAX_FAULTS:
+                break
+        return problems[:MAX_FAULTS]
 
     def _get_materials(self, _: _NoParams) -> dict[str, object]:
         materials = {name: material.to_dict() for name, material in self._engine.materials.items()}
@@ -234,14 +264,16 @@ class Control:
         if len(materials) > MAX_MATERIALS:
             raise _faulty([Problem("materials", f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}")])
         missing = [
-            Problem(
-                path_text(("materials", item.material)), f"is used by object {quoted(id)} of the scene, so it must stay"
-            )
+            Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
             for id, item in engine.scene.objects.items()
-            if isinstance(item, Wall | Membrane) and item.material not in materials
+            for name in materials_of(item)
+            if name not in materials
         ]
         if missing:
             raise _faulty(missing)
+        refused = rate_faults(engine.scene.objects, materials, engine.output)
+        if refused:
+            raise _faulty(refused)
         return self._changed(engine.set_materials(materials), params)
 
     def _expect(self, params: _Change) -> None:

@@ -23,15 +23,15 @@ __all__ = [
     "COUNTERS_DTYPE",
     "EVENT_DTYPE",
     "FIELD_DTYPE",
-    "KEY_DTYPE",
-    "MEMBRANE_DTYPE",
+    "MATERIAL_DTYPE",
     "MODE_DTYPE",
+    "NOISE_DTYPE",
     "NO_SLOT",
+    "OBJECT_DTYPE",
+    "PIECE_DTYPE",
     "PLAY_SLOT",
     "SAMPLE_DTYPE",
-    "SURFACE_DTYPE",
     "TABLE_DTYPE",
-    "WALL_DTYPE",
     "CData",
     "CommandKind",
     "EventKind",
@@ -39,7 +39,9 @@ __all__ = [
     "Flag",
     "Interpolation",
     "Realtime",
+    "Shape",
     "Status",
+    "Texture",
     "address",
     "ffi",
     "invalid_reason",
@@ -80,7 +82,7 @@ def _dtype_of(ctype: CType) -> np.dtype[Any]:
 
 
 def record_dtype(struct: str) -> np.dtype[np.void]:
-    """The numpy dtype of a C struct such as "struct hd_wall": the same names, offsets and size.
+    """The numpy dtype of a C struct such as "struct hd_mode": the same names, offsets and size.
 
     Nested structs are nested dtypes, arrays are subarrays, pointers are addresses (`numpy.uintp`).
     Raises `ffi.error` for an opaque struct or an unknown one.
@@ -88,12 +90,12 @@ def record_dtype(struct: str) -> np.dtype[np.void]:
     return _dtype_of(ffi.typeof(struct))
 
 
-KEY_DTYPE = record_dtype("struct hd_key")
 MODE_DTYPE = record_dtype("struct hd_mode")
-SURFACE_DTYPE = record_dtype("struct hd_surface")
+MATERIAL_DTYPE = record_dtype("struct hd_material")
+NOISE_DTYPE = record_dtype("struct hd_noise")
+PIECE_DTYPE = record_dtype("struct hd_piece")
+OBJECT_DTYPE = record_dtype("struct hd_object")
 FIELD_DTYPE = record_dtype("struct hd_field")
-WALL_DTYPE = record_dtype("struct hd_wall")
-MEMBRANE_DTYPE = record_dtype("struct hd_membrane")
 TABLE_DTYPE = record_dtype("struct hd_table")
 SAMPLE_DTYPE = record_dtype("struct hd_sample")
 EVENT_DTYPE = record_dtype("struct hd_event")
@@ -116,6 +118,26 @@ class Status(IntEnum):
     ERR_SYSTEM = lib.HD_ERR_SYSTEM
     ERR_TIMEOUT = lib.HD_ERR_TIMEOUT
     ERR_DENIED = lib.HD_ERR_DENIED
+
+
+class Texture(IntEnum):
+    """How a texture is displayed: enum hd_texture."""
+
+    NONE = lib.HD_TEXTURE_NONE
+    STRIKES = lib.HD_TEXTURE_STRIKES
+    GEOMETRY = lib.HD_TEXTURE_GEOMETRY
+    DRAG = lib.HD_TEXTURE_DRAG
+    NOISE = lib.HD_TEXTURE_NOISE
+
+
+class Shape(IntEnum):
+    """What is in a slot: enum hd_shape."""
+
+    NONE = lib.HD_SHAPE_NONE
+    WALL = lib.HD_SHAPE_WALL
+    MEMBRANE = lib.HD_SHAPE_MEMBRANE
+    BOX = lib.HD_SHAPE_BOX
+    DISC = lib.HD_SHAPE_DISC
 
 
 class Flag(IntFlag):
@@ -145,6 +167,7 @@ class EventKind(IntEnum):
     GLITCH = lib.HD_EVENT_GLITCH
     DEVICE_LOST = lib.HD_EVENT_DEVICE_LOST
     DEVICE_FOUND = lib.HD_EVENT_DEVICE_FOUND
+    GROOVE = lib.HD_EVENT_GROOVE
 
 
 class Fault(IntFlag):
@@ -186,7 +209,7 @@ def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
 
 
 def pointer(ctype: str, array: npt.NDArray[np.generic]) -> CData:
-    """The memory of an array as a C array such as "struct hd_wall[]" or "double[]"; it keeps the array alive.
+    """The memory of an array as a C array such as "struct hd_object[]" or "double[]"; it keeps the array alive.
 
     Raises ValueError if the array is not C-contiguous or its size is no multiple of the C item's.
     """

@@ -31,6 +31,7 @@ from hapticd.config import Config, default_config, load_config
 from hapticd.control import Control
 from hapticd.engine import Engine
 from hapticd.errors import HapticdError
+from hapticd.model import MAX_FAULTS
 from hapticd.paths import RuntimePaths, make_directory, runtime_paths
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
@@ -73,6 +74,8 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
     stack.callback(engine.stop)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
+    for problem in engine.limits()[1][:MAX_FAULTS]:
+        _log.warning("%s", problem)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
     stack.callback(router.close)
     _thread("command", lambda stop: server.serve(router, engine, control, stop), failures, stack)

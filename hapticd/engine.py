@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.awake import Awake
-from hapticd.compile import Compiler, Output, Undisplayable, displayed_mode, mode_record
+from hapticd.compile import Compiler, mode_record
 from hapticd.config import Config
 from hapticd.core import (
     EVENT_DTYPE,
@@ -35,10 +35,12 @@ from hapticd.core import (
     lib,
     pointer,
 )
-from hapticd.errors import HapticdError
+from hapticd.displayable import Output, Undisplayable, displayed_mode, rate_faults, undisplayable, warnings
+from hapticd.errors import HapticdError, InvalidError, Problem
 from hapticd.joystick import new_operator, new_sim
-from hapticd.materials import Attack, Material, Materials, Mode
-from hapticd.scene import MAX_OBJECTS, Membrane, Scene, SceneObject, Wall
+from hapticd.materials import Materials
+from hapticd.mode import Attack, Mode
+from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, materials_of
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -116,7 +118,10 @@ class Engine:
     """A servo with its device and its scene."""
 
     def __init__(self, config: Config) -> None:
-        """Compiles the configuration's scene; nothing moves yet. Raises HapticdError."""
+        """Compiles the configuration's scene; nothing moves yet.
+
+        Raises InvalidError for what no signal of this rate has, HapticdError.
+        """
         servo = config.servo
         self.config = config
         self.rate_hz = servo.rate_hz
@@ -125,8 +130,11 @@ class Engine:
         self.revision = 1
         self.granted: Granted | None = None
         self._awake = Awake()
-        self._output = output_of(config, servo.rate_hz)
-        self._compiler = Compiler(self._output)
+        self.output = output_of(config, servo.rate_hz)
+        refused = rate_faults(config.scene.objects, config.materials, self.output)
+        if refused:
+            raise InvalidError(refused)
+        self._compiler = Compiler(self.output)
         self._sim = new_sim(config.device.sim, servo.rate_hz)
         self._operators: deque[tuple[int, CData]] = deque()
         self._dropped = ffi.new("uint64_t *")
@@ -217,11 +225,7 @@ class Engine:
 
     def set_materials(self, materials: Materials) -> int:
         """Takes validated materials that define every name the scene uses; returns the revision."""
-        new = {name for name, material in materials.items() if self.materials.get(name) is not material}
-        changed = [
-            id for id, item in self.scene.objects.items() if isinstance(item, Wall | Membrane) and item.material in new
-        ]
-        return self._take(self.scene, changed, materials)
+        return self._take(self.scene, (), materials)
 
     def wait_revision(self, revision: int) -> int:
         """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
@@ -230,10 +234,12 @@ class Engine:
             raise WaitTimeoutError(f"revision {revision} was not in force within {WAIT_S:g} s")
         return int(self._tick[0])
 
-    def undisplayable(self) -> list[Undisplayable]:
-        """The modes of the scene's materials that the rate cannot carry."""
-        used = {item.material for item in self.scene.objects.values() if isinstance(item, Wall | Membrane)}
-        return self._compiler.undisplayable({n: m for n, m in self.materials.items() if n in used})
+    def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
+        """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
+        objects, materials = _of_all_materials(self.scene.objects), self.materials
+        used = {name for item in objects.values() for name in materials_of(item)}
+        shown = {name: material for name, material in materials.items() if name in used}
+        return undisplayable(shown, self.output), warnings(objects, shown, self.output)
 
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that an event speaks of; None where no object is meant."""
@@ -245,14 +251,16 @@ class Engine:
         self.scene, self.materials, self.revision = scene, materials, revision
         return revision
 
-    def _publish(self, scene: Scene, changed: Iterable[str], materials: Mapping[str, Material], revision: int) -> None:
+    def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
         changed = list(changed)
         table = self._compiler.update(scene, changed, materials, revision)
-        if lib.hd_servo_publish(self._servo, table) != Status.OK:
+        status = lib.hd_servo_publish(self._servo, table)
+        if status != Status.OK:
             # The servo still has what it had; so does the compiler after this.
-            reason = invalid_reason()
-            self._compiler.update(self.scene, changed, self.materials, self.revision)
+            reason = "no memory" if status == Status.ERR_MEMORY else invalid_reason()
+            self._compiler.restore(self.scene, changed, self.materials, self.revision)
             raise HapticdError(f"the scene cannot be rendered: {reason}")
+        self._compiler.published()
 
     # ---- Commands --------------------------------------------------------------------------------------------------
 
@@ -261,15 +269,13 @@ class Engine:
     ) -> tuple[int, float | None]:
         """Strikes a mode; the tick that took it, and the frequency displayed (None: the rate cannot carry it)."""
         command = self._command(CommandKind.PLAY)
-        record = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self._output)
-        for place, name in enumerate(_MODE_FIELDS):
-            setattr(command.mode, name, record[place])
+        command.mode = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self.output)
         length = math.hypot(*direction)
         command.direction = (direction[0] / length, direction[1] / length)
         command.amplitude = amplitude_m_per_s2
         command.slot = PLAY_SLOT
         tick = self._send_and_wait([command])
-        shown, _ = displayed_mode(mode, self._output)
+        shown, _ = displayed_mode(mode, self.output)
         return tick, None if shown is None else shown.frequency_hz
 
     def reset(self, ids: Iterable[str] | None) -> int:
@@ -379,7 +385,16 @@ class Engine:
         return int(count), int(self._dropped[0])
 
 
-_MODE_FIELDS: Final = tuple(name for name, _ in ffi.typeof("struct hd_mode").fields or ())
+def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
+    """The objects that say all there is to say of a scene's materials: patched ones, and the first of each material."""
+    found: dict[str, SceneObject] = {}
+    seen: set[str] = set()
+    for id, item in objects.items():
+        names = materials_of(item)
+        if len(names) > 1 or not seen.issuperset(names):
+            seen.update(names)
+            found[id] = item
+    return found
 
 
 def monotonic_ns() -> int:

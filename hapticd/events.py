@@ -25,9 +25,9 @@ def event_map(event: Any, object_id: str | None) -> dict[str, object]:
         "tick": int(event["tick"]),
         "time_ns": time_ns,
     }
-    if kind in (EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE):
+    if kind in (EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE, EventKind.GROOVE):
         message["object"] = object_id
-    if kind in (EventKind.CONTACT, EventKind.PUNCTURE):
+    if kind in (EventKind.CONTACT, EventKind.PUNCTURE, EventKind.GROOVE):
         before_tick_s = float(event["before_tick_s"])
         true_speed = float(event["true_speed_m_per_s"])
         message |= {
@@ -43,6 +43,8 @@ def event_map(event: Any, object_id: str | None) -> dict[str, object]:
             message["appeared"] = bool(int(event["code"]) & lib.HD_CONTACT_SILENT)
         case EventKind.PUNCTURE:
             message["depth_m"] = float(event["value"])
+        case EventKind.GROOVE:
+            message |= {"count": 1, "grooves": int(event["value"])}
         case EventKind.SATURATION:
             message["wanted_n"] = float(event["value"])
         case EventKind.OVERRUN:

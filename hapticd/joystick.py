@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
@@ -12,7 +13,7 @@ from hapticd.core import CData, Interpolation, ffi, invalid_reason, lib, pointer
 from hapticd.errors import HapticdError
 from hapticd.materials import Material
 from hapticd.operator import Grip, Target
-from hapticd.scene import Membrane, SceneObject, Wall
+from hapticd.scene import SURFACES, Box, Disc, Membrane, SceneObject, Wall
 
 
 def new_sim(sim: Sim, rate_hz: float) -> CData:
@@ -68,14 +69,24 @@ def grip_of(sim: Sim) -> Grip:
 
 
 def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
-    """What a gesture needs to know of an object; None for what cannot be touched."""
-    if not isinstance(item, Wall | Membrane):
+    """What a gesture needs to know of an object; None for what cannot be touched.
+
+    Of a box that is its upper face (as it lies when its angle is 0), of a disc its top.
+    """
+    if not isinstance(item, SURFACES):
         return None
     material = materials[item.material]
     rupture = material.rupture if isinstance(item, Membrane) else None
+    point = item.point_m if isinstance(item, Wall) else item.center_m
+    normal = (0.0, 1.0)
+    if isinstance(item, Wall | Membrane):
+        normal = item.normal
+    elif isinstance(item, Box):
+        normal = (-math.sin(item.angle_rad), math.cos(item.angle_rad))
+    height = item.size_m[1] / 2.0 if isinstance(item, Box) else item.radius_m if isinstance(item, Disc) else 0.0
     return Target(
-        point_m=item.point_m if isinstance(item, Wall) else item.center_m,
-        normal=item.normal,
+        point_m=(point[0] + height * normal[0], point[1] + height * normal[1]),
+        normal=normal,
         stiffness_n_per_m=material.stiffness_n_per_m,
         rupture_depth_m=None if rupture is None else rupture.rupture_depth_m,
     )

@@ -6,118 +6,26 @@ Virtual Environments", ICRA 1998, eq. 1 and 3), B the decay rate in 1/s, w the a
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, Final, TypeAlias
 
-from pydantic import ConfigDict, Field, ValidationError, model_validator
-from pydantic.config import JsonDict
+from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
 from hapticd.errors import InvalidError, Path, Problem
+from hapticd.mode import Attack as Attack
+from hapticd.mode import Mode as Mode
+from hapticd.mode import ModeKeys as ModeKeys
+from hapticd.mode import one_of
 from hapticd.model import Damping, Model, Name, Stiffness, faults_of, problems_of
+from hapticd.texture import Grooves, Texture
 from hapticd.yaml_source import Document, load_bytes
 
-MAX_MATERIALS = 4096
-LIBRARY = "materials/okamura1998.yaml"
-
-Attack: TypeAlias = Literal["coefficient", "first_peak"]
-
-
-@dataclass(frozen=True, slots=True)
-class Mode:
-    """A decaying sinusoid exp(-B t) sin(w t), t >= 0."""
-
-    decay_rate_per_s: float
-    angular_frequency_rad_per_s: float
-
-    @property
-    def frequency_hz(self) -> float:
-        return self.angular_frequency_rad_per_s / (2 * math.pi)
-
-    @property
-    def decay_time_s(self) -> float:
-        return 1 / self.decay_rate_per_s
-
-    @property
-    def peak_time_s(self) -> float:
-        """Time of the first maximum: atan(w/B)/w, where the derivative is zero."""
-        w = self.angular_frequency_rad_per_s
-        return math.atan2(w, self.decay_rate_per_s) / w
-
-    @property
-    def peak(self) -> float:
-        """The first maximum, a number below 1."""
-        time_s = self.peak_time_s
-        return math.exp(-self.decay_rate_per_s * time_s) * math.sin(self.angular_frequency_rad_per_s * time_s)
-
-    def coefficient(self, amplitude: float, attack: Attack) -> float:
-        """The A of eq. 1 for an amplitude that means A itself, or the largest value of the first cycle."""
-        return amplitude if attack == "coefficient" else amplitude / self.peak
-
-
-def _one_of(*names: str) -> JsonDict:
-    return {"oneOf": [{"required": [*name.split()]} for name in names]}
-
-
-class ModeKeys(Model):
-    """A ringing mode: one of frequency and angular frequency, and one of decay time and decay rate."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "allOf": [
-                _one_of("frequency_hz", "angular_frequency_rad_per_s"),
-                _one_of("decay_time_s", "decay_rate_per_s"),
-            ]
-        }
-    )
-
-    frequency_hz: Annotated[float, Field(ge=0.01, le=1e5)] | None = Field(
-        default=None, description="Frequency of the ringing."
-    )
-    angular_frequency_rad_per_s: Annotated[float, Field(ge=0.05, le=1e6)] | None = Field(
-        default=None, description="2 pi times the frequency, instead of it."
-    )
-    decay_time_s: Annotated[float, Field(ge=1e-6, le=10)] | None = Field(
-        default=None, description="Time in which the ringing falls to 1/e; it ends after five of them."
-    )
-    decay_rate_per_s: Annotated[float, Field(ge=0.1, le=1e6)] | None = Field(
-        default=None, description="1 over the decay time, instead of it."
-    )
-
-    def cross_faults(self) -> list[str]:
-        """Faults between keys that are each sound."""
-        faults = []
-        for one, other in (
-            ("frequency_hz", "angular_frequency_rad_per_s"),
-            ("decay_time_s", "decay_rate_per_s"),
-        ):
-            given = [name for name in (one, other) if getattr(self, name) is not None]
-            if len(given) != 1:
-                faults.append(f"needs exactly one of {one} and {other}, has {'both' if given else 'neither'}")
-        return faults
-
-    @model_validator(mode="after")
-    def _refuse_cross_faults(self) -> Self:
-        faults = self.cross_faults()
-        if faults:
-            raise ValueError("; ".join(faults))
-        return self
-
-    @property
-    def mode(self) -> Mode:
-        if self.decay_rate_per_s is not None:
-            decay_rate_per_s = self.decay_rate_per_s
-        else:
-            assert self.decay_time_s is not None
-            decay_rate_per_s = 1 / self.decay_time_s
-        if self.angular_frequency_rad_per_s is not None:
-            angular_frequency_rad_per_s = self.angular_frequency_rad_per_s
-        else:
-            assert self.frequency_hz is not None
-            angular_frequency_rad_per_s = 2 * math.pi * self.frequency_hz
-        return Mode(decay_rate_per_s, angular_frequency_rad_per_s)
+MAX_MATERIALS: Final = 2**20
+"""Room for addresses; memory follows what is used."""
+LIBRARY: Final = "materials"
+_FIRST: Final = "okamura1998.yaml"
 
 
 class Tap(ModeKeys):
@@ -136,9 +44,9 @@ class Rupture(ModeKeys):
     model_config = ConfigDict(
         json_schema_extra={
             "allOf": [
-                _one_of("frequency_hz", "angular_frequency_rad_per_s"),
-                _one_of("decay_time_s", "decay_rate_per_s"),
-                _one_of("depth_m", "max_strain radius_m"),
+                one_of("frequency_hz", "angular_frequency_rad_per_s"),
+                one_of("decay_time_s", "decay_rate_per_s"),
+                one_of("depth_m", "max_strain radius_m"),
             ]
         }
     )
@@ -173,8 +81,17 @@ class Rupture(ModeKeys):
         return self.radius_m * math.sqrt(self.max_strain * (2 + self.max_strain))
 
 
+class Friction(Model):
+    """Dry friction, Coulomb's: at rest a spring holds the probe until it slides."""
+
+    coefficient: float = Field(ge=0, le=10, description="Tangential over normal force, where it slides.")
+    stiffness_n_per_m: float = Field(
+        default=500.0, ge=1e-3, le=1e5, description="Force per distance from where the probe sticks, before it slides."
+    )
+
+
 class Material(Model):
-    """What a wall or a membrane is made of."""
+    """What a surface is made of."""
 
     stiffness_n_per_m: Stiffness = Field(description="Force per penetration or deflection.")
     damping_n_s_per_m: Damping = Field(default=0.0, description="Force per speed along the normal.")
@@ -182,6 +99,32 @@ class Material(Model):
     rupture: Rupture | None = Field(
         default=None, description="How a membrane breaks; without it a membrane never does."
     )
+    friction: Friction | None = Field(default=None, description="What holds against stroking; without it, nothing.")
+    # After `tap`, which grooves may ring with.
+    texture: Texture | None = Field(default=None, description="What stroking feels like; without it, smooth.")
+
+    @field_validator("texture", mode="after")
+    @classmethod
+    def _has_a_mode(cls, texture: Texture | None, info: ValidationInfo) -> Texture | None:
+        if not isinstance(texture, Grooves) or texture.display != "vibration" or texture.own_mode is not None:
+            return texture
+        # A tap that is itself faulty is not in `data`; then its own fault is enough.
+        if info.data.get("tap", True) is None:
+            raise ValueError(
+                "needs a mode to ring with: frequency_hz and decay_time_s of its own, or a tap of the material"
+            )
+        return texture
+
+    @property
+    def groove_mode(self) -> Mode | None:
+        """What a groove displayed as vibration rings with: the texture's own mode or the tap's; else None."""
+        if not isinstance(self.texture, Grooves) or self.texture.display != "vibration":
+            return None
+        own = self.texture.own_mode
+        if own is not None:
+            return own
+        assert self.tap is not None
+        return self.tap.mode
 
 
 class _Library(Model):
@@ -201,12 +144,29 @@ def validate_materials(data: object, root: Path = ()) -> dict[str, Material]:
 
 @cache
 def shipped_materials() -> Materials:
-    """The shipped library: the seven materials and the cellophane of the paper."""
-    document = shipped_document(LIBRARY)
-    try:
-        return MappingProxyType(_Library.model_validate(document.data).materials)
-    except ValidationError as error:
-        raise InvalidError(Problem(document.where(path), text) for path, text in faults_of(error)) from None
+    """The shipped library, every file of `config/materials`: the paper's materials first.
+
+    Raises InvalidError for a fault in them, and for a name that two files define.
+    """
+    library: dict[str, Material] = {}
+    for name in library_files():
+        document = shipped_document(name)
+        try:
+            found = _Library.model_validate(document.data).materials
+        except ValidationError as error:
+            raise InvalidError(Problem(document.where(path), text) for path, text in faults_of(error)) from None
+        twice = [Problem(document.where(("materials", each)), "is defined twice") for each in found if each in library]
+        if twice:
+            raise InvalidError(twice)
+        library |= found
+    return MappingProxyType(library)
+
+
+def library_files() -> list[str]:
+    """The files of the shipped library, by their path below `config/`."""
+    folder = resources.files("hapticd.shipped").joinpath(LIBRARY)
+    names = [file.name for file in folder.iterdir() if file.name.endswith(".yaml")]
+    return [f"{LIBRARY}/{name}" for name in sorted(names, key=lambda name: (name != _FIRST, name))]
 
 
 def shipped_document(name: str) -> Document:

@@ -5,9 +5,9 @@ unknown key is an error. The limits are there so that no product of them overflo
 nonsense; they are far outside what a hand can feel.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, Union, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError
 from pydantic_core import ErrorDetails
@@ -56,7 +56,7 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     faults: dict[tuple[Path, str], None] = {}
     told = error.errors(include_url=False)
     for details in told[:MAX_FAULTS]:
-        if details["type"] != "default_factory_not_called":
+        if not _follows_from_another(details):
             faults[_fault(Model.by_name.get(error.title), details)] = None
     found = list(faults)
     if len(told) > MAX_FAULTS:
@@ -64,45 +64,92 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     return found
 
 
+_PLAIN: Final = frozenset({NoneType, bool, int, float, str})
+
+
+class _NotPlainError(Exception):
+    """What is wrong, and where: the path is built from its end, as the search withdraws."""
+
+    def __init__(self, problem: str) -> None:
+        self.problem = problem
+        self.path: list[str | int] = []
+
+
+def _follows_from_another(details: ErrorDetails) -> bool:
+    """Whether a fault is told only because of another: a list is not too short for its faulty entries."""
+    kind, value = details["type"], details["input"]
+    too_short = kind == "too_short" and len(value) >= details["ctx"]["min_length"]
+    return too_short or kind == "default_factory_not_called"
+
+
 def plain(data: object) -> Json:
     """Mappings, sequences, and numpy's scalars and arrays as dicts, lists, numbers and strings; models stay.
 
     Raises InvalidError for keys that are no strings, for nesting deeper than MAX_DEPTH and for other objects.
     """
-    return cast(Json, _plain(data, ()))
+    try:
+        return cast(Json, _plain(data, MAX_DEPTH))
+    except _NotPlainError as error:
+        path = error.path[::-1]
+        too_deep = len(path) == MAX_DEPTH
+        raise InvalidError([Problem(path_text(path[:3] if too_deep else path), error.problem)]) from None
 
 
-def _plain(data: object, path: Path) -> object:
-    if data is None or isinstance(data, bool | int | float | str | Model):
-        return data
-    if len(path) == MAX_DEPTH:
-        raise InvalidError([Problem(path_text(path[:3]), f"nested deeper than {MAX_DEPTH} levels")])
-    if isinstance(data, Mapping):
-        for key in data:
+def _plain(data: object, depth_left: int) -> object:
+    # What is asked of every value is asked by its very type; isinstance of Mapping and Model is slow.
+    kind = type(data)
+    is_mapping, is_list = kind is dict, kind is list
+    if not (is_mapping or is_list):
+        if kind in _PLAIN or isinstance(data, bool | int | float | str | Model):
+            return data
+        is_mapping, is_list = isinstance(data, Mapping), isinstance(data, list | tuple)
+    if depth_left == 0:
+        raise _NotPlainError(f"nested deeper than {MAX_DEPTH} levels")
+    if is_mapping:
+        given = cast(Mapping[object, object], data)
+        for key in given:
             if not isinstance(key, str):
-                raise InvalidError([Problem(path_text(path), f"keys are strings, this one is {shown(key)}")])
-        return {str(key): _plain(value, (*path, str(key))) for key, value in data.items()}
-    if isinstance(data, list | tuple):
-        return [_plain(value, (*path, index)) for index, value in enumerate(data)]
+                raise _NotPlainError(f"keys are strings, this one is {shown(key)}")
+        return {
+            str(key): value if type(value) in _PLAIN else _plain_inside(str(key), value, depth_left)
+            for key, value in given.items()
+        }
+    if is_list:
+        return [
+            value if type(value) in _PLAIN else _plain_inside(index, value, depth_left)
+            for index, value in enumerate(cast(Sequence[object], data))
+        ]
     if hasattr(data, "tolist"):
-        return _plain(data.tolist(), path)
-    raise InvalidError([Problem(path_text(path), f"is not plain data: {shown(data)}")])
+        return _plain(data.tolist(), depth_left)
+    raise _NotPlainError(f"is not plain data: {shown(data)}")
+
+
+def _plain_inside(element: str | int, data: object, depth_left: int) -> object:
+    try:
+        return _plain(data, depth_left - 1)
+    except _NotPlainError as error:
+        error.path.append(element)
+        raise
 
 
 def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
     kind, value, context = details["type"], details["input"], details.get("ctx", {})
-    path, known = _user_path(model, details)
+    path, known, expected = _user_path(model, details)
     match kind:
         case "missing" if path and isinstance(path[-1], int):
-            return path[:-1], f"must be two numbers [x, y], has {len(value)}"
+            return path[:-1], f"must be {_pair(path[:-1])}, has {len(value)}"
         case "missing":
             return path, "is missing"
-        case "too_long" if context["field_type"] == "Tuple":
-            return path, f"must be two numbers [x, y], has {len(value)}"
+        case "too_long" if context["field_type"] == "Tuple" and not _is_list(expected):
+            return path, f"must be {_pair(path)}, has {len(value)}"
+        case "tuple_type" if not _is_list(expected):
+            return path, f"must be {_pair(path)}, is {shown(value)}"
         case "tuple_type":
-            return path, f"must be two numbers [x, y], is {shown(value)}"
+            return path, f"must be a list, is {shown(value)}"
         case "too_long":
             return path, f"must hold at most {context['max_length']} entries, holds {len(value)}"
+        case "too_short":
+            return path, f"must hold at least {context['min_length']} entry, holds {len(value)}"
         case "extra_forbidden":
             return path, f"unknown key; {known_names(str(path[-1]), known)}"
         case "union_tag_invalid":
@@ -153,11 +200,20 @@ _EXPECTED = {
 
 
 def _number(limit: float) -> str:
-    return format(limit, ".15g")
+    return str(limit) if isinstance(limit, int) else format(limit, ".15g")
 
 
-def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...]]:
-    """Where the user sees the fault, and the keys that are known there.
+def _pair(path: Path) -> str:
+    return "two numbers " + ("[width, height]" if path and path[-1] == "size_m" else "[x, y]")
+
+
+def _is_list(kind: object) -> bool:
+    """Whether a type takes a list of any length."""
+    return get_args(kind)[-1:] == (Ellipsis,)
+
+
+def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...], object]:
+    """Where the user sees the fault, the keys that are known there, and the type that is expected there.
 
     pydantic's locations also name the chosen member of a union, and `[key]` for the key of a mapping; walking
     the types along the location tells these from a user's keys of the same name.
@@ -180,8 +236,8 @@ def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, 
             here = None if field is None else _bare(field.annotation)
         else:
             arguments = get_args(here)
-            here = _bare(arguments[-1]) if arguments else None
-    return tuple(path), known
+            here = _bare(arguments[0 if _is_list(here) else -1]) if arguments else None
+    return tuple(path), known, here
 
 
 def _bare(annotation: object) -> object:

@@ -28,12 +28,12 @@ from hapticd.core import (
     pointer,
     records,
 )
+from hapticd.displayable import rate_faults, warnings
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError, InvalidError, Problem, shown
 from hapticd.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.model import problems_of
 from hapticd.operator import Operator, load_operator, parse_operator
-from hapticd.scene import MAX_OBJECTS
 
 Samples: TypeAlias = npt.NDArray[np.void]
 """Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""
@@ -53,25 +53,46 @@ class Run:
     """Ids of the objects that events speak of, by their slot and generation."""
     truth: npt.NDArray[np.float64] | None
     """(n, 4) the simulated handle's own position (m) and velocity (m/s) at each tick; None for `render`."""
+    warnings: tuple[Problem, ...]
+    """What of the scene is displayed otherwise than it was meant, at this rate."""
 
 
 class _Scene:
-    """A configuration, compiled for a rate."""
+    """A configuration, compiled for a rate. Raises InvalidError for what no signal of this rate has."""
 
     def __init__(self, config: ConfigSource, rate_hz: float) -> None:
         self.config: Config = load_config(config)
         self.rate_hz = _rate(rate_hz)
-        self._compiler = Compiler(output_of(self.config, self.rate_hz))
-        scene = self.config.scene
-        self.table: CData = self._compiler.update(scene, scene.objects, self.config.materials, 1)
-        self.objects = {place: id for id in scene.objects if (place := self._compiler.slot_of(id)) is not None}
+        scene, materials = self.config.scene, self.config.materials
+        output = output_of(self.config, self.rate_hz)
+        refused = rate_faults(scene.objects, materials, output)
+        if refused:
+            raise InvalidError(refused)
+        self.warnings = tuple(warnings(scene.objects, materials, output))
+        compiler = Compiler(output)
+        self.world = new_world(compiler.update(scene, scene.objects, materials, 1))
+        self.objects = {place: id for id in scene.objects if (place := compiler.slot_of(id)) is not None}
 
     def new_state(self, resolution_m: float) -> CData:
-        state = lib.hd_state_new(min(MAX_OBJECTS, max(1, len(self.objects))))
+        state = lib.hd_state_new(max(1, len(self.objects)))
         if state == ffi.NULL:
             raise MemoryError("no memory for the state of a run")
         lib.hd_state_set_resolution(state, resolution_m)
         return ffi.gc(state, lib.hd_state_free)
+
+
+def new_world(table: CData) -> CData:
+    """A `struct hd_world *` that holds a table, freed with the last reference to it. Raises HapticdError."""
+    made = lib.hd_world_new()
+    if made == ffi.NULL:
+        raise MemoryError("no memory for a world")
+    world = ffi.gc(made, lib.hd_world_free)
+    status = lib.hd_world_load(world, table)
+    if status == Status.ERR_MEMORY:
+        raise MemoryError("no memory for a scene")
+    if status != Status.OK:
+        raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
+    return world
 
 
 def _rate(rate_hz: float) -> float:
@@ -189,7 +210,7 @@ def render_run(
     events = _Recorder().run(
         count,
         lambda part, room, capacity, found: lib.hd_render(
-            scene.table,
+            scene.world,
             state,
             pointer("double[]", positions[part]),
             ffi.NULL if velocities is None else pointer("double[]", velocities[part]),
@@ -201,7 +222,7 @@ def render_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, None)
+    return Run(samples, events, scene.objects, None, scene.warnings)
 
 
 def simulate(
@@ -250,7 +271,7 @@ def simulate_run(
     events = _Recorder().run(
         count,
         lambda part, room, capacity, found: lib.hd_simulate(
-            scene.table,
+            scene.world,
             state,
             sim,
             part.stop - part.start,
@@ -261,7 +282,7 @@ def simulate_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, truth)
+    return Run(samples, events, scene.objects, truth, scene.warnings)
 
 
 def _operator(

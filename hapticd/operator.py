@@ -7,7 +7,8 @@ An operator is exactly one of
     gesture: {kind: stroke, object, speed_m_per_s, press_n, from_m, to_m, count, height_m}
     gesture: {kind: puncture, object, speed_m_per_s, at_m, height_m}
 
-`at_m`, `from_m` and `to_m` are tangential coordinates: 0 is the object's point or centre, t = (n_y, -n_x).
+`at_m`, `from_m` and `to_m` are tangential coordinates: 0 is the wall's point, the membrane's centre, the middle of the
+box's upper face, the disc's top; t = (n_y, -n_x).
 A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. A gesture becomes straight lines by
 `gesture_waypoints`, a pure function of the object, the hand and where the hand is.
 """
@@ -59,7 +60,7 @@ Height: TypeAlias = Annotated[float, Field(ge=0.001, le=1)]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a gesture needs to know of a wall or a membrane; `normal` is a unit vector."""
+    """What a gesture needs to know of a surface: where 0 is on it, and which way it faces there (a unit vector)."""
 
     point_m: Point
     normal: Point
@@ -94,7 +95,7 @@ class TapGesture(Model):
     """Strikes the surface at a speed, presses, withdraws; `count` times."""
 
     kind: Literal["tap"]
-    object: Name = Field(description="Id of a wall or a membrane.")
+    object: Name = Field(description="Id of a wall, a membrane, a box or a disc.")
     speed_m_per_s: Speed = Field(description="Speed of the approach, along the normal.")
     count: Count = Field(default=1, description="How many taps.")
     at_m: Coordinate = Field(default=0.0, description="Where along the surface.")
@@ -110,7 +111,7 @@ class StrokeGesture(Model):
     """Strokes along the surface at a speed and with a normal force, to and fro; `count` times in all."""
 
     kind: Literal["stroke"]
-    object: Name = Field(description="Id of a wall or a membrane.")
+    object: Name = Field(description="Id of a wall, a membrane, a box or a disc.")
     speed_m_per_s: Speed = Field(description="Speed along the surface.")
     press_n: float = Field(ge=0.01, le=100, description="Normal force that the hand presses with.")
     from_m: Coordinate = Field(description="Where along the surface it begins.")
@@ -169,14 +170,14 @@ class Operator:
     ) -> npt.NDArray[np.float64]:
         """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `wish_m` now.
 
-        `target_of` gives the wall or membrane of an id, None for anything else. Raises InvalidError (`where`
+        `target_of` gives what can be touched of an id, None for anything else. Raises InvalidError (`where`
         is inside `gesture`) for an object that is none or that the gesture does not fit.
         """
         if self.gesture is None:
             return np.array(self.waypoints, dtype=np.float64)
         target = target_of(self.gesture.object)
         if target is None:
-            problem = f"no wall or membrane of the scene has the id {quoted(self.gesture.object)}"
+            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(self.gesture.object)}"
             raise InvalidError([Problem("gesture.object", problem)])
         return gesture_waypoints(self.gesture, target, grip, wish_m)
 

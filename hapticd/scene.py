@@ -5,19 +5,28 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 
 import math
 import os
-from collections.abc import Collection, Mapping
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Collection, Iterable, Mapping
+from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias
 
-from pydantic import AfterValidator, Field, Strict, ValidationError
+from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
 
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
-from hapticd.model import Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
+from hapticd.model import MAX_FAULTS, Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
 from hapticd.yaml_source import Document, load_path
 
-MAX_OBJECTS = 16384
+MAX_OBJECTS: Final = 2**20
+"""Address room; memory follows what is used."""
+MAX_PATCHES: Final = 2**16
+"""Of a wall; address room too."""
+MIN_PATCH_M: Final = 1e-5
+"""Patches, and the gaps between them, are at least this wide."""
+TOUCHING_M: Final = 1e-9
+"""Patches whose edges are as near as this touch: 0.1 + 0.2 is not 0.3."""
 MIN_NORMAL_LENGTH = 1e-9
 MAX_NORMAL_COMPONENT = 1e9
-_ROUNDING = 4 * 2.0**-52
+_ROUNDING: Final = 4 * 2.0**-52
+_ROUNDING_OF_WIDTHS: Final = 1e-6
+_SHOWN_OVERLAPS: Final = 5
 
 
 def _unit(vector: tuple[float, float]) -> tuple[float, float]:
@@ -31,8 +40,55 @@ def _unit(vector: tuple[float, float]) -> tuple[float, float]:
 
 NormalComponent: TypeAlias = Annotated[float, Field(ge=-MAX_NORMAL_COMPONENT, le=MAX_NORMAL_COMPONENT)]
 Normal: TypeAlias = Annotated[tuple[NormalComponent, NormalComponent], Strict(False), AfterValidator(_unit)]
+PatchEdge: TypeAlias = Annotated[float, Field(ge=-20, le=20)]
+Side: TypeAlias = Annotated[float, Field(ge=1e-4, le=20)]
+Size: TypeAlias = Annotated[tuple[Side, Side], Strict(False)]
 ForceComponent: TypeAlias = Annotated[float, Field(ge=-100, le=100)]
 ForceVector: TypeAlias = Annotated[tuple[ForceComponent, ForceComponent], Strict(False)]
+
+
+class Patch(Model):
+    """A stretch of a wall that is of another material."""
+
+    from_m: PatchEdge = Field(description="Where it begins, along the wall from its point.")
+    to_m: PatchEdge = Field(description="Where it ends, more than where it begins.")
+    material: Name = Field(description="Name of a material.")
+
+    @model_validator(mode="after")
+    def _is_wide_enough(self) -> Self:
+        if self.to_m - self.from_m < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
+            raise ValueError(
+                f"to_m must be more than from_m by at least {MIN_PATCH_M:g}, is {self.to_m:.15g} and {self.from_m:.15g}"
+            )
+        return self
+
+
+def _apart(patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
+    """Refuses patches that overlap, or leave gaps that nobody means."""
+    faults = []
+    order = sorted(range(len(patches)), key=lambda index: patches[index].from_m)
+    farthest = order[0] if order else 0
+    for index in order[1:]:
+        gap = patches[index].from_m - patches[farthest].to_m
+        names = f"[{min(farthest, index)}] and [{max(farthest, index)}]"
+        if gap < -TOUCHING_M:
+            faults.append(f"{names} overlap")
+        elif TOUCHING_M < gap < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
+            faults.append(f"{names} leave a gap of {gap:.3g} m: they touch, or are at least {MIN_PATCH_M:g} m apart")
+        if patches[index].to_m > patches[farthest].to_m:
+            farthest = index
+    if faults:
+        more = len(faults) - _SHOWN_OVERLAPS
+        raise ValueError("; ".join(faults[:_SHOWN_OVERLAPS]) + (f"; and {more} more" if more > 0 else ""))
+    return patches
+
+
+class Piece(NamedTuple):
+    """A stretch of a wall that is of one material, as they follow each other along it."""
+
+    from_m: float
+    """Where it begins; -inf for the first. It goes on to the beginning of the next, the last one for ever."""
+    material: str
 
 
 class Wall(Model):
@@ -41,6 +97,40 @@ class Wall(Model):
     kind: Literal["wall"]
     point_m: Position = Field(description="A point of the surface, [x, y].")
     normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
+    material: Name = Field(description="Name of a material.")
+    patches: Annotated[tuple[Patch, ...], Strict(False), AfterValidator(_apart)] = Field(
+        default=(), max_length=MAX_PATCHES, description="Stretches of other materials; they do not overlap."
+    )
+    patch_ramp_m: float = Field(
+        default=0.001, ge=1e-5, le=1, description="Over which one material goes over into the next, across the edge."
+    )
+
+    def pieces(self) -> list[Piece]:
+        """The whole wall in rising order: patches and the base material between them. One piece without patches."""
+        found = [Piece(-math.inf, self.material)]
+        for patch in sorted(self.patches, key=lambda patch: patch.from_m):
+            if patch.from_m - found[-1].from_m <= TOUCHING_M:  # the base material has no room between two patches
+                found.pop()
+            found += Piece(patch.from_m, patch.material), Piece(patch.to_m, self.material)
+        return found
+
+
+class Box(Model):
+    """A solid rectangle."""
+
+    kind: Literal["box"]
+    center_m: Position = Field(description="Its middle, [x, y].")
+    size_m: Size = Field(description="Its sides, [width, height].")
+    angle_rad: float = Field(default=0.0, ge=-1000, le=1000, description="Turned so far, counterclockwise.")
+    material: Name = Field(description="Name of a material.")
+
+
+class Disc(Model):
+    """A solid disc."""
+
+    kind: Literal["disc"]
+    center_m: Position = Field(description="Its middle, [x, y].")
+    radius_m: float = Field(ge=1e-4, le=10, description="Its radius.")
     material: Name = Field(description="Name of a material.")
 
 
@@ -77,7 +167,25 @@ class Constant(Model):
     force_n: ForceVector = Field(description="The force, [x, y].")
 
 
-SceneObject: TypeAlias = Wall | Membrane | Spring | Viscous | Constant
+Surface: TypeAlias = Wall | Membrane | Box | Disc
+"""What can be touched."""
+SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
+SURFACES: Final = (Wall, Membrane, Box, Disc)
+
+
+def materials_of(item: SceneObject) -> tuple[str, ...]:
+    """Names of the materials that an object is made of: its own first, then its patches'; none for a field."""
+    # By kind: isinstance of a pydantic model that an object is not takes longer than all the rest.
+    if item.kind == "wall" and item.patches:
+        return (item.material, *(patch.material for patch in item.patches))
+    if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
+        return ()
+    return (item.material,)
+
+
+def used_materials(objects: Iterable[SceneObject]) -> set[str]:
+    """Names of all materials that these objects are made of."""
+    return {name for item in objects for name in materials_of(item)}
 
 
 class Display(Model):
@@ -160,15 +268,23 @@ def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
 
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
-    """Materials that objects name and nobody defines, with paths relative to the scene."""
-    return [
-        (
-            ("objects", name, "material"),
-            f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}",
-        )
-        for name, thing in objects.items()
-        if isinstance(thing, Wall | Membrane) and (wanted := thing.material) not in materials
-    ]
+    """Materials that objects name and nobody defines, with paths relative to the scene; MAX_FAULTS of them are told."""
+    faults: list[tuple[Path, str]] = []
+    more = 0
+    for id, item in objects.items():
+        for index, wanted in enumerate(materials_of(item)):
+            if wanted in materials:
+                continue
+            if len(faults) == MAX_FAULTS:
+                more += 1
+                continue
+            inner: Path = ("patches", index - 1, "material") if index else ("material",)
+            faults.append(
+                (("objects", id, *inner), f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}")
+            )
+    if more:
+        faults.append((("objects",), f"name unknown materials {more} times more"))
+    return faults
 
 
 def reference_problems(

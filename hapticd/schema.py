@@ -9,12 +9,15 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 # Endings of keys, the longest first: `_n_s_per_m` ends in `_m` too.
 _UNITS = {
+    "_m_per_s2_per_n": "m/s^2/N",
+    "_m2_per_s4": "m^2/s^4",
     "_n_s_per_m": "N s/m",
     "_rad_per_s": "rad/s",
     "_m_per_s2": "m/s^2",
     "_m_per_s": "m/s",
     "_n_per_m": "N/m",
     "_per_s": "1/s",
+    "_rad": "rad",
     "_hz": "Hz",
     "_us": "us",
     "_kg": "kg",

@@ -34,6 +34,13 @@ def sample_map(sample: np.void) -> dict[str, object]:
     return {name: sample[name].tolist() for name in SAMPLE_DTYPE.names or ()}
 
 
+def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
+    """Where the last event of each object is, and how many it has."""
+    objects = events["slot"].astype(np.uint64) << np.uint64(32) | events["generation"]
+    _, first, counts = np.unique(objects[::-1], return_index=True, return_counts=True)
+    return dict(zip((len(events) - 1 - first).tolist(), counts.tolist(), strict=True))
+
+
 class Telemetry:
     """Publishes one engine's telemetry on a PUB socket that is already bound."""
 
@@ -88,13 +95,20 @@ class Telemetry:
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
         """Events as maps. Those that come in floods are told once for all that were found together: overruns of a busy
-        machine are added up, and of revisions the newest is the one in force. Telling each would hold up commands."""
+        machine are added up, grooves of one object are counted, and of revisions the newest is the one in force.
+        Telling each would hold up commands."""
         kinds = events["kind"]
         overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]
         if len(revisions):
             yield event_map(revisions[-1], None)
-        for event in events[(kinds != EventKind.OVERRUN) & (kinds != EventKind.REVISION)]:
-            yield self._note(event)
+        strikes = np.flatnonzero(kinds == EventKind.GROOVE)
+        counts = _last_of_each(events[strikes])
+        told = (kinds != EventKind.OVERRUN) & (kinds != EventKind.REVISION) & (kinds != EventKind.GROOVE)
+        told[strikes[list(counts)]] = True
+        grooves = {int(strikes[place]): count for place, count in counts.items()}
+        for place in np.flatnonzero(told).tolist():
+            message = self._note(events[place])
+            yield message | {"count": grooves[place]} if place in grooves else message
         if len(overruns):
             total = {"missed": int(overruns["value"].sum()), "count": len(overruns)}
             yield event_map(overruns[-1], None) | total

@@ -12,6 +12,7 @@ from hapticd.compile import Compiler
 from hapticd.config import load_config
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.engine import output_of
+from hapticd.scene import MAX_OBJECTS
 
 WOOD = {
     "stiffness_n_per_m": 800,
@@ -43,14 +44,16 @@ class Rig:
         self.period_s = 1.0 / rate_hz
         self.compiler = Compiler(output_of(self.config, rate_hz))
         self.revision = 0
-        self.state = ffi.gc(lib.hd_state_new(64), lib.hd_state_free)
+        self.state = ffi.gc(lib.hd_state_new(MAX_OBJECTS), lib.hd_state_free)
+        self.world = ffi.gc(lib.hd_world_new(), lib.hd_world_free)
         self.events: npt.NDArray[np.void] = records(EVENT_DTYPE, 0)
         self._compile(self.config.scene.objects)
 
     def _compile(self, changed: Sequence[str] | Mapping[str, object]) -> None:
         self.revision += 1
         self.table = self.compiler.update(self.config.scene, changed, self.config.materials, self.revision)
-        assert lib.hd_table_check(self.table, 64) == Status.OK, invalid_reason()
+        assert lib.hd_world_load(self.world, self.table) == Status.OK, invalid_reason()
+        self.compiler.published()
 
     def update(
         self, objects: Mapping[str, object], materials: Mapping[str, object] | None = None, **scene: object
@@ -79,10 +82,10 @@ class Rig:
         speeds = None if velocity is None else np.ascontiguousarray(velocity, dtype=np.float64)
         gaps = None if periods is None else np.ascontiguousarray(periods, dtype=np.uint32)
         samples = records(SAMPLE_DTYPE, len(path))
-        room = records(EVENT_DTYPE, 8 * len(path) + 64)
+        room = records(EVENT_DTYPE, 8 * len(path) + 1024)
         count = ffi.new("size_t *")
         status = lib.hd_render(
-            self.table,
+            self.world,
             self.state,
             pointer("double[]", path),
             ffi.NULL if speeds is None else pointer("double[]", speeds),
@@ -94,6 +97,7 @@ class Rig:
             count,
         )
         assert status == Status.OK, invalid_reason()
+        assert count[0] <= len(room)
         self.events = room[: count[0]].copy()
         return samples
 
@@ -103,7 +107,8 @@ class Rig:
 
     def of(self, kind: EventKind) -> npt.NDArray[np.void]:
         """The last stretch's events of one kind."""
-        return self.events[self.events["kind"] == kind]
+        found: npt.NDArray[np.void] = self.events[self.events["kind"] == kind]
+        return found
 
 
 def line(start: float, speed: float, count: int, rate_hz: float = 10_000, x: float = 0.0) -> npt.NDArray[np.float64]:

@@ -55,6 +55,7 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
         shown = "silent" if mode["shown_hz"] is None else f"shown at {mode['shown_hz']:g} Hz"
         of = f"{mode['mode']} of {mode['material']}, {mode['frequency_hz']:g} Hz"
         lines.append(("undisplayable", f"{of}: {shown}"))
+    lines += [("warning", f"{warning['where']}: {warning['problem']}") for warning in status["warnings"]]
     width = max(len(name) for name, _ in lines)
     for name, value in lines:
         click.echo(f"{name:<{width}}  {value}")

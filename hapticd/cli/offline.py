@@ -41,6 +41,8 @@ def simulate_command(
     from hapticd.cli.simulation import simulate_to_file
 
     result = simulate_to_file(yaml_file(scene), yaml_file(operator_file), output, duration_s, rate_hz)
+    for warning in result["warnings"]:
+        click.echo(f"hapticd: {warning['where']}: {warning['problem']}", err=True)
     if as_json:
         print_json(result)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TypedDict
 
 from hapticd.config import Config, load_config
@@ -19,6 +20,7 @@ class SimulationResult(TypedDict):
     ticks: int
     duration_s: float
     events: int
+    warnings: list[dict[str, str]]
 
 
 def simulate_to_file(
@@ -36,7 +38,13 @@ def simulate_to_file(
             sink.write_event(event_map(event, run.objects.get(place)))
         sink.finish(arrays={} if run.truth is None else {"truth": run.truth})
     ticks = len(run.samples)
-    return {"file": output, "ticks": ticks, "duration_s": ticks / rate_hz, "events": len(run.events)}
+    return {
+        "file": output,
+        "ticks": ticks,
+        "duration_s": ticks / rate_hz,
+        "events": len(run.events),
+        "warnings": [asdict(problem) for problem in run.warnings],
+    }
 
 
 def _config(path: str) -> Config:

@@ -1,5 +1,6 @@
 /* Any bytes as tables and motion: a table is either refused with a reason, or every force that it renders is finite
- * and within its limit; a position that is no number leaves the force at zero for good.
+ * and within its limit; a position that is no number leaves the force at zero for good. A world takes one table after
+ * the other, whole or by lists of slots that need not be right.
  *
  * With HD_LIBFUZZER this is a libFuzzer target (`make fuzz`). Without, main runs seeded random cases of the same kind
  * and takes a first seed and a count, so that a failure can be repeated. Bytes choose values mostly from sensible
@@ -9,8 +10,13 @@
 
 #include "hd_core.h"
 #include "hd_test.h"
+#include "hd_world.h"
 
-#define LARGEST_COUNT 3
+#define OBJECTS 6u
+#define MATERIALS 4u
+#define PIECES 8u
+#define NOISES 2u
+#define NUMBERS 96u
 #define TICKS 48
 #define EVENTS 64
 
@@ -48,7 +54,7 @@ static uint8_t take_byte(struct source *source) {
     return byte;
 }
 
-/* Mostly between `low` and `high`; one in 128 is a number that tends to break things, one in 256 any bits. */
+/* Mostly between `low` and `high`; one in 1024 is a number that tends to break things, one in 4096 any bits. */
 static double take_number(struct source *source, double low, double high) {
     static const double hostile[] = {
         0.0,     -0.0,     1.0,   -1.0,   5e-324,           -2e-308,           1e-30,      1e9, -1e9, 1e154,
@@ -58,11 +64,11 @@ static double take_number(struct source *source, double low, double high) {
     double number;
 
     take(source, &choice, sizeof choice);
-    if (choice < 256) {
+    if (choice < 16) {
         take(source, &number, sizeof number);
         return number;
     }
-    if (choice < 768)
+    if (choice < 80)
         return hostile[take_byte(source) % (sizeof hostile / sizeof hostile[0])];
     take(source, &fraction, sizeof fraction);
     return low + (high - low) * (double)fraction / 4294967295.0;
@@ -72,7 +78,7 @@ static uint32_t take_count(struct source *source, uint32_t limit) {
     uint8_t choice = take_byte(source);
     uint32_t count;
 
-    if (choice > 2)
+    if (choice > 0)
         return choice % limit;
     take(source, &count, sizeof count);
     return count;
@@ -113,77 +119,192 @@ static void take_mode(struct source *source, double period_s, struct hd_mode *mo
     }
 }
 
-static void take_surface(struct source *source, struct hd_surface *surface) {
-    double angle = take_number(source, 0.0, 6.3);
-
-    surface->point_m[0] = take_number(source, -0.02, 0.02);
-    surface->point_m[1] = take_number(source, -0.02, 0.02);
-    surface->normal[0] = cos(angle);
-    surface->normal[1] = sin(angle);
-    surface->stiffness_n_per_m = take_number(source, 0.0, 3000.0);
-    surface->damping_n_s_per_m = take_number(source, 0.0, 20.0);
-    surface->half_width_m = take_number(source, 0.0, 0.05);
-    surface->rupture_depth_m = take_number(source, 0.0, 0.01);
-}
-
-static void take_key(struct source *source, uint32_t slot, struct hd_key *key) {
-    uint8_t choice = take_byte(source);
-
-    *key =
-        (struct hd_key){.slot = slot, .generation = choice & 1u, .version = (choice >> 1) & 3u, .heals = choice >> 7};
-    if ((choice & 0x78u) == 0x78u)
-        take(source, &key->slot, sizeof key->slot);
-}
-
 struct scene {
     struct hd_table table;
-    struct hd_wall walls[LARGEST_COUNT];
-    struct hd_membrane membranes[LARGEST_COUNT];
+    struct hd_object objects[OBJECTS];
+    struct hd_material materials[MATERIALS];
+    struct hd_piece pieces[PIECES];
+    struct hd_noise noises[NOISES];
+    double numbers[NUMBERS];
+    uint32_t changed[OBJECTS];
 };
 
-static void take_scene(struct source *source, double period_s, struct scene *scene) {
+static void take_material(struct source *source, double period_s, struct hd_material *material) {
+    uint8_t choice = take_byte(source);
+
+    *material = (struct hd_material){
+        .texture = choice % 64 < 63 ? choice % 5 : take_count(source, 6),
+        .noise = take_count(source, NOISES),
+        .heals = choice >> 7,
+        .stiffness_n_per_m = take_number(source, 0.0, 3000.0),
+        .damping_n_s_per_m = take_number(source, 0.0, 20.0),
+        .rupture_depth_m = take_number(source, 0.0, 0.01),
+        .friction_coefficient = (choice & 64) != 0 ? take_number(source, 0.0, 2.0) : 0.0,
+        .friction_stiffness_n_per_m = take_number(source, 1.0, 2000.0),
+        .spacing_m = take_number(source, 0.0005, 0.006),
+        .depth_m = take_number(source, 0.0, 0.002),
+        .drag_n_s_per_m = take_number(source, 0.0, 20.0),
+        .velocity_gain_per_s = take_number(source, 0.0, 2000.0),
+        .force_gain_m_per_s2_per_n = take_number(source, 0.0, 100.0),
+    };
+    material->width_m = take_number(source, 0.0, 1.0) * material->spacing_m;
+    take_mode(source, period_s, &material->tap);
+    take_mode(source, period_s, &material->rupture);
+    take_mode(source, period_s, &material->groove);
+}
+
+/* Rising, with ramps that fit, unless a number is hostile. */
+static void take_pieces(struct source *source, struct hd_piece pieces[PIECES]) {
+    double from = -0.02;
+
+    for (uint32_t i = 0; i < PIECES; i++) {
+        double half = take_number(source, 1e-5, 0.002);
+
+        from += half * 2.0 + take_number(source, 0.0, 0.01);
+        pieces[i] = (struct hd_piece){.from_m = from - half, .half_ramp_m = half, .material = take_count(source, 4)};
+    }
+}
+
+/* Axes from 0 up, then nodes whose reflection coefficients and taps are right, unless a number is hostile. */
+static void take_noise(struct source *source, uint32_t first, double *numbers, struct hd_noise *noise) {
+    uint8_t choice = take_byte(source);
+    uint32_t at = first;
+
+    *noise = (struct hd_noise){
+        .order = choice % 8 == 7 ? take_count(source, HD_NOISE_ORDER + 2) : choice % 4,
+        .taps = (choice >> 3) & 1u,
+        .along_normal = (choice >> 4) & 1u,
+        .speed_count = 1 + ((choice >> 5) & 1u),
+        .force_count = 1 + ((choice >> 6) & 1u),
+        .first = choice == 0xff ? take_count(source, NUMBERS) : first,
+        .seed = choice,
+        .threshold_m_per_s = take_number(source, 0.0, 0.01),
+        .velocity_gain_per_s = take_number(source, -10.0, 100.0),
+        .force_gain_m_per_s2_per_n = take_number(source, -10.0, 20.0),
+        .force_per_unit = take_number(source, 0.0, 0.2),
+    };
+    for (uint32_t i = 0; i < noise->speed_count; i++)
+        numbers[at++] = i == 0 ? 0.0 : take_number(source, 0.01, 1.0);
+    for (uint32_t i = 0; i < noise->force_count; i++)
+        numbers[at++] = i == 0 ? 0.0 : take_number(source, 0.01, 5.0);
+    for (uint32_t node = 0; node < noise->speed_count * noise->force_count && noise->order < 4; node++) {
+        double squares = 0.0;
+        uint32_t taps;
+
+        numbers[at++] = take_number(source, 0.0, 20.0);
+        for (uint32_t i = 0; i < noise->order; i++)
+            numbers[at++] = take_number(source, -0.999, 0.999);
+        taps = at;
+        for (uint32_t i = 0; noise->taps && i <= noise->order; i++) {
+            numbers[at] = take_number(source, -1.0, 1.0);
+            squares += numbers[at] * numbers[at];
+            at++;
+        }
+        for (; taps < at; taps++)
+            numbers[taps] /= sqrt(squares);
+    }
+}
+
+static void take_object(struct source *source, struct hd_object *object) {
+    double angle = take_number(source, 0.0, 6.3);
+    uint8_t choice = take_byte(source);
+    uint8_t versions = take_byte(source);
+
+    *object = (struct hd_object){
+        .generation = versions & 1u,
+        .place_version = (versions >> 1) & 3u,
+        .skin_version = (versions >> 3) & 3u,
+        .shape = choice < 250 ? choice % 5u : take_count(source, 6),
+        .material = take_count(source, MATERIALS),
+        .point_m = {take_number(source, -0.02, 0.02), take_number(source, -0.02, 0.02)},
+        .normal = {cos(angle), sin(angle)},
+    };
+    if (object->shape == HD_SHAPE_WALL && (versions & 0x80u) != 0) {
+        object->piece_first = take_count(source, 4);
+        object->piece_count = take_count(source, 5);
+    }
+    if (object->shape >= HD_SHAPE_MEMBRANE || choice == 249)
+        object->half_m[0] = take_number(source, 1e-4, 0.02);
+    if (object->shape == HD_SHAPE_BOX || choice == 248)
+        object->half_m[1] = take_number(source, 1e-4, 0.02);
+    if (object->shape == HD_SHAPE_DISC && choice != 247)
+        object->half_m[1] = object->half_m[0];
+}
+
+static void take_scene(struct source *source, double period_s, uint32_t run, struct scene *scene) {
     struct hd_table *table = &scene->table;
     uint8_t choice = take_byte(source);
 
     memset(scene, 0, sizeof *scene);
-    table->revision = choice;
-    table->wall_count = choice % (LARGEST_COUNT + 1);
-    table->membrane_count = choice / 4 % (LARGEST_COUNT + 1);
-    table->display_force = (choice & 16) == 0;
-    table->display_vibration = (choice & 32) == 0;
-    table->field_version = choice >> 6;
-    table->period_s = take_number(source, period_s, period_s);
-    table->max_force_n = take_number(source, 0.0, 20.0);
-    table->max_speed_m_per_s = take_number(source, 1.0, 1000.0);
-    table->ramp_s = take_number(source, 1e-4, 0.05);
+    *table = (struct hd_table){
+        .revision = choice,
+        .object_count = take_byte(source) % (OBJECTS + 1),
+        .material_count = MATERIALS,
+        .piece_count = PIECES,
+        .noise_count = NOISES,
+        .number_count = NUMBERS,
+        .display_force = (choice & 16) == 0,
+        .display_vibration = (choice & 32) == 0,
+        .field_version = choice >> 6,
+        .parts_version = (choice & 1) != 0 ? run : 0,
+        .period_s = take_number(source, period_s, period_s),
+        .max_force_n = take_number(source, 0.0, 20.0),
+        .max_speed_m_per_s = take_number(source, 1.0, 1000.0),
+        .ramp_s = take_number(source, 1e-4, 0.05),
+        .objects = scene->objects,
+        .materials = scene->materials,
+        .pieces = scene->pieces,
+        .noises = scene->noises,
+        .numbers = scene->numbers,
+    };
     table->ramp_step = take_byte(source) != 0 ? table->period_s / table->ramp_s : take_number(source, 0.0, 1.0);
     table->field.force_n[0] = take_number(source, -1.0, 1.0);
     table->field.force_n[1] = take_number(source, -1.0, 1.0);
     table->field.stiffness_n_per_m = take_number(source, 0.0, 100.0);
     table->field.damping_n_s_per_m = take_number(source, 0.0, 5.0);
-    for (uint32_t i = 0; i < LARGEST_COUNT; i++) {
-        take_key(source, i, &scene->walls[i].key);
-        take_surface(source, &scene->walls[i].surface);
-        take_mode(source, period_s, &scene->walls[i].tap);
-        take_key(source, LARGEST_COUNT + i, &scene->membranes[i].key);
-        take_surface(source, &scene->membranes[i].surface);
-        take_mode(source, period_s, &scene->membranes[i].tap);
-        take_mode(source, period_s, &scene->membranes[i].rupture);
-    }
-    table->walls = scene->walls;
-    table->membranes = scene->membranes;
-    choice = take_byte(source);
-    if (choice == 1)
-        table->walls = NULL;
-    if (choice == 2)
-        table->membranes = NULL;
-    if (choice == 3)
+    for (uint32_t i = 0; i < OBJECTS; i++)
+        take_object(source, &scene->objects[i]);
+    for (uint32_t i = 0; i < MATERIALS; i++)
+        take_material(source, period_s, &scene->materials[i]);
+    take_pieces(source, scene->pieces);
+    for (uint32_t i = 0; i < NOISES; i++)
+        take_noise(source, i * (NUMBERS / NOISES), scene->numbers, &scene->noises[i]);
+    for (uint32_t i = 0; i < OBJECTS; i++)
+        scene->changed[i] = take_count(source, OBJECTS + 1);
+    switch (take_byte(source)) {
+    case 1:
+        table->objects = NULL;
+        break;
+    case 2:
+        table->materials = NULL;
+        break;
+    case 3:
+        table->pieces = NULL;
+        break;
+    case 4:
+        table->noises = NULL;
+        break;
+    case 5:
+        table->numbers = NULL;
+        break;
+    case 6:
         table->display_force = take_byte(source);
-    /* More objects than the state has room for must be refused before any of them is read. */
-    if (choice == 4)
-        table->wall_count = UINT32_MAX - take_byte(source);
-    if (choice == 5)
-        table->membrane_count = UINT32_MAX;
+        break;
+    case 7:
+        table->material_count = take_byte(source) % MATERIALS;
+        break;
+    case 8:
+        table->piece_count = take_byte(source) % PIECES;
+        break;
+    case 9:
+        table->noise_count = take_byte(source) % NOISES;
+        break;
+    case 10:
+        table->number_count = take_byte(source) % NUMBERS;
+        break;
+    default:
+        break;
+    }
 }
 
 struct motion {
@@ -209,13 +330,13 @@ static void take_motion(struct source *source, double period_s, struct motion *m
     }
 }
 
-static void check_samples(const struct hd_table *table, const struct motion *motion, size_t count,
-                          const struct hd_sample *samples, int *faulty) {
-    for (size_t i = 0; i < count; i++) {
+static void check_samples(double max_force_n, const struct motion *motion, const struct hd_sample *samples,
+                          int *faulty) {
+    for (size_t i = 0; i < TICKS; i++) {
         const double *force = samples[i].force_n;
 
         CHECK(isfinite(force[0]) && isfinite(force[1]));
-        CHECK(hypot(force[0], force[1]) <= table->max_force_n);
+        CHECK(hypot(force[0], force[1]) <= max_force_n);
         *faulty |= !isfinite(motion->position[i][0]) || !isfinite(motion->position[i][1]);
         CHECK(!*faulty || (force[0] == 0.0 && force[1] == 0.0 && (samples[i].flags & HD_FLAG_FAULT) != 0));
         outcome.forceful += force[0] != 0.0 || force[1] != 0.0;
@@ -224,7 +345,7 @@ static void check_samples(const struct hd_table *table, const struct motion *mot
 
 static void check_events(const struct hd_event *events, size_t count) {
     for (size_t i = 0; i < count; i++) {
-        CHECK(events[i].kind >= HD_EVENT_CONTACT && events[i].kind <= HD_EVENT_DEVICE_FOUND);
+        CHECK(events[i].kind >= HD_EVENT_CONTACT && events[i].kind <= HD_EVENT_GROOVE);
         CHECK(events[i].scale >= 0.0 && events[i].scale <= 1.0);
         CHECK(events[i].before_tick_s >= 0.0 && isfinite(events[i].before_tick_s));
     }
@@ -236,12 +357,14 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     struct source source = {.data = data, .left = size};
     uint8_t choice = take_byte(&source);
     double period_s = 1.0 / rates_hz[choice % 5];
-    struct hd_state *state = hd_state_new(2 * LARGEST_COUNT);
+    struct hd_state *state = hd_state_new(OBJECTS);
+    struct hd_world *world = hd_world_new();
     int faulty = 0;
+    int loaded = 0;
 
-    CHECK(state != NULL);
+    CHECK(state != NULL && world != NULL);
     hd_state_set_resolution(state, (choice & 64) != 0 ? 20e-6 : 0.0);
-    for (int run = 0; run < 3; run++) {
+    for (uint32_t run = 0; run < 4; run++) {
         struct scene scene;
         struct motion motion;
         struct hd_sample samples[TICKS];
@@ -249,29 +372,33 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         size_t event_count = 0;
         int status;
 
-        take_scene(&source, period_s, &scene);
+        take_scene(&source, period_s, run, &scene);
         take_motion(&source, period_s, &motion);
         memset(samples, 0, sizeof samples);
-        status = hd_table_check(&scene.table, 2 * LARGEST_COUNT);
+        status = (choice & 16) != 0 ? hd_world_update(world, &scene.table, scene.changed, run + 1)
+                                    : hd_world_load(world, &scene.table);
         if (status != HD_OK) {
             CHECK(status == HD_ERR_INVALID && hd_invalid_reason()[0] != '\0');
             outcome.refused++;
         }
-        if (hd_render(&scene.table, state, motion.position[0], (choice & 128) != 0 ? motion.velocity[0] : NULL,
-                      (choice & 32) != 0 ? motion.periods : NULL, TICKS, samples, events, EVENTS,
-                      &event_count) == HD_OK) {
-            CHECK(status == HD_OK);
+        /* Where a table was refused, the world goes on with the one before. */
+        loaded |= status == HD_OK;
+        status = hd_render(world, state, motion.position[0], (choice & 128) != 0 ? motion.velocity[0] : NULL,
+                           (choice & 32) != 0 ? motion.periods : NULL, TICKS, samples, events, EVENTS, &event_count);
+        if (status == HD_OK) {
+            CHECK(loaded);
             outcome.rendered++;
             outcome.events += event_count;
-            check_samples(&scene.table, &motion, TICKS, samples, &faulty);
+            check_samples(world->table.max_force_n, &motion, samples, &faulty);
             check_events(events, event_count < EVENTS ? event_count : EVENTS);
         } else {
-            /* A table that was refused, or a period count of 0 in the middle. */
-            CHECK(status != HD_OK || (choice & 32) != 0);
-            if (status == HD_OK)
+            /* No table yet, or a period count of 0 in the middle. */
+            CHECK(!loaded || (choice & 32) != 0);
+            if (loaded)
                 break;
         }
     }
+    hd_world_free(world);
     hd_state_free(state);
     return 0;
 }
@@ -294,7 +421,7 @@ int main(int argc, char **argv) {
         }
         LLVMFuzzerTestOneInput(bytes, size);
     }
-    printf("test_fuzz_table: ok, %llu tables refused, %llu rendered, %llu ticks with a force, %llu events\n",
+    printf("test_fuzz_table: ok, %llu tables refused, %llu runs, %llu ticks with a force, %llu events\n",
            (unsigned long long)outcome.refused, (unsigned long long)outcome.rendered,
            (unsigned long long)outcome.forceful, (unsigned long long)outcome.events);
     CHECK(argc > 2 || (outcome.refused > count / 10 && outcome.rendered > count / 10 && outcome.events > count));

@@ -1,6 +1,7 @@
 /* The whole servo against its neighbours, as the daemon uses it: one thread publishes tables and sends commands, one
  * drains samples and events, the servo ticks at 10 kHz with the simulated joystick. Meant for the sanitizers; what is
- * asserted is order and completeness, never time. */
+ * asserted is order and completeness, never time. A second servo takes tables that tell only what has changed, many of
+ * them overtaken, and must end where a run without servo does. */
 #include <math.h>
 #include <pthread.h>
 #include <sched.h>
@@ -18,6 +19,11 @@
 #define STROKE_TICKS 2500u      /* that the hand follows one path */
 #define PATIENCE_NS 60000000000 /* a defect, not a slow machine */
 #define HELD 1024u              /* commands that the servo holds at most */
+#define CROWD 64u
+#define CROWD_MATERIALS 6u
+#define CROWD_BURSTS 100u
+#define CROWD_CHANGES 5000u /* more than the servo remembers */
+#define CROWD_TICKS 60u     /* three ramps */
 
 static const struct hd_sim_config joystick = {
     .handle_mass_kg = 0.05,
@@ -62,10 +68,16 @@ static struct hd_mode ringing(double frequency_hz, double decay_rate_per_s, doub
     };
 }
 
+enum { FLOOR, SLOPE, SKIN, STONE, OBJECTS };
+enum { COMB, PAPER, CELLOPHANE, PIECES, MATERIALS = PIECES };
+
 struct scene {
     struct hd_table table;
-    struct hd_wall walls[2];
-    struct hd_membrane membrane;
+    struct hd_object objects[OBJECTS];
+    struct hd_material materials[MATERIALS];
+    struct hd_piece pieces[PIECES];
+    struct hd_noise noise;
+    double numbers[4];
 };
 
 /* Every revision changes the surfaces; now and then a slot goes to another object. */
@@ -74,11 +86,16 @@ static void make_scene(struct scene *scene, uint32_t revision) {
         .table =
             {
                 .revision = revision,
-                .wall_count = 1 + revision % 2,
-                .membrane_count = 1,
+                .object_count = OBJECTS - revision % 2,
+                .material_count = MATERIALS,
+                .piece_count = 2,
+                .noise_count = 1,
+                .number_count = 4,
                 .display_force = 1,
                 .display_vibration = 1,
                 .field_version = revision,
+                .parts_version = revision,
+                .all_changed = 1,
                 .period_s = 1.0 / RATE_HZ,
                 .max_force_n = MAX_FORCE_N,
                 .max_speed_m_per_s = 5.0,
@@ -86,28 +103,55 @@ static void make_scene(struct scene *scene, uint32_t revision) {
                 .ramp_step = 1.0 / RATE_HZ / 0.02,
                 .field = {.force_n = {0.01 * (revision % 5), 0.0}, .damping_n_s_per_m = 0.5},
             },
-        .membrane =
+        .materials =
             {
-                .key = {.slot = 2, .generation = revision / GENERATION, .version = revision, .heals = revision % 2},
-                .surface = {.point_m = {0.0, 0.005},
-                            .normal = {0.0, 1.0},
-                            .stiffness_n_per_m = 600.0,
-                            .half_width_m = 0.02,
-                            .rupture_depth_m = 0.001},
-                .rupture = ringing(200.0, 330.0, 1.9),
+                [COMB] = {.texture = HD_TEXTURE_STRIKES + revision / 8 % 3,
+                          .stiffness_n_per_m = 700.0 + 10.0 * (revision % 20),
+                          .damping_n_s_per_m = 0.1,
+                          .friction_coefficient = 0.2,
+                          .friction_stiffness_n_per_m = 200.0,
+                          .spacing_m = 0.002,
+                          .width_m = 0.0005,
+                          .depth_m = 0.0001,
+                          .drag_n_s_per_m = 1.0,
+                          .velocity_gain_per_s = 100.0,
+                          .force_gain_m_per_s2_per_n = 10.0,
+                          .tap = ringing(67.0, 154.0, 15.0),
+                          .groove = ringing(200.0, 330.0, 0.05)},
+                [PAPER] = {.texture = HD_TEXTURE_NOISE, .stiffness_n_per_m = 600.0, .tap = ringing(67.0, 154.0, 15.0)},
+                [CELLOPHANE] = {.heals = revision % 2,
+                                .stiffness_n_per_m = 600.0,
+                                .rupture_depth_m = 0.001,
+                                .rupture = ringing(200.0, 330.0, 1.9)},
+            },
+        .pieces = {{.material = COMB}, {.from_m = 0.005, .half_ramp_m = 0.001, .material = PAPER}},
+        .noise = {.order = 1, .speed_count = 1, .force_count = 1, .velocity_gain_per_s = 20.0, .force_per_unit = 0.05},
+        .numbers = {0.0, 0.0, 1.0, -0.4 + 0.01 * (revision % 9)},
+        .objects =
+            {
+                [FLOOR] = {.shape = HD_SHAPE_WALL, .normal = {0.0, 1.0}, .piece_count = 2},
+                [SLOPE] = {.shape = HD_SHAPE_WALL, .normal = {0.6, 0.8}, .point_m = {-0.01, 0.0}},
+                [SKIN] = {.shape = HD_SHAPE_MEMBRANE,
+                          .material = CELLOPHANE,
+                          .point_m = {0.0, 0.005},
+                          .normal = {0.0, 1.0},
+                          .half_m = {0.02, 0.0}},
+                [STONE] = {.shape = revision / GENERATION % 2 == 0 ? HD_SHAPE_BOX : HD_SHAPE_DISC,
+                           .material = PAPER,
+                           .point_m = {0.01, 0.001 * (revision % 3)},
+                           .normal = {0.0, 1.0},
+                           .half_m = {0.003, 0.003}},
             },
     };
-    for (uint32_t i = 0; i < 2; i++) {
-        scene->walls[i] = (struct hd_wall){
-            .key = {.slot = i, .generation = revision / GENERATION, .version = revision},
-            .surface = {.normal = {i == 0 ? 0.0 : 0.6, i == 0 ? 1.0 : 0.8},
-                        .stiffness_n_per_m = 700.0 + 10.0 * (revision % 20),
-                        .damping_n_s_per_m = 0.1},
-            .tap = ringing(67.0, 154.0, 15.0),
-        };
+    for (uint32_t i = 0; i < OBJECTS; i++) {
+        scene->objects[i].generation = revision / GENERATION;
+        scene->objects[i].place_version = scene->objects[i].skin_version = revision;
     }
-    scene->table.walls = scene->walls;
-    scene->table.membranes = &scene->membrane;
+    scene->table.objects = scene->objects;
+    scene->table.materials = scene->materials;
+    scene->table.pieces = scene->pieces;
+    scene->table.noises = &scene->noise;
+    scene->table.numbers = scene->numbers;
 }
 
 struct drain {
@@ -117,7 +161,7 @@ struct drain {
     uint64_t samples_dropped;
     uint64_t events;
     uint64_t events_dropped;
-    uint64_t kinds[HD_EVENT_DEVICE_FOUND + 1];
+    uint64_t kinds[HD_EVENT_GROOVE + 1];
     struct hd_sample newest;
     uint32_t event_revision;
 };
@@ -134,7 +178,7 @@ static void take_sample(struct drain *drain, const struct hd_sample *sample) {
 }
 
 static void take_event(struct drain *drain, const struct hd_event *event) {
-    CHECK(event->kind >= HD_EVENT_CONTACT && event->kind <= HD_EVENT_DEVICE_FOUND);
+    CHECK(event->kind >= HD_EVENT_CONTACT && event->kind <= HD_EVENT_GROOVE);
     if (event->kind == HD_EVENT_REVISION) {
         CHECK(event->code > drain->event_revision);
         drain->event_revision = event->code;
@@ -176,7 +220,13 @@ static void refuses(struct hd_servo *servo, struct scene *scene) {
     scene->table.period_s *= 2.0;
     CHECK(hd_servo_publish(servo, &scene->table) == HD_ERR_INVALID);
     scene->table.period_s /= 2.0;
-    scene->walls[0].surface.normal[0] = (double)NAN;
+    scene->table.object_count = 9;
+    CHECK(hd_servo_publish(servo, &scene->table) == HD_ERR_INVALID);
+    scene->table.object_count = OBJECTS;
+    scene->table.changed_count = 1;
+    CHECK(hd_servo_publish(servo, &scene->table) == HD_ERR_INVALID);
+    scene->table.changed_count = 0;
+    scene->objects[0].normal[0] = (double)NAN;
     CHECK(hd_servo_publish(servo, &scene->table) == HD_ERR_INVALID);
 }
 
@@ -254,6 +304,189 @@ static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct 
     return revision;
 }
 
+/* ---- Tables that tell only what has changed ---------------------------------------------------------------------- */
+
+/* Walls in every direction, most of them pressed by a probe at the origin, and materials among them; no damping, no
+ * friction, no texture, so that what is displayed to a probe at rest follows from the last table alone. */
+struct crowd {
+    struct hd_table table;
+    struct hd_object objects[CROWD];
+    struct hd_material materials[CROWD_MATERIALS];
+    uint32_t changed[CROWD_CHANGES];
+};
+
+static double uniform(uint64_t *seed, double low, double high) {
+    return low + (high - low) * (double)(test_random(seed) >> 11) * 0x1p-53;
+}
+
+static void place_wall(struct crowd *crowd, uint64_t *seed, uint32_t slot) {
+    struct hd_object *object = &crowd->objects[slot];
+    double angle = uniform(seed, 0.0, 6.28);
+    double depth_m = uniform(seed, -0.0005, 0.001);
+    int gone = test_below(seed, 5) == 0;
+
+    *object = (struct hd_object){
+        .generation = object->generation + (gone || object->shape == HD_SHAPE_NONE),
+        .place_version = object->place_version + 1,
+        .skin_version = object->skin_version + 1,
+        .shape = gone ? HD_SHAPE_NONE : HD_SHAPE_WALL,
+        .material = (uint32_t)test_below(seed, CROWD_MATERIALS),
+        .normal = {cos(angle), sin(angle)},
+        .point_m = {depth_m * cos(angle), depth_m * sin(angle)},
+    };
+}
+
+static void change_crowd(struct crowd *crowd, uint64_t *seed) {
+    struct hd_table *table = &crowd->table;
+    uint32_t count = table->object_count;
+
+    table->revision++;
+    table->changed_count = (uint32_t)test_below(seed, 4);
+    for (uint32_t i = 0; i < table->changed_count; i++) {
+        crowd->changed[i] = (uint32_t)test_below(seed, CROWD);
+        place_wall(crowd, seed, crowd->changed[i]);
+    }
+    if (test_below(seed, 3) == 0) {
+        table->object_count = CROWD / 2 + (uint32_t)test_below(seed, CROWD / 2 + 1);
+        for (uint32_t slot = count; slot < table->object_count; slot++)
+            place_wall(crowd, seed, slot);
+    }
+    if (test_below(seed, 8) == 0) {
+        uint32_t material = (uint32_t)test_below(seed, CROWD_MATERIALS);
+
+        table->parts_version++;
+        crowd->materials[material].stiffness_n_per_m = uniform(seed, 10.0, 60.0);
+        for (uint32_t slot = 0; slot < CROWD; slot++) {
+            if (crowd->objects[slot].material == material) {
+                crowd->objects[slot].skin_version++;
+                crowd->changed[table->changed_count++] = slot;
+            }
+        }
+    }
+    if (test_below(seed, 50) == 0) {
+        for (uint32_t slot = 0; table->changed_count < CROWD_CHANGES; slot++)
+            crowd->changed[table->changed_count++] = slot % CROWD;
+    }
+}
+
+/* Refused: what it says of the slots must not be lost, nor what the next one says. */
+static void publish_refused(struct hd_servo *servo, const struct crowd *crowd) {
+    struct crowd bad = *crowd;
+
+    bad.table.objects = bad.objects;
+    bad.table.changed = bad.changed;
+    bad.table.materials = bad.materials;
+    bad.table.changed_count = 2;
+    bad.changed[0] = UINT32_MAX;
+    bad.changed[1] = 3;
+    bad.objects[3].shape = 99;
+    bad.table.all_changed = 0;
+    CHECK(hd_servo_publish(servo, &bad.table) == HD_ERR_INVALID);
+}
+
+static struct hd_sample newest_sample(struct hd_servo *servo) {
+    struct hd_sample samples[64];
+    struct hd_sample newest = {.tick = 0};
+    uint64_t dropped;
+    size_t count;
+
+    while ((count = hd_servo_read_samples(servo, samples, 64, &dropped)) > 0)
+        newest = samples[count - 1];
+    return newest;
+}
+
+/* The force at rest at the origin, long after the ramps. */
+static void rendered_force(const struct hd_table *table, double force_n[2]) {
+    static const double origin[CROWD_TICKS][2];
+    static struct hd_sample samples[CROWD_TICKS];
+    struct hd_world *world = hd_world_new();
+    struct hd_state *state = hd_state_new(CROWD);
+    size_t events;
+
+    CHECK(world != NULL && state != NULL && hd_world_load(world, table) == HD_OK);
+    CHECK(hd_render(world, state, origin[0], NULL, NULL, CROWD_TICKS, samples, NULL, 0, &events) == HD_OK);
+    memcpy(force_n, samples[CROWD_TICKS - 1].contact_force_n, sizeof samples[0].contact_force_n);
+    hd_state_free(state);
+    hd_world_free(world);
+}
+
+/* Forces are off, so nothing moves the handle from where the hand holds it. */
+static uint32_t increments(void) {
+    static struct crowd crowd;
+    struct hd_servo_config quiet = config;
+    struct hd_sim_config still = joystick;
+    struct hd_sim *sim;
+    struct hd_servo *servo;
+    struct hd_grant grant;
+    uint64_t seed = 9;
+    uint32_t compared = 0;
+    uint64_t tick;
+
+    quiet.slot_capacity = CROWD;
+    quiet.forces_on = 0;
+    still.start_m[0] = still.start_m[1] = 0.0;
+    sim = hd_sim_new(&still, 1.0 / RATE_HZ);
+    servo = hd_servo_new(&quiet, sim);
+    CHECK(sim != NULL && servo != NULL);
+    crowd.table = (struct hd_table){
+        .revision = 1,
+        .object_count = CROWD / 2,
+        .material_count = CROWD_MATERIALS,
+        .display_force = 1,
+        .display_vibration = 1,
+        .parts_version = 1,
+        .all_changed = 1,
+        .period_s = 1.0 / RATE_HZ,
+        .max_force_n = MAX_FORCE_N,
+        .max_speed_m_per_s = 5.0,
+        .ramp_s = 0.002,
+        .ramp_step = 1.0 / RATE_HZ / 0.002,
+        .objects = crowd.objects,
+        .materials = crowd.materials,
+        .changed = crowd.changed,
+    };
+    for (uint32_t i = 0; i < CROWD_MATERIALS; i++)
+        crowd.materials[i].stiffness_n_per_m = 20.0 + i;
+    for (uint32_t slot = 0; slot < CROWD; slot++)
+        place_wall(&crowd, &seed, slot);
+    CHECK(hd_servo_publish(servo, &crowd.table) == HD_OK);
+    CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    for (uint32_t burst = 0; burst < CROWD_BURSTS; burst++) {
+        struct hd_sample newest = {.tick = 0};
+        double force_n[2];
+
+        for (size_t tables = 1 + test_below(&seed, 12); tables > 0; tables--) {
+            crowd.table.all_changed = 0;
+            if (test_below(&seed, 20) == 0) {
+                publish_refused(servo, &crowd);
+                crowd.table.all_changed = 1;
+            }
+            change_crowd(&crowd, &seed);
+            CHECK(hd_servo_publish(servo, &crowd.table) == HD_OK);
+            hd_servo_beat(servo);
+            if (test_below(&seed, 3) == 0)
+                CHECK(hd_servo_wait_revision(servo, crowd.table.revision, PATIENCE_NS, &tick) == HD_OK);
+        }
+        CHECK(hd_servo_wait_revision(servo, crowd.table.revision, PATIENCE_NS, &tick) == HD_OK);
+        while (newest.revision != crowd.table.revision || newest.tick < tick + CROWD_TICKS) {
+            struct hd_sample sample = newest_sample(servo);
+
+            newest = sample.tick > 0 ? sample : newest;
+            hd_servo_beat(servo);
+            sched_yield();
+        }
+        rendered_force(&crowd.table, force_n);
+        for (int axis = 0; axis < 2; axis++)
+            CHECK(fabs(newest.contact_force_n[axis] - force_n[axis]) < 1e-12);
+        compared += hypot(force_n[0], force_n[1]) > 0.01;
+    }
+    CHECK(compared > CROWD_BURSTS / 2);
+    CHECK(hd_servo_stop(servo) == HD_OK);
+    hd_servo_free(servo);
+    hd_sim_free(sim);
+    return crowd.table.revision;
+}
+
 int main(void) {
     static const double strokes[][3] = {
         {0.0, 0.0, 0.01}, {0.05, 0.01, -0.005}, {0.1, -0.01, 0.01}, {0.15, 0.0, -0.01}, {0.3, 0.0, 0.01},
@@ -272,6 +505,7 @@ int main(void) {
     uint64_t held;
     uint64_t tick;
     uint32_t revision;
+    uint32_t increment;
 
     CHECK(stroke != NULL && press != NULL && sim != NULL && servo != NULL);
     paths[0] = stroke;
@@ -303,8 +537,9 @@ int main(void) {
     hd_sim_free(sim);
     hd_operator_free(stroke);
     hd_operator_free(press);
-    printf("test_servo_stress: ok, %llu ticks (%llu skipped, %llu samples dropped), %u revisions, %llu events\n",
+    increment = increments();
+    printf("test_servo_stress: ok, %llu ticks (%llu skipped, %llu samples dropped), %u and %u revisions, %llu events\n",
            (unsigned long long)counters.ticks, (unsigned long long)counters.skipped,
-           (unsigned long long)counters.samples_dropped, revision, (unsigned long long)drain.events);
+           (unsigned long long)counters.samples_dropped, revision, increment, (unsigned long long)drain.events);
     return 0;
 }

@@ -58,21 +58,58 @@ def test_render_refuses_bad_positions_by_place() -> None:
             render({}, still(0, 0, 2), rate_hz=rate)
 
 
+COMB = {
+    "stiffness_n_per_m": 800,
+    "friction": {"coefficient": 0.2, "stiffness_n_per_m": 500},
+    "texture": {"kind": "grooves", "display": "geometry", "spacing_m": 0.002, "width_m": 0.001, "depth_m": 1e-4},
+}
+GRIT = {
+    "stiffness_n_per_m": 800,
+    "texture": {"kind": "stochastic", "peak_hz": 250, "mean_hz": 310, "velocity_gain_per_s": 40},
+}
+# Slots follow the order of the objects: 0 wall, 1 membrane, 2 box, 3 disc. Materials: wood, cellophane, comb, grit.
+OBJECTS = {
+    "w": {**FLOOR, "patches": [{"from_m": 0.0, "to_m": 0.01, "material": "comb"}]},
+    "skin": {**SKIN, "center_m": [0, 0.01]},
+    "box": {"kind": "box", "center_m": [0.1, 0.1], "size_m": [0.01, 0.02], "material": "grit"},
+    "disc": {"kind": "disc", "center_m": [-0.1, 0.1], "radius_m": 0.01, "material": "comb"},
+}
 FIELDS = [
-    ("walls[0].surface.stiffness_n_per_m", [-1.0, np.nan, np.inf, 1e300]),
-    ("walls[0].surface.damping_n_s_per_m", [-1.0, np.nan, np.inf]),
-    ("walls[0].surface.point_m[1]", [np.nan, -np.inf, 1e300]),
-    ("walls[0].surface.normal[0]", [1.0, np.nan, np.inf]),
-    ("walls[0].tap.rotor_re", [1.5, np.nan, -np.inf]),
-    ("walls[0].tap.decay_rate_per_s", [-1.0, np.nan, np.inf]),
-    ("walls[0].tap.end_s", [-1.0, np.nan, np.inf]),
-    ("walls[0].tap.force_per_unit", [-1.0, np.nan, np.inf]),
-    ("walls[0].tap.peak", [2.0, np.nan]),
-    ("walls[0].key.slot", [64, 2**32 - 1]),
-    ("membranes[0].surface.half_width_m", [-1.0, np.nan]),
-    ("membranes[0].surface.rupture_depth_m", [-1.0, np.nan]),
-    ("membranes[0].rupture.angular_frequency_rad_per_s", [-1.0, np.nan]),
-    ("membranes[0].key.slot", [0]),  # the wall's
+    ("objects[0].point_m[1]", [np.nan, -np.inf, 1e300]),
+    ("objects[0].normal[0]", [1.0, np.nan, np.inf]),
+    ("objects[0].shape", [5, 2**32 - 1]),
+    ("objects[0].material", [64, 2**32 - 1]),
+    ("objects[0].piece_first", [64, 2**32 - 1]),
+    ("objects[0].piece_count", [1, 64, 2**32 - 1]),
+    ("objects[1].half_m[0]", [-1.0, 0.0, np.nan]),
+    ("objects[1].piece_count", [2]),
+    ("objects[2].half_m[1]", [-1.0, 0.0, np.nan]),
+    ("objects[3].half_m[0]", [-1.0, 0.0, np.nan, 0.02]),
+    ("pieces[1].from_m", [np.nan, np.inf, 0.02]),
+    ("pieces[1].half_ramp_m", [-1.0, 0.0, np.nan, 0.02]),
+    ("pieces[1].material", [64]),
+    ("materials[0].stiffness_n_per_m", [-1.0, np.nan, np.inf, 1e300]),
+    ("materials[0].damping_n_s_per_m", [-1.0, np.nan, np.inf]),
+    ("materials[0].texture", [5, 2**32 - 1]),
+    ("materials[0].tap.rotor_re", [1.5, np.nan, -np.inf]),
+    ("materials[0].tap.decay_rate_per_s", [-1.0, np.nan, np.inf]),
+    ("materials[0].tap.end_s", [-1.0, np.nan, np.inf]),
+    ("materials[0].tap.force_per_unit", [-1.0, np.nan, np.inf]),
+    ("materials[0].tap.peak", [2.0, np.nan]),
+    ("materials[2].rupture_depth_m", [-1.0, np.nan]),
+    ("materials[2].rupture.angular_frequency_rad_per_s", [-1.0, np.nan]),
+    ("materials[1].friction_coefficient", [-1.0, np.nan]),
+    ("materials[1].friction_stiffness_n_per_m", [-1.0, 0.0, np.nan]),
+    ("materials[1].spacing_m", [-1.0, 0.0, np.nan, 1e-4]),
+    ("materials[1].width_m", [-1.0, 0.0, np.nan, 0.01]),
+    ("materials[1].depth_m", [-1.0, np.nan, np.inf]),
+    ("materials[3].noise", [1, 2**32 - 1]),
+    ("noises[0].order", [33, 2**32 - 1]),
+    ("noises[0].speed_count", [0, 2**32 - 1]),
+    ("noises[0].first", [64, 2**32 - 1]),
+    ("noises[0].threshold_m_per_s", [-1.0, np.nan]),
+    ("noises[0].force_per_unit", [-1.0, np.nan, np.inf]),
+    ("numbers[3]", [1.0, -1.0, np.nan]),  # the first reflection coefficient
     ("period_s", [0.0, -1.0, np.nan, np.inf]),
     ("max_force_n", [-1.0, 0.0, np.nan, np.inf]),
     ("max_speed_m_per_s", [0.0, np.nan]),
@@ -80,25 +117,36 @@ FIELDS = [
     ("field.force_n[0]", [np.nan, np.inf]),
     ("field.stiffness_n_per_m", [np.nan]),
     ("display_force", [2]),
-    ("wall_count", [2**32 - 1]),
+    ("material_count", [0, 1]),
+    ("piece_count", [0, 2]),
+    ("noise_count", [0]),
+    ("number_count", [0, 3]),
+    ("objects", [ffi.NULL]),
+    ("materials", [ffi.NULL]),
+    ("pieces", [ffi.NULL]),
+    ("noises", [ffi.NULL]),
+    ("numbers", [ffi.NULL]),
 ]
 
 
 @pytest.mark.parametrize(("path", "values"), FIELDS)
-def test_tables_that_break_their_contract_are_refused(path: str, values: list[float]) -> None:
+def test_tables_that_break_their_contract_are_refused(path: str, values: list[object]) -> None:
     for value in values:
-        rig = Rig({"w": FLOOR, "skin": {**SKIN, "center_m": [0, 0.01]}})
+        rig = Rig(OBJECTS, materials={"comb": COMB, "grit": GRIT})
+        world = ffi.gc(lib.hd_world_new(), lib.hd_world_free)
+        assert lib.hd_world_load(world, rig.table) == Status.OK, invalid_reason()
         scope = {"table": rig.table, "value": value}
         exec(f"table.{path} = value", scope)
-        assert lib.hd_table_check(rig.table, 64) == Status.ERR_INVALID, (path, value)
+        assert lib.hd_world_load(world, rig.table) == Status.ERR_INVALID, (path, value)
         assert "\n" not in invalid_reason()
         assert len(invalid_reason()) > 10
 
 
-def test_null_records_are_refused() -> None:
-    rig = Rig({"w": FLOOR})
-    rig.table.walls = ffi.NULL
-    assert lib.hd_table_check(rig.table, 64) == Status.ERR_INVALID
+def test_table_of_more_objects_than_the_state_has_room_for_is_refused() -> None:
+    rig = Rig(OBJECTS, materials={"comb": COMB, "grit": GRIT})
+    rig.state = ffi.gc(lib.hd_state_new(3), lib.hd_state_free)
+    with pytest.raises(AssertionError, match="room for 3"):
+        rig.render(np.zeros((1, 2)))
 
 
 def test_runs_refuse_what_they_cannot_take_in_one_line() -> None:

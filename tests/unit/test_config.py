@@ -13,10 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from hapticd.config import Config, Device, default_config, load_config
+from hapticd.config import Config, Device, Sim, default_config, load_config
 from hapticd.errors import HapticdError, InvalidError
 from hapticd.materials import shipped_document, shipped_materials
 from hapticd.model import Model, problems_of
+from hapticd.operator import parse_operator
 from hapticd.scene import Scene, load_scene
 from hapticd.schema import config_schema, unit_of
 from hapticd.yaml_source import Json, load_text
@@ -24,6 +25,8 @@ from hapticd.yaml_source import Json, load_text
 REFERENCE = pathlib.Path(__file__).parents[2] / "docs" / "materials.md"
 
 Schema = dict[str, Json]
+
+NO_PATCHES: dict[str, Json] = {"patches": [], "patch_ramp_m": 0.001}
 
 
 def faults(*sources: object) -> dict[str, str]:
@@ -51,6 +54,10 @@ def sound(schema: Schema) -> Schema:
     if isinstance(options, list):
         return mapping(next(option for option in options if mapping(option).get("type") != "null"))
     return schema
+
+
+def shown_number(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.15g}"
 
 
 def numbers() -> Iterator[tuple[str, str, Schema, bool]]:
@@ -89,8 +96,8 @@ def test_every_number_is_strict_and_has_limits(model: str, key: str, limits: Sch
 
     assert told(low) == told(high) == []
     below, above = low - 1, high + 1
-    assert told(below) == [f"must be at least {low:.15g}, is {below!r}"]
-    assert told(above) == [f"must be at most {high:.15g}, is {above!r}"]
+    assert told(below) == [f"must be at least {shown_number(low)}, is {below!r}"]
+    assert told(above) == [f"must be at most {shown_number(high)}, is {above!r}"]
     kind = "a whole number" if limits["type"] == "integer" else "a number"
     wrong: list[tuple[Json, str]] = [(True, "true"), ("1", '"1"'), ([], "a list")]
     for value, shown in wrong:
@@ -273,7 +280,7 @@ def test_python_values_that_people_use() -> None:
     data = {"servo": {"rate_hz": np.int64(2000), "cpu": np.int32(1)}, "scene": {"objects": {"t": wall}}}
     config = load_config(data)
     assert config.servo.cpu == 1
-    assert config.scene.objects["t"].to_dict() == {**wall, "point_m": [0, 0], "normal": [0, 1]}
+    assert config.scene.objects["t"].to_dict() == {**wall, "point_m": [0, 0], "normal": [0, 1], **NO_PATCHES}
     assert type(config.servo.rate_hz) is float
     assert load_config({"scene": config.scene}).scene == config.scene
     assert load_config({"scene": {"display": {"force": np.bool_(False)}}}).scene.display.force is False
@@ -342,6 +349,11 @@ WORDS += [
     "wood",
     "stiffness_n_per_m",
     "[key]",
+    "texture",
+    "friction",
+    "patches",
+    "box",
+    "grooves",
 ]
 words = st.sampled_from([*WORDS, "", "a.b"])
 json_values = st.recursive(
@@ -353,9 +365,11 @@ json_values = st.recursive(
 
 def sections(inner: st.SearchStrategy[Json]) -> st.SearchStrategy[dict[str, Json]]:
     """Data that is nearly right, so that faults are met at every depth."""
-    wall = st.fixed_dictionaries(
-        {"kind": st.sampled_from(["wall", "membrane", "spring", "zz"])},
+    wall: st.SearchStrategy[Json] = st.fixed_dictionaries(
+        {"kind": st.sampled_from(["wall", "membrane", "spring", "box", "disc", "zz"])},
         optional={
+            "patches": inner | st.lists(st.dictionaries(words, inner), max_size=2),
+            "size_m": inner,
             "point_m": inner,
             "center_m": inner,
             "normal": inner,
@@ -363,11 +377,23 @@ def sections(inner: st.SearchStrategy[Json]) -> st.SearchStrategy[dict[str, Json
             "wall": inner,
         },
     )
-    material = st.fixed_dictionaries(
+    texture: st.SearchStrategy[Json] = st.fixed_dictionaries(
+        {"kind": st.sampled_from(["grooves", "stochastic", "autoregressive"]) | inner},
+        optional={
+            "display": st.sampled_from(["vibration", "geometry", "damping"]) | inner,
+            "spacing_m": st.just(0.1) | inner,
+            "width_m": st.just(0.1) | inner,
+            "depth_m": st.just(0.1) | inner,
+            "models": inner | st.lists(st.dictionaries(words, inner), max_size=2),
+        },
+    )
+    material: st.SearchStrategy[Json] = st.fixed_dictionaries(
         {"stiffness_n_per_m": st.just(1) | inner},
         optional={
             "tap": inner | st.dictionaries(words, inner),
             "rupture": inner | st.dictionaries(words, inner),
+            "friction": inner,
+            "texture": inner | texture,
         },
     )
     return st.fixed_dictionaries(
@@ -414,11 +440,20 @@ def test_shipped_files_are_valid(name: str) -> None:
         assert config.scene.objects
 
 
+@pytest.mark.parametrize(
+    "name", [file.name for file in resources.files("hapticd.shipped").joinpath("operators").iterdir()]
+)
+def test_shipped_operators_are_valid_and_stay_in_the_workspace(name: str) -> None:
+    operator = parse_operator(mapping(shipped_document(f"operators/{name}").data))
+    assert operator.waypoints is not None
+    assert all(max(abs(x), abs(y)) <= Sim().workspace_m for _, x, y in operator.waypoints)
+
+
 def test_default_configuration() -> None:
     config = default_config()
     assert config.device.kind == "sim"
     (floor,) = config.scene.objects.values()
-    assert floor.to_dict() == {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+    assert floor.to_dict() == {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood", **NO_PATCHES}
     assert set(config.materials) == set(shipped_materials())
     assert default_config() is config
 
@@ -457,6 +492,9 @@ def test_schema_is_plain_json_with_words_and_units() -> None:
         ("amplitude_m_per_s2", "m/s^2"),
         ("max_speed_m_per_s", "m/s"),
         ("decay_rate_per_s", "1/s"),
+        ("force_gain_m_per_s2_per_n", "m/s^2/N"),
+        ("variance_m2_per_s4", "m^2/s^4"),
+        ("angle_rad", "rad"),
         ("ramp_s", "s"),
         ("depth_m", "m"),
         ("force_n", "N"),
@@ -482,7 +520,13 @@ def limits_of(schema: Schema) -> str:
         case {"type": "boolean"}:
             return "`true`, `false`"
         case {"minimum": int() | float() as low, "maximum": int() | float() as high}:
-            return f"{low:.15g} to {high:.15g}" + (", whole" if schema["type"] == "integer" else "")
+            return f"{shown_number(low)} to {shown_number(high)}" + (", whole" if schema["type"] == "integer" else "")
+        case {"items": {"$ref": str()} as item, "maxItems": int() as most}:
+            return f"a list, {limits_of(mapping(item))}, at most {most}"
+        case {"items": {"type": "number"} as item, "minItems": int() as least, "maxItems": int() as most}:
+            return f"{least} to {most} numbers, {limits_of(mapping(item))}"
+        case {"oneOf": list() as members}:
+            return "see " + ", ".join(limits_of(mapping(member)).removeprefix("see ") for member in members)
         case {"maxProperties": int() as most}:
             return f"at most {most}"
         case {"$ref": str() as reference}:
@@ -508,6 +552,8 @@ def default_of(model: type[Model], key: str) -> str:
             return f"`{str(value).lower()}`"
         case int() | float():
             return f"{value:.15g}"
+        case ():
+            return "none"
         case tuple():
             return f"[{', '.join(f'{number:.15g}' for number in value)}]"
     return f"`{value}`"

@@ -15,12 +15,12 @@ from hapticd.core import ffi, lib
 ROOT = Path(__file__).resolve().parents[2]
 API = (ROOT / "csrc" / "hd_api.h").read_text(encoding="utf-8")
 RECORDS = {
-    "struct hd_key": core.KEY_DTYPE,
     "struct hd_mode": core.MODE_DTYPE,
-    "struct hd_surface": core.SURFACE_DTYPE,
+    "struct hd_material": core.MATERIAL_DTYPE,
+    "struct hd_noise": core.NOISE_DTYPE,
+    "struct hd_piece": core.PIECE_DTYPE,
+    "struct hd_object": core.OBJECT_DTYPE,
     "struct hd_field": core.FIELD_DTYPE,
-    "struct hd_wall": core.WALL_DTYPE,
-    "struct hd_membrane": core.MEMBRANE_DTYPE,
     "struct hd_table": core.TABLE_DTYPE,
     "struct hd_sample": core.SAMPLE_DTYPE,
     "struct hd_event": core.EVENT_DTYPE,
@@ -87,13 +87,13 @@ def test_the_telemetry_record_is_as_documented() -> None:
 
 
 def test_pointer_fields_take_addresses() -> None:
-    walls = core.records(core.WALL_DTYPE, 3)
+    materials = core.records(core.MATERIAL_DTYPE, 3)
     table = core.records(core.TABLE_DTYPE, 1)
-    walls["tap"]["peak"] = [0.25, 0.5, 0.75]
-    table["walls"] = core.address(walls)
+    materials["tap"]["peak"] = [0.25, 0.5, 0.75]
+    table["materials"] = core.address(materials)
     c_table = core.pointer("struct hd_table[]", table)[0]
-    assert [c_table.walls[index].tap.peak for index in range(3)] == [0.25, 0.5, 0.75]
-    assert c_table.membranes == ffi.NULL
+    assert [c_table.materials[index].tap.peak for index in range(3)] == [0.25, 0.5, 0.75]
+    assert c_table.objects == ffi.NULL
 
 
 def test_an_opaque_or_unknown_struct_has_no_dtype() -> None:
@@ -119,6 +119,8 @@ def test_only_whole_contiguous_items_become_c_arrays() -> None:
     ("python", "c"),
     [
         (core.Status, "enum hd_status"),
+        (core.Texture, "enum hd_texture"),
+        (core.Shape, "enum hd_shape"),
         (core.Flag, "enum hd_flag"),
         (core.EventKind, "enum hd_event_kind"),
         (core.Fault, "enum hd_fault"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hapticd.core import EventKind, Flag, Status, lib
+from hapticd.core import EventKind, Flag, Status, ffi, lib
 from hapticd.materials import shipped_materials
 from tests.rig import FLOOR, Rig, line, still
 
@@ -123,4 +123,5 @@ def test_limit_that_is_no_limit_is_refused() -> None:
     for limit in (0.0, 1e-7, -1.0, 1e7):
         rig = Rig({"w": FLOOR})
         rig.table.max_force_n = limit
-        assert lib.hd_table_check(rig.table, 64) == Status.ERR_INVALID
+        world = ffi.gc(lib.hd_world_new(), lib.hd_world_free)
+        assert lib.hd_world_load(world, rig.table) == Status.ERR_INVALID

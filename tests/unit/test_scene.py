@@ -2,6 +2,8 @@
 
 import math
 import pathlib
+from itertools import pairwise
+from random import Random
 
 import pytest
 from hypothesis import assume, given
@@ -9,13 +11,16 @@ from hypothesis import strategies as st
 
 from hapticd.errors import InvalidError, Problem
 from hapticd.materials import shipped_materials
+from hapticd.model import MAX_FAULTS
 from hapticd.scene import (
     MAX_OBJECTS,
     Scene,
     Viscous,
     Wall,
     load_scene,
+    materials_of,
     reference_problems,
+    used_materials,
     validate_object,
     validate_scene,
 )
@@ -32,7 +37,18 @@ MEMBRANE: dict[str, Json] = {
 SPRING: dict[str, Json] = {"kind": "spring", "center_m": [0, 0], "stiffness_n_per_m": 50}
 VISCOUS: dict[str, Json] = {"kind": "viscous", "damping_n_s_per_m": 2}
 CONSTANT: dict[str, Json] = {"kind": "constant", "force_n": [0, -0.2]}
-ALL: dict[str, Json] = {"a": WALL, "b": MEMBRANE, "c": SPRING, "d": VISCOUS, "e": CONSTANT}
+BOX: dict[str, Json] = {"kind": "box", "center_m": [0.03, 0.02], "size_m": [0.02, 0.01], "material": "wood"}
+DISC: dict[str, Json] = {"kind": "disc", "center_m": [-0.03, 0.02], "radius_m": 0.005, "material": "glass"}
+ALL: dict[str, Json] = {
+    "a": WALL,
+    "b": MEMBRANE,
+    "c": SPRING,
+    "d": VISCOUS,
+    "e": CONSTANT,
+    "f": BOX,
+    "g": DISC,
+}
+NO_PATCHES: dict[str, Json] = {"patches": [], "patch_ramp_m": 0.001}
 
 
 def faults(name: str, data: Json) -> dict[str, str]:
@@ -46,7 +62,13 @@ def test_every_kind() -> None:
     assert scene.to_dict() == {
         "display": {"force": True, "vibration": True},
         "ramp_s": 0.02,
-        "objects": {**ALL, "b": {**MEMBRANE, "normal": [0.6, 0.8]}, "c": {**SPRING, "damping_n_s_per_m": 0}},
+        "objects": {
+            **ALL,
+            "a": {**WALL, **NO_PATCHES},
+            "b": {**MEMBRANE, "normal": [0.6, 0.8]},
+            "c": {**SPRING, "damping_n_s_per_m": 0},
+            "f": {**BOX, "angle_rad": 0},
+        },
     }
 
 
@@ -78,7 +100,7 @@ def test_the_kind_is_no_part_of_a_path() -> None:
         assert faults(name, bad) == {
             f"objects.{name}.normal[1]": 'must be a number, is "x"',
             f"objects.{name}.material": "must have at least 1 character",
-            f"objects.{name}.wall": "unknown key; known: kind, point_m, normal, material",
+            f"objects.{name}.wall": "unknown key; known: kind, point_m, normal, material, patches, patch_ramp_m",
         }
 
 
@@ -89,12 +111,12 @@ def test_the_kind_is_no_part_of_a_path() -> None:
         (
             {"kind": "wal"},
             "objects.o.kind",
-            'unknown kind "wal"; did you mean wall? known: wall, membrane, spring',
+            'unknown kind "wal"; did you mean wall? known: wall, membrane, box, disc, spring',
         ),
         (
-            {"kind": "box"},
+            {"kind": "cube"},
             "objects.o.kind",
-            'unknown kind "box"; known: wall, membrane, spring, viscous, constant',
+            'unknown kind "cube"; known: wall, membrane, box, disc, spring, viscous, constant',
         ),
         ({"kind": 3}, "objects.o.kind", "unknown kind"),
         ({"kind": ["wall"]}, "objects.o.kind", "unknown kind"),
@@ -112,6 +134,16 @@ def test_the_kind_is_no_part_of_a_path() -> None:
         ({**WALL, "point_m": [0, math.nan]}, "objects.o.point_m[1]", "must be finite, is nan"),
         ({**WALL, "point_m": [0, -math.inf]}, "objects.o.point_m[1]", "must be finite, is -inf"),
         ({**WALL, "point_m": [0, True]}, "objects.o.point_m[1]", "must be a number, is true"),
+        ({**BOX, "size_m": [1]}, "objects.o.size_m", "must be two numbers [width, height], has 1"),
+        ({**BOX, "size_m": [1, 0]}, "objects.o.size_m[1]", "must be at least 0.0001, is 0"),
+        ({**BOX, "size_m": [-1, 1]}, "objects.o.size_m[0]", "must be at least 0.0001, is -1"),
+        ({**BOX, "angle_rad": math.inf}, "objects.o.angle_rad", "must be finite, is inf"),
+        ({**DISC, "radius_m": 0}, "objects.o.radius_m", "must be at least 0.0001, is 0"),
+        ({**DISC, "normal": [0, 1]}, "objects.o.normal", "unknown key; known: kind, center_m, radius_m, material"),
+        ({**WALL, "patches": None}, "objects.o.patches", "must be a list, is null"),
+        ({**WALL, "patches": {}}, "objects.o.patches", "must be a list, is a mapping"),
+        ({**WALL, "patches": [3]}, "objects.o.patches[0]", "must be a mapping, is 3"),
+        ({**WALL, "patch_ramp_m": 0}, "objects.o.patch_ramp_m", "must be at least 1e-05, is 0"),
         ({**SPRING, "stiffness_n_per_m": -1}, "objects.o.stiffness_n_per_m", "must be at least 0, is -1"),
         ({**SPRING, "stifness_n_per_m": 1}, "objects.o.stifness_n_per_m", "did you mean stiffness_n_per_m?"),
         ({**VISCOUS, "damping_n_s_per_m": None}, "objects.o.damping_n_s_per_m", "must be a number, is null"),
@@ -143,46 +175,182 @@ def test_bad_ids() -> None:
 
 
 def test_number_of_objects_is_limited() -> None:
-    objects: dict[str, Json] = {f"o{i}": VISCOUS for i in range(MAX_OBJECTS)}
+    one = validate_object("one", VISCOUS)
+    objects: dict[str, object] = {f"o{i}": one for i in range(MAX_OBJECTS)}
     scene = validate_scene({"objects": objects})
-    with pytest.raises(InvalidError, match="objects: must hold at most 16384 entries, holds 16385"):
-        validate_scene({"objects": {**objects, "one": VISCOUS}})
-    with pytest.raises(InvalidError, match="objects: must hold at most 16384 entries, holds 16385"):
-        scene.with_objects({"one": scene.objects["o0"]})
-    assert len(scene.with_objects({"one": scene.objects["o0"], "o1": None}).objects) == MAX_OBJECTS
+    objects["one"] = one
+    with pytest.raises(InvalidError, match="objects: must hold at most 1048576 entries, holds 1048577"):
+        validate_scene({"objects": objects})
+    with pytest.raises(InvalidError, match="objects: must hold at most 1048576 entries, holds 1048577"):
+        scene.with_objects({"one": one})
+    assert len(scene.with_objects({"one": one, "o1": None}).objects) == MAX_OBJECTS
 
 
 def test_changes_leave_the_rest_as_it_is() -> None:
     scene = validate_scene({"objects": ALL, "ramp_s": 0.5})
     changed = scene.with_objects({"a": None, "b": validate_object("b", VISCOUS), "nobody": None})
     assert list(scene.objects) == list(ALL)
-    assert list(changed.objects) == ["b", "c", "d", "e"]
+    assert list(changed.objects) == ["b", "c", "d", "e", "f", "g"]
     assert isinstance(changed.objects["b"], Viscous)
     assert changed.objects["c"] is scene.objects["c"]
     assert changed.ramp_s == 0.5
 
 
 def test_unknown_materials() -> None:
-    scene = validate_scene({"objects": {**ALL, "x": {**WALL, "material": "wod"}, "y": {**MEMBRANE, "material": "zz"}}})
-    assert reference_problems(scene.objects, shipped_materials(), ("scene",)) == [
+    patches: Json = [patch(0, 1, "glass"), patch(1, 2, "zz")]
+    scene = validate_scene(
+        {
+            "objects": {
+                **ALL,
+                "x": {**WALL, "material": "wod"},
+                "y": {**MEMBRANE, "material": "zz"},
+                "box": {**BOX, "material": "zz"},
+                "disc": {**DISC, "material": "zz"},
+                "table": {**WALL, "patches": patches},
+            }
+        }
+    )
+    known = ["wood", "glass", "cellophane"]
+    assert reference_problems(scene.objects, known, ("scene",)) == [
         Problem(
             "scene.objects.x.material",
-            'unknown material "wod"; did you mean wood? '
-            "known: wood, acrylic, delrin, aluminum, glass, cast_iron, steel, cellophane",
+            'unknown material "wod"; did you mean wood? known: wood, glass, cellophane',
         ),
-        Problem(
-            "scene.objects.y.material",
-            'unknown material "zz"; known: wood, acrylic, delrin, aluminum, glass, cast_iron, steel, cellophane',
+        *(
+            Problem(f"scene.objects.{where}.material", 'unknown material "zz"; known: wood, glass, cellophane')
+            for where in ("y", "box", "disc", "table.patches[1]")
         ),
     ]
+    assert reference_problems(validate_scene({"objects": ALL}).objects, shipped_materials()) == []
+
+
+def test_unknown_materials_are_not_told_without_end() -> None:
+    objects: dict[str, Json] = {f"o{i}": {**BOX, "material": f"m{i}"} for i in range(MAX_FAULTS + 7)}
+    problems = reference_problems(validate_scene({"objects": objects}).objects, ["wood"])
+    assert len(problems) == MAX_FAULTS + 1
+    assert problems[-1] == Problem("objects", "name unknown materials 7 times more")
+
+
+def test_materials_of() -> None:
+    objects = validate_scene({"objects": ALL}).objects
+    table = validate_object("t", {**WALL, "patches": [patch(0, 1, "steel"), patch(-1, 0, "glass")]})
+    assert materials_of(table) == ("wood", "steel", "glass")
+    assert [materials_of(objects[name]) for name in ALL] == [
+        ("wood",),
+        ("cellophane",),
+        (),
+        (),
+        (),
+        ("wood",),
+        ("glass",),
+    ]
+    assert used_materials(objects.values()) == {"wood", "cellophane", "glass"}
+
+
+# ---- patches --------------------------------------------------------------------------------------
+
+
+def patch(from_m: float, to_m: float, material: str = "glass") -> dict[str, Json]:
+    return {"from_m": from_m, "to_m": to_m, "material": material}
+
+
+@pytest.mark.parametrize(
+    ("patches", "where", "problem"),
+    [
+        ([patch(0, 0)], "[0]", "to_m must be more than from_m by at least 1e-05, is 0 and 0"),
+        ([patch(0, 1), patch(3, 2)], "[1]", "to_m must be more than from_m by at least 1e-05, is 2 and 3"),
+        ([patch(0, 1e-6)], "[0]", "to_m must be more than from_m by at least 1e-05, is 1e-06 and 0"),
+        ([patch(0, 21)], "[0].to_m", "must be at most 20, is 21"),
+        ([{"from_m": 0}], "[0].to_m", "is missing"),
+        ([patch(0, 2), patch(1, 3)], "", "[0] and [1] overlap"),
+        ([patch(5, 6), patch(1, 3), patch(0, 2)], "", "[1] and [2] overlap"),
+        ([patch(0, 9), patch(1, 2)], "", "[0] and [1] overlap"),
+        ([patch(0, 9), patch(1, 2), patch(3, 4)], "", "[0] and [1] overlap; [0] and [2] overlap"),
+        ([patch(0, 1), patch(0, 1)], "", "[0] and [1] overlap"),
+        (
+            [patch(0, 1), patch(1.000001, 2)],
+            "",
+            "[0] and [1] leave a gap of 1e-06 m: they touch, or are at least 1e-05",
+        ),
+    ],
+)
+def test_patches_that_are_refused(patches: Json, where: str, problem: str) -> None:
+    found = faults("table", {**WALL, "patches": patches})
+    assert next(iter(found)) == f"objects.table.patches{where}"
+    assert next(iter(found.values())).startswith(problem)
+
+
+def test_overlaps_are_not_told_without_end() -> None:
+    ((_, problem),) = faults("table", {**WALL, "patches": [patch(0, i + 1) for i in range(9)]}).items()
+    assert problem.endswith("; and 3 more")
+
+
+def test_patches_that_touch_after_rounding() -> None:
+    edge = 0.1 + 0.2
+    assert edge > 0.3
+    wall = validate_object(
+        "t", {**WALL, "patches": [patch(0.3, 0.5, "steel"), patch(0, edge), patch(-1e-5, 0, "wood")]}
+    )
+    assert isinstance(wall, Wall)
+    assert wall.pieces() == [
+        (-math.inf, "wood"),
+        (-1e-5, "wood"),
+        (0, "glass"),
+        (0.3, "steel"),
+        (0.5, "wood"),
+    ]
+
+
+def test_pieces() -> None:
+    wall = validate_object("t", {**WALL, "patches": [patch(2, 3), patch(-1, 1, "steel")]})
+    assert isinstance(wall, Wall)
+    assert wall.pieces() == [(-math.inf, "wood"), (-1, "steel"), (1, "wood"), (2, "glass"), (3, "wood")]
+    plain = validate_object("t", WALL)
+    assert isinstance(plain, Wall)
+    assert plain.pieces() == [(-math.inf, "wood")]
+
+
+@given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=12, unique=True), st.randoms(use_true_random=False))
+def test_any_order_of_patches_gives_the_same_pieces(edges: list[int], random: Random) -> None:
+    edges = sorted(edges)
+    patches = [patch(a / 100, b / 100, f"m{a}") for a, b in pairwise(edges)]
+    shuffled = random.sample(patches, len(patches))
+    wall = validate_object("t", {**WALL, "patches": list[Json](shuffled)})
+    assert isinstance(wall, Wall)
+    assert wall.pieces() == [
+        (-math.inf, "wood"),
+        *((a / 100, f"m{a}") for a in edges[:-1]),
+        (edges[-1] / 100, "wood"),
+    ]
+
+
+# ---- round trips ----------------------------------------------------------------------------------
 
 
 numbers = st.floats(-10, 10)
 vectors = st.lists(numbers, min_size=2, max_size=2)
 normals = vectors.filter(lambda v: math.hypot(*v) > 1e-6)
 names = st.text(st.characters(exclude_categories=["C", "Zl", "Zp"], exclude_characters="."), min_size=1, max_size=64)
+patch_lists = st.lists(st.integers(-19, 19), max_size=6, unique=True).map(
+    lambda edges: [patch(edge, edge + 1) for edge in edges]
+)
 objects = st.one_of(
-    st.fixed_dictionaries({"kind": st.just("wall"), "point_m": vectors, "normal": normals, "material": names}),
+    st.fixed_dictionaries(
+        {"kind": st.just("wall"), "point_m": vectors, "normal": normals, "material": names},
+        optional={"patches": patch_lists, "patch_ramp_m": st.floats(1e-5, 1)},
+    ),
+    st.fixed_dictionaries(
+        {
+            "kind": st.just("box"),
+            "center_m": vectors,
+            "size_m": st.lists(st.floats(0.0001, 20), min_size=2, max_size=2),
+            "material": names,
+        },
+        optional={"angle_rad": st.floats(-1000, 1000)},
+    ),
+    st.fixed_dictionaries(
+        {"kind": st.just("disc"), "center_m": vectors, "radius_m": st.floats(0.0001, 10), "material": names}
+    ),
     st.fixed_dictionaries(
         {
             "kind": st.just("membrane"),

@@ -1,0 +1,130 @@
+/* Boxes: solids with four faces, entered through one of them.
+ *
+ * The face through which the way enters is the one that pushes, until the probe has come out through it or has left it
+ * sideways: a probe that is pressed through a thin box is held on the side that it came from. Faces: 0 along the box's
+ * normal n, 1 along its tangent t, 2 along -n, 3 along -t; on each, s is 0 in the middle and grows along the face's own
+ * tangent. */
+#include "hd_shape.h"
+
+/* A way may begin on the surface; its entry then lies at zero within rounding. */
+#define HD_BOX_ROUNDING 1e-9
+
+/* Position in the axes of the box: along t, along n. */
+HD_RT static void in_box(const struct hd_object *object, const double position_m[2], double local[2]) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(position_m, object->point_m, offset);
+    hd_tangent(object->normal, tangent);
+    local[0] = hd_dot(offset, tangent);
+    local[1] = hd_dot(offset, object->normal);
+}
+
+HD_RT static int inside(const struct hd_object *object, const double local[2]) {
+    return hd_magnitude(local[0]) < object->half_m[0] && hd_magnitude(local[1]) < object->half_m[1];
+}
+
+HD_RT static uint8_t face_of(int axis, int positive) {
+    return (uint8_t)(axis == 1 ? (positive ? 0 : 2) : (positive ? 1 : 3));
+}
+
+HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const double position_m[2],
+                        struct hd_place *place) {
+    double tangent[2];
+    double offset[2];
+    hd_tangent(object->normal, tangent);
+    const double sign = face < 2 ? 1.0 : -1.0;
+    const double *axis = face % 2 == 0 ? object->normal : tangent;
+    place->normal[0] = sign * axis[0];
+    place->normal[1] = sign * axis[1];
+    hd_tangent(place->normal, tangent);
+    hd_difference(position_m, object->point_m, offset);
+    place->depth_m = object->half_m[face % 2 == 0 ? 1 : 0] - hd_dot(offset, place->normal);
+    place->along_m = hd_dot(offset, tangent);
+}
+
+/* Where the way from a to b enters; 0: it does not. */
+HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
+                        uint8_t *face) {
+    double enter = -1e300;
+    double leave = 1e300;
+    for (int axis = 0; axis < 2; axis++) {
+        const double half = object->half_m[axis];
+        const double way = b[axis] - a[axis];
+        if (way == 0.0) {
+            if (hd_magnitude(a[axis]) >= half) {
+                return 0;
+            }
+            continue;
+        }
+        const double low = (-half - a[axis]) / way;
+        const double high = (half - a[axis]) / way;
+        const double first = low < high ? low : high;
+        const double last = low < high ? high : low;
+        if (first > enter) {
+            enter = first;
+            *face = face_of(axis, way < 0.0);
+        }
+        leave = last < leave ? last : leave;
+    }
+    *fraction = enter > 0.0 ? enter : 0.0;
+    return enter < leave && leave > 0.0 && enter < 1.0 && enter > -HD_BOX_ROUNDING;
+}
+
+/* The face nearest to a point inside. */
+HD_RT static uint8_t nearest_face(const struct hd_object *object, const double local[2]) {
+    const double to_side = object->half_m[0] - hd_magnitude(local[0]);
+    const double to_top = object->half_m[1] - hd_magnitude(local[1]);
+    return to_top <= to_side ? face_of(1, local[1] >= 0.0) : face_of(0, local[0] >= 0.0);
+}
+
+HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+    double from[2];
+    double to[2];
+    in_box(object, walk->from_m, from);
+    in_box(object, walk->input->position_m, to);
+    onset->side = 1;
+    if (fresh || inside(object, from)) {
+        if (!inside(object, to)) {
+            return 0;
+        }
+        onset->silent = 1;
+        onset->face = nearest_face(object, to);
+        hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
+        return 1;
+    }
+    const struct hd_path *path = hd_path_legs(walk);
+    for (uint32_t leg = 0; leg < path->legs; leg++) {
+        double a[2];
+        double b[2];
+        double cut;
+        in_box(object, path->point[leg], a);
+        in_box(object, path->point[leg + 1], b);
+        if (!inside(object, a) && enters(object, a, b, &cut, &onset->face)) {
+            double hit[2];
+            hd_between(path->point[leg], path->point[leg + 1], cut, hit);
+            onset->silent = 0;
+            onset->fraction = leg == 0 ? cut : 1.0;
+            hd_box_place(object, onset->face, hit, &onset->place);
+            onset->place.depth_m = 0.0;
+            return 1;
+        }
+    }
+    return 0;
+}
+
+HD_RT int hd_box_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot, uint8_t face,
+                      const struct hd_place *place) {
+    if (!(place->depth_m > 0.0)) {
+        return 1;
+    }
+    double along = place->along_m;
+    double lifted[2];
+    if (hd_path_lift(walk, walk->input->position_m, slot, lifted)) {
+        double shift[2];
+        double tangent[2];
+        hd_difference(lifted, walk->input->position_m, shift);
+        hd_tangent(place->normal, tangent);
+        along += hd_dot(shift, tangent);
+    }
+    return hd_magnitude(along) > object->half_m[face % 2 == 0 ? 0 : 1];
+}

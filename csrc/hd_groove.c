@@ -1,0 +1,138 @@
+#include "hd_groove.h"
+
+#include <math.h>
+
+#include "hd_contact.h"
+#include "hd_skin.h"
+#include "hd_vector.h"
+
+#define HD_PI 3.14159265358979323846
+
+/* The groove at or below s. Coordinates are bounded and spacings are not below 1e-9 m, so it fits. */
+HD_RT static int64_t groove_below(double spacing_m, double along_m) {
+    HD_RT_FOREIGN_BEGIN
+    const double quotient = floor(along_m / spacing_m);
+    HD_RT_FOREIGN_END
+    const double bounded = quotient < -9e15 ? -9e15 : quotient > 9e15 ? 9e15 : quotient;
+    int64_t k = (int64_t)bounded;
+    /* The quotient is rounded; the groove lies at the rounded product. */
+    if ((double)k * spacing_m > along_m) {
+        k--;
+    } else if ((double)(k + 1) * spacing_m <= along_m) {
+        k++;
+    }
+    return k;
+}
+
+HD_RT static int is_there(const struct hd_material *material, int64_t k, double half_length_m) {
+    return hd_magnitude((double)k * material->spacing_m) + 0.5 * material->width_m <= half_length_m;
+}
+
+HD_RT double hd_groove_profile(const struct hd_material *material, double along_m, double half_length_m,
+                               double *slope) {
+    *slope = 0.0;
+    const int64_t k = groove_below(material->spacing_m, along_m + 0.5 * material->spacing_m);
+    const double offset = along_m - (double)k * material->spacing_m;
+    if (2.0 * hd_magnitude(offset) >= material->width_m || !is_there(material, k, half_length_m)) {
+        return 0.0;
+    }
+    const double turn = 2.0 * HD_PI / material->width_m;
+    HD_RT_FOREIGN_BEGIN
+    *slope = -0.5 * turn * sin(turn * offset);
+    return 0.5 + 0.5 * cos(turn * offset);
+    HD_RT_FOREIGN_END
+}
+
+HD_RT void hd_grooves_arm(struct hd_slot *slot, const struct hd_material *material, double along_m) {
+    if (slot->held && hd_magnitude(along_m - (double)slot->groove * material->spacing_m) >= 0.5 * material->spacing_m) {
+        slot->held = 0;
+    }
+}
+
+HD_RT static void strike(struct hd_walk *walk, uint32_t index, const struct hd_material *material,
+                         const struct hd_stretch *stretch, int64_t k) {
+    struct hd_state *state = walk->state;
+    struct hd_slot *slot = &state->slots[index];
+    if (slot->held && slot->groove == k) {
+        return;
+    }
+    slot->groove = k;
+    slot->held = 1;
+    slot->grooves++;
+    const double part = ((double)k * material->spacing_m - stretch->from_m) / (stretch->to_m - stretch->from_m);
+    const double fraction = stretch->from_fraction + part * (stretch->to_fraction - stretch->from_fraction);
+    const double force = stretch->from_n + part * (stretch->to_n - stretch->from_n);
+    const double sign = stretch->to_m > stretch->from_m ? 1.0 : -1.0;
+    const double amplitude = material->velocity_gain_per_s * hd_magnitude(stretch->speed_m_per_s) +
+                             material->force_gain_m_per_s2_per_n * force;
+    const uint32_t event = hd_state_event(state, HD_EVENT_GROOVE, walk->input->time_ns);
+    const struct hd_strike struck = {
+        .mode = &material->groove,
+        .slot = index,
+        .generation = slot->generation,
+        .use = HD_MODE_GROOVE,
+        .event = event,
+        .units = amplitude,
+        .before_s = hd_before_tick(walk, fraction),
+        .direction = {sign * stretch->tangent[0], sign * stretch->tangent[1]},
+    };
+    if (event < HD_EVENT_CAPACITY) {
+        struct hd_event *report = &state->events[event];
+        report->slot = index;
+        report->generation = slot->generation;
+        report->before_tick_s = struck.before_s;
+        report->speed_m_per_s = stretch->speed_m_per_s;
+        report->true_speed_m_per_s = stretch->true_speed_m_per_s;
+        report->amplitude_m_per_s2 = amplitude;
+        report->value = (double)slot->grooves;
+    }
+    hd_strike_add(state, &struck);
+}
+
+/* A stretch that lies on one material. */
+HD_RT static void pass_material(struct hd_walk *walk, uint32_t index, const struct hd_material *material,
+                                const struct hd_stretch *stretch, double from_m, double to_m) {
+    if (material->texture != HD_TEXTURE_STRIKES) {
+        return;
+    }
+    const int64_t from = groove_below(material->spacing_m, from_m);
+    const int64_t to = groove_below(material->spacing_m, to_m);
+    const int64_t step = to > from ? 1 : -1;
+    int64_t left = to > from ? to - from : from - to;
+    int64_t k = to > from ? from + 1 : from;
+    if (left > HD_GROOVES_PER_TICK) {
+        k += step * (left - HD_GROOVES_PER_TICK);
+        left = HD_GROOVES_PER_TICK;
+    }
+    for (; left > 0; left--, k += step) {
+        if (is_there(material, k, stretch->half_length_m)) {
+            strike(walk, index, material, stretch, k);
+        }
+    }
+}
+
+HD_RT void hd_grooves_pass(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+                           const struct hd_stretch *stretch) {
+    const struct hd_table *table = walk->table;
+    if (stretch->from_m == stretch->to_m) {
+        return;
+    }
+    if (object->piece_count == 0) {
+        pass_material(walk, index, &table->materials[object->material], stretch, stretch->from_m, stretch->to_m);
+        return;
+    }
+    const struct hd_piece *pieces = &table->pieces[object->piece_first];
+    const uint32_t last = hd_skin_piece(table, object, stretch->to_m);
+    uint32_t piece = hd_skin_piece(table, object, stretch->from_m);
+    double at = stretch->from_m;
+    for (;;) {
+        const uint32_t next = last > piece ? piece + 1 : last < piece ? piece - 1 : piece;
+        const double until = next > piece ? pieces[next].from_m : next < piece ? pieces[piece].from_m : stretch->to_m;
+        pass_material(walk, index, &table->materials[pieces[piece].material], stretch, at, until);
+        if (next == piece) {
+            return;
+        }
+        at = until;
+        piece = next;
+    }
+}

@@ -1,0 +1,53 @@
+/* What one tick knows while it walks the objects in reach, and how they are found. Servo thread. */
+#ifndef HD_WALK_H
+#define HD_WALK_H
+
+#include "hd_path.h"
+#include "hd_rt.h"
+#include "hd_state.h"
+#include "hd_world.h"
+
+struct hd_walk {
+    const struct hd_world *world;
+    const struct hd_table *table; /* the world's */
+    struct hd_state *state;
+    const struct hd_input *input;
+    double from_m[2];  /* the last sample; this one where the last says nothing */
+    double ramp_step;  /* what a ramp moves on in this tick */
+    int resync;        /* contacts are met without an onset */
+    int new_table;     /* the first tick of a table: what it brings has just appeared */
+    double force_n[2]; /* of contacts and fields, the sum so far */
+    double noise_n[2]; /* of coloured noise, the sum so far */
+    struct hd_path path;
+};
+
+/* How long before the tick a point of the way between two samples lies, `fraction` of the way along it. Beyond one
+ * period it is cut: a strike begins within the tick that first hears it. */
+HD_RT static inline double hd_before_tick(const struct hd_walk *walk, double fraction) {
+    const double before = (1.0 - fraction) * walk->input->interval_s;
+    const double period = walk->table->period_s;
+    return before < 0.0 ? 0.0 : before > period ? period : before;
+}
+
+/* Looks at everything that this tick can concern: what is near, what is touched, what was cleared under the hand, what
+ * heals. */
+HD_RT void hd_walk_objects(struct hd_walk *walk);
+/* One object: met, pressed, let go, healed. */
+HD_RT void hd_look(struct hd_walk *walk, uint32_t index);
+HD_RT void hd_field_follow(struct hd_walk *walk);
+
+HD_RT static inline void hd_field_walk(struct hd_walk *walk) {
+    struct hd_state *state = walk->state;
+    if (!state->started || state->field_version != walk->table->field_version || state->field_blend < 1.0) {
+        hd_field_follow(walk);
+    }
+    if (state->field_active) {
+        for (int axis = 0; axis < 2; axis++) {
+            walk->force_n[axis] += state->field.force_n[axis] -
+                                   state->field.stiffness_n_per_m * walk->input->position_m[axis] -
+                                   state->field.damping_n_s_per_m * walk->input->velocity_m_per_s[axis];
+        }
+    }
+}
+
+#endif

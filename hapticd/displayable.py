@@ -1,0 +1,210 @@
+"""What of a scene and its materials this device and rate can show, and what becomes of the rest.
+
+Three answers: what is muted or lowered (`undisplayable`), what is refused because the rate cannot carry it at all
+(`rate_faults`), and what is shown, but not as it was meant (`warnings`). Places are those of a configuration file:
+`materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final, Literal, TypeAlias
+
+from hapticd.errors import Path, Problem, path_text
+from hapticd.materials import Material
+from hapticd.mode import Mode
+from hapticd.noise import reflection_of, resampled, stochastic_filter
+from hapticd.scene import TOUCHING_M, SceneObject, Wall, used_materials
+from hapticd.texture import Autoregressive, Grooves, Stochastic
+
+DISPLAYABLE: Final = 0.4
+"""What lies above this fraction of the rate is not displayed as it is (models 1)."""
+STROKE_M_PER_S: Final = 0.5
+"""A fast stroke: a groove's shape that it passes in less than two ticks is hardly displayed."""
+MAX_LOSS: Final = 0.01
+"""More of a recorded texture's power than this is not lost silently."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What the device and the rate make of a scene."""
+
+    rate_hz: float
+    effective_mass_kg: float
+    max_force_n: float
+    max_speed_m_per_s: float
+    undisplayable: Literal["mute", "lower"]
+
+
+Use: TypeAlias = Literal["tap", "rupture", "groove", "texture"]
+
+
+@dataclass(frozen=True, slots=True)
+class Undisplayable:
+    """A mode, or the peak of a texture's spectrum, that the rate cannot carry.
+
+    `shown_hz` is what is displayed in its place, None if nothing is.
+    """
+
+    material: str
+    mode: Use
+    frequency_hz: float
+    shown_hz: float | None
+
+
+def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
+    """The mode as the rate can carry it, and the factor on its coefficient that keeps the first peak.
+
+    Above 0.4 of the rate a mode is muted (None) or lowered to 0.4 of the rate (models 1).
+    """
+    highest = 2.0 * math.pi * DISPLAYABLE * output.rate_hz
+    if mode.angular_frequency_rad_per_s <= highest:
+        return mode, 1.0
+    if output.undisplayable == "mute":
+        return None, 1.0
+    lowered = Mode(decay_rate_per_s=mode.decay_rate_per_s, angular_frequency_rad_per_s=highest)
+    return lowered, mode.peak / lowered.peak
+
+
+def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
+    """Peak and mean (Hz) that the texture's filter is designed for; None where it is muted.
+
+    A peak above 0.4 of the rate is muted, or lowered to 0.4 of the rate and the mean by the same factor.
+    """
+    highest = DISPLAYABLE * output.rate_hz
+    if texture.peak_hz <= highest:
+        return texture.peak_hz, texture.mean_hz
+    if output.undisplayable == "mute":
+        return None
+    return highest, texture.mean_hz * (highest / texture.peak_hz)
+
+
+def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
+    """The modes and textures of these materials that the rate cannot carry."""
+    found: list[Undisplayable] = []
+    for name, material in materials.items():
+        modes: tuple[tuple[Use, Mode | None], ...] = (
+            ("tap", None if material.tap is None else material.tap.mode),
+            ("rupture", None if material.rupture is None else material.rupture.mode),
+            ("groove", material.groove_mode),
+        )
+        for use, mode in modes:
+            if mode is not None:
+                shown, _ = displayed_mode(mode, output)
+                if shown is not mode:
+                    found.append(
+                        Undisplayable(name, use, mode.frequency_hz, None if shown is None else shown.frequency_hz)
+                    )
+        texture = material.texture
+        if isinstance(texture, Stochastic) and texture.peak_hz > DISPLAYABLE * output.rate_hz:
+            pair = displayed_pair(texture, output)
+            found.append(Undisplayable(name, "texture", texture.peak_hz, None if pair is None else pair[0]))
+    return found
+
+
+def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
+    """What of the materials in use has to be refused, because no sampled signal of this rate has it."""
+    limit = output.rate_hz / 2
+    return [
+        _texture_problem(name, key, f"must be less than half the servo rate of {_hz(output.rate_hz)}, is {value:g}")
+        for name, material in _used(objects, materials)
+        if isinstance(texture := material.texture, Stochastic)
+        for key, value in (("peak_hz", texture.peak_hz), ("mean_hz", texture.mean_hz))
+        if value >= limit
+    ]
+
+
+def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
+    """What of the scene is displayed, but not as it was meant, and how it is displayed then."""
+    found: list[Problem] = []
+    for name, material in _used(objects, materials):
+        match material.texture:
+            case Grooves() as texture:
+                found += _groove_warnings(name, texture, output)
+            case Stochastic() as texture:
+                found += _stochastic_warnings(name, texture, output)
+            case Autoregressive() as texture:
+                found += _autoregressive_warnings(name, texture, output)
+    for id, item in objects.items():
+        if isinstance(item, Wall) and item.patches:
+            found += _patch_warnings(id, item)
+    return found
+
+
+def _used(objects: Mapping[str, SceneObject], materials: Mapping[str, Material]) -> Iterator[tuple[str, Material]]:
+    used = used_materials(objects.values())
+    return ((name, material) for name, material in materials.items() if name in used)
+
+
+def _texture_problem(material: str, key: str, problem: str) -> Problem:
+    return Problem(path_text(("materials", material, "texture", key)), problem)
+
+
+def _hz(frequency_hz: float) -> str:
+    return f"{frequency_hz:.4g} Hz" if frequency_hz < 1000 else f"{frequency_hz:.15g} Hz"
+
+
+def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:
+    travel_m = output.max_speed_m_per_s / output.rate_hz
+    if texture.spacing_m < travel_m * (1 - 1e-9):
+        held_m_per_s = texture.spacing_m * output.rate_hz
+        problem = (
+            f"{texture.spacing_m:g} is less than the probe may travel in a tick, {travel_m:g} at the device's "
+            f"max_speed_m_per_s; up to {held_m_per_s:g} m/s a tick passes one groove at most"
+        )
+        yield _texture_problem(name, "spacing_m", problem)
+    two_ticks_m = 2 * STROKE_M_PER_S / output.rate_hz
+    if texture.display != "vibration" and texture.width_m < two_ticks_m * (1 - 1e-9):
+        problem = (
+            f"{texture.width_m:g} is passed in less than two ticks at {STROKE_M_PER_S:g} m/s, "
+            f"and its shape is hardly displayed; from {two_ticks_m:g} on it is"
+        )
+        yield _texture_problem(name, "width_m", problem)
+
+
+def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iterator[Problem]:
+    pair = displayed_pair(texture, output)
+    if pair is None or max(texture.peak_hz, texture.mean_hz) >= output.rate_hz / 2:
+        return  # muted or refused, and told as such
+    shown = stochastic_filter(*pair, output.rate_hz)
+    if not shown.met(*pair):
+        problem = (
+            f"a peak of {_hz(pair[0])} and a mean of {_hz(pair[1])} are not met at a rate of {_hz(output.rate_hz)}; "
+            f"shown are {_hz(shown.peak_hz)} and {_hz(shown.mean_hz)}"
+        )
+        yield _texture_problem(name, "mean_hz", problem)
+
+
+@lru_cache(maxsize=64)
+def _least_kept(texture: Autoregressive, rate_hz: float) -> tuple[int, float]:
+    """The model that loses most when shown at a rate: its index, and the fraction of its power that is kept."""
+    kept = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz)[1] for model in texture.models]
+    least = min(range(len(kept)), key=kept.__getitem__)
+    return least, kept[least]
+
+
+def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
+    if output.rate_hz >= texture.rate_hz:
+        return  # the rate carries all that was recorded
+    index, kept = _least_kept(texture, output.rate_hz)
+    if kept < 1 - MAX_LOSS:
+        place = path_text(("materials", name, "texture", "models", index))
+        problem = f"loses {100 * (1 - kept):.3g} % of its power at a rate of {_hz(output.rate_hz)}, most of the models"
+        yield Problem(place, problem)
+
+
+def _patch_warnings(id: str, wall: Wall) -> Iterator[Problem]:
+    patches, ramp_m = wall.patches, wall.patch_ramp_m
+    narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
+    before: int | None = None
+    for index in sorted(range(len(patches)), key=lambda index: patches[index].from_m):
+        patch = patches[index]
+        place: Path = ("scene", "objects", id, "patches", index)
+        if before is not None:
+            gap = patch.from_m - patches[before].to_m
+            if TOUCHING_M < gap < ramp_m - TOUCHING_M:
+                yield Problem(path_text(place), f"is {gap:.4g} from patches[{before}], nearer than {narrow}")
+        if patch.to_m - patch.from_m < ramp_m - TOUCHING_M:
+            yield Problem(path_text(place), f"is {patch.to_m - patch.from_m:.4g} wide, narrower than {narrow}")
+        before = index

@@ -1,0 +1,242 @@
+"""Textures: what a surface does while the probe strokes along it.
+
+Grooves lie at s = k spacing, s the tangential coordinate of the surface; they are displayed as vibration, as geometry
+or as damping. Sandpaper is coloured noise whose power follows tangential speed v and normal force F, either given by
+the peak and the mean of its spectrum (`stochastic`) or by models identified from recordings (`autoregressive`).
+"""
+
+import math
+from typing import Annotated, Final, Literal, Self, TypeAlias
+
+from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, Strict, model_serializer, model_validator
+from pydantic.config import JsonDict
+
+from hapticd.mode import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
+from hapticd.model import Damping, Model
+
+MAX_ORDER: Final = 32
+MAX_MODELS: Final = 400
+MAX_DISTINCT: Final = 64
+"""Different speeds, and different forces, of the models of a texture."""
+MAX_SEED: Final = 2**53
+MAX_RMS_M_PER_S2: Final = 1e6
+
+Display: TypeAlias = Literal["vibration", "geometry", "damping"]
+Direction: TypeAlias = Literal["tangent", "normal"]
+Gain: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
+Threshold: TypeAlias = Annotated[float, Field(ge=1e-5, le=1)]
+Seed: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SEED)]
+Coefficient: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+_MODE_KEYS: Final = tuple(ModeKeys.model_fields)
+_GAINS: Final = ("velocity_gain_per_s", "force_gain_m_per_s2_per_n")
+_KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
+    "vibration": (*_GAINS, *_MODE_KEYS),
+    "geometry": ("depth_m",),
+    "damping": ("damping_n_s_per_m",),
+}
+
+
+def _needs(display: str, key: str) -> JsonDict:
+    return {"if": {"properties": {"display": {"const": display}}}, "then": {"required": [key]}}
+
+
+class Grooves(Model):
+    """Grooves at equal distances, felt as strikes, as a shape or as drag."""
+
+    model_config = ConfigDict(
+        json_schema_extra={"allOf": [_needs("geometry", "depth_m"), _needs("damping", "damping_n_s_per_m")]}
+    )
+
+    kind: Literal["grooves"] = Field(description="Which kind of texture this is.")
+    display: Display = Field(description="What a groove does: strikes, lowers the surface, or drags.")
+    spacing_m: float = Field(ge=1e-5, le=1, description="Distance from one groove to the next.")
+    width_m: float = Field(ge=1e-6, le=1, description="Width of a groove, at most the spacing.")
+    velocity_gain_per_s: float = Field(
+        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike per tangential speed."
+    )
+    force_gain_m_per_s2_per_n: float = Field(
+        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike per normal force."
+    )
+    frequency_hz: Frequency | None = Field(
+        default=None, description="Vibration: frequency of the ringing; without a mode, the tap's rings."
+    )
+    angular_frequency_rad_per_s: AngularFrequency | None = Field(
+        default=None, description="Vibration: 2 pi times the frequency, instead of it."
+    )
+    decay_time_s: DecayTime | None = Field(
+        default=None, description="Vibration: time in which the ringing falls to 1/e."
+    )
+    decay_rate_per_s: DecayRate | None = Field(
+        default=None, description="Vibration: 1 over the decay time, instead of it."
+    )
+    depth_m: Annotated[float, Field(ge=1e-6, le=0.1)] | None = Field(
+        default=None, description="Geometry: depth of a groove in its middle; required there."
+    )
+    damping_n_s_per_m: Damping | None = Field(
+        default=None,
+        description="Damping: force against tangential motion, per speed, in the middle of a groove; required there.",
+    )
+
+    @property
+    def own_mode(self) -> Mode | None:
+        """The mode that a vibration's strike excites, where the texture has one of its own."""
+        keys = self._mode_keys()
+        return None if keys is None else keys.mode
+
+    def _mode_keys(self) -> ModeKeys | None:
+        given = {key: value for key in _MODE_KEYS if (value := getattr(self, key)) is not None}
+        return ModeKeys.model_construct(**given) if given else None
+
+    def _cross_faults(self) -> list[str]:
+        faults = []
+        if self.width_m > self.spacing_m:
+            faults.append(f"width_m must be at most spacing_m, {self.spacing_m:.15g}, is {self.width_m:.15g}")
+        for display, keys in _KEYS_OF.items():
+            if display != self.display:
+                faults += [
+                    f"{key} belongs to display {display}, this one is {self.display}"
+                    for key in keys
+                    if key in self.model_fields_set and getattr(self, key) is not None
+                ]
+        match self.display:
+            case "vibration":
+                if not any(getattr(self, key) > 0 for key in _GAINS):
+                    faults.append(f"needs {_GAINS[0]} or {_GAINS[1]} above 0, or nothing is ever struck")
+                mode = self._mode_keys()
+                faults += [] if mode is None else mode.cross_faults()
+            case "geometry" if self.depth_m is None:
+                faults.append("needs depth_m to be displayed as geometry")
+            case "damping" if self.damping_n_s_per_m is None:
+                faults.append("needs damping_n_s_per_m to be displayed as damping")
+        return faults
+
+    @model_validator(mode="after")
+    def _refuse_cross_faults(self) -> Self:
+        faults = self._cross_faults()
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_keys_of_other_displays(self, serialized: SerializerFunctionWrapHandler) -> dict[str, object]:
+        others = {key for display, keys in _KEYS_OF.items() if display != self.display for key in keys}
+        data: dict[str, object] = serialized(self)
+        return {key: value for key, value in data.items() if key not in others}
+
+
+class Stochastic(Model):
+    """Coloured noise with a spectrum of the material's own, louder with speed and force."""
+
+    kind: Literal["stochastic"] = Field(description="Which kind of texture this is.")
+    peak_hz: Frequency = Field(description="Where its spectrum is highest.")
+    mean_hz: Frequency = Field(description="Mean frequency: the power's centroid from 0 to half the servo rate.")
+    velocity_gain_per_s: Gain = Field(default=0.0, description="RMS acceleration per tangential speed.")
+    force_gain_m_per_s2_per_n: Gain = Field(default=0.0, description="RMS acceleration per normal force.")
+    threshold_m_per_s: Threshold = Field(
+        default=0.002, description="Tangential speed below which it fades to silence at rest."
+    )
+    direction: Direction = Field(default="tangent", description="Where it acts: along the surface or across it.")
+    seed: Seed = Field(default=1, description="The same seed and motion give the same samples.")
+
+    @model_validator(mode="after")
+    def _is_heard(self) -> Self:
+        if max(self.velocity_gain_per_s, self.force_gain_m_per_s2_per_n) <= 0:
+            raise ValueError(f"needs {_GAINS[0]} or {_GAINS[1]} above 0, or it is never heard")
+        return self
+
+
+class AutoregressiveModel(Model):
+    """A model identified at one speed and force: x[n] = -(a_1 x[n-1] + ... + a_p x[n-p]) + e[n]."""
+
+    model_config = ConfigDict(json_schema_extra=one_of("rms_m_per_s2", "variance_m2_per_s4"))
+
+    speed_m_per_s: float = Field(ge=0, le=10, description="Tangential speed that it was identified at.")
+    force_n: float = Field(ge=0, le=100, description="Normal force that it was identified at.")
+    coefficients: Annotated[tuple[Coefficient, ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_ORDER, description="a_1 to a_p; all poles are inside the unit circle."
+    )
+    rms_m_per_s2: Annotated[float, Field(ge=0, le=1e5)] | None = Field(
+        default=None, description="RMS of the innovation e."
+    )
+    variance_m2_per_s4: Annotated[float, Field(ge=0, le=1e10)] | None = Field(
+        default=None, description="Variance of the innovation, instead of its RMS."
+    )
+
+    @property
+    def innovation_m_per_s2(self) -> float:
+        """RMS of e."""
+        if self.rms_m_per_s2 is not None:
+            return self.rms_m_per_s2
+        assert self.variance_m2_per_s4 is not None
+        return math.sqrt(self.variance_m2_per_s4)
+
+    def _cross_faults(self) -> list[str]:
+        # The analysis needs numpy, which most of what reads a material does not.
+        from hapticd.noise import pole_radius, reflection_of
+
+        faults = []
+        given = [key for key in ("rms_m_per_s2", "variance_m2_per_s4") if getattr(self, key) is not None]
+        if len(given) != 1:
+            has = "both" if given else "neither"
+            faults.append(f"needs exactly one of rms_m_per_s2 and variance_m2_per_s4, has {has}")
+        try:
+            reflection = reflection_of(self.coefficients)
+        except ValueError:
+            radius = pole_radius(self.coefficients)
+            faults.append(f"is unstable: its largest pole has a radius of {radius:.6g}, which must be less than 1")
+            return faults
+        power = math.prod(1 - k * k for k in reflection)
+        if len(given) == 1 and not self.innovation_m_per_s2 <= MAX_RMS_M_PER_S2 * math.sqrt(power):
+            rms = self.innovation_m_per_s2 / math.sqrt(power) if power > 0 else math.inf
+            faults.append(f"has an RMS of {rms:.6g} m/s^2 with these coefficients, at most {MAX_RMS_M_PER_S2:g}")
+        return faults
+
+    @model_validator(mode="after")
+    def _refuse_cross_faults(self) -> Self:
+        faults = self._cross_faults()
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
+
+
+class Autoregressive(Model):
+    """Coloured noise by models identified from recordings, blended over speed and force."""
+
+    kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
+    rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
+    models: Annotated[tuple[AutoregressiveModel, ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_MODELS, description="Each at a speed and a force of its own: a grid or scattered."
+    )
+    threshold_m_per_s: Threshold = Field(
+        default=0.002, description="Tangential speed below which it fades to silence at rest."
+    )
+    direction: Direction = Field(default="tangent", description="Where it acts: along the surface or across it.")
+    seed: Seed = Field(default=1, description="The same seed and motion give the same samples.")
+
+    def _cross_faults(self) -> list[str]:
+        faults = []
+        for key in ("speed_m_per_s", "force_n"):
+            distinct = len({getattr(model, key) for model in self.models})
+            if distinct > MAX_DISTINCT:
+                faults.append(f"models may have at most {MAX_DISTINCT} different {key}, have {distinct}")
+        first: dict[tuple[float, float], int] = {}
+        for index, model in enumerate(self.models):
+            place = (model.speed_m_per_s, model.force_n)
+            before = first.setdefault(place, index)
+            if before != index:
+                faults.append(
+                    f"models[{before}] and models[{index}] are both at {place[0]:.15g} m/s and {place[1]:.15g} N"
+                )
+                break
+        return faults
+
+    @model_validator(mode="after")
+    def _refuse_cross_faults(self) -> Self:
+        faults = self._cross_faults()
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
+
+
+Texture: TypeAlias = Annotated[Grooves | Stochastic | Autoregressive, Field(discriminator="kind")]

@@ -1,0 +1,153 @@
+"""What the rate cannot carry, or shows otherwise than it was meant, is said wherever a scene or a material comes in."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapticd.cli import main
+from hapticd.config import load_config
+from hapticd.control import Control, MethodError
+from hapticd.core import Status, lib
+from hapticd.engine import Engine
+from hapticd.errors import InvalidError
+from hapticd.joystick import target_of
+from hapticd.offline import render_run, simulate_run
+from hapticd.scene import validate_object
+
+FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+GRIT = {"kind": "stochastic", "peak_hz": 250, "mean_hz": 310, "velocity_gain_per_s": 40}
+HIGH = {"stiffness_n_per_m": 800, "texture": {**GRIT, "peak_hz": 450, "mean_hz": 600}}
+FINE = {
+    "stiffness_n_per_m": 800,
+    "texture": {"kind": "grooves", "display": "damping", "spacing_m": 1e-3, "width_m": 1e-4, "damping_n_s_per_m": 2},
+}
+MATERIALS = {"high": HIGH, "fine": FINE}
+LINE = [[0, 0, 0.01], [0.05, 0, -0.001]]
+
+
+def control(**objects: object) -> Control:
+    config = load_config({"servo": {"rate_hz": 1000}, "materials": MATERIALS, "scene": {"objects": objects}})
+    return Control(Engine(config))
+
+
+def limits(daemon: Control, member: str) -> list[dict[str, object]]:
+    found = daemon.status()[member]
+    assert isinstance(found, list)
+    return found
+
+
+def refused(call: Any) -> list[dict[str, str]]:
+    with pytest.raises(MethodError) as caught:
+        call()
+    assert caught.value.code == -32602
+    data = caught.value.data
+    assert isinstance(data, list)
+    return data
+
+
+def test_what_no_signal_of_the_rate_has_is_refused_at_the_start_of_anything() -> None:
+    source = {"materials": MATERIALS, "scene": {"objects": {"floor": {**FLOOR, "material": "high"}}}}
+    for run in (
+        lambda: render_run(source, [[0, 0]], 1000),
+        lambda: simulate_run(source, LINE, rate_hz=1000),
+        lambda: Engine(load_config({**source, "servo": {"rate_hz": 1000}})),
+    ):
+        with pytest.raises(InvalidError) as caught:
+            run()
+        assert [problem.where for problem in caught.value.problems] == ["materials.high.texture.mean_hz"]
+    assert len(render_run(source, [[0, 1]], 10_000).samples) == 1
+
+
+def test_it_is_refused_in_a_scene_an_object_and_a_material() -> None:
+    daemon = control(floor=FLOOR)
+    patched = {**FLOOR, "patches": [{"from_m": 0, "to_m": 1, "material": "high"}]}
+    (found,) = refused(lambda: daemon.call("set_scene", {"scene": {"objects": {"a": patched, "floor": FLOOR}}}))
+    assert found["where"] == "scene.objects.a.patches[0].material"
+    assert found["problem"].startswith("materials.high.texture.mean_hz: must be less than half the servo rate")
+    (found,) = refused(lambda: daemon.call("update_scene", {"objects": {"floor": {"material": "high"}}}))
+    assert found["where"] == "objects.floor.material"
+    (found,) = refused(lambda: daemon.call("update_materials", {"materials": {"wood": {"texture": HIGH["texture"]}}}))
+    assert found["where"] == "materials.wood.texture.mean_hz"
+    assert daemon.status()["revision"] == 1
+    daemon.call("update_materials", {"materials": {"high": {"stiffness_n_per_m": 1}}})  # nothing is made of it
+
+
+def test_patches_keep_their_materials_too() -> None:
+    daemon = control(floor={**FLOOR, "patches": [{"from_m": 0, "to_m": 1, "material": "fine"}]})
+    (found,) = refused(lambda: daemon.call("update_materials", {"materials": {"fine": None}}))
+    assert found == {"where": "materials.fine", "problem": 'is used by object "floor" of the scene, so it must stay'}
+    (found,) = refused(
+        lambda: daemon.call(
+            "update_scene", {"objects": {"floor": {"patches": [{"from_m": 0, "to_m": 1, "material": "x"}]}}}
+        )
+    )
+    assert found["where"] == "objects.floor.patches[0].material"
+
+
+def test_warnings_are_part_of_the_status_and_follow_the_scene() -> None:
+    daemon = control(a={**FLOOR, "material": "fine"}, b={**FLOOR, "material": "fine"}, c=FLOOR)
+    places = [warning["where"] for warning in limits(daemon, "warnings")]
+    assert places == ["materials.fine.texture.spacing_m", "materials.fine.texture.width_m"]
+    daemon.call("update_scene", {"objects": {"a": None, "b": None}})
+    assert limits(daemon, "warnings") == []
+    steel = {"objects": {"a": {**FLOOR, "material": "steel"}}}
+    daemon.call("update_scene", steel)
+    (mode,) = limits(daemon, "undisplayable")
+    assert (mode["material"], mode["mode"]) == ("steel", "tap")
+
+
+def test_warnings_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    source = {"materials": MATERIALS, "scene": {"objects": {"floor": {**FLOOR, "material": "fine"}}}}
+    run = simulate_run(source, LINE, rate_hz=1000)
+    assert {warning.where for warning in run.warnings} >= {"materials.fine.texture.width_m"}
+    assert render_run({}, [[0, 0]]).warnings == ()
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text(
+        "materials:\n  fine: {stiffness_n_per_m: 800, texture: {kind: grooves, display: damping, spacing_m: 1e-3, "
+        "width_m: 1e-4, damping_n_s_per_m: 2}}\n"
+        "scene:\n  objects:\n    floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: fine}\n"
+    )
+    Path("hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, 0]]\n")
+    assert main(["simulate", "scene.yaml", "--operator", "hand.yaml", "-o", "a.npz", "--rate", "1000"]) == 0
+    told = capsys.readouterr().err.splitlines()
+    assert told == [f"hapticd: {warning}" for warning in run.warnings]
+
+
+def test_a_scene_that_cannot_be_rendered_leaves_everything_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = control(floor=FLOOR, skin={**FLOOR, "point_m": [0, 1]})
+    engine = daemon._engine
+    places = {id: engine._compiler.slot_of(id) for id in ("floor", "skin")}
+    real = lib.hd_servo_publish
+
+    class Lib:
+        def __getattr__(self, name: str) -> object:
+            return (lambda servo, table: Status.ERR_MEMORY) if name == "hd_servo_publish" else getattr(lib, name)
+
+    monkeypatch.setattr("hapticd.engine.lib", Lib())
+    with pytest.raises(Exception, match="the scene cannot be rendered: no memory"):
+        daemon.call("update_scene", {"objects": {"floor": None, "new": {**FLOOR, "kind": "wall"}}})
+    monkeypatch.setattr("hapticd.engine.lib", lib)
+    assert real is lib.hd_servo_publish
+    assert daemon.status()["revision"] == 1
+    assert {id: engine._compiler.slot_of(id) for id in ("floor", "skin")} == places
+    assert daemon.call("update_scene", {"objects": {"new": FLOOR}})["revision"] == 2
+
+
+def test_gestures_go_to_the_upper_side_of_a_solid() -> None:
+    materials = load_config({}).materials
+    angle = 0.4
+    box = {"kind": "box", "center_m": [0.01, 0.02], "size_m": [0.03, 0.01], "angle_rad": angle, "material": "wood"}
+    target = target_of(validate_object("box", box), materials)
+    assert target is not None
+    upper = complex(0.01, 0.02) + complex(0, 0.005) * complex(math.cos(angle), math.sin(angle))
+    assert complex(*target.point_m) == pytest.approx(upper, abs=1e-15)
+    assert complex(*target.normal) == pytest.approx(1j * complex(math.cos(angle), math.sin(angle)), abs=1e-15)
+    disc = {"kind": "disc", "center_m": [0.01, 0.02], "radius_m": 0.005, "material": "cellophane"}
+    target = target_of(validate_object("disc", disc), materials)
+    assert target is not None
+    assert (target.point_m, target.normal, target.rupture_depth_m) == ((0.01, 0.025), (0.0, 1.0), None)
+    assert target_of(validate_object("p", {"kind": "constant", "force_n": [0, 1]}), materials) is None

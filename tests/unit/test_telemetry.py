@@ -1,0 +1,66 @@
+"""What of events is told: floods are told once for all that were found together."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.core import EVENT_DTYPE, EventKind, records
+from hapticd.engine import Engine
+from hapticd.telemetry import Telemetry
+
+
+class Names:
+    """An engine as far as telemetry asks it for names."""
+
+    def name_of(self, slot: int, generation: int) -> str | None:
+        return {(0, 1): "comb", (0, 9): "later", (5, 1): "file"}.get((slot, generation))
+
+
+def batch(*events: tuple[EventKind, int, int, int]) -> npt.NDArray[np.void]:
+    array = records(EVENT_DTYPE, len(events))
+    for record, (kind, tick, slot, generation) in zip(array, events, strict=True):
+        record["kind"], record["tick"], record["slot"], record["generation"] = kind, tick, slot, generation
+        record["time_ns"], record["value"], record["speed_m_per_s"] = 100_000 * tick, tick, -0.01 * tick
+    return array
+
+
+def told(*events: tuple[EventKind, int, int, int]) -> list[dict[str, object]]:
+    telemetry = Telemetry(cast(Engine, Names()), cast(Any, None), dict)
+    return list(telemetry._maps(batch(*events)))
+
+
+def test_grooves_of_one_object_are_told_as_one_that_speaks_of_the_last() -> None:
+    groove = EventKind.GROOVE
+    found = told(
+        (EventKind.CONTACT, 1, 0, 1),
+        (groove, 2, 0, 1),
+        (groove, 3, 5, 1),
+        (groove, 4, 0, 1),
+        (groove, 4, 0, 1),
+        (EventKind.RELEASE, 5, 0, 1),
+        (groove, 6, 0, 9),  # the slot has another owner
+        (groove, 7, 5, 1),
+    )
+    shown = [(event["event"], event["object"], event["tick"], event.get("count")) for event in found]
+    assert shown == [
+        ("contact", "comb", 1, None),
+        ("groove", "comb", 4, 3),
+        ("release", "comb", 5, None),
+        ("groove", "later", 6, 1),
+        ("groove", "file", 7, 2),
+    ]
+    comb = found[1]
+    assert (comb["time_ns"], comb["grooves"], comb["speed_m_per_s"]) == (400_000, 4, -0.04)
+
+
+def test_what_is_no_flood_is_told_one_by_one() -> None:
+    assert told() == []
+    kinds = [EventKind.SATURATION, EventKind.PUNCTURE, EventKind.SATURATION]
+    assert [event["event"] for event in told(*((kind, 1, 0, 1) for kind in kinds))] == [
+        "saturation",
+        "puncture",
+        "saturation",
+    ]
