@@ -396,15 +396,14 @@ static size_t regions_of(struct hd_servo *servo, struct hd_region regions[HD_SER
     return count;
 }
 
-static int lock_refused(const struct hd_servo *servo, uint32_t object_count, int error) {
-    return hd_invalid("table: %u objects need more locked memory than is allowed (%s; %u objects did not): raise the "
-                      "limit (ulimit -l), or publish as many before the servo starts",
-                      object_count, strerror(error), servo->locked_slots);
+static int lock_refused(uint32_t object_count, int error) {
+    return hd_invalid("table: %u objects need more locked memory than is allowed (%s): raise the limit (ulimit -l) or "
+                      "run without real time",
+                      object_count, strerror(error));
 }
 
-/* Locks what the state reserved since the last time. */
-static int lock_slots(struct hd_servo *servo) {
-    const uint32_t slot_count = hd_state_slot_count(servo->state);
+/* Locks the slots of a table that were not locked yet. */
+static int lock_slots(struct hd_servo *servo, uint32_t slot_count) {
     if (!servo->locking || slot_count <= servo->locked_slots) {
         return HD_OK;
     }
@@ -412,7 +411,7 @@ static int lock_slots(struct hd_servo *servo) {
     const size_t count = hd_state_regions(servo->state, servo->locked_slots, slot_count, regions);
     const int error = hd_memory_lock_regions(regions, count);
     if (error != 0) {
-        return lock_refused(servo, slot_count, error);
+        return lock_refused(slot_count, error);
     }
     servo->locked_slots = slot_count;
     return HD_OK;
@@ -432,7 +431,7 @@ static int lock_world(struct hd_servo *servo, uint32_t index) {
         }
         const int error = hd_memory_lock_regions(&regions[i], 1);
         if (error != 0) {
-            return lock_refused(servo, servo->worlds[index].table.object_count, error);
+            return lock_refused(servo->worlds[index].table.object_count, error);
         }
         locked[i] = regions[i];
     }
@@ -555,7 +554,7 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     struct hd_changes *changes = &servo->changes[back];
     int status = hd_state_reserve(servo->state, table->object_count);
     if (status == HD_OK) {
-        status = lock_slots(servo);
+        status = lock_slots(servo, table->object_count);
     }
     if (status != HD_OK) {
         return status;
@@ -565,10 +564,11 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     if (status != HD_OK) {
         return status;
     }
-    /* From here to its publication the world holds what nobody was shown. */
-    changes->all = 1;
     status = lock_world(servo, back);
     if (status != HD_OK) {
+        /* Its arrays would stay too large for whatever comes next. */
+        hd_world_release(world);
+        memset(servo->locked[back], 0, sizeof servo->locked[back]);
         return status;
     }
     changes->all = 0;

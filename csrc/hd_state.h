@@ -89,13 +89,14 @@ struct hd_slot {
     struct hd_skin from_skin;
 };
 
+/* Two numbers, of x and of y, that are computed with as one. */
+typedef double hd_pair __attribute__((vector_size(16)));
+
 struct hd_voice {
-    double re[2]; /* z along x and y */
-    double im[2];
+    hd_pair re; /* z along x and y */
+    hd_pair im;
     double rotor_re;
     double rotor_im;
-    double decay_rate_per_s;
-    double angular_frequency_rad_per_s;
     uint32_t left; /* ticks that it still sounds after this one */
     uint32_t slot;
     uint32_t generation;
@@ -146,6 +147,7 @@ struct hd_state {
     double residual_n[2]; /* what is left of the force of objects that went away under the hand */
     double residual_step_n[2];
     uint32_t residual_left; /* ticks */
+    double ringing_n[2];    /* the sum of Im z over voices[] */
     uint32_t field_version;
     double field_blend;
     struct hd_field field;

@@ -1,6 +1,6 @@
 /* The tick, top to bottom: sense, ring, touch, strike, limit, fade.
  *
- * Bounded work: it looks at the objects in reach once and at the ringing modes twice. Whatever it is given, the force it
+ * Bounded work: it looks at the objects in reach and at the ringing modes once. Whatever it is given, the force it
  * returns is finite and within the table's limit; a NaN or an infinity anywhere latches HD_FAULT_NONFINITE and the
  * force is zero from that tick on. Called by the servo thread and by the offline runs alike. */
 #include "hd_tick.h"
@@ -172,7 +172,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     }
 
     if (state->voice_count > 0) {
-        hd_voices_advance(state, input->periods, table->period_s);
+        hd_voices_advance(state, input->periods);
     }
     hd_walk_objects(&walk);
     hd_field_walk(&walk);
@@ -194,10 +194,8 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     }
     double vibration[2] = {walk.noise_n[0], walk.noise_n[1]};
     if (state->voice_count > 0) {
-        double ringing[2];
-        hd_voices_sum(state, ringing);
-        vibration[0] += ringing[0];
-        vibration[1] += ringing[1];
+        vibration[0] += state->ringing_n[0];
+        vibration[1] += state->ringing_n[1];
         flags |= HD_FLAG_RINGING;
     }
     vibration[0] *= state->show_vibration;

@@ -5,10 +5,9 @@
 #include "hd_rt.h"
 #include "hd_state.h"
 
-/* All modes go on by `periods` ticks of `period_s`; those that have ended are exactly zero from now on. */
-HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods, double period_s);
-/* The force of all ringing modes at this tick. */
-HD_RT void hd_voices_sum(const struct hd_state *state, double force_n[2]);
+/* All modes go on by `periods` ticks; those that have ended are exactly zero from now on. What they add up to is in
+ * state->ringing_n from here to the end of the tick, strikes and scaling included. */
+HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods);
 /* An upper bound of what the ringing modes can add up to from now on. */
 HD_RT double hd_voices_bound(const struct hd_state *state);
 /* Adds a strike with the coefficient `force_n` (a vector) to its mode. */

@@ -158,7 +158,7 @@ def _design(texture: Stochastic | Autoregressive, output: Output) -> _Design:
     models = []
     for model in texture.models:
         given = noise.reflection_of(model.coefficients)
-        rms = model.innovation_m_per_s2 / math.sqrt(math.prod(1.0 - k * k for k in given))
+        rms = model.level(given)
         reflection, kept = noise.resampled(given, texture.rate_hz, output.rate_hz)
         models.append(noise.Model(model.speed_m_per_s, model.force_n, reflection, rms * math.sqrt(kept)))
     order = max(len(model.reflection) for model in models)

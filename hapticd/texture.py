@@ -6,6 +6,7 @@ the peak and the mean of its spectrum (`stochastic`) or by models identified fro
 """
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
 from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, Strict, model_serializer, model_validator
@@ -157,19 +158,19 @@ class AutoregressiveModel(Model):
         min_length=1, max_length=MAX_ORDER, description="a_1 to a_p; all poles are inside the unit circle."
     )
     rms_m_per_s2: Annotated[float, Field(ge=0, le=1e5)] | None = Field(
-        default=None, description="RMS of the innovation e."
+        default=None, description="RMS of the texture itself, of x."
     )
     variance_m2_per_s4: Annotated[float, Field(ge=0, le=1e10)] | None = Field(
-        default=None, description="Variance of the innovation, instead of its RMS."
+        default=None, description="Variance of the innovation e, instead of the RMS of x."
     )
 
-    @property
-    def innovation_m_per_s2(self) -> float:
-        """RMS of e."""
+    def level(self, reflection: Sequence[float]) -> float:
+        """RMS of x, m/s^2: what is given, or sqrt(variance / prod(1 - k^2)), k the model's reflection coefficients."""
         if self.rms_m_per_s2 is not None:
             return self.rms_m_per_s2
         assert self.variance_m2_per_s4 is not None
-        return math.sqrt(self.variance_m2_per_s4)
+        power = math.prod(1.0 - k * k for k in reflection)
+        return math.sqrt(self.variance_m2_per_s4 / power) if power > 0 else math.inf
 
     def _cross_faults(self) -> list[str]:
         # The analysis needs numpy, which most of what reads a material does not.
@@ -186,9 +187,8 @@ class AutoregressiveModel(Model):
             radius = pole_radius(self.coefficients)
             faults.append(f"is unstable: its largest pole has a radius of {radius:.6g}, which must be less than 1")
             return faults
-        power = math.prod(1 - k * k for k in reflection)
-        if len(given) == 1 and not self.innovation_m_per_s2 <= MAX_RMS_M_PER_S2 * math.sqrt(power):
-            rms = self.innovation_m_per_s2 / math.sqrt(power) if power > 0 else math.inf
+        if len(given) == 1 and not self.level(reflection) <= MAX_RMS_M_PER_S2:
+            rms = self.level(reflection)
             faults.append(f"has an RMS of {rms:.6g} m/s^2 with these coefficients, at most {MAX_RMS_M_PER_S2:g}")
         return faults
 

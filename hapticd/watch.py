@@ -95,8 +95,8 @@ class View:
         elif kind == "contact":
             self._punctured.discard(str(event.get("object")))  # what is open is not touched: it has healed
         if kind not in _QUIET_EVENTS:
-            if kind == "revision" and self._events and self._events[-1].kind == kind:
-                self._events.pop()  # of a stream of updates the newest tells all
+            if kind in ("revision", "groove") and self._events and self._events[-1].kind == kind:
+                self._events.pop()  # of a stream of updates or grooves the newest tells all
             self._events.append(_Shown(kind, _number(event, "time_ns") / 1e9, event_line(event)))
 
     @property
@@ -260,6 +260,8 @@ def event_line(event: Mapping[str, object]) -> str:
                 words.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")
         case "contact":
             words.append("inside it when it appeared")
+        case "groove":
+            words.append(f"{_number(event, 'grooves'):.0f} struck in this contact")
         case "puncture":
             words.append(f"at {1e3 * _number(event, 'depth_m'):.2f} mm")
         case "saturation":
@@ -316,10 +318,20 @@ def draw_scene(
     skins = []
     objects: Mapping[str, Mapping[str, Any]] = scene.get("objects") or {}
     for name, thing in objects.items():
-        if thing.get("kind") == "wall":
+        kind = thing.get("kind")
+        if kind == "wall":
             (px, py), (nx, ny) = thing["point_m"], thing["normal"]
             solid |= (x[None, :] - px) * nx + (y[:, None] - py) * ny < 0
-        elif thing.get("kind") == "membrane":
+        elif kind == "box":
+            (cx, cy), (width, height), angle = thing["center_m"], thing["size_m"], thing.get("angle_rad", 0.0)
+            along = (x[None, :] - cx) * math.cos(angle) + (y[:, None] - cy) * math.sin(angle)
+            across = (y[:, None] - cy) * math.cos(angle) - (x[None, :] - cx) * math.sin(angle)
+            # What is thinner than a character is drawn as one.
+            solid |= (abs(along) < max(width / 2, cell_m / 2)) & (abs(across) < max(height / 2, cell_m))
+        elif kind == "disc":
+            (cx, cy), radius = thing["center_m"], thing["radius_m"]
+            solid |= np.hypot(x[None, :] - cx, y[:, None] - cy) < max(radius, cell_m)
+        elif kind == "membrane":
             skins.append((name, thing))
     cells[solid] = _SOLID
     broken = frozenset(punctured)

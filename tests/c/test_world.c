@@ -660,10 +660,12 @@ static void looks_at_what_is_listed(struct hd_world *world) {
     check_holds(world, &good.table, &seed);
     /* Nor are parts of the same version: what an object refers to must be sound in those that the world has. */
     good.pieces[0].material = 99;
+    good.pieces[1].half_ramp_m = 0.001;
     CHECK(hd_world_load(world, &good.table) == HD_OK);
     make_scene(&other);
     other.objects[0].piece_first = 0;
     other.objects[0].piece_count = 2;
+    other.pieces[1].half_ramp_m = 0.001;
     CHECK(hd_world_update(world, &other.table, (const uint32_t[]){0}, 1) == HD_ERR_INVALID);
     check_holds(world, &good.table, &seed);
     other.table.parts_version = 1;

@@ -217,7 +217,8 @@ def test_merge_patch_over_objects(wire: Wire) -> None:
         "update_scene", objects={"a": {"point_m": [0.0, 0.01]}, "b": None, "c": {"kind": "constant", "force_n": [0, 1]}}
     )
     objects = wire.result("get_scene")["scene"]["objects"]
-    assert objects == {"a": {**FLOOR, "point_m": [0.0, 0.01]}, "c": {"kind": "constant", "force_n": [0.0, 1.0]}}
+    floor = {**FLOOR, "point_m": [0.0, 0.01], "patches": [], "patch_ramp_m": 0.001}  # defaults are filled in
+    assert objects == {"a": floor, "c": {"kind": "constant", "force_n": [0.0, 1.0]}}
     scene = wire.result("get_scene")["scene"]
     wire.result("set_scene", scene=scene)
     assert wire.result("get_scene")["scene"] == scene

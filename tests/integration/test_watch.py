@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import os
 import pty
 import select
@@ -192,6 +193,17 @@ def test_walls_are_shaded_where_they_are_solid() -> None:
     wall = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [1.0, 0.0]}
     cells = np.array(draw_scene({"objects": {"wall": wall}}, 10, 4, 0.01))
     assert (cells[:, :5] == "░").all() and (cells[:, 5:] == " ").all()
+
+
+def test_boxes_and_discs_are_drawn_where_they_are() -> None:
+    box = {"kind": "box", "center_m": [-0.02, 0.01], "size_m": [0.02, 0.004], "angle_rad": math.pi / 2}
+    disc = {"kind": "disc", "center_m": [0.02, -0.01], "radius_m": 0.008}
+    cells = np.array(draw_scene({"objects": {"box": box, "disc": disc}}, 80, 40, 0.001))
+    x = (np.arange(80) - 39.5) * 0.001
+    y = (19.5 - np.arange(40)) * 0.002
+    upright = (abs(x[None, :] + 0.02) < 0.002) & (abs(y[:, None] - 0.01) < 0.01)
+    round_ = np.hypot(x[None, :] - 0.02, y[:, None] + 0.01) < 0.008
+    assert np.array_equal(cells != " ", upright | round_)
 
 
 def test_bars() -> None:

@@ -472,7 +472,8 @@ def test_noise_that_the_rate_cannot_carry(undisplayable: Any) -> None:
 
 
 def test_autoregressive_noise_has_the_power_of_its_models() -> None:
-    """RMS of a model: that of white noise of its innovation's RMS through 1/A, from scipy's impulse response."""
+    """RMS of a model: given, or that of white noise of its innovation's variance through 1/A, from scipy's impulse
+    response."""
     models = [
         {"speed_m_per_s": 0.05, "force_n": 0.5, "coefficients": [-1.5, 0.8], "variance_m2_per_s4": 4},
         {"speed_m_per_s": 0.2, "force_n": 0.5, "coefficients": [-1.2, 0.9, -0.1], "rms_m_per_s2": 3},
@@ -487,16 +488,16 @@ def test_autoregressive_noise_has_the_power_of_its_models() -> None:
     assert (speeds.tolist(), forces.tolist()) == ([0.05, 0.2], [0.5, 2])
     impulse = np.eye(1, 1 << 13)[0]
     for model, node in zip(models, (nodes[0, 0], nodes[1, 0], nodes[0, 1]), strict=True):
-        innovation = model.get("rms_m_per_s2", math.sqrt(model.get("variance_m2_per_s4", 0)))  # type: ignore[arg-type]
         h = signal.lfilter([1.0], [1.0, *model["coefficients"]], impulse)  # type: ignore[misc]
-        rms = innovation * math.sqrt(np.sum(h**2))  # type: ignore[operator]
+        variance = model.get("variance_m2_per_s4", 0)
+        rms = model.get("rms_m_per_s2", math.sqrt(variance * np.sum(h**2)))  # type: ignore[operator]
         assert node[0] == pytest.approx(rms, rel=1e-9)
         assert response(node, 3, 1 << 13) == pytest.approx(h / math.sqrt(np.sum(h**2)), abs=1e-9)
 
 
 def test_autoregressive_noise_at_another_rate_keeps_the_power_in_its_band() -> None:
     a = np.poly([0.97 * np.exp(0.2j), 0.97 * np.exp(-0.2j), 0.6, -0.6]).real
-    model = {"speed_m_per_s": 0.1, "force_n": 1, "coefficients": a[1:].tolist(), "rms_m_per_s2": 2}
+    model = {"speed_m_per_s": 0.1, "force_n": 1, "coefficients": a[1:].tolist(), "variance_m2_per_s4": 4}
     own = {**PLAIN, "texture": {"kind": "autoregressive", "rate_hz": 10_000, "models": [model]}}
     taken = Taken(Output(2000, 0.05, 8.9, 5, "mute"))
     table = taken.take(scene(a={**WALL, "material": "own"}), materials=library(own=own))

@@ -97,13 +97,17 @@ def test_gains_of_noise_may_be_negative() -> None:
     assert texture.force_gain_m_per_s2_per_n == -5
 
 
-def test_the_innovation_is_given_by_rms_or_variance() -> None:
+def test_the_level_is_given_by_rms_or_by_the_variance_of_the_innovation() -> None:
     by_variance = {**without(MODEL, "rms_m_per_s2"), "variance_m2_per_s4": 4}
-    for keys in (MODEL, by_variance):
-        assert AutoregressiveModel.model_validate(keys).innovation_m_per_s2 == 2
+    assert AutoregressiveModel.model_validate(MODEL).level((0.6,)) == 2
+    assert AutoregressiveModel.model_validate(by_variance).level((0.6,)) == pytest.approx(2.5, rel=1e-15)
 
 
 # ---- what is refused ------------------------------------------------------------------------------
+
+
+# The variance of the innovation, through a pole close to the circle.
+LOUD: Keys = {"variance_m2_per_s4": 1e10, "rms_m_per_s2": None, "coefficients": [-1 + 1e-13]}
 
 
 @pytest.mark.parametrize(
@@ -182,7 +186,7 @@ def test_the_fault_of_a_tap_is_not_told_twice() -> None:
             "models[0]",
             "needs exactly one of rms_m_per_s2 and variance_m2_per_s4, has",
         ),
-        (models({"rms_m_per_s2": 1e5, "coefficients": [-1 + 1e-13]}), "models[0]", "has an RMS of "),
+        (models(LOUD), "models[0]", "has an RMS of "),
     ],
 )
 def test_faults_of_a_key(keys: Keys, where: str, problem: str) -> None:
@@ -219,7 +223,7 @@ def test_unstable_models_are_told_with_their_pole_radius(radius: float, angle: f
 def test_the_rms_that_is_refused_is_that_of_the_model() -> None:
     """An AR(1) with a pole r has the RMS sigma/sqrt(1 - r^2)."""
     pole = 1 - 1e-13
-    ((_, problem),) = faults(texture=models({"rms_m_per_s2": 1e5, "coefficients": [-pole]})).items()
+    ((_, problem),) = faults(texture=models(LOUD)).items()
     with mpmath.workdps(40):
         expected = float(1e5 / mpmath.sqrt(1 - mpmath.mpf(pole) ** 2))
     assert f"has an RMS of {expected:.6g} m/s^2" in problem
