@@ -401,6 +401,8 @@ struct hd_counters {
     uint32_t faults;
     uint32_t forces_on;
     uint32_t running;
+    uint32_t memory_refused; /* errno: tables have grown beyond what may be locked; 0: all is as granted */
+    uint32_t unused;
 };
 
 struct hd_servo; /* opaque */

@@ -80,6 +80,7 @@ struct hd_servo {
     struct hd_atomic_u32 faults;
     struct hd_atomic_u32 forces_on;
     struct hd_atomic_u32 running;
+    struct hd_atomic_u32 memory_refused;
     struct hd_atomic_u64 taken; /* commands taken; the tick that took each is in taken_tick */
     struct hd_atomic_u64 taken_tick[HD_COMMAND_CAPACITY];
     struct hd_atomic_u64 adopted; /* revisions taken; each with its first tick below */
@@ -396,7 +397,14 @@ static size_t regions_of(struct hd_servo *servo, struct hd_region regions[HD_SER
     return count;
 }
 
-static int lock_refused(uint32_t object_count, int error) {
+/* Where real time is required, the table is refused; else it is rendered from memory that is not locked, and that is
+ * told. */
+static int lock_refused(struct hd_servo *servo, uint32_t object_count, int error) {
+    if (servo->config.realtime != HD_REALTIME_REQUIRED) {
+        servo->locking = 0;
+        hd_atomic_u32_store_relaxed(&servo->memory_refused, (uint32_t)error);
+        return HD_OK;
+    }
     return hd_invalid("table: %u objects need more locked memory than is allowed (%s): raise the limit (ulimit -l) or "
                       "run without real time",
                       object_count, strerror(error));
@@ -411,7 +419,7 @@ static int lock_slots(struct hd_servo *servo, uint32_t slot_count) {
     const size_t count = hd_state_regions(servo->state, servo->locked_slots, slot_count, regions);
     const int error = hd_memory_lock_regions(regions, count);
     if (error != 0) {
-        return lock_refused(slot_count, error);
+        return lock_refused(servo, slot_count, error);
     }
     servo->locked_slots = slot_count;
     return HD_OK;
@@ -431,7 +439,7 @@ static int lock_world(struct hd_servo *servo, uint32_t index) {
         }
         const int error = hd_memory_lock_regions(&regions[i], 1);
         if (error != 0) {
-            return lock_refused(servo->worlds[index].table.object_count, error);
+            return lock_refused(servo, servo->worlds[index].table.object_count, error);
         }
         locked[i] = regions[i];
     }
@@ -686,6 +694,7 @@ void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counter
         .faults = hd_atomic_u32_load_relaxed(&servo->faults),
         .forces_on = hd_atomic_u32_load_relaxed(&servo->forces_on),
         .running = hd_atomic_u32_load_relaxed(&servo->running),
+        .memory_refused = hd_atomic_u32_load_relaxed(&servo->memory_refused),
     };
 }
 

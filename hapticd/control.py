@@ -6,6 +6,7 @@ A handler gets validated parameters and returns the result, or raises MethodErro
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Annotated, Any, Final, cast
@@ -15,7 +16,7 @@ from pydantic import Field, ValidationError
 from hapticd._version import __version__
 from hapticd.core import Fault
 from hapticd.displayable import rate_faults
-from hapticd.engine import Engine, RingFullError, WaitTimeoutError, monotonic_ns
+from hapticd.engine import Counters, Engine, Granted, RingFullError, WaitTimeoutError, monotonic_ns
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
 from hapticd.joystick import grip_of, target_of
@@ -107,6 +108,14 @@ def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
     return MethodError(Code.INVALID_PARAMS, f"{first}{more}", data)
 
 
+def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
+    """What was granted, and what has been refused since."""
+    told = granted.to_dict()
+    if counters.memory_refused:
+        told["missing"] = [*granted.missing, f"locked memory for all objects: {os.strerror(counters.memory_refused)}"]
+    return told
+
+
 class Control:
     """Acts on one engine. One thread at a time."""
 
@@ -148,7 +157,7 @@ class Control:
             "state": "running" if counters.running else "stopped",
             "device": engine.config.device.kind,
             "rate_hz": engine.rate_hz,
-            "realtime": None if granted is None else granted.to_dict(),
+            "realtime": None if granted is None else _realtime(granted, counters),
             "revision": engine.revision,
             "tick": counters.ticks,
             "forces": "faulted" if counters.faults else "on" if counters.forces_on else "off",

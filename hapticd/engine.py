@@ -112,6 +112,8 @@ class Counters(NamedTuple):
     faults: Fault
     forces_on: bool
     running: bool
+    memory_refused: int
+    """errno: the scene has grown beyond what may be locked; 0: memory is as granted."""
 
 
 class Engine:
@@ -356,6 +358,7 @@ class Engine:
             Fault(raw.faults) if raw.faults else _NO_FAULT,
             bool(raw.forces_on),
             bool(raw.running),
+            raw.memory_refused,
         )
 
     def faults(self) -> Fault:
