@@ -8,6 +8,8 @@ import socket
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import msgpack
@@ -143,12 +145,14 @@ def test_realtime_required_is_refused_without_rights(tmp_path: Path) -> None:
     assert "SCHED_FIFO" in line
 
 
-def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path) -> None:
+@contextmanager
+def without_rights(directory: Path, memlock: int) -> Iterator[tuple[Wire, list[str]]]:
+    """A daemon without capabilities and real-time rights, and what it says until it is ready."""
     dropped = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
     limits = (
-        "import resource as r; r.setrlimit(r.RLIMIT_RTPRIO, (0, 0)); r.setrlimit(r.RLIMIT_MEMLOCK, (65536, 65536)); "
+        "import resource as r; r.setrlimit(r.RLIMIT_RTPRIO, (0, 0)); "
+        f"r.setrlimit(r.RLIMIT_MEMLOCK, ({memlock}, {memlock})); "
     )
-    directory = tmp_path / "run"
     program = (
         f"{limits}import sys; from hapticd.cli import main; "
         f"sys.exit(main(['--runtime-dir', {str(directory)!r}, 'run']))"
@@ -156,22 +160,43 @@ def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path
     command = [*dropped, sys.executable, "-c", program]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        said = ""
+        said = []
         for line in process.stderr:
-            said += line
+            said.append(line)
             if "ready" in line:
                 break
         wire = Wire(directory)
-        status = wire.result("get_status")
+        yield wire, said
         wire.close()
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
+
+
+def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path) -> None:
+    with without_rights(tmp_path / "run", 65536) as (wire, lines):
+        status = wire.result("get_status")
+    said = "".join(lines)
     assert "not granted: SCHED_FIFO priority 80" in said
     assert "not granted: locked memory" in said
     assert status["realtime"]["scheduler"] == "other"
     assert status["realtime"]["memory_locked"] == "none"
     assert {line.split(":")[0].split(" ")[0] for line in status["realtime"]["missing"]} >= {"SCHED_FIFO", "locked"}
     assert status["state"] == "running"
+
+
+def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Path) -> None:
+    with without_rights(tmp_path / "run", 8 * 2**20) as (wire, _):
+        status = wire.result("get_status")
+        assert status["realtime"]["memory_locked"] == "servo"
+        assert not any("all objects" in line for line in status["realtime"]["missing"])
+        disc = {"kind": "disc", "radius_m": 1e-3, "material": "wood"}
+        discs = {f"d{i}": {**disc, "center_m": [0.01 * (i % 100), 0.1 + 0.01 * (i // 100)]} for i in range(15_000)}
+        for half in (list(discs.items())[::2], list(discs.items())[1::2]):
+            wire.result("update_scene", objects=dict(half), wait=True)
+        status = wire.result("get_status")
+        assert [line for line in status["realtime"]["missing"] if line.startswith("locked memory for all objects: ")]
+        assert status["state"] == "running"
+        assert not status["faults"]
 
 
 def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
