@@ -90,6 +90,8 @@ struct hd_noise {
     uint32_t speed_count;  /* at least 1 */
     uint32_t force_count;  /* at least 1 */
     uint32_t first;        /* index in the table's numbers */
+    uint32_t version;      /* raised whenever anything of it changes but `first`. Numbers are never reused. */
+    uint32_t unused;
     uint64_t seed;
     double threshold_m_per_s; /* at least 0 */
     double velocity_gain_per_s;

@@ -6,9 +6,6 @@
  * tangent. */
 #include "hd_shape.h"
 
-/* A way may begin on the surface; its entry then lies at zero within rounding. */
-#define HD_BOX_ROUNDING 1e-9
-
 /* Position in the axes of the box: along t, along n. */
 HD_RT static void in_box(const struct hd_object *object, const double position_m[2], double local[2]) {
     double offset[2];
@@ -20,7 +17,8 @@ HD_RT static void in_box(const struct hd_object *object, const double position_m
 }
 
 HD_RT static int inside(const struct hd_object *object, const double local[2]) {
-    return hd_magnitude(local[0]) < object->half_m[0] && hd_magnitude(local[1]) < object->half_m[1];
+    return hd_magnitude(local[0]) < object->half_m[0] - HD_RIM_M &&
+           hd_magnitude(local[1]) < object->half_m[1] - HD_RIM_M;
 }
 
 HD_RT static uint8_t face_of(int axis, int positive) {
@@ -42,32 +40,30 @@ HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const doub
     place->along_m = hd_dot(offset, tangent);
 }
 
-/* Where the way from a to b enters; 0: it does not. */
+/* Where the way from a to b enters, and through which face; 0: it does not. Two faces can do only within the rim of a
+ * corner; of them it is the one that the way goes to more directly. */
 HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
                         uint8_t *face) {
-    double enter = -1e300;
-    double leave = 1e300;
-    for (int axis = 0; axis < 2; axis++) {
-        const double half = object->half_m[axis];
-        const double way = b[axis] - a[axis];
-        if (way == 0.0) {
-            if (hd_magnitude(a[axis]) >= half) {
-                return 0;
-            }
-            continue;
-        }
-        const double low = (-half - a[axis]) / way;
-        const double high = (half - a[axis]) / way;
-        const double first = low < high ? low : high;
-        const double last = low < high ? high : low;
-        if (first > enter) {
-            enter = first;
-            *face = face_of(axis, way < 0.0);
-        }
-        leave = last < leave ? last : leave;
+    double most = 0.0;
+    if (inside(object, a)) {
+        return 0;
     }
-    *fraction = enter > 0.0 ? enter : 0.0;
-    return enter < leave && leave > 0.0 && enter < 1.0 && enter > -HD_BOX_ROUNDING;
+    for (int axis = 0; axis < 2; axis++) {
+        const double way = b[axis] - a[axis];
+        const double step = hd_magnitude(way);
+        const double gap = (way < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
+        if (!(gap < step) || gap < -HD_RIM_M || step <= most) {
+            continue; /* it ends before the face, begins behind it, or goes to the other one */
+        }
+        const double cut = gap > 0.0 ? gap / step : 0.0;
+        const double other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
+        if (hd_magnitude(other) <= object->half_m[1 - axis] + HD_RIM_M) {
+            *fraction = cut;
+            *face = face_of(axis, way < 0.0);
+            most = step;
+        }
+    }
+    return most > 0.0;
 }
 
 /* The face nearest to a point inside. */
@@ -83,6 +79,7 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
     in_box(object, walk->from_m, from);
     in_box(object, walk->input->position_m, to);
     onset->side = 1;
+    onset->slid = 0;
     if (fresh || inside(object, from)) {
         if (!inside(object, to)) {
             return 0;
@@ -99,11 +96,20 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
         double cut;
         in_box(object, path->point[leg], a);
         in_box(object, path->point[leg + 1], b);
-        if (!inside(object, a) && enters(object, a, b, &cut, &onset->face)) {
-            double hit[2];
-            hd_between(path->point[leg], path->point[leg + 1], cut, hit);
+        if (enters(object, a, b, &cut, &onset->face)) {
+            const double *begin = path->point[leg];
+            uint8_t face;
+            double straight;
             onset->silent = 0;
-            onset->fraction = leg == 0 ? cut : 1.0;
+            if (leg > 0 && enters(object, from, to, &straight, &face) && face == onset->face) {
+                cut = straight; /* it lies behind what is pressed */
+                begin = walk->from_m;
+            } else {
+                onset->slid = leg > 0;
+            }
+            double hit[2];
+            hd_between(begin, path->point[leg + 1], cut, hit);
+            onset->fraction = onset->slid ? 1.0 : cut;
             hd_box_place(object, onset->face, hit, &onset->place);
             onset->place.depth_m = 0.0;
             return 1;
@@ -122,9 +128,9 @@ HD_RT int hd_box_left(const struct hd_walk *walk, const struct hd_object *object
     if (hd_path_lift(walk, walk->input->position_m, slot, lifted)) {
         double shift[2];
         double tangent[2];
-        hd_difference(lifted, walk->input->position_m, shift);
         hd_tangent(place->normal, tangent);
+        hd_difference(lifted, walk->input->position_m, shift);
         along += hd_dot(shift, tangent);
     }
-    return hd_magnitude(along) > object->half_m[face % 2 == 0 ? 0 : 1];
+    return hd_magnitude(along) > object->half_m[face % 2 == 0 ? 0 : 1] + HD_RIM_M;
 }

@@ -87,7 +87,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         report->speed_m_per_s = approach;
         report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, direction);
     }
-    if (onset->silent || !(approach > 0.0)) {
+    if (onset->silent || onset->slid || !(approach > 0.0)) {
         return;
     }
     const struct hd_material *material = material_at(walk, object, onset->place.along_m);

@@ -12,7 +12,7 @@
 static_assert(sizeof(struct hd_sample) == 112, "the telemetry record is 112 bytes without padding");
 static_assert(sizeof(struct hd_object) == 80 && sizeof(struct hd_mode) == 72 && sizeof(struct hd_piece) == 24 &&
                   sizeof(struct hd_material) == 16 + 11 * 8 + 3 * sizeof(struct hd_mode) &&
-                  sizeof(struct hd_noise) == 24 + 8 + 4 * 8,
+                  sizeof(struct hd_noise) == 32 + 8 + 4 * 8,
               "table records have no padding");
 
 /* One line on why the last check on this thread failed; printf-like. Control side only. */

@@ -1,14 +1,31 @@
 /* Discs: round solids, touched at a bearing that turns with the probe.
  *
  * The bearing is the direction from the centre to the point of the surface that the probe pushes against. In ordinary
- * contact it points to the probe, so that F = K (R - r) along the radius. Deep inside, where the direction to the probe
- * turns by any angle within any distance, the bearing turns no faster than the probe travels on half the radius, and
- * not at all once the probe is behind the centre: a probe that is pressed through a disc is held on the side that it
- * came from. s is the arc length from the top, clockwise, in (-pi R, pi R]. */
+ * contact it points to the probe, so that F = K (R - r) along the radius. Nearer to the centre than half the radius,
+ * where the direction to the probe turns by any angle within any distance, the bearing stays as it is; and where the
+ * probe has come too far round from it meanwhile, it goes on to stay: a probe that is pressed through a disc is held on
+ * the side that it came from. s is the arc length from the top, clockwise, in (-pi R, pi R]. */
 #include "hd_shape.h"
 
-/* Where the bearing follows without bound. */
+/* Where the bearing follows, in radii. */
 #define HD_DISC_SHALLOW 0.5
+/* How far behind the probe it may be to follow, as a sine; and how fast it makes up for that, per way in radii. */
+#define HD_DISC_BEHIND (1.0 / 3.0)
+#define HD_DISC_PACE 4.0
+
+HD_RT static void turn_to(const double offset[2], double distance, double turn, struct hd_place *place) {
+    const double bearing[2] = {place->normal[0], place->normal[1]};
+    const double across = (bearing[0] * offset[1] - bearing[1] * offset[0]) / distance; /* sine of the angle */
+    if (hd_magnitude(across) <= turn) {
+        place->normal[0] = offset[0] / distance;
+        place->normal[1] = offset[1] / distance;
+    } else if (hd_magnitude(across) <= HD_DISC_BEHIND) {
+        const double step = across > 0.0 ? turn : -turn;
+        const double length = hd_root(1.0 + step * step);
+        place->normal[0] = (bearing[0] - step * bearing[1]) / length;
+        place->normal[1] = (bearing[1] + step * bearing[0]) / length;
+    }
+}
 
 HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2], double travel_m, int along,
                          const double position_m[2], struct hd_place *place) {
@@ -16,22 +33,14 @@ HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2]
     double offset[2];
     hd_difference(position_m, object->point_m, offset);
     const double distance = hd_root(hd_dot(offset, offset));
-    const double ahead = hd_dot(offset, bearing);
     place->normal[0] = bearing[0];
     place->normal[1] = bearing[1];
-    if (ahead > 0.0) {
-        /* The turn, in radians, that the probe's way allows. */
-        const double turn = travel_m / radius * (distance >= HD_DISC_SHALLOW * radius ? 4.0 : 1.0);
-        const double across = (bearing[0] * offset[1] - bearing[1] * offset[0]) / distance; /* sine of the angle */
-        const double sine = turn < 1.0 ? turn * (1.0 - turn * turn / 6.0) : 1.0;
-        if (hd_magnitude(across) <= sine) {
-            place->normal[0] = offset[0] / distance;
-            place->normal[1] = offset[1] / distance;
-        } else {
-            const double step = across > 0.0 ? turn : -turn;
-            const double length = hd_root(1.0 + step * step);
-            place->normal[0] = (bearing[0] - step * bearing[1]) / length;
-            place->normal[1] = (bearing[1] + step * bearing[0]) / length;
+    if (hd_dot(offset, bearing) > 0.0) {
+        const double pace = HD_DISC_PACE * travel_m / radius;
+        if (travel_m >= HD_DISC_MOVED) {
+            turn_to(offset, distance, 1.0, place);
+        } else if (distance >= HD_DISC_SHALLOW * radius) {
+            turn_to(offset, distance, pace < HD_DISC_BEHIND ? pace : HD_DISC_BEHIND, place);
         }
     }
     place->depth_m = radius - hd_dot(offset, place->normal);
@@ -43,15 +52,32 @@ HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2]
     }
 }
 
+/* Where the way from a to b enters; 0: it does not. */
+HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction) {
+    double offset[2];
+    double way[2];
+    hd_difference(a, object->point_m, offset);
+    hd_difference(b, a, way);
+    const double linear = hd_dot(offset, way);
+    const double constant = hd_dot(offset, offset) - object->half_m[0] * object->half_m[0];
+    const double root = linear * linear - hd_dot(way, way) * constant;
+    if (constant < -2.0 * HD_RIM_M * object->half_m[0] || !(linear < 0.0) || !(root > 0.0)) {
+        return 0; /* from inside, away from it, or past it */
+    }
+    *fraction = constant > 0.0 ? constant / (hd_root(root) - linear) : 0.0;
+    return *fraction < 1.0;
+}
+
 HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     const double radius = object->half_m[0];
     double from[2];
     double to[2];
     hd_difference(walk->from_m, object->point_m, from);
     hd_difference(walk->input->position_m, object->point_m, to);
-    const double square = radius * radius;
+    const double inner = radius - HD_RIM_M;
     onset->side = 1;
-    if (fresh || hd_dot(from, from) < square) {
+    onset->slid = 0;
+    if (fresh || hd_dot(from, from) < inner * inner) {
         const double distance = hd_root(hd_dot(to, to));
         if (!(distance < radius)) {
             return 0;
@@ -64,31 +90,29 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
     }
     const struct hd_path *path = hd_path_legs(walk);
     for (uint32_t leg = 0; leg < path->legs; leg++) {
-        double a[2];
-        double way[2];
-        hd_difference(path->point[leg], object->point_m, a);
-        hd_difference(path->point[leg + 1], path->point[leg], way);
-        const double quadratic = hd_dot(way, way);
-        const double linear = hd_dot(a, way);
-        const double constant = hd_dot(a, a) - square;
-        const double root = linear * linear - quadratic * constant;
-        if (constant < 0.0 || !(linear < 0.0) || !(root > 0.0)) {
-            continue; /* from inside, away from it, or past it */
+        double cut;
+        if (!enters(object, path->point[leg], path->point[leg + 1], &cut)) {
+            continue;
         }
-        const double cut = constant / (hd_root(root) - linear);
-        if (cut < 1.0) {
-            double hit[2];
-            hd_between(a, &(const double[2]){a[0] + way[0], a[1] + way[1]}[0], cut, hit);
-            const double distance = hd_root(hd_dot(hit, hit));
-            const double bearing[2] = {hit[0] / distance, hit[1] / distance};
-            onset->silent = 0;
-            onset->fraction = leg == 0 ? cut : 1.0;
-            hd_disc_place(object, bearing, 0.0, 1,
-                          &(const double[2]){object->point_m[0] + hit[0], object->point_m[1] + hit[1]}[0],
-                          &onset->place);
-            onset->place.depth_m = 0.0;
-            return 1;
+        const double *begin = path->point[leg];
+        double straight;
+        onset->silent = 0;
+        if (leg > 0 && enters(object, walk->from_m, walk->input->position_m, &straight)) {
+            cut = straight; /* it lies behind what is pressed */
+            begin = walk->from_m;
+        } else {
+            onset->slid = leg > 0;
         }
+        double hit[2];
+        double offset[2];
+        hd_between(begin, path->point[leg + 1], cut, hit);
+        onset->fraction = onset->slid ? 1.0 : cut;
+        hd_difference(hit, object->point_m, offset);
+        const double distance = hd_root(hd_dot(offset, offset));
+        const double bearing[2] = {offset[0] / distance, offset[1] / distance};
+        hd_disc_place(object, bearing, 0.0, 1, hit, &onset->place);
+        onset->place.depth_m = 0.0;
+        return 1;
     }
     return 0;
 }

@@ -43,8 +43,10 @@ HD_RT double hd_groove_profile(const struct hd_material *material, double along_
     HD_RT_FOREIGN_END
 }
 
-HD_RT void hd_grooves_arm(struct hd_slot *slot, const struct hd_material *material, double along_m) {
-    if (slot->held && hd_magnitude(along_m - (double)slot->groove * material->spacing_m) >= 0.5 * material->spacing_m) {
+HD_RT void hd_grooves_arm(struct hd_slot *slot, double along_m, double half_length_m) {
+    double away = hd_magnitude(along_m - slot->groove_m);
+    away = away > half_length_m ? 2.0 * half_length_m - away : away; /* the other way round a disc */
+    if (away >= slot->groove_free_m) {
         slot->held = 0;
     }
 }
@@ -53,15 +55,18 @@ HD_RT static void strike(struct hd_walk *walk, uint32_t index, const struct hd_m
                          const struct hd_stretch *stretch, int64_t k) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
-    if (slot->held && slot->groove == k) {
+    const double groove_m = (double)k * material->spacing_m;
+    if (slot->held && slot->groove_m == groove_m) {
         return;
     }
-    slot->groove = k;
+    slot->groove_m = groove_m;
+    slot->groove_free_m = 0.5 * material->spacing_m;
     slot->held = 1;
     slot->grooves++;
-    const double part = ((double)k * material->spacing_m - stretch->from_m) / (stretch->to_m - stretch->from_m);
+    const double part = (groove_m - stretch->from_m) / (stretch->to_m - stretch->from_m);
     const double fraction = stretch->from_fraction + part * (stretch->to_fraction - stretch->from_fraction);
-    const double force = stretch->from_n + part * (stretch->to_n - stretch->from_n);
+    const double pressed = stretch->from_n + part * (stretch->to_n - stretch->from_n);
+    const double force = pressed > 0.0 ? pressed : 0.0;
     const double sign = stretch->to_m > stretch->from_m ? 1.0 : -1.0;
     const double amplitude = material->velocity_gain_per_s * hd_magnitude(stretch->speed_m_per_s) +
                              material->force_gain_m_per_s2_per_n * force;
@@ -89,14 +94,29 @@ HD_RT static void strike(struct hd_walk *walk, uint32_t index, const struct hd_m
     hd_strike_add(state, &struck);
 }
 
-/* A stretch that lies on one material. */
+/* The last groove that lies before s, where a point of the way counts as beyond a groove that it lies on, and the place
+ * where two materials meet does not: that groove is one of the latter's. */
+HD_RT static int64_t last_before(double spacing_m, double along_m, int meeting) {
+    const int64_t k = groove_below(spacing_m, along_m);
+    return meeting && (double)k * spacing_m == along_m ? k - 1 : k;
+}
+
+/* The part of a stretch that lies on one material, from where it begins or a material is met to where it ends or
+ * another one is met. */
+struct part {
+    double from_m;
+    double to_m;
+    int meets_from;
+    int meets_to;
+};
+
 HD_RT static void pass_material(struct hd_walk *walk, uint32_t index, const struct hd_material *material,
-                                const struct hd_stretch *stretch, double from_m, double to_m) {
+                                const struct hd_stretch *stretch, const struct part *part) {
     if (material->texture != HD_TEXTURE_STRIKES) {
         return;
     }
-    const int64_t from = groove_below(material->spacing_m, from_m);
-    const int64_t to = groove_below(material->spacing_m, to_m);
+    const int64_t from = last_before(material->spacing_m, part->from_m, part->meets_from);
+    const int64_t to = last_before(material->spacing_m, part->to_m, part->meets_to);
     const int64_t step = to > from ? 1 : -1;
     int64_t left = to > from ? to - from : from - to;
     int64_t k = to > from ? from + 1 : from;
@@ -111,28 +131,42 @@ HD_RT static void pass_material(struct hd_walk *walk, uint32_t index, const stru
     }
 }
 
-HD_RT void hd_grooves_pass(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
-                           const struct hd_stretch *stretch) {
+HD_RT static void pass(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+                       const struct hd_stretch *stretch) {
     const struct hd_table *table = walk->table;
     if (stretch->from_m == stretch->to_m) {
         return;
     }
+    struct part part = {.from_m = stretch->from_m, .to_m = stretch->to_m};
     if (object->piece_count == 0) {
-        pass_material(walk, index, &table->materials[object->material], stretch, stretch->from_m, stretch->to_m);
+        pass_material(walk, index, &table->materials[object->material], stretch, &part);
         return;
     }
     const struct hd_piece *pieces = &table->pieces[object->piece_first];
     const uint32_t last = hd_skin_piece(table, object, stretch->to_m);
     uint32_t piece = hd_skin_piece(table, object, stretch->from_m);
-    double at = stretch->from_m;
     for (;;) {
         const uint32_t next = last > piece ? piece + 1 : last < piece ? piece - 1 : piece;
-        const double until = next > piece ? pieces[next].from_m : next < piece ? pieces[piece].from_m : stretch->to_m;
-        pass_material(walk, index, &table->materials[pieces[piece].material], stretch, at, until);
+        part.meets_to = next != piece;
+        part.to_m = next > piece ? pieces[next].from_m : next < piece ? pieces[piece].from_m : stretch->to_m;
+        pass_material(walk, index, &table->materials[pieces[piece].material], stretch, &part);
         if (next == piece) {
             return;
         }
-        at = until;
+        part.meets_from = 1;
+        part.from_m = part.to_m;
         piece = next;
+    }
+}
+
+HD_RT void hd_grooves_pass(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+                           const struct hd_stretch *stretch) {
+    struct hd_slot *slot = &walk->state->slots[index];
+    if (slot->held) {
+        hd_grooves_arm(slot, stretch->from_m, stretch->half_length_m);
+    }
+    pass(walk, index, object, stretch);
+    if (slot->held) {
+        hd_grooves_arm(slot, stretch->to_m, stretch->half_length_m);
     }
 }

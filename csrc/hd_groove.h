@@ -4,7 +4,8 @@
  * the straight line between two samples, with A = velocity_gain |v_t| + force_gain F_n (Okamura, Dennerlein and Howe
  * 1998, eq. 2). A does not vanish with the speed and acts along the motion, so that a light hand on a groove would be
  * driven by its own strikes: a groove strikes again only after the probe was half a spacing away from it, or struck
- * another. A point exactly on a groove counts as beyond it. On a disc, only grooves that lie on it whole are there. */
+ * another. (Of the way through the air only its end counts.) A point exactly on a groove counts as beyond it; a groove
+ * exactly where two materials meet is one of the latter's. On a disc, only grooves that lie on it whole are there. */
 #ifndef HD_GROOVE_H
 #define HD_GROOVE_H
 
@@ -22,7 +23,7 @@ struct hd_stretch {
     double to_m;
     double from_fraction; /* of the tick's way */
     double to_fraction;
-    double from_n; /* the model's normal force */
+    double from_n; /* the model's normal force; below 0 there is none */
     double to_n;
     double half_length_m;
     double tangent[2];
@@ -30,10 +31,10 @@ struct hd_stretch {
     double true_speed_m_per_s;
 };
 
-/* Strikes what the stretch passes. */
+/* Strikes what the stretch passes, and arms. */
 HD_RT void hd_grooves_pass(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
                            const struct hd_stretch *stretch);
 /* The probe is at s: whether the groove that was struck last may strike again. */
-HD_RT void hd_grooves_arm(struct hd_slot *slot, const struct hd_material *material, double along_m);
+HD_RT void hd_grooves_arm(struct hd_slot *slot, double along_m, double half_length_m);
 
 #endif

@@ -55,6 +55,12 @@ HD_RT static int still_pressed(struct hd_walk *walk, uint32_t index, const struc
     }
 }
 
+HD_RT static void begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+                        const struct hd_onset *onset) {
+    hd_contact_begin(walk, index, object, onset);
+    hd_touch(walk, index, object, onset->silent ? 1.0 : onset->fraction);
+}
+
 HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
@@ -87,7 +93,111 @@ HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     }
     struct hd_onset onset = {.silent = 0};
     if ((resumes && still_pressed(walk, index, object, &onset)) || meets(walk, object, fresh, &onset)) {
-        hd_contact_begin(walk, index, object, &onset);
-        hd_touch(walk, index, object, onset.silent ? 1.0 : onset.fraction);
+        if (!onset.silent && walk->met_count < HD_WALK_MET) {
+            walk->met[walk->met_count++] = index;
+        } else {
+            begin(walk, index, object, &onset);
+        }
+    }
+}
+
+/* Whether a solid holds a point, its rim included. */
+HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(point_m, object->point_m, offset);
+    hd_tangent(object->normal, tangent);
+    const double *half = object->half_m;
+    switch (object->shape) {
+    case HD_SHAPE_WALL:
+        return hd_dot(offset, object->normal) <= HD_RIM_M;
+    case HD_SHAPE_MEMBRANE:
+        return 0;
+    case HD_SHAPE_BOX:
+        return hd_magnitude(hd_dot(offset, tangent)) <= half[0] + HD_RIM_M &&
+               hd_magnitude(hd_dot(offset, object->normal)) <= half[1] + HD_RIM_M;
+    default:
+        return hd_root(hd_dot(offset, offset)) <= half[0] + HD_RIM_M;
+    }
+}
+
+/* A way of one leg that met `first` at `place`, and later the face of another solid within it: two boxes side by side,
+ * and the probe landed on their seam. From where it landed it goes along the surface. */
+HD_RT static void meet_anew(struct hd_walk *walk, uint32_t index, const struct hd_place *place, double fraction,
+                            const struct hd_object *object, struct hd_onset *onset) {
+    struct hd_path *path = &walk->path;
+    const struct hd_path before = *path;
+    double way[2];
+    hd_difference(walk->input->position_m, walk->from_m, way);
+    path->known = 0;
+    path->plane[0].slot = index;
+    path->plane[0].depth_m = fraction * hd_dot(way, place->normal);
+    path->plane[0].normal[0] = place->normal[0];
+    path->plane[0].normal[1] = place->normal[1];
+    path->plane_count = 1;
+    struct hd_onset again = *onset;
+    if (meets(walk, object, 0, &again)) {
+        *onset = again;
+    }
+    *path = before;
+}
+
+/* Whether a surface that is met at its very end is the continuation of one that is pressed: then that one goes on to
+ * hold, and the two do not push at once. */
+HD_RT static int continues(const struct hd_walk *walk, const struct hd_object *object, const struct hd_onset *onset) {
+    const struct hd_state *state = walk->state;
+    const double *normal = onset->place.normal;
+    if (object->shape != HD_SHAPE_BOX && object->shape != HD_SHAPE_MEMBRANE) {
+        return 0;
+    }
+    const double half = object->half_m[object->shape == HD_SHAPE_BOX && onset->face % 2 != 0 ? 1 : 0];
+    if (hd_magnitude(onset->place.along_m) < half - HD_RIM_M) {
+        return 0;
+    }
+    struct hd_place place;
+    if (object->shape == HD_SHAPE_BOX) {
+        hd_box_place(object, onset->face, walk->input->position_m, &place);
+    } else {
+        hd_membrane_place(object, onset->side, walk->input->position_m, &place);
+    }
+    for (uint32_t i = 0; i < state->active_count; i++) {
+        const struct hd_place *other = &state->slots[state->active[i]].last;
+        const double turn = normal[0] * other->normal[1] - normal[1] * other->normal[0];
+        if (hd_magnitude(place.depth_m - other->depth_m) <= HD_RIM_M && hd_magnitude(turn) <= HD_RIM_M &&
+            hd_dot(normal, other->normal) > 0.0) {
+            return 1;
+        }
+    }
+    return 0;
+}
+
+HD_RT void hd_look_begin(struct hd_walk *walk) {
+    const struct hd_object *objects = walk->table->objects;
+    const uint32_t count = walk->met_count;
+    struct hd_onset onsets[HD_WALK_MET];
+    double hits[HD_WALK_MET][2];
+    for (uint32_t i = 0; i < count; i++) {
+        meets(walk, &objects[walk->met[i]], 0, &onsets[i]);
+        hd_between(walk->from_m, walk->input->position_m, onsets[i].fraction, hits[i]);
+    }
+    for (uint32_t done = 0; done < count; done++) {
+        uint32_t first = count;
+        for (uint32_t i = 0; i < count; i++) {
+            if (walk->met[i] != HD_NO_SLOT && (first == count || onsets[i].fraction < onsets[first].fraction)) {
+                first = i;
+            }
+        }
+        const uint32_t index = walk->met[first];
+        walk->met[first] = HD_NO_SLOT;
+        if (continues(walk, &objects[index], &onsets[first])) {
+            continue;
+        }
+        begin(walk, index, &objects[index], &onsets[first]);
+        for (uint32_t i = 0; walk->path.plane_count == 0 && i < count; i++) {
+            if (walk->met[i] != HD_NO_SLOT && holds(&objects[index], hits[i])) {
+                meet_anew(walk, index, &onsets[first].place, onsets[first].fraction, &objects[walk->met[i]],
+                          &onsets[i]);
+            }
+        }
     }
 }

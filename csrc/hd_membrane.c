@@ -30,30 +30,49 @@ HD_RT void hd_membrane_place(const struct hd_object *object, int8_t side, const 
     place->normal[1] = sign * object->normal[1];
 }
 
+/* Where the way from a to b crosses, and from which side; 0: it does not. */
+HD_RT static int crosses(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
+                         int8_t *side) {
+    double begin[2];
+    double end[2];
+    on_membrane(object, a, begin);
+    on_membrane(object, b, end);
+    *side = side_of(begin[1]);
+    if (*side == side_of(end[1])) {
+        return 0;
+    }
+    *fraction = begin[1] / (begin[1] - end[1]);
+    return hd_magnitude(begin[0] + *fraction * (end[0] - begin[0])) <= object->half_m[0] + HD_RIM_M;
+}
+
 HD_RT int hd_membrane_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     if (fresh) {
         return 0; /* it has no inside */
     }
     const struct hd_path *path = hd_path_legs(walk);
     for (uint32_t leg = 0; leg < path->legs; leg++) {
-        double a[2];
-        double b[2];
-        on_membrane(object, path->point[leg], a);
-        on_membrane(object, path->point[leg + 1], b);
-        if (side_of(a[1]) == side_of(b[1])) {
+        double cut;
+        if (!crosses(object, path->point[leg], path->point[leg + 1], &cut, &onset->side)) {
             continue;
         }
-        const double cut = a[1] / (a[1] - b[1]);
-        const double along = a[0] + cut * (b[0] - a[0]);
-        if (hd_magnitude(along) <= object->half_m[0]) {
-            onset->silent = 0;
-            onset->fraction = leg + 1 == path->legs && leg > 0 ? 1.0 : cut;
-            onset->side = side_of(a[1]);
-            hd_membrane_place(object, onset->side, path->point[leg], &onset->place);
-            onset->place.depth_m = 0.0;
-            onset->place.along_m = along;
-            return 1;
+        const double *begin = path->point[leg];
+        int8_t side;
+        double straight;
+        onset->silent = 0;
+        onset->slid = 0;
+        if (leg > 0 && crosses(object, walk->from_m, walk->input->position_m, &straight, &side) &&
+            side == onset->side) {
+            cut = straight; /* it lies behind what is pressed */
+            begin = walk->from_m;
+        } else {
+            onset->slid = leg > 0;
         }
+        double hit[2];
+        hd_between(begin, path->point[leg + 1], cut, hit);
+        onset->fraction = onset->slid ? 1.0 : cut;
+        hd_membrane_place(object, onset->side, hit, &onset->place);
+        onset->place.depth_m = 0.0;
+        return 1;
     }
     return 0;
 }
@@ -68,9 +87,9 @@ HD_RT int hd_membrane_left(const struct hd_walk *walk, const struct hd_object *o
     if (hd_path_lift(walk, walk->input->position_m, slot, lifted)) {
         double shift[2];
         double tangent[2];
-        hd_difference(lifted, walk->input->position_m, shift);
         hd_tangent(object->normal, tangent);
+        hd_difference(lifted, walk->input->position_m, shift);
         along += hd_dot(shift, tangent);
     }
-    return hd_magnitude(along) > object->half_m[0];
+    return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
 }

@@ -12,9 +12,9 @@
 /* One noise that sounds. A field with `_from` is what its namesake was when the last ramp began. */
 struct hd_noise_voice {
     uint64_t random;
-    uint32_t noise; /* index of what it plays, in the table; the caller's */
-    uint32_t order; /* stages that run */
-    uint32_t taps;  /* 0 or 1 */
+    uint32_t version; /* of what it plays; the caller's */
+    uint32_t order;   /* stages that run */
+    uint32_t taps;    /* 0 or 1 */
     uint32_t order_from;
     uint32_t taps_from;
     uint32_t cell[2]; /* of the grid, along speed and force, that the coefficients are for */
@@ -31,11 +31,11 @@ struct hd_noise_voice {
 };
 
 /* Begins: the lattice in its stationary state, drawn from the noise's seed and `salt` (the same two give the same
- * samples). Leaves voice->noise as it is. */
+ * samples). Leaves voice->version as it is. */
 HD_RT void hd_noise_start(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
                           uint32_t salt);
-/* Another noise, or another table's: coefficients and RMS move from where they are to it over the next ramp; the state
- * stays. To be called before hd_noise_next sees the other noise, or the same one with other numbers. */
+/* Another noise, or the same one changed: coefficients and RMS move from where they are to it over the next ramp; the
+ * state stays. To be called before hd_noise_next sees the other noise, or the same one with other numbers. */
 HD_RT void hd_noise_turn(struct hd_noise_voice *voice);
 /* The next sample, m/s^2. At an RMS of zero it is 0 and nothing moves on, not even a ramp; so it is at a speed of
  * exactly zero. `ramp_step`: what a ramp moves on in a tick. */

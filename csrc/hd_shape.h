@@ -8,11 +8,16 @@
 /* How a contact begins. */
 struct hd_onset {
     int silent;            /* no onset was seen: no tap, and the force comes in over the ramp */
+    int slid;              /* reached along another surface, already pressed: no tap */
     double fraction;       /* of the way from the last sample to this one */
     struct hd_place place; /* where the surface was met; where the probe is, if silent */
     int8_t side;           /* membrane; 1 for others */
     uint8_t face;          /* box */
 };
+
+/* So near to the end or the surface of a shape a point is on it: where two shapes meet, neither rounding nor an update
+ * opens a crack between them. Far below what an encoder resolves, above rounding anywhere within reach. */
+#define HD_RIM_M 1e-12
 
 /* Whether the probe meets the shape in this tick. `fresh`: the object has just appeared, or contacts were cleared; a
  * probe inside is met silently then, and nothing is crossed. */
@@ -27,7 +32,9 @@ HD_RT void hd_membrane_place(const struct hd_object *object, int8_t side, const 
                              struct hd_place *place);
 HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const double position_m[2],
                         struct hd_place *place);
-/* `bearing` is the normal at the last tick, `travel_m` the way since then; `along`: whether along_m is asked for. */
+/* `bearing` is the normal at the last tick, `travel_m` the way since then, or HD_DISC_MOVED; `along`: whether along_m
+ * is asked for. */
+#define HD_DISC_MOVED 1e300 /* the disc itself was moved: it is followed at once */
 HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2], double travel_m, int along,
                          const double position_m[2], struct hd_place *place);
 

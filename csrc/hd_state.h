@@ -70,13 +70,14 @@ struct hd_slot {
     uint32_t contacts;            /* so far: the salt of their noise */
     uint32_t grooves;             /* struck in this contact */
     uint64_t looked;              /* the tick that looked at it last, plus one */
-    int64_t groove;               /* the one that was struck last */
+    double groove_m;              /* s of the groove that was struck last, and how far from it it may strike again */
+    double groove_free_m;
     uint8_t touched;
     int8_t side;        /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
     uint8_t face;       /* box: that was entered; see hd_box.c */
     uint8_t resume;     /* its contact was cleared while it was pressed */
     uint8_t moving;     /* the place is on its way to a new one */
-    uint8_t held;       /* `groove` was struck and the probe has not been away from it since */
+    uint8_t held;       /* the groove at `groove_m` was struck and the probe has not been away from it since */
     double ramp;        /* of the contact force, 0 to 1, for a contact without an onset */
     double place_blend; /* from `from_plane` to the table's, 0 to 1 */
     double skin_blend;

@@ -59,6 +59,7 @@ HD_RT static double distance(const double a[2], const double b[2]) {
 HD_RT void hd_walk_objects(struct hd_walk *walk) {
     struct hd_state *state = walk->state;
     const double *to = walk->input->position_m;
+    walk->met_count = 0;
     hd_path_begin(walk);
     /* The surface point lies as far from the probe as the probe is deep; twice that where two surfaces meet. */
     double deepest = 0.0;
@@ -97,4 +98,7 @@ HD_RT void hd_walk_objects(struct hd_walk *walk) {
         }
     }
     state->resumed_count = 0;
+    if (walk->met_count > 0) {
+        hd_look_begin(walk);
+    }
 }

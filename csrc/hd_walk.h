@@ -7,17 +7,21 @@
 #include "hd_state.h"
 #include "hd_world.h"
 
+#define HD_WALK_MET 16u /* beyond so many, contacts begin in the order of looking */
+
 struct hd_walk {
     const struct hd_world *world;
     const struct hd_table *table; /* the world's */
     struct hd_state *state;
     const struct hd_input *input;
-    double from_m[2];  /* the last sample; this one where the last says nothing */
-    double ramp_step;  /* what a ramp moves on in this tick */
-    int resync;        /* contacts are met without an onset */
-    int new_table;     /* the first tick of a table: what it brings has just appeared */
-    double force_n[2]; /* of contacts and fields, the sum so far */
-    double noise_n[2]; /* of coloured noise, the sum so far */
+    double from_m[2];   /* the last sample; this one where the last says nothing */
+    double ramp_step;   /* what a ramp moves on in this tick */
+    int resync;         /* contacts are met without an onset */
+    int new_table;      /* the first tick of a table: what it brings has just appeared */
+    double force_n[2];  /* of contacts and fields, the sum so far */
+    double noise_n[2];  /* of coloured noise, the sum so far */
+    uint32_t met_count; /* met in this tick, and not begun yet */
+    uint32_t met[HD_WALK_MET];
     struct hd_path path;
 };
 
@@ -34,6 +38,8 @@ HD_RT static inline double hd_before_tick(const struct hd_walk *walk, double fra
 HD_RT void hd_walk_objects(struct hd_walk *walk);
 /* One object: met, pressed, let go, healed. */
 HD_RT void hd_look(struct hd_walk *walk, uint32_t index);
+/* Begins the contacts with all that was met, first met, first begun. */
+HD_RT void hd_look_begin(struct hd_walk *walk);
 HD_RT void hd_field_follow(struct hd_walk *walk);
 
 HD_RT static inline void hd_field_walk(struct hd_walk *walk) {

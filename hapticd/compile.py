@@ -223,6 +223,9 @@ class _Materials:
         self._noise_places = _Places()
         self._noise_of: dict[int, int] = {}
         """Material to noise."""
+        self._heard: dict[int, tuple[Stochastic | Autoregressive, int]] = {}
+        """Material to what its noise is made of, and the version of that."""
+        self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
         self._numbers = np.zeros(0)
         self._noises_changed = False
@@ -275,7 +278,10 @@ class _Materials:
         if isinstance(material.texture, Stochastic | Autoregressive):
             if index not in self._noise_of:
                 self._noise_of[index] = self._noise_places.take()
-            self._noises_changed = True
+            if index not in self._heard or self._heard[index][0] != material.texture:
+                self._versions = self._versions % _LARGEST + 1
+                self._heard[index] = material.texture, self._versions
+                self._noises_changed = True
         else:
             self._silence(index)
         self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self._output)[0]
@@ -284,6 +290,7 @@ class _Materials:
     def _silence(self, index: int) -> None:
         place = self._noise_of.pop(index, None)
         if place is not None:
+            del self._heard[index]
             self._noise_places.give(place)
             self._noises_changed = True
 
@@ -308,8 +315,7 @@ class _Materials:
         for place, record in enumerate(pointer("struct hd_noise[]", self._noises)):
             design = _SILENCE
             if place in used:
-                texture = self._known[used[place]].texture
-                assert isinstance(texture, Stochastic | Autoregressive)
+                texture, record.version = self._heard[used[place]]
                 design = _design(texture, self._output)
                 record.along_normal = texture.direction == "normal"
                 record.seed = texture.seed

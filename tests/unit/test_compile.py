@@ -575,7 +575,7 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
             return bytes(ffi.buffer(copy))
         noise = ffi.new("struct hd_noise *")
         noise[0] = table.noises[table.materials[index].noise]
-        first, noise.first = noise.first, 0
+        first, noise.first, noise.version = noise.first, 0, 0
         size = 1 + noise.order + (noise.order + 1 if noise.taps else 0)
         count = noise.speed_count + noise.force_count + noise.speed_count * noise.force_count * size
         return bytes(ffi.buffer(copy)), bytes(ffi.buffer(noise)), bytes(ffi.buffer(table.numbers + first, 8 * count))
