@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import closed_loop, command, lateness, offline, resources, telemetry, tick, velocity
+from bench import closed_loop, command, crowd, features, lateness, offline, resources, telemetry, tick, velocity
 from bench.report import ROOT, Advance, Options, Section, Table, machine
 from hapticd.errors import HapticdError
 
@@ -63,6 +63,8 @@ def _velocity(options: Options, advance: Advance) -> Section:
 
 MEASUREMENTS: dict[str, tuple[str, Callable[[Options, Advance], Section]]] = {
     "tick": ("work per tick, the estimator, subnormal numbers", tick.run),
+    "features": ("each feature of a surface and each ringing mode: cost and error", features.run),
+    "crowd": ("1 to 10,000 objects, and compiling them", crowd.run),
     "offline": ("render and simulate, ticks a second", offline.run),
     "servo": ("lateness and work of the running servo beside cyclictest", lateness.run),
     "command": ("command round trip beside a bare echo", command.run),

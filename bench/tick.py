@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
 from hapticd.compile import Compiler
 from hapticd.config import load_config
-from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.engine import output_of
 from hapticd.offline import new_world
 
@@ -43,30 +45,60 @@ def walls(count: int, material: str) -> dict[str, object]:
     return {f"wall{i}": {**FLOOR, "point_m": [0, 1e-4 * i], "material": material} for i in range(count)}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A way that ends where it begins, [n][2], n a multiple of STRETCH, and the speeds along it."""
+
+    path_m: Floats
+    speeds_m_per_s: Floats
+
+
+def circle(height_m: float, step_m: float = 0.0) -> Motion:
+    """A small circle in one stretch, on positions rounded to `step_m`."""
+    turn = 2 * np.pi * np.arange(STRETCH) / STRETCH
+    radius = 2e-4
+    path = np.stack((radius * np.cos(turn), height_m + radius * np.sin(turn)), 1)
+    if step_m:
+        path = np.round(path / step_m) * step_m
+    speed = radius * 2 * np.pi / STRETCH * RATE_HZ
+    return Motion(path, np.stack((-speed * np.sin(turn), speed * np.cos(turn)), 1))
+
+
 class Stretch:
-    """A scene, a state and a small circle around one height, rendered in calls of STRETCH ticks."""
+    """A scene, a state and a motion, rendered round after round in calls of STRETCH ticks."""
 
     def __init__(
-        self, objects: Mapping[str, object], height_m: float, *, estimate: bool = False, step_m: float = 0.0
+        self,
+        objects: Mapping[str, object],
+        motion: Motion | float,
+        *,
+        materials: Mapping[str, object] = MATERIALS,
+        above_m: float = 0.004,
+        estimate: bool = False,
+        step_m: float = 0.0,
+        world: CData | None = None,
     ) -> None:
-        config = load_config({"materials": MATERIALS, "scene": {"objects": objects}})
-        compiler = Compiler(output_of(config, RATE_HZ))
-        self.world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+        """`motion`: a number stands for the small circle around that height. `above_m`: where nothing is touched.
+        `world`: the objects, where they are compiled already."""
+        if world is None:
+            config = load_config({"materials": materials, "scene": {"objects": objects}})
+            compiler = Compiler(output_of(config, RATE_HZ))
+            world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+        self.world = world
         self.state = ffi.gc(lib.hd_state_new(max(1, len(objects))), lib.hd_state_free)
         lib.hd_state_set_resolution(self.state, step_m)
-        turn = 2 * np.pi * np.arange(STRETCH) / STRETCH
-        radius = 2e-4
-        self._path = np.stack((radius * np.cos(turn), height_m + radius * np.sin(turn)), 1)
-        if step_m:
-            self._path = np.round(self._path / step_m) * step_m
-        speed = radius * 2 * np.pi / STRETCH * RATE_HZ
-        self._speeds = np.stack((-speed * np.sin(turn), speed * np.cos(turn)), 1)
+        self.motion = motion if isinstance(motion, Motion) else circle(motion, step_m)
+        self._above_m = above_m
         self._samples = records(SAMPLE_DTYPE, STRETCH)
         self._events = records(EVENT_DTYPE, 1024)
         self._found = ffi.new("size_t *")
         self._estimate = estimate
         self._begun = False
-        self._arguments = self._prepare(self._path, self._speeds)
+        self._count = len(self.motion.path_m)
+        self._arguments = [
+            self._prepare(self.motion.path_m[at : at + STRETCH], self.motion.speeds_m_per_s[at : at + STRETCH])
+            for at in range(0, self._count, STRETCH)
+        ]
 
     def _prepare(self, path: Floats, speeds: Floats) -> tuple[Any, ...]:
         return (
@@ -82,35 +114,49 @@ class Stretch:
             self._found,
         )
 
+    def go(self, path_m: Floats, speeds_m_per_s: Floats) -> tuple[npt.NDArray[np.void], npt.NDArray[np.void]]:
+        """Some other way, [n][2] each; its samples and events."""
+        samples, events = [], []
+        for at in range(0, len(path_m), STRETCH):
+            arguments = self._prepare(path_m[at : at + STRETCH], speeds_m_per_s[at : at + STRETCH])
+            if lib.hd_render(*arguments) != Status.OK:
+                raise RuntimeError(invalid_reason())
+            if self._found[0] > len(self._events):
+                raise RuntimeError("more events than there is room for")
+            samples.append(self._samples[: arguments[5]].copy())
+            events.append(self._events[: self._found[0]].copy())
+        return np.concatenate(samples), np.concatenate(events)
+
     def enter(self) -> None:
-        """Leaves whatever is touched and comes back at 0.2 m/s, which strikes what can be struck."""
+        """Leaves whatever is touched and comes back from above at 0.2 m/s, which strikes what can be struck."""
         # A new state begins outside: a membrane is touched from the side that the probe comes from.
-        begin = self._path[-1, 1] if self._begun else 0.004
+        first, last = self.motion.path_m[0], self.motion.path_m[-1]
+        above = self._above_m
+        begin = last[1] if self._begun else above
         self._begun = True
-        height = np.concatenate((np.linspace(begin, 0.004, 60), np.linspace(0.004, self._path[0, 1], 60)))
-        path = np.stack((np.full(120, self._path[0, 0]), height), 1)
-        speeds = np.tile([0.0, -0.2], (120, 1))
-        if lib.hd_render(*self._prepare(path, speeds)) != Status.OK:
-            raise RuntimeError(invalid_reason())
+        height = np.concatenate((np.linspace(begin, above, 60), np.linspace(above, first[1], 60)))
+        self.go(np.stack((np.full(120, first[0]), height), 1), np.tile([0.0, -0.2], (120, 1)))
 
-    def render(self, calls: int) -> None:
-        """So many calls."""
-        for _ in range(calls):
-            lib.hd_render(*self._arguments)
+    def render(self, rounds: int) -> None:
+        """The motion, so many times."""
+        for _ in range(rounds):
+            for arguments in self._arguments:
+                lib.hd_render(*arguments)
 
-    def timed(self, calls: int) -> list[float]:
-        """Nanoseconds a tick, of each call."""
-        now, render, arguments = time.perf_counter_ns, lib.hd_render, self._arguments
+    def timed(self, rounds: int) -> list[float]:
+        """Nanoseconds a tick, of each time that the motion is gone through."""
+        now, render, calls = time.perf_counter_ns, lib.hd_render, self._arguments
         taken = []
-        for _ in range(calls):
+        for _ in range(rounds):
             start = now()
-            render(*arguments)
-            taken.append((now() - start) / STRETCH)
+            for arguments in calls:
+                render(*arguments)
+            taken.append((now() - start) / self._count)
         return taken
 
     def empty_call(self, calls: int) -> list[float]:
         """The same for a call of no tick at all: the share of the clock and of Python."""
-        arguments = (*self._arguments[:5], 0, *self._arguments[6:])
+        arguments = (*self._arguments[0][:5], 0, *self._arguments[0][6:])
         taken = []
         for _ in range(calls):
             start = time.perf_counter_ns()
@@ -212,21 +258,8 @@ def _subnormals(options: Options, advance: Advance) -> Table:
     fresh.render(20)
     # The way of `enter` ends where it began, out of reach; this one goes through the floor.
     through = np.concatenate((np.linspace(0.01, -0.002, 100), np.linspace(-0.002, 0.01, 100)))
-    path = np.stack((np.zeros(200), through), 1)
-    samples, events = records(SAMPLE_DTYPE, 200), records(EVENT_DTYPE, 1024)
-    status = lib.hd_render(
-        tapped.world,
-        tapped.state,
-        pointer("double[]", path),
-        pointer("double[]", np.tile([0.0, -1.2], (200, 1))),
-        ffi.NULL,
-        200,
-        pointer("struct hd_sample[]", samples),
-        pointer("struct hd_event[]", events),
-        len(events),
-        ffi.new("size_t *"),
-    )
-    if status != Status.OK or not samples["flags"][-1] & Flag.RINGING:
+    samples, _ = tapped.go(np.stack((np.zeros(200), through), 1), np.tile([0.0, -1.2], (200, 1)))
+    if not samples["flags"][-1] & Flag.RINGING:
         raise RuntimeError("the tap does not ring")
     minute = round(60 * RATE_HZ / STRETCH)
     for part in range(10):

@@ -27,7 +27,10 @@ HD_RT static void sort_near(struct hd_near *near, uint32_t count) {
 HD_RT static void find_near(struct hd_walk *walk, double needed_m) {
     struct hd_state *state = walk->state;
     const double *center = walk->input->position_m;
+    /* Where it is crowded the last circle was small: most of what a large one holds would be left out again. */
     double radius = hd_index_radius(&walk->world->index);
+    const double wider = 2.0 * state->near_radius_m;
+    radius = wider > 0.0 && wider < radius ? wider : radius;
     radius = radius > needed_m ? radius : needed_m;
     uint32_t count = hd_index_query(&walk->world->index, walk->table->objects, center, radius, state->near);
     while (count > HD_NEAR_MANY && radius > needed_m) {

@@ -1,0 +1,273 @@
+"""What a tick costs among many objects, and what it costs to compile them and to change one.
+
+The crowd is as dense as it gets: small boxes and discs on a lattice over the whole workspace, or parallel walls one
+below the other. The probe strokes along a lane that is free of them, three surfaces under it; error is the largest
+difference of the force from that of the three alone.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.features import strokes
+from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
+from bench.tick import FLOOR, MATERIALS, RATE_HZ, STRETCH, Motion, Stretch
+from hapticd.compile import Compiler
+from hapticd.config import Config, load_config
+from hapticd.core import CData, Flag
+from hapticd.engine import Engine, output_of
+from hapticd.offline import new_world
+from hapticd.scene import load_scene, validate_object
+from hapticd.yaml_source import load_bytes
+
+COUNTS = (1, 10, 100, 1000, 10_000)
+TOUCHED = 3
+PITCH_M = 2e-3
+SIZE_M = 5e-4
+DEPTH_M = 2e-4
+ABOVE_M = 5e-4
+"""Where nothing is touched, on the way in: within the lane."""
+LANE_M = 1e-3
+"""Half of the lane, at least: with three surfaces pressed by 0.2 mm, a tick at 1 m/s has to look 0.8 mm far."""
+FAR_M = 0.03
+WAYS: Mapping[str, Motion] = {
+    "at rest": strokes(1, 0.0, -0.02, -DEPTH_M),
+    "0.1 m/s": strokes(64, 0.1, -0.02, -DEPTH_M),
+    "1 m/s": strokes(8, 1.0, -0.025, -DEPTH_M),
+}
+
+FLOOR_BOX = {"kind": "box", "center_m": [0, -5e-4], "size_m": [0.2, 1e-3], "material": "plain"}
+
+Objects = dict[str, object]
+
+
+def _small(index: int, x: float, y: float) -> Objects:
+    if index % 2:
+        return {"kind": "disc", "center_m": [x, y], "radius_m": SIZE_M / 2, "material": "plain"}
+    angle = 0.7 * index % 6.0
+    size = [SIZE_M, SIZE_M / 2]
+    return {"kind": "box", "center_m": [x, y], "size_m": size, "angle_rad": angle, "material": "plain"}
+
+
+def spread_out(count: int, free_m: float = LANE_M) -> Objects:
+    """Boxes and discs in turns, at places drawn from a lattice of 100 by 100 over 0.2 m that begins farther than
+    `free_m` from the middle of the lane."""
+    lines = (np.arange(100) - 49.5) * PITCH_M
+    columns, rows = (each.ravel() for each in np.meshgrid(lines, lines + np.copysign(free_m, lines)))
+    chosen = np.random.default_rng(7).permutation(len(columns))[:count]
+    return {f"o{i}": _small(int(i), float(columns[i]), float(rows[i])) for i in chosen}
+
+
+def below(count: int) -> Objects:
+    """Parallel walls, all in the 0.1 m below the lane, and out of what a tick can reach."""
+    return {f"w{i}": {**FLOOR, "point_m": [0, -3e-3 - 1e-5 * i]} for i in range(count)}
+
+
+def floors(count: int) -> Objects:
+    """Broad boxes in one another, their upper faces 20 um apart, under the lane."""
+    return {f"floor{i}": {**FLOOR_BOX, "center_m": [0, -5e-4 - 2e-5 * i]} for i in range(count)}
+
+
+def levels(count: int) -> Objects:
+    """The same as walls."""
+    return {f"floor{i}": {**FLOOR, "point_m": [0, -2e-5 * i]} for i in range(count)}
+
+
+@dataclass(frozen=True, slots=True)
+class Arrangement:
+    """What is touched, and who stands around."""
+
+    touched: Callable[[int], Objects]
+    others: Callable[[int], Objects]
+
+    def __call__(self, count: int) -> Objects:
+        """`count` objects, three of them touched, or one of one."""
+        near = min(count, TOUCHED)
+        return {**self.others(count - near), **self.touched(near)}
+
+
+ARRANGEMENTS = {"boxes and discs": Arrangement(floors, spread_out), "walls": Arrangement(levels, below)}
+
+
+def _force(objects: Objects, motion: Motion, world: CData | None = None) -> Floats:
+    """The contact force along the motion, [n][2]."""
+    scene = Stretch(objects, motion, above_m=ABOVE_M, world=world)
+    scene.enter()
+    samples, _ = scene.go(motion.path_m, motion.speeds_m_per_s)
+    return np.asarray(samples["contact_force_n"], dtype=np.float64)
+
+
+def _measure(
+    scenes: Mapping[str, Stretch], wanted: Flag, rounds: int, times: int, advance: Advance
+) -> dict[str, list[float]]:
+    """ns a tick of each scene, by round."""
+    taken: dict[str, list[float]] = {name: [] for name in scenes}
+    for index in range(rounds):
+        for name, scene in scenes.items():
+            repeats = max(1, times * 64 * STRETCH // len(scene.motion.path_m))
+            scene.enter()
+            scene.render(max(1, repeats // 20))
+            taken[name].append(float(np.median(scene.timed(repeats))))
+            if scene.flags() & Flag.CONTACT != wanted:
+                raise RuntimeError(f"{name}: the scene is not what it is said to be ({scene.flags()!r})")
+        advance((index + 1) / rounds, "objects")
+    return taken
+
+
+def _touched(options: Options, advance: Advance) -> Table:
+    rounds, times = options.few(20, 3), options.few(20, 3)
+    scenes = {
+        f"{name}, {way}, {count}": Stretch(arrange(count), motion, above_m=ABOVE_M)
+        for name, arrange in ARRANGEMENTS.items()
+        for way, motion in WAYS.items()
+        for count in COUNTS
+    }
+    taken = _measure(scenes, Flag.CONTACT, rounds, times, lambda part, what: advance(0.9 * part, what))
+    rows = []
+    for name, arrange in ARRANGEMENTS.items():
+        for way, motion in WAYS.items():
+            costs = {count: taken[f"{name}, {way}, {count}"] for count in COUNTS}
+            ratio = np.divide(costs[COUNTS[-1]], costs[10])
+            alone = _force(arrange(TOUCHED), motion)
+            error = max(float(np.abs(_force(arrange(count), motion) - alone).max()) for count in COUNTS[1:])
+            cells = [f"{float(np.median(costs[count])):.1f}" for count in COUNTS]
+            reached = verdict(float(np.median(ratio)), 1.3)
+            rows.append([f"{name}, {way}", *cells, spread(ratio, ".2f"), reached, f"{error:.1g}"])
+            advance(0.9 + 0.1 * len(rows) / 6, "their force")
+    return Table(
+        f"ns a tick with three in touch (of one object: one), {rounds} rounds in turns, each of "
+        f"{times * 64 * STRETCH} ticks; last, the force against that of the three alone",
+        ["crowd", *(f"{count:,}" for count in COUNTS), "10,000 / 10 (10 to 90 %)", "<= 1.3", "error, N"],
+        rows,
+    )
+
+
+def _untouched(options: Options, advance: Advance) -> Table:
+    rounds, times = options.few(20, 3), options.few(20, 3)
+    many = COUNTS[-1]
+    crowds: dict[str, Objects] = {
+        "none": {},
+        "one wall, 0.2 mm below": {"w": {**FLOOR, "point_m": [0, -2 * DEPTH_M]}},
+        "10,000 walls, from 2.8 mm below": below(many),
+        "10,000 boxes and discs, 30 mm away": spread_out(many, FAR_M),
+        "10,000 boxes and discs, around": spread_out(many),
+    }
+    scenes = {
+        f"{name}, {way}": Stretch(objects, motion, above_m=ABOVE_M)
+        for name, objects in crowds.items()
+        for way, motion in WAYS.items()
+    }
+    taken = _measure(scenes, Flag(0), rounds, times, advance)
+    rows = []
+    for name in crowds:
+        cells = [name]
+        for way in WAYS:
+            more = np.subtract(taken[f"{name}, {way}"], taken[f"none, {way}"])
+            cost = f"{float(np.median(taken[f'{name}, {way}'])):.1f}"
+            cells.append(cost if name == "none" else f"{cost}; {spread(more, '+.1f')}")
+        rows.append(cells)
+    return Table(
+        "ns a tick with nothing in touch; what that is more than in an empty scene, round by round (10 to 90 %)",
+        ["objects", *WAYS],
+        rows,
+    )
+
+
+def _taken(work: Callable[[], object], rounds: int) -> list[float]:
+    """Seconds of each of so many runs."""
+    taken = []
+    for _ in range(rounds):
+        start = time.perf_counter()
+        work()
+        taken.append(time.perf_counter() - start)
+    return taken
+
+
+RAISED = {**FLOOR_BOX, "center_m": [0, -4.8e-4]}
+"""The first of `floors`, moved."""
+
+
+def _updated_error(config: Config, objects: Objects) -> float:
+    """The force in a table that was updated, against that in one compiled afresh."""
+    compiler = Compiler(output_of(config, RATE_HZ))
+    compiler.update(config.scene, config.scene.objects, config.materials, 1)
+    compiler.published()
+    scene = config.scene.with_objects({"floor0": validate_object("floor0", RAISED)})
+    world = new_world(compiler.update(scene, ["floor0"], config.materials, 2))
+    motion = WAYS["0.1 m/s"]
+    afresh = _force({**objects, "floor0": RAISED}, motion)
+    return float(np.abs(_force(objects, motion, world) - afresh).max())
+
+
+def _compile(options: Options, advance: Advance) -> Table:
+    rounds, updates = options.few(15, 3), options.few(1000, 100)
+    objects = ARRANGEMENTS["boxes and discs"](COUNTS[-1])
+    text = json.dumps({"objects": objects}, indent=1).encode()
+    document = load_bytes(text, "crowd.yaml").data
+    config = load_config({"materials": MATERIALS, "scene": {"objects": objects}})
+    output = output_of(config, RATE_HZ)
+
+    def compiled(compiler: Compiler) -> CData:
+        return compiler.update(config.scene, config.scene.objects, config.materials, 1)
+
+    def whole() -> None:
+        compiler = Compiler(output)  # the table lives as long
+        new_world(compiled(compiler))
+
+    kept = Compiler(output)
+    table = compiled(kept)
+
+    work: dict[str, tuple[Callable[[], object], float | None]] = {
+        "compile, from validated models to what a tick reads": (whole, 200.0),
+        "of it: the table, in Python": (lambda: compiled(Compiler(output)), None),
+        "of it: checks, copy and index, in C": (lambda: new_world(table), None),
+        "before it: validation of plain data": (lambda: load_scene({"objects": objects}), None),
+        "before that: reading YAML text": (lambda: load_bytes(text, "crowd.yaml"), None),
+    }
+    if document != {"objects": objects}:
+        raise RuntimeError("the text does not say what the objects are")
+    rows = []
+    for name, (each, aim) in work.items():
+        slow = each is work["before that: reading YAML text"][0]
+        taken = _taken(each, 1 if slow else rounds)
+        reached = "" if aim is None else verdict(1e3 * float(np.median(taken)), aim)
+        rows.append([name, f"{spread(taken, '.3g', 1e3)} ms", "" if aim is None else f"< {aim:g} ms", reached, ""])
+        advance(0.7 * (len(rows)) / len(work), "compiling")
+    # Never started: it takes updates all the same.
+    engine = Engine(config)
+    places = [validate_object("floor0", each) for each in (RAISED, FLOOR_BOX)]
+    taken = []
+    for index in range(updates):
+        start = time.perf_counter()
+        engine.update_objects({"floor0": places[index % 2]})
+        taken.append(time.perf_counter() - start)
+    error = f"{_updated_error(config, objects):.1g} N"
+    rows.append(["update of one, from its validated model", f"{spread(taken, '.3g', 1e6)} us", "", "", error])
+    advance(1.0, "updating")
+    return Table(
+        f"10,000 boxes and discs, {rounds} runs (reading: one), {updates} updates: median (10 to 90 %); error: the "
+        "force after an update against that of the changed scene compiled afresh",
+        ["work", "time", "aim", "reached", "error"],
+        rows,
+    )
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """All tables of it."""
+    return Section(
+        "Crowds",
+        [
+            "`hd_render` as above, the probe 0.2 mm deep in three surfaces or beside them all, at rest or stroking to "
+            "and fro over 41 mm (at 1 m/s 51 mm). Boxes and discs of 0.5 mm lie 2 mm apart over 0.2 by 0.2 m, the "
+            "nearest 1.5 mm away, fewer of them at places drawn from the same lattice; parallel walls lie 10 um apart, "
+            "the first 2.8 mm below the probe.",
+            _touched(options, lambda part, what: advance(0.5 * part, what)),
+            _untouched(options, lambda part, what: advance(0.5 + 0.3 * part, what)),
+            _compile(options, lambda part, what: advance(0.8 + 0.2 * part, what)),
+        ],
+    )
