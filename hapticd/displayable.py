@@ -19,7 +19,7 @@ from hapticd.scene import TOUCHING_M, SceneObject, Wall, used_materials
 from hapticd.texture import Autoregressive, Grooves, Stochastic
 
 DISPLAYABLE: Final = 0.4
-"""What lies above this fraction of the rate is not displayed as it is (models 1)."""
+"""What lies above this fraction of the rate is not displayed as it is."""
 STROKE_M_PER_S: Final = 0.5
 """A fast stroke: a groove's shape that it passes in less than two ticks is hardly displayed."""
 MAX_LOSS: Final = 0.01
@@ -56,7 +56,7 @@ class Undisplayable:
 def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
     """The mode as the rate can carry it, and the factor on its coefficient that keeps the first peak.
 
-    Above 0.4 of the rate a mode is muted (None) or lowered to 0.4 of the rate (models 1).
+    Above 0.4 of the rate a mode is muted (None) or lowered to 0.4 of the rate.
     """
     highest = 2.0 * math.pi * DISPLAYABLE * output.rate_hz
     if mode.angular_frequency_rad_per_s <= highest:

@@ -316,7 +316,7 @@ def test_at_the_very_limit_it_does_not_grow() -> None:
 
 
 def test_no_limit_cycle_with_the_encoder_of_the_joystick() -> None:
-    """k Delta / 2 <= c (models.md 9): the default spring on the default joystick comes to rest for good."""
+    """k Delta / 2 <= c: the default spring on the default joystick comes to rest for good."""
     material = {"stiffness_n_per_m": 300, "friction": {"coefficient": 0.5}}
     loop = Loop(material, [[0, 0, 0.001], [1, 0, -0.01], [2, 0, -0.01], [2.05, 0.01, -0.01]], {})
     loop.run(4_000)

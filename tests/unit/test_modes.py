@@ -102,7 +102,7 @@ def test_approach_between_ticks(name: str, rate_hz: float) -> None:
 
 
 def test_overlapping_taps_are_the_sum_of_their_closed_forms() -> None:
-    """Taps 7 ms apart on wood, which rings for 32 ms: the sum, cut five time constants after the last (models 1)."""
+    """Taps 7 ms apart on wood, which rings for 32 ms: the sum, cut five time constants after the last."""
     rate, speed = 10_000, 0.02
     material = shipped_materials()["wood"]
     assert material.tap is not None
