@@ -159,8 +159,8 @@ def _design(texture: Stochastic | Autoregressive, output: Output) -> _Design:
     for model in texture.models:
         given = noise.reflection_of(model.coefficients)
         rms = model.level(given)
-        reflection, kept = noise.resampled(given, texture.rate_hz, output.rate_hz)
-        models.append(noise.Model(model.speed_m_per_s, model.force_n, reflection, rms * math.sqrt(kept)))
+        other = noise.resampled(given, texture.rate_hz, output.rate_hz)
+        models.append(noise.Model(model.speed_m_per_s, model.force_n, other.reflection, rms * math.sqrt(other.kept)))
     order = max(len(model.reflection) for model in models)
     grid = noise.grid(models, order)
     return _Design(order, False, grid.speeds, grid.forces, grid.nodes, False)

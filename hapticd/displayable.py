@@ -24,6 +24,8 @@ STROKE_M_PER_S: Final = 0.5
 """A fast stroke: a groove's shape that it passes in less than two ticks is hardly displayed."""
 MAX_LOSS: Final = 0.01
 """More of a recorded texture's power than this is not lost silently."""
+MAX_ERROR_DB: Final = 3.0
+"""Nor is its spectrum farther off than this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,21 +179,25 @@ def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iter
 
 
 @lru_cache(maxsize=64)
-def _least_kept(texture: Autoregressive, rate_hz: float) -> tuple[int, float]:
-    """The model that loses most when shown at a rate: its index, and the fraction of its power that is kept."""
-    kept = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz)[1] for model in texture.models]
-    least = min(range(len(kept)), key=kept.__getitem__)
-    return least, kept[least]
+def _losses(texture: Autoregressive, rate_hz: float) -> tuple[tuple[float, int], tuple[float, int]]:
+    """What models lose when they are shown at a rate: the largest fraction of power, and the largest error of a
+    spectrum in dB, each with the index of the model."""
+    shown = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz) for model in texture.models]
+    return (
+        max((1 - each.kept, -index) for index, each in enumerate(shown)),
+        max((each.error_db, -index) for index, each in enumerate(shown)),
+    )
 
 
 def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
-    if output.rate_hz >= texture.rate_hz:
-        return  # the rate carries all that was recorded
-    index, kept = _least_kept(texture, output.rate_hz)
-    if kept < 1 - MAX_LOSS:
-        place = path_text(("materials", name, "texture", "models", index))
-        problem = f"loses {100 * (1 - kept):.3g} % of its power at a rate of {_hz(output.rate_hz)}, most of the models"
-        yield Problem(place, problem)
+    (loss, lossy), (error_db, wrong) = _losses(texture, output.rate_hz)
+    rate = f"at a rate of {_hz(output.rate_hz)}, most of the models"
+    if loss > MAX_LOSS:
+        place = path_text(("materials", name, "texture", "models", -lossy))
+        yield Problem(place, f"loses {100 * loss:.3g} % of its power {rate}")
+    if error_db > MAX_ERROR_DB:
+        place = path_text(("materials", name, "texture", "models", -wrong))
+        yield Problem(place, f"is shown with a spectrum that is off by up to {error_db:.2g} dB {rate}")
 
 
 def _patch_warnings(id: str, wall: Wall) -> Iterator[Problem]:

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
 from functools import lru_cache
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +57,8 @@ _LEAK: Final = 0.05
 _PLACED: Final = 4
 """Up to so many poles (or pairs) of such a model are placed directly, and the fit is gone over so many times."""
 _ROUNDS: Final = 6
+_STALLED: Final = 0.95
+"""A round that leaves more than this fraction of the error is the last one."""
 _EXACT: Final = Context(prec=100)
 """Digits for steps between coefficients and reflection, which lose up to the reciprocal of E_p in precision."""
 
@@ -444,11 +446,18 @@ def _mirror(
 # ---- A model at another rate ---------------------------------------------------------------------------------
 
 
-def resampled(
-    reflection: Sequence[float], from_rate_hz: float, to_rate_hz: float, order: int = MAX_ORDER
-) -> tuple[Reflection, float]:
-    """An all-pole model identified at one rate, as an all-pole model for another; and the fraction of its power within
-    the band that both rates carry.
+class Resampled(NamedTuple):
+    """A model at another rate."""
+
+    reflection: Reflection
+    kept: float
+    """The fraction of the model's power within the band that both rates carry."""
+    error_db: float
+    """How far the spectrum is from the model's, at most, within that band and RANGE_DB of the peak."""
+
+
+def resampled(reflection: Sequence[float], from_rate_hz: float, to_rate_hz: float, order: int = MAX_ORDER) -> Resampled:
+    """An all-pole model identified at one rate, as an all-pole model for another.
 
     The model's spectrum in that band gives the autocorrelation at the lags of the new rate, and Levinson and Durbin's
     recursion the reflection coefficients. The smallest order up to `order` is taken that stays within CLOSE_DB of the
@@ -469,11 +478,15 @@ def resampled(
         raise ValueError("rates must be positive")
     if not 1 <= order <= MAX_ORDER:
         raise ValueError(f"the order must be 1 to {MAX_ORDER}")
-    return (model, 1.0) if from_rate_hz == to_rate_hz else _resampled(model, from_rate_hz / to_rate_hz, order)
+    return (
+        Resampled(model, 1.0, 0.0)
+        if from_rate_hz == to_rate_hz
+        else _resampled(model, from_rate_hz / to_rate_hz, order)
+    )
 
 
 @lru_cache(maxsize=4096)
-def _resampled(model: Reflection, ratio: float, order: int) -> tuple[Reflection, float]:
+def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
     # Angles of the new rate, as far as the band goes; poles are where the model has them.
     poles = _poles(model)
     band = min(math.pi, math.pi / ratio)
@@ -483,7 +496,7 @@ def _resampled(model: Reflection, ratio: float, order: int) -> tuple[Reflection,
     kept = min(float(own_weight @ power) / math.pi, 1.0)
     power *= math.pi / (weight @ power)
     if ratio > 1:
-        fits = iter([_fit(power, power, angle, weight, [], order)])
+        fits = iter([_fit(power, power, _Nodes.at(angle, weight, order), [], order)])
     else:
         fits = _fits_beyond(power, angle, weight, poles, ratio, order)
     best = None
@@ -493,7 +506,7 @@ def _resampled(model: Reflection, ratio: float, order: int) -> tuple[Reflection,
         if best.error_db <= CLOSE_DB:
             break
     assert best is not None
-    return best.realised(), kept
+    return Resampled(best.realised(), kept, best.error_db)
 
 
 @dataclass(frozen=True, slots=True)
@@ -513,28 +526,46 @@ class _Fit:
             return _step_down(_times(_monic(self.placed), rest))[0]
 
 
-def _fit(power: Array, target: Array, angle: Array, weight: Array, placed: list[complex], order: int) -> _Fit:
-    """The all-pole fit to `target` at these angles, of the smallest order that is close to `power` (at the first of
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """Where a fit is made, with what all fits there have in common."""
+
+    weight: Array
+    delay: ComplexArray
+    """z^-1 at each node."""
+    cosines: Array
+    """[lags][nodes]: what gives the autocorrelation."""
+
+    @classmethod
+    def at(cls, angle: Array, weight: Array, order: int) -> "_Nodes":
+        delay = np.exp(-1j * angle)
+        return cls(weight, delay, np.cos(np.outer(np.arange(order + 1), angle)))
+
+
+def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex], order: int) -> _Fit:
+    """The all-pole fit to `target` at these nodes, of the smallest order that is close to `power` (at the first of
     them: those within the band), else of the order that is closest."""
-    delay = np.exp(-1j * angle)
-    direct = np.ones_like(angle)
+    direct = np.ones_like(target)
     for pole in placed:
-        direct /= np.abs((1 - pole * delay) * (1 if pole.imag == 0 else 1 - pole.conjugate() * delay)) ** 2
+        direct /= np.abs((1 - pole * nodes.delay) * (1 if pole.imag == 0 else 1 - pole.conjugate() * nodes.delay)) ** 2
     room = order - _order_of(placed)
-    reflection = _predicted(target / direct, angle, weight, room)
+    correlation = nodes.cosines[: room + 1] @ (nodes.weight * (target / direct))
+    reflection = _predicted(correlation)
     heard = power >= power.max() * 10 ** (-RANGE_DB / 10)
-    logarithm = np.log10(power[heard])
-    best: _Fit | None = None
-    for n, shape in enumerate(_prefix_powers(reflection, delay)):
+    wanted = power[heard]
+    best: tuple[float, int, Array] | None = None
+    for n, shape in enumerate(_prefix_powers(reflection, nodes.delay)):
         fitted = direct * shape
-        fitted *= math.pi / (weight @ fitted)
-        error = 10 * float(np.abs(np.log10(fitted[: len(power)][heard]) - logarithm).max())
-        if best is None or error < best.error_db:
-            best = _Fit(error, placed, reflection[:n], fitted)
+        fitted *= math.pi / (nodes.weight @ fitted)
+        ratio = fitted[: len(power)][heard] / wanted
+        error = 10 * math.log10(max(float(ratio.max()), 1 / float(ratio.min())))
+        if best is None or error < best[0]:
+            best = error, n, fitted
         if error <= CLOSE_DB:
             break
     assert best is not None
-    return best
+    error, n, fitted = best
+    return _Fit(error, placed, reflection[:n], fitted)
 
 
 def _fits_beyond(
@@ -546,7 +577,7 @@ def _fits_beyond(
     count = math.ceil(20 * math.log(1 / ratio)) + 1
     beyond, beyond_weight = _panels(np.geomspace(edge, math.pi, count + 1))
     inside = len(angle)
-    angle, weight = np.concatenate((angle, beyond)), np.concatenate((weight, beyond_weight))
+    nodes = _Nodes.at(np.concatenate((angle, beyond)), np.concatenate((weight, beyond_weight)), order)
     fall = max(_SKIRT, 1 + power[-1] * edge / (_LEAK * math.pi))
     skirt = power[-1] * (edge / beyond) ** fall
     # A pole on the negative real axis has no counterpart at another rate; one that rings for a million ticks has no
@@ -558,9 +589,13 @@ def _fits_beyond(
         if _order_of(placed) > order:
             return
         target = np.concatenate((power, skirt))
+        before = math.inf
         for _ in range(_ROUNDS):
-            fit = _fit(power, target, angle, weight, placed, order)
+            fit = _fit(power, target, nodes, placed, order)
             yield fit
+            if fit.error_db > _STALLED * before:
+                break
+            before = fit.error_db
             target[inside:] = np.minimum(fit.power[inside:], power[-1])
 
 
@@ -568,14 +603,13 @@ def _order_of(poles: Iterable[complex]) -> int:
     return sum(1 if p.imag == 0 else 2 for p in poles)
 
 
-def _predicted(power: Array, angle: Array, weight: Array, order: int) -> Reflection:
-    """Reflection coefficients of the best predictor of noise with this spectrum (Levinson and Durbin)."""
-    r = np.cos(np.outer(np.arange(order + 1), angle)) @ (weight * power)
+def _predicted(r: Array) -> Reflection:
+    """Reflection coefficients of the best predictor of noise with this autocorrelation (Levinson and Durbin)."""
     r[0] *= 1 + _FLOOR
     error = float(r[0])
     polynomial = np.ones(1)
     reflection: list[float] = []
-    for m in range(1, order + 1):
+    for m in range(1, len(r)):
         k = -float(polynomial @ r[m:0:-1]) / error
         reflection.append(k)
         padded = np.append(polynomial, 0.0)

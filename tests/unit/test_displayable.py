@@ -19,7 +19,7 @@ from hapticd.displayable import (
 )
 from hapticd.errors import Problem
 from hapticd.materials import Material, Mode, validate_materials
-from hapticd.noise import stochastic_filter
+from hapticd.noise import coefficients_of, reflection_of, resampled, stochastic_filter
 from hapticd.scene import SceneObject, validate_scene
 from hapticd.texture import Stochastic
 from hapticd.yaml_source import Json
@@ -218,6 +218,28 @@ def test_little_loss_is_not_told() -> None:
     power = np.abs(h) ** 2
     assert trapezoid(power[w > math.pi * 0.8], w[w > math.pi * 0.8]) < 0.01 * trapezoid(power, w)
     assert told(texture, output(4000)) == {}
+
+
+def test_a_spectrum_that_is_not_met_is_told_with_its_error() -> None:
+    """Sixteen sharp resonances below 500 Hz, shown at ten times their rate with 32 coefficients; scipy's spectra."""
+    angles = np.linspace(0.2, 2.9, 16)
+    roots = 0.985 * np.exp(1j * angles)
+    a = np.poly(np.concatenate((roots, roots.conj()))).real
+    model = {"speed_m_per_s": 0.1, "force_n": 1, "coefficients": [float(each) for each in a[1:]], "rms_m_per_s2": 1}
+    easy = {**model, "force_n": 2, "coefficients": list[Json](poles(0.8, 0.3))}
+    texture: Keys = {"kind": "autoregressive", "rate_hz": 1000, "models": [easy, model]}
+    ((where, problem),) = told(texture, output(10_000)).items()
+    assert where == "models[1]"
+    shown = coefficients_of(resampled(reflection_of(a[1:].tolist()), 1e3, 1e4).reflection)
+    density = []
+    for each, rate in ((a[1:], 1e3), (shown, 1e4)):
+        frequency, response = signal.freqz([1], [1, *each], worN=np.linspace(0, rate / 2, 500_001), fs=rate)
+        power = np.abs(response) ** 2 / trapezoid(np.abs(response) ** 2, frequency)
+        density.append(10 * np.log10(np.interp(np.linspace(0, 499.9, 50_001), frequency, power)))
+    off = np.abs(density[1] - density[0])[density[0] >= density[0].max() - 30].max()
+    assert off > 3
+    assert float(problem.split(" dB")[0].split()[-1]) == pytest.approx(off, rel=0.05)
+    assert told(texture, output(1000)) == {}
 
 
 def test_narrow_patches_and_gaps() -> None:
