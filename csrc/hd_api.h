@@ -263,7 +263,7 @@ void hd_world_free(struct hd_world *world);
 /* Takes a table whole. HD_ERR_INVALID (hd_invalid_reason) and HD_ERR_MEMORY leave the world as it was. */
 int hd_world_load(struct hd_world *world, const struct hd_table *table);
 /* The slots of what lies within `radius_m` of a point, or may: nothing nearer is missing. Up to `capacity` of them; how
- * many there were. For tests and benchmarks of the index. */
+ * many there were, or SIZE_MAX without memory. For tests and benchmarks of the index. */
 size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
                      size_t capacity);
 

@@ -32,7 +32,7 @@ Reflection: TypeAlias = tuple[float, ...]
 
 MAX_ORDER: Final = 32
 """HD_NOISE_ORDER."""
-MAX_LINES: Final = 64
+MAX_LINES: Final = 256
 """Distinct speeds, and distinct forces, of a grid."""
 
 NARROWEST_HZ: Final = 20.0
@@ -658,7 +658,7 @@ def grid(models: Sequence[Model], order: int) -> Grid:
     all of them, weighted by the inverse square of their distance (Shepard, 1968) on axes scaled to their ranges: the
     weights are positive and add up to one, so that the RMS stays within what was given and every |k| below 1.
 
-    ValueError: no model, two at one place, more than 64 speeds or forces, a model that is of a higher order, not
+    ValueError: no model, two at one place, more than 256 speeds or forces, a model that is of a higher order, not
     stable, or not finite.
     """
     if not models:
@@ -690,11 +690,12 @@ def grid(models: Sequence[Model], order: int) -> Grid:
     nodes = np.empty((len(speeds), len(forces), 1 + order))
     nodes[rows, columns] = values
     scale = np.array([float(np.ptp(axis)) or 1.0 for axis in (speeds, forces)])
-    for row, column in np.argwhere(~given):
-        distance = np.hypot(*((places - (speeds[row], forces[column])) / scale).T)
-        distance = np.maximum(distance, np.finfo(np.float64).tiny)
-        weights = (distance.min() / distance) ** 2
-        blend = (weights / weights.sum()) @ values
+    for row in range(len(speeds)):
+        free = np.flatnonzero(~given[row])
+        away = (places[:, None] - np.stack(np.broadcast_arrays(speeds[row], forces[free]), axis=-1)) / scale
+        distance = np.maximum(np.hypot(away[..., 0], away[..., 1]), np.finfo(np.float64).tiny)
+        weights = (distance.min(axis=0) / distance) ** 2
+        blends = (weights / weights.sum(axis=0)).T @ values
         # Rounding must not carry a mean past what it is the mean of.
-        nodes[row, column] = np.clip(blend, values.min(axis=0), values.max(axis=0))
+        nodes[row, free] = np.clip(blends, values.min(axis=0), values.max(axis=0))
     return Grid(tuple(speeds.tolist()), tuple(forces.tolist()), nodes)

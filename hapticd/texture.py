@@ -17,7 +17,7 @@ from hapticd.model import Damping, Model
 
 MAX_ORDER: Final = 32
 MAX_MODELS: Final = 400
-MAX_DISTINCT: Final = 64
+MAX_DISTINCT: Final = 256
 """Different speeds, and different forces, of the models of a texture."""
 MAX_SEED: Final = 2**53
 MAX_RMS_M_PER_S2: Final = 1e6

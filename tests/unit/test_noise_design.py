@@ -503,8 +503,12 @@ def test_grids_refuse() -> None:
         ([Model(0.1, 1.0, (1.0,), 1.0)], 1, "between -1 and 1"),
         ([Model(0.1, 1.0, (0.5,), -1.0)], 1, "at least 0"),
         ([Model(0.1, math.nan, (0.5,), 1.0)], 1, "finite"),
-        ([Model(i / 100, 1.0, (), 1.0) for i in range(MAX_LINES + 1)], 0, "64 different speeds at most, there are 65"),
-        ([Model(0.1, float(i), (), 1.0) for i in range(MAX_LINES + 1)], 0, "64 different forces at most"),
+        (
+            [Model(i / 100, 1.0, (), 1.0) for i in range(MAX_LINES + 1)],
+            0,
+            "256 different speeds at most, there are 257",
+        ),
+        ([Model(0.1, float(i), (), 1.0) for i in range(MAX_LINES + 1)], 0, "256 different forces at most"),
     ):
         with pytest.raises(ValueError, match=message):
             grid(models, order)

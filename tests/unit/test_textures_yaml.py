@@ -146,10 +146,10 @@ LOUD: Keys = {"variance_m2_per_s4": 1e10, "rms_m_per_s2": None, "coefficients": 
         ),
         (models({}, {"force_n": 2}, {}), "models[0] and models[2] are both at 0.1 m/s and 1 N"),
         (
-            models(*({"speed_m_per_s": i / 16} for i in range(65))),
-            "models may have at most 64 different speed_m_per_s, have 65",
+            models(*({"speed_m_per_s": i / 64} for i in range(257))),
+            "models may have at most 256 different speed_m_per_s, have 257",
         ),
-        (models(*({"force_n": i} for i in range(65))), "models may have at most 64 different force_n, have 65"),
+        (models(*({"force_n": i / 4} for i in range(257))), "models may have at most 256 different force_n, have 257"),
     ],
 )
 def test_faults_between_keys(keys: Keys, problem: str) -> None:
