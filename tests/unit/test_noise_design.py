@@ -512,4 +512,4 @@ def test_grids_refuse() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             grid(models, order)
-    assert grid([Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_LINES)], 1).nodes.shape == (64, 64, 2)
+    assert grid([Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_LINES)], 1).nodes.shape == (256, 256, 2)
