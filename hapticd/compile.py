@@ -17,7 +17,7 @@ import cmath
 import heapq
 import math
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from itertools import pairwise
 from typing import Final, NamedTuple, TypeAlias, TypeGuard
@@ -42,7 +42,7 @@ from hapticd.displayable import Output, displayed_mode, displayed_pair
 from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.scene import Scene, SceneObject, Surface, Wall
-from hapticd.texture import Autoregressive, Grooves, Stochastic
+from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 
 HISTORY: Final = 65536
 """Objects that are gone and still known by name: events speak of them a moment later."""
@@ -155,15 +155,18 @@ def _design(texture: Stochastic | Autoregressive, output: Output) -> _Design:
         taps = () if shown.taps is None else shown.taps
         node = np.array([0.0, *shown.reflection, *taps])
         return _Design(len(shown.reflection), bool(taps), (0.0,), (0.0,), node.reshape(1, 1, -1), False)
-    models = []
-    for model in texture.models:
-        given = noise.reflection_of(model.coefficients)
-        rms = model.level(given)
-        other = noise.resampled(given, texture.rate_hz, output.rate_hz)
-        models.append(noise.Model(model.speed_m_per_s, model.force_n, other.reflection, rms * math.sqrt(other.kept)))
+    models = [_shown_model(model, texture.rate_hz, output.rate_hz) for model in texture.models]
     order = max(len(model.reflection) for model in models)
     grid = noise.grid(models, order)
     return _Design(order, False, grid.speeds, grid.forces, grid.nodes, False)
+
+
+@lru_cache(maxsize=4096)
+def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: float) -> noise.Model:
+    given = noise.reflection_of(model.coefficients)
+    other = noise.resampled(given, from_rate_hz, to_rate_hz)
+    rms = model.level(given) * math.sqrt(other.kept)
+    return noise.Model(model.speed_m_per_s, model.force_n, other.reflection, rms)
 
 
 class _Places:
@@ -211,8 +214,9 @@ class _Rows:
 class _Materials:
     """The materials that are used: a record and an index for each, kept as long as anything is made of it."""
 
-    def __init__(self, output: Output) -> None:
+    def __init__(self, output: Output, working: Callable[[], None]) -> None:
         self._output = output
+        self._working = working
         self._places = _Places()
         self._index: dict[str, int] = {}
         self._names: list[str] = []
@@ -223,8 +227,8 @@ class _Materials:
         self._noise_places = _Places()
         self._noise_of: dict[int, int] = {}
         """Material to noise."""
-        self._heard: dict[int, tuple[Stochastic | Autoregressive, int]] = {}
-        """Material to what its noise is made of, and the version of that."""
+        self._heard: dict[int, tuple[Stochastic | Autoregressive, int, _Design]] = {}
+        """Material to what its noise is made of, the version of that, and its filters."""
         self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
         self._numbers = np.zeros(0)
@@ -279,13 +283,23 @@ class _Materials:
             if index not in self._noise_of:
                 self._noise_of[index] = self._noise_places.take()
             if index not in self._heard or self._heard[index][0] != material.texture:
+                design = self._designed(material.texture)
                 self._versions = self._versions % _LARGEST + 1
-                self._heard[index] = material.texture, self._versions
+                self._heard[index] = material.texture, self._versions, design
                 self._noises_changed = True
         else:
             self._silence(index)
         self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self._output)[0]
         self.changed = True
+
+    def _designed(self, texture: Stochastic | Autoregressive) -> _Design:
+        self._working()
+        if isinstance(texture, Autoregressive):
+            # One by one: hundreds of models for another rate take many seconds.
+            for model in texture.models:
+                _shown_model(model, texture.rate_hz, self._output.rate_hz)
+                self._working()
+        return _design(texture, self._output)
 
     def _silence(self, index: int) -> None:
         place = self._noise_of.pop(index, None)
@@ -315,8 +329,7 @@ class _Materials:
         for place, record in enumerate(pointer("struct hd_noise[]", self._noises)):
             design = _SILENCE
             if place in used:
-                texture, record.version = self._heard[used[place]]
-                design = _design(texture, self._output)
+                texture, record.version, design = self._heard[used[place]]
                 record.along_normal = texture.direction == "normal"
                 record.seed = texture.seed
                 record.threshold_m_per_s = texture.threshold_m_per_s
@@ -401,7 +414,8 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 class Compiler:
     """Keeps the table of one scene up to date. One thread at a time, but for `name_of`."""
 
-    def __init__(self, output: Output) -> None:
+    def __init__(self, output: Output, working: Callable[[], None] = lambda: None) -> None:
+        """`working` is called now and then in what takes long: the filters of many textures take seconds."""
         self._objects = _Rows("struct hd_object", OBJECT_DTYPE)
         self._places = _Places()
         self._slots: dict[str, int] = {}
@@ -414,7 +428,7 @@ class Compiler:
         """What walls with patches are made of, by slot: (from_m, half_ramp_m, material)."""
         self._pieces = records(PIECE_DTYPE, 0)
         self._pieces_changed = False
-        self._materials = _Materials(output)
+        self._materials = _Materials(output, working)
         self._fields = _Fields()
         self._changed: set[int] = set()
         self._changed_slots = np.zeros(0, np.uint32)
@@ -589,8 +603,9 @@ class Compiler:
             return
         array = self._objects.array[: self._places.count]
         touched = np.isin(array["material"], materials) & (array["shape"] != _NONE)
+        sought = set(materials)
         for slot, pieces in self._patched.items():
-            touched[slot] |= any(material in materials for _, _, material in pieces)
+            touched[slot] |= any(material in sought for _, _, material in pieces)
         array["skin_version"][touched] = self._stamp
         self._changed.update(np.flatnonzero(touched).tolist())
 

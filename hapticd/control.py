@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError
 
 from hapticd._version import __version__
 from hapticd.core import Fault
-from hapticd.displayable import rate_faults
+from hapticd.displayable import material_rate_faults, rate_faults
 from hapticd.engine import Counters, Engine, Granted, RingFullError, WaitTimeoutError, monotonic_ns
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
@@ -31,6 +31,7 @@ from hapticd.scene import (
     SceneObject,
     materials_of,
     reference_problems,
+    used_materials,
     validate_object,
     validate_scene,
 )
@@ -240,14 +241,19 @@ class Control:
         """Materials that these objects name and nobody defines, or no signal of this rate has."""
         engine = self._engine
         problems = reference_problems(objects, engine.materials, root)[:MAX_FAULTS]
-        if problems or not rate_faults(objects, engine.materials, engine.output):
+        if problems:
             return problems
-        for id, item in objects.items():
+        used = {name: engine.materials[name] for name in used_materials(objects.values())}
+        refused = {
+            name: faults
+            for name, material in used.items()
+            if (faults := material_rate_faults(name, material, engine.output))
+        }
+        for id, item in objects.items() if refused else ():
             for index, name in enumerate(materials_of(item)):
                 inner: Path = ("patches", index - 1, "material") if index else ("material",)
-                where = path_text((*root, "objects", id, *inner))
-                alone = {name: engine.materials[name]}
-                problems += [Problem(where, str(fault)) for fault in rate_faults({id: item}, alone, engine.output)]
+                for fault in refused.get(name, ()):
+                    problems.append(Problem(path_text((*root, "objects", id, *inner)), str(fault)))
             if len(problems) >= MAX_FAULTS:
                 break
         return problems[:MAX_FAULTS]
@@ -269,7 +275,7 @@ class Control:
             else:
                 before = engine.materials.get(name)
                 patched[name] = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
-        materials.update(validate_materials(patched))
+        materials.update(validate_materials(patched, working=engine.beat))
         if len(materials) > MAX_MATERIALS:
             raise _faulty([Problem("materials", f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}")])
         missing = [

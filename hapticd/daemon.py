@@ -74,8 +74,9 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
     stack.callback(engine.stop)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
-    for problem in engine.limits()[1][:MAX_FAULTS]:
-        _log.warning("%s", problem)
+    undisplayable, warnings = engine.limits()
+    for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS]):
+        _log.warning("%s", told)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
     stack.callback(router.close)
     _thread("command", lambda stop: server.serve(router, engine, control, stop), failures, stack)

@@ -7,11 +7,11 @@ Three answers: what is muted or lowered (`undisplayable`), what is refused becau
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Final, Literal, TypeAlias
 
-from hapticd.errors import Path, Problem, path_text
+from hapticd.errors import Path, Problem, path_text, undisplayable_text
 from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.noise import reflection_of, resampled, stochastic_filter
@@ -53,6 +53,9 @@ class Undisplayable:
     mode: Use
     frequency_hz: float
     shown_hz: float | None
+
+    def __str__(self) -> str:
+        return undisplayable_text(asdict(self))
 
 
 def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
@@ -107,11 +110,19 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
 
 def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
     """What of the materials in use has to be refused, because no sampled signal of this rate has it."""
+    return [
+        fault for name, material in _used(objects, materials) for fault in material_rate_faults(name, material, output)
+    ]
+
+
+def material_rate_faults(name: str, material: Material, output: Output) -> list[Problem]:
+    """As rate_faults, of one material."""
+    texture = material.texture
+    if not isinstance(texture, Stochastic):
+        return []
     limit = output.rate_hz / 2
     return [
         _texture_problem(name, key, f"must be less than half the servo rate of {_hz(output.rate_hz)}, is {value:g}")
-        for name, material in _used(objects, materials)
-        if isinstance(texture := material.texture, Stochastic)
         for key, value in (("peak_hz", texture.peak_hz), ("mean_hz", texture.mean_hz))
         if value >= limit
     ]

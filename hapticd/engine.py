@@ -136,7 +136,6 @@ class Engine:
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
-        self._compiler = Compiler(self.output)
         self._sim = new_sim(config.device.sim, servo.rate_hz)
         self._operators: deque[tuple[int, CData]] = deque()
         self._dropped = ffi.new("uint64_t *")
@@ -163,6 +162,8 @@ class Engine:
             lib.hd_servo_free(servo)
 
         self._servo = ffi.gc(made, free)
+        # Whoever compiles for seconds is at work all the while. (`made` itself keeps nothing alive.)
+        self._compiler = Compiler(self.output, lambda: lib.hd_servo_beat(made))
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
     # ---- Life ------------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ Every message is one line: what, where and what would be right. A traceback that
 
 import difflib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -95,3 +95,10 @@ def known_names(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, names, n=1) if guess else []
     listed = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
     return (f"did you mean {close[0]}? " if close else "") + f"known: {listed or 'none'}"
+
+
+def undisplayable_text(told: Mapping[str, object]) -> str:
+    """What a person reads of a mode, or the peak of a texture, that the rate cannot carry: an `undisplayable` of the
+    protocol."""
+    shown = "silent" if told["shown_hz"] is None else f"shown at {told['shown_hz']:g} Hz"
+    return f"{told['mode']} of {told['material']}, {told['frequency_hz']:g} Hz: {shown}"

@@ -5,7 +5,7 @@ Virtual Environments", ICRA 1998, eq. 1 and 3), B the decay rate in 1/s, w the a
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
 from types import MappingProxyType
@@ -134,10 +134,13 @@ class _Library(Model):
 Materials: TypeAlias = Mapping[str, Material]
 
 
-def validate_materials(data: object, root: Path = ()) -> dict[str, Material]:
-    """Materials by name from plain data. Raises InvalidError; `where` starts with `root`, `materials`."""
+def validate_materials(data: object, root: Path = (), working: Callable[[], None] | None = None) -> dict[str, Material]:
+    """Materials by name from plain data. Raises InvalidError; `where` starts with `root`, `materials`.
+
+    `working` is called now and then: thousands of autoregressive models take seconds.
+    """
     try:
-        return _Library.model_validate({"materials": data}).materials
+        return _Library.model_validate({"materials": data}, context={"working": working}).materials
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
 

@@ -186,8 +186,9 @@ def pole_radius(coefficients: Sequence[float]) -> float:
         if not sizes:
             return 0.0
         low, high = max(size / count for size, count in sizes), 2 * max(size for size, _ in sizes)
-        for _ in range(44):
-            middle = math.sqrt(low) * math.sqrt(high)
+
+        def halve(middle: float) -> None:
+            nonlocal low, high
             scale = 1 / Decimal(middle)
             try:
                 _step_down([Decimal(1), *(a * scale**i for i, a in enumerate(given, 1))])
@@ -195,7 +196,27 @@ def pole_radius(coefficients: Sequence[float]) -> float:
                 low = middle
             else:
                 high = middle
+
+        # Mostly the numerical roots are right, and on either side of them little is left to halve.
+        guess = _rough_radius(coefficients)
+        for trial in (guess * (1 - 1e-10), guess * (1 + 1e-10)):
+            if low < trial < high:
+                halve(trial)
+        for _ in range(44):
+            if high <= low * (1 + 1e-12):
+                break
+            halve(math.sqrt(low) * math.sqrt(high))
         return math.sqrt(low) * math.sqrt(high)
+
+
+def _rough_radius(coefficients: Sequence[float]) -> float:
+    """The largest pole's by numerical roots; 0 where those fail."""
+    try:
+        with np.errstate(all="ignore"):
+            radius = float(np.abs(np.roots([1.0, *coefficients])).max(initial=0.0))
+    except np.linalg.LinAlgError:
+        return 0.0
+    return radius if math.isfinite(radius) else 0.0
 
 
 def coefficients_of(reflection: Sequence[float]) -> tuple[float, ...]:
@@ -210,8 +231,13 @@ def reflection_of(coefficients: Sequence[float]) -> Reflection:
     ValueError where the filter is not stable: the recursion is also the test (Jury). A coefficient that rounds to 1 or
     -1 counts as unstable.
     """
+    return _reflection_of(tuple(float(a) for a in coefficients))
+
+
+@lru_cache(maxsize=4096)
+def _reflection_of(coefficients: tuple[float, ...]) -> Reflection:
     with localcontext(_EXACT):
-        stages, _ = _step_down([Decimal(1), *(Decimal(float(a)) for a in coefficients)])
+        stages, _ = _step_down([Decimal(1), *map(Decimal, coefficients)])
     return stages
 
 
@@ -493,7 +519,8 @@ def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
     own, own_weight = _pole_mesh(poles, band, MAX_ORDER)
     angle, weight = own * ratio, own_weight * ratio
     power = _power(model, None, own)
-    kept = min(float(own_weight @ power) / math.pi, 1.0)
+    # Upward it is all of it; poles all but on the circle would make the integral say otherwise.
+    kept = min(float(own_weight @ power) / math.pi, 1.0) if ratio > 1 else 1.0
     power *= math.pi / (weight @ power)
     if ratio > 1:
         fits = iter([_fit(power, power, _Nodes.at(angle, weight, order), [], order)])

@@ -28,12 +28,13 @@ from hapticd.core import (
     pointer,
     records,
 )
-from hapticd.displayable import rate_faults, warnings
+from hapticd.displayable import Undisplayable, rate_faults, undisplayable, warnings
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError, InvalidError, Problem, shown
 from hapticd.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.model import problems_of
 from hapticd.operator import Operator, load_operator, parse_operator
+from hapticd.scene import used_materials
 
 Samples: TypeAlias = npt.NDArray[np.void]
 """Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""
@@ -53,6 +54,8 @@ class Run:
     """Ids of the objects that events speak of, by their slot and generation."""
     truth: npt.NDArray[np.float64] | None
     """(n, 4) the simulated handle's own position (m) and velocity (m/s) at each tick; None for `render`."""
+    undisplayable: tuple[Undisplayable, ...]
+    """Modes and peaks of textures of the scene that this rate cannot carry."""
     warnings: tuple[Problem, ...]
     """What of the scene is displayed otherwise than it was meant, at this rate."""
 
@@ -68,6 +71,9 @@ class _Scene:
         refused = rate_faults(scene.objects, materials, output)
         if refused:
             raise InvalidError(refused)
+        used = used_materials(scene.objects.values())
+        shown = {name: material for name, material in materials.items() if name in used}
+        self.undisplayable = tuple(undisplayable(shown, output))
         self.warnings = tuple(warnings(scene.objects, materials, output))
         compiler = Compiler(output)
         self.world = new_world(compiler.update(scene, scene.objects, materials, 1))
@@ -222,7 +228,7 @@ def render_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, None, scene.warnings)
+    return Run(samples, events, scene.objects, None, scene.undisplayable, scene.warnings)
 
 
 def simulate(
@@ -282,7 +288,7 @@ def simulate_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, truth, scene.warnings)
+    return Run(samples, events, scene.objects, truth, scene.undisplayable, scene.warnings)
 
 
 def _operator(

@@ -9,7 +9,16 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
-from pydantic import ConfigDict, Field, SerializerFunctionWrapHandler, Strict, model_serializer, model_validator
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    Strict,
+    ValidationInfo,
+    model_serializer,
+    model_validator,
+)
 from pydantic.config import JsonDict
 
 from hapticd.mode import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
@@ -193,11 +202,21 @@ class AutoregressiveModel(Model):
         return faults
 
     @model_validator(mode="after")
-    def _refuse_cross_faults(self) -> Self:
+    def _refuse_cross_faults(self, info: ValidationInfo) -> Self:
+        working = (info.context or {}).get("working")
+        if working is not None:
+            working()
         faults = self._cross_faults()
         if faults:
             raise ValueError("; ".join(faults))
         return self
+
+
+def _not_too_many(models: object) -> object:
+    """Told before thousands of models are analysed one by one."""
+    if isinstance(models, list | tuple) and len(models) > MAX_MODELS:
+        raise ValueError(f"must hold at most {MAX_MODELS} entries, holds {len(models)}")
+    return models
 
 
 class Autoregressive(Model):
@@ -205,7 +224,7 @@ class Autoregressive(Model):
 
     kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
     rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
-    models: Annotated[tuple[AutoregressiveModel, ...], Strict(False)] = Field(
+    models: Annotated[tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_not_too_many)] = Field(
         min_length=1, max_length=MAX_MODELS, description="Each at a speed and a force of its own: a grid or scattered."
     )
     threshold_m_per_s: Threshold = Field(
@@ -222,7 +241,7 @@ class Autoregressive(Model):
                 faults.append(f"models may have at most {MAX_DISTINCT} different {key}, have {distinct}")
         first: dict[tuple[float, float], int] = {}
         for index, model in enumerate(self.models):
-            place = (model.speed_m_per_s, model.force_n)
+            place = (model.speed_m_per_s + 0.0, model.force_n + 0.0)  # -0 is 0
             before = first.setdefault(place, index)
             if before != index:
                 faults.append(

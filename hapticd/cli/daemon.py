@@ -8,6 +8,7 @@ import os
 import click
 
 from hapticd.cli.common import daemon, json_option, print_json
+from hapticd.errors import undisplayable_text
 
 
 @click.command("run")
@@ -52,9 +53,7 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
         *[(name.replace("_", " "), str(value)) for name, value in counters.items() if name != "ticks"],
     ]
     for mode in status["undisplayable"]:
-        shown = "silent" if mode["shown_hz"] is None else f"shown at {mode['shown_hz']:g} Hz"
-        of = f"{mode['mode']} of {mode['material']}, {mode['frequency_hz']:g} Hz"
-        lines.append(("undisplayable", f"{of}: {shown}"))
+        lines.append(("undisplayable", undisplayable_text(mode)))
     lines += [("warning", f"{warning['where']}: {warning['problem']}") for warning in status["warnings"]]
     width = max(len(name) for name, _ in lines)
     for name, value in lines:

@@ -7,6 +7,7 @@ import json
 import click
 
 from hapticd.cli.common import duration, json_option, print_json, yaml_file
+from hapticd.errors import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
@@ -41,6 +42,8 @@ def simulate_command(
     from hapticd.cli.simulation import simulate_to_file
 
     result = simulate_to_file(yaml_file(scene), yaml_file(operator_file), output, duration_s, rate_hz)
+    for mode in result["undisplayable"]:
+        click.echo(f"hapticd: {undisplayable_text(mode)}", err=True)
     for warning in result["warnings"]:
         click.echo(f"hapticd: {warning['where']}: {warning['problem']}", err=True)
     if as_json:

@@ -20,6 +20,7 @@ class SimulationResult(TypedDict):
     ticks: int
     duration_s: float
     events: int
+    undisplayable: list[dict[str, object]]
     warnings: list[dict[str, str]]
 
 
@@ -43,6 +44,7 @@ def simulate_to_file(
         "ticks": ticks,
         "duration_s": ticks / rate_hz,
         "events": len(run.events),
+        "undisplayable": [asdict(mode) for mode in run.undisplayable],
         "warnings": [asdict(problem) for problem in run.warnings],
     }
 

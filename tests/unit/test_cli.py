@@ -161,7 +161,14 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Path("operator.yaml").write_text(WAYPOINTS)
     assert main(["simulate", "scene.yaml", "--operator", "operator.yaml", "-o", "a.npz", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert result == {"file": "a.npz", "ticks": 1000, "duration_s": 0.1, "events": result["events"], "warnings": []}
+    assert result == {
+        "file": "a.npz",
+        "ticks": 1000,
+        "duration_s": 0.1,
+        "events": result["events"],
+        "undisplayable": [],
+        "warnings": [],
+    }
     assert main(["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "b.npz"]) == 0
     assert capsys.readouterr().out.startswith("b.npz: 1000 ticks in 0.100 s, ")
     with np.load("a.npz") as first, np.load("b.npz") as second:

@@ -12,9 +12,11 @@ from hapticd.cli import main
 from hapticd.config import load_config
 from hapticd.control import Control, MethodError
 from hapticd.core import Status, lib
+from hapticd.displayable import Output, material_rate_faults
 from hapticd.engine import Engine
-from hapticd.errors import InvalidError
+from hapticd.errors import InvalidError, Problem
 from hapticd.joystick import target_of
+from hapticd.materials import Material
 from hapticd.offline import render_run, simulate_run
 from hapticd.scene import validate_object
 
@@ -25,6 +27,7 @@ FINE = {
     "stiffness_n_per_m": 800,
     "texture": {"kind": "grooves", "display": "damping", "spacing_m": 1e-3, "width_m": 1e-4, "damping_n_s_per_m": 2},
 }
+STIFF = {"stiffness_n_per_m": 800}
 MATERIALS = {"high": HIGH, "fine": FINE}
 LINE = [[0, 0, 0.01], [0.05, 0, -0.001]]
 
@@ -115,6 +118,62 @@ def test_warnings_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], m
     assert main(["simulate", "scene.yaml", "--operator", "hand.yaml", "-o", "a.npz", "--rate", "1000"]) == 0
     told = capsys.readouterr().err.splitlines()
     assert told == [f"hapticd: {warning}" for warning in run.warnings]
+
+
+def test_what_a_run_cannot_show_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = {"materials": MATERIALS, "scene": {"objects": {"floor": {**FLOOR, "material": "steel"}}}}
+    for run in (simulate_run(source, LINE, rate_hz=1000), render_run(source, [[0, 0]], 1000)):
+        (told,) = run.undisplayable
+        assert (told.material, told.mode, told.shown_hz) == ("steel", "tap", None)
+        assert str(told) == f"tap of steel, {told.frequency_hz:g} Hz: silent"
+    assert simulate_run(source, LINE).undisplayable == ()
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text("objects:\n  floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: steel}\n")
+    Path("hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, 0]]\n")
+    assert main(["simulate", "scene.yaml", "--operator", "hand.yaml", "-o", "a.npz", "--rate", "1000"]) == 0
+    assert capsys.readouterr().err == f"hapticd: {told}\n"
+
+
+def test_patches_of_a_refused_material_are_found_with_one_look_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    daemon = control()
+    daemon.call("update_materials", {"materials": {"bad": {"texture": {**GRIT, "peak_hz": 600}, **STIFF}}})
+    patches = [{"from_m": n / 1000, "to_m": (n + 1) / 1000, "material": "wood"} for n in range(300)]
+    patches[299]["material"] = "bad"
+    looked: list[str] = []
+
+    def look(name: str, material: Material, output: Output) -> list[Problem]:
+        looked.append(name)
+        return material_rate_faults(name, material, output)
+
+    monkeypatch.setattr("hapticd.control.material_rate_faults", look)
+    (found,) = refused(lambda: daemon.call("update_scene", {"objects": {"w": {**FLOOR, "patches": patches}}}))
+    assert found["where"] == "objects.w.patches[299].material"
+    assert found["problem"].startswith("materials.bad.texture.peak_hz: must be less than half the servo rate")
+    assert sorted(looked) == ["bad", "wood"]
+
+
+def test_long_work_on_models_shows_that_somebody_is_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The servo takes silence of a second for a dead control plane: there is a beat for each model, at least."""
+    daemon = control()
+    beats = 0
+
+    class Lib:
+        def __getattr__(self, name: str) -> object:
+            nonlocal beats
+            beats += name == "hd_servo_beat"
+            return getattr(lib, name)
+
+    monkeypatch.setattr("hapticd.engine.lib", Lib())
+    model = {"coefficients": [-0.3, 0.1], "rms_m_per_s2": 1}
+    models = [{"speed_m_per_s": n / 10, "force_n": 1, **model} for n in range(40)]
+    sand = {"texture": {"kind": "autoregressive", "rate_hz": 700, "models": models}, **STIFF}
+    daemon.call("update_materials", {"materials": {"sand": sand}})
+    assert beats >= len(models)
+    beats = 0
+    daemon.call("update_scene", {"objects": {"floor": {**FLOOR, "material": "sand"}}})
+    assert beats >= len(models)
 
 
 def test_a_scene_that_cannot_be_rendered_leaves_everything_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -512,4 +512,10 @@ def test_grids_refuse() -> None:
     ):
         with pytest.raises(ValueError, match=message):
             grid(models, order)
-    assert grid([Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_LINES)], 1).nodes.shape == (256, 256, 2)
+    most = [Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_LINES)]
+    assert grid(most, 1).nodes.shape == (MAX_LINES, MAX_LINES, 2)
+
+
+def test_a_higher_rate_keeps_all_power_however_sharp_the_poles() -> None:
+    model = np.random.default_rng(0).uniform(-0.9, 0.9, 31).tolist()
+    assert resampled([*model, -(1 - 1e-13)], 1e3, 10e3).kept == 1

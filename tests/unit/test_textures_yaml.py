@@ -220,6 +220,17 @@ def test_unstable_models_are_told_with_their_pole_radius(radius: float, angle: f
         assert told == pytest.approx(largest, rel=2e-5)
 
 
+def test_too_many_models_are_refused_before_any_is_analysed(monkeypatch: pytest.MonkeyPatch) -> None:
+    unstable: Keys = {"coefficients": [1e9, -1e9]}
+    monkeypatch.setattr("hapticd.noise.pole_radius", lambda _: pytest.fail("was analysed"))
+    assert faults(texture=models(*[unstable] * 401)) == {"texture.models": "must hold at most 400 entries, holds 401"}
+
+
+def test_models_at_a_negative_zero_are_at_zero() -> None:
+    found = faults(texture=models({"speed_m_per_s": -0.0}, {"speed_m_per_s": 0.0}))
+    assert found == {"texture": "models[0] and models[1] are both at 0 m/s and 1 N"}
+
+
 def test_the_rms_that_is_refused_is_that_of_the_model() -> None:
     """An AR(1) with a pole r has the RMS sigma/sqrt(1 - r^2)."""
     pole = 1 - 1e-13
