@@ -87,7 +87,8 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
         onset->silent = 1;
         onset->face = nearest_face(object, to);
         hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
-        return 1;
+        /* What lies behind a surface that is pressed is not touched. */
+        return !hd_box_left(walk, object, HD_NO_SLOT, onset->face, &onset->place);
     }
     const struct hd_path *path = hd_path_legs(walk);
     for (uint32_t leg = 0; leg < path->legs; leg++) {
@@ -106,6 +107,10 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
                 begin = walk->from_m;
             } else {
                 onset->slid = leg > 0;
+                hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
+                if (onset->slid && hd_box_left(walk, object, HD_NO_SLOT, onset->face, &onset->place)) {
+                    return 0; /* it lies behind, and the surface point is not on it */
+                }
             }
             double hit[2];
             hd_between(begin, path->point[leg + 1], cut, hit);

@@ -74,6 +74,11 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     slot->contacts++;
     /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
     slot->ramp = onset->silent && state->gain > 0.0 ? 0.0 : 1.0;
+    /* Reached along a surface whose force is still coming in, it goes on from there. */
+    for (uint32_t i = 0; onset->slid && i < walk->path.plane_count; i++) {
+        const double pressed = state->slots[walk->path.plane[i].slot].ramp;
+        slot->ramp = pressed < slot->ramp ? pressed : slot->ramp;
+    }
     const double *direction = onset->place.normal;
     const double before = onset->silent ? 0.0 : hd_before_tick(walk, onset->fraction);
     const double approach = -hd_dot(walk->input->velocity_m_per_s, direction);

@@ -110,6 +110,14 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
         hd_difference(hit, object->point_m, offset);
         const double distance = hd_root(hd_dot(offset, offset));
         const double bearing[2] = {offset[0] / distance, offset[1] / distance};
+        if (onset->slid) {
+            double way[2];
+            hd_difference(walk->input->position_m, walk->from_m, way);
+            hd_disc_place(object, bearing, hd_root(hd_dot(way, way)), 0, walk->input->position_m, &onset->place);
+            if (hd_disc_left(walk, object, HD_NO_SLOT, &onset->place)) {
+                return 0; /* it lies behind, and the surface point is not on it */
+            }
+        }
         hd_disc_place(object, bearing, 0.0, 1, hit, &onset->place);
         onset->place.depth_m = 0.0;
         return 1;

@@ -7,6 +7,8 @@
 #include "hd_vector.h"
 
 #define HD_PI 3.14159265358979323846
+/* Grooves as near to each other as this, in spacings, are one. */
+#define HD_GROOVE_SAME 1e-6
 
 /* The groove at or below s. Coordinates are bounded and spacings are not below 1e-9 m, so it fits. */
 HD_RT static int64_t groove_below(double spacing_m, double along_m) {
@@ -24,8 +26,17 @@ HD_RT static int64_t groove_below(double spacing_m, double along_m) {
     return k;
 }
 
-HD_RT static int is_there(const struct hd_material *material, int64_t k, double half_length_m) {
-    return hd_magnitude((double)k * material->spacing_m) + 0.5 * material->width_m <= half_length_m;
+/* From one place to the other, the shorter way round a disc. */
+HD_RT static double way_between(double a_m, double b_m, double half_length_m) {
+    const double way = hd_magnitude(a_m - b_m);
+    return way > half_length_m ? 2.0 * half_length_m - way : way;
+}
+
+/* Whether groove k has a shape: it lies on the disc whole, or its halves meet at the bottom. */
+HD_RT static int is_whole(const struct hd_material *material, int64_t k, double half_length_m) {
+    const double middle_m = hd_magnitude((double)k * material->spacing_m);
+    return middle_m + 0.5 * material->width_m <= half_length_m ||
+           hd_magnitude(middle_m - half_length_m) <= HD_GROOVE_SEAM * half_length_m;
 }
 
 HD_RT double hd_groove_profile(const struct hd_material *material, double along_m, double half_length_m,
@@ -33,7 +44,7 @@ HD_RT double hd_groove_profile(const struct hd_material *material, double along_
     *slope = 0.0;
     const int64_t k = groove_below(material->spacing_m, along_m + 0.5 * material->spacing_m);
     const double offset = along_m - (double)k * material->spacing_m;
-    if (2.0 * hd_magnitude(offset) >= material->width_m || !is_there(material, k, half_length_m)) {
+    if (2.0 * hd_magnitude(offset) >= material->width_m || !is_whole(material, k, half_length_m)) {
         return 0.0;
     }
     const double turn = 2.0 * HD_PI / material->width_m;
@@ -44,9 +55,7 @@ HD_RT double hd_groove_profile(const struct hd_material *material, double along_
 }
 
 HD_RT void hd_grooves_arm(struct hd_slot *slot, double along_m, double half_length_m) {
-    double away = hd_magnitude(along_m - slot->groove_m);
-    away = away > half_length_m ? 2.0 * half_length_m - away : away; /* the other way round a disc */
-    if (away >= slot->groove_free_m) {
+    if (way_between(along_m, slot->groove_m, half_length_m) >= slot->groove_free_m) {
         slot->held = 0;
     }
 }
@@ -56,7 +65,9 @@ HD_RT static void strike(struct hd_walk *walk, uint32_t index, const struct hd_m
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
     const double groove_m = (double)k * material->spacing_m;
-    if (slot->held && slot->groove_m == groove_m) {
+    /* At the bottom of a disc the first and the last groove may be one. */
+    const double apart_m = way_between(groove_m, slot->groove_m, stretch->half_length_m);
+    if (slot->held && apart_m <= HD_GROOVE_SAME * material->spacing_m) {
         return;
     }
     slot->groove_m = groove_m;
@@ -108,10 +119,11 @@ struct part {
     double to_m;
     int meets_from;
     int meets_to;
+    int64_t room; /* for strikes of this stretch that are still to come */
 };
 
 HD_RT static void pass_material(struct hd_walk *walk, uint32_t index, const struct hd_material *material,
-                                const struct hd_stretch *stretch, const struct part *part) {
+                                const struct hd_stretch *stretch, struct part *part) {
     if (material->texture != HD_TEXTURE_STRIKES) {
         return;
     }
@@ -120,12 +132,13 @@ HD_RT static void pass_material(struct hd_walk *walk, uint32_t index, const stru
     const int64_t step = to > from ? 1 : -1;
     int64_t left = to > from ? to - from : from - to;
     int64_t k = to > from ? from + 1 : from;
-    if (left > HD_GROOVES_PER_TICK) {
-        k += step * (left - HD_GROOVES_PER_TICK);
-        left = HD_GROOVES_PER_TICK;
+    if (left > part->room) {
+        k += step * (left - part->room);
+        left = part->room;
     }
+    part->room -= left;
     for (; left > 0; left--, k += step) {
-        if (is_there(material, k, stretch->half_length_m)) {
+        if (hd_magnitude((double)k * material->spacing_m) <= (1.0 + HD_GROOVE_SEAM) * stretch->half_length_m) {
             strike(walk, index, material, stretch, k);
         }
     }
@@ -137,7 +150,7 @@ HD_RT static void pass(struct hd_walk *walk, uint32_t index, const struct hd_obj
     if (stretch->from_m == stretch->to_m) {
         return;
     }
-    struct part part = {.from_m = stretch->from_m, .to_m = stretch->to_m};
+    struct part part = {.from_m = stretch->from_m, .to_m = stretch->to_m, .room = HD_GROOVES_PER_TICK};
     if (object->piece_count == 0) {
         pass_material(walk, index, &table->materials[object->material], stretch, &part);
         return;

@@ -5,14 +5,18 @@
  * 1998, eq. 2). A does not vanish with the speed and acts along the motion, so that a light hand on a groove would be
  * driven by its own strikes: a groove strikes again only after the probe was half a spacing away from it, or struck
  * another. (Of the way through the air only its end counts.) A point exactly on a groove counts as beyond it; a groove
- * exactly where two materials meet is one of the latter's. On a disc, only grooves that lie on it whole are there. */
+ * exactly where two materials meet is one of the latter's. On a disc grooves lie up to its bottom, where s starts
+ * again, and there the first and the last may be one; one that the bottom cuts is struck, but has no shape. */
 #ifndef HD_GROOVE_H
 #define HD_GROOVE_H
 
 #include "hd_walk.h"
 
-/* Strikes within one tick on one object; what is beyond is a texture that nobody feels as grooves any more. */
+/* Strikes on one stretch of a tick's way along one object; what is beyond is a texture that nobody feels as grooves any
+ * more. */
 #define HD_GROOVES_PER_TICK 1024
+/* So near to the bottom of a disc, in half its circumference, a groove lies on it: rounding does not lose it. */
+#define HD_GROOVE_SEAM 1e-12
 
 /* The raised cosine over the nearest groove, 0 to 1, and its slope over s. */
 HD_RT double hd_groove_profile(const struct hd_material *material, double along_m, double half_length_m, double *slope);

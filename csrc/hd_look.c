@@ -65,7 +65,7 @@ HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
     const int64_t time_ns = walk->input->time_ns;
-    const int resumes = slot->resume;
+    int resumes = slot->resume;
     slot->looked = state->tick + 1u;
     slot->resume = 0;
     if (index >= walk->table->object_count || walk->table->objects[index].shape == HD_SHAPE_NONE) {
@@ -80,6 +80,7 @@ HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     if (slot->generation != object->generation) {
         fresh |= walk->new_table;
         hd_contact_take(state, index, object->generation, time_ns);
+        resumes = 0; /* that was another object */
     }
     if (slot->touched) {
         if (hd_touch(walk, index, object, 0.0)) {

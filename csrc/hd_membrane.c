@@ -66,6 +66,10 @@ HD_RT int hd_membrane_meets(struct hd_walk *walk, const struct hd_object *object
             begin = walk->from_m;
         } else {
             onset->slid = leg > 0;
+            hd_membrane_place(object, onset->side, walk->input->position_m, &onset->place);
+            if (onset->slid && hd_membrane_left(walk, object, HD_NO_SLOT, &onset->place)) {
+                return 0; /* it lies behind, and the surface point is not on it */
+            }
         }
         double hit[2];
         hd_between(begin, path->point[leg + 1], cut, hit);

@@ -255,7 +255,7 @@ HD_RT void hd_tick_reset(struct hd_state *state, uint32_t slot, uint32_t generat
             hd_contact_close(state, state->healing[state->healing_count - 1]);
         }
         state->epoch = state->epoch == UINT32_MAX ? 1u : state->epoch + 1u;
-    } else if (slot < state->slot_count && state->slots[slot].generation == generation) {
+    } else if (slot < state->slot_capacity && state->slots[slot].generation == generation) {
         if (state->slots[slot].touched) {
             hd_contact_clear(state, slot, 1, time_ns);
         }

@@ -26,9 +26,11 @@ HD_RT static void tangent_of(const struct hd_slot *slot, const double normal[2],
     }
 }
 
-HD_RT static int needs_along(const struct hd_table *table, const struct hd_object *object) {
+/* Of a disc. A skin that is on its way to another one still has the friction of what it was. */
+HD_RT static int needs_along(const struct hd_table *table, const struct hd_slot *slot, const struct hd_object *object) {
     const struct hd_material *material = &table->materials[object->material];
-    return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE;
+    return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE || slot->skin_blend < 1.0 ||
+           slot->skin_version != object->skin_version;
 }
 
 HD_RT static void find_place(const struct hd_walk *walk, const struct hd_slot *slot, const struct hd_object *object,
@@ -49,7 +51,7 @@ HD_RT static void find_place(const struct hd_walk *walk, const struct hd_slot *s
         hd_difference(position, walk->from_m, way);
         const int moved = slot->moving || slot->place_version != object->place_version;
         const double travel = moved ? HD_DISC_MOVED : hd_root(hd_dot(way, way));
-        hd_disc_place(object, slot->last.normal, travel, needs_along(walk->table, object), position, place);
+        hd_disc_place(object, slot->last.normal, travel, needs_along(walk->table, slot, object), position, place);
         break;
     }
     }
@@ -64,9 +66,16 @@ HD_RT static void know_along(struct hd_slot *slot, const struct hd_object *objec
     slot->last.along_m = along_m;
 }
 
+/* s within half a circumference of `near_m`; `round_m` is 0 where s does not go round. */
+HD_RT static double unwound(double along_m, double near_m, double round_m) {
+    const double away = along_m - near_m;
+    return away > 0.5 * round_m ? along_m - round_m : away < -0.5 * round_m ? along_m + round_m : along_m;
+}
+
 /* Between what the surface was when it changed and what it is now, height and place along it as they are at the probe:
- * the points themselves may lie anywhere. */
-HD_RT static void blend_place(const struct hd_walk *walk, struct hd_slot *slot, struct hd_place *place) {
+ * the points themselves may lie anywhere. Round a disc s goes the shorter way. */
+HD_RT static void blend_place(const struct hd_walk *walk, struct hd_slot *slot, double round_m,
+                              struct hd_place *place) {
     slot->place_blend += walk->ramp_step;
     if (slot->place_blend >= 1.0) {
         slot->place_blend = 1.0;
@@ -83,7 +92,8 @@ HD_RT static void blend_place(const struct hd_walk *walk, struct hd_slot *slot, 
     /* However far a surface went away, what it pressed with goes within the ramp, not faster. */
     const double ahead = place->depth_m > 0.0 ? place->depth_m : 0.0;
     place->depth_m = b * ahead - a * hd_dot(offset, from->normal);
-    place->along_m = b * place->along_m + a * (from->along_m + hd_dot(offset, tangent));
+    const double before = from->along_m + hd_dot(offset, tangent);
+    place->along_m = unwound(b * unwound(place->along_m, before, round_m) + a * before, 0.0, round_m);
     for (int axis = 0; axis < 2; axis++) {
         place->normal[axis] = b * place->normal[axis] + a * from->normal[axis];
     }
@@ -239,8 +249,9 @@ HD_RT static void pass_grooves(struct hd_walk *walk, uint32_t index, const struc
         .speed_m_per_s = hd_dot(velocity, tangent),
         .true_speed_m_per_s = hd_dot(walk->input->true_velocity_m_per_s, tangent),
     };
-    if (jump_m != 0.0 && hd_magnitude(stretch.to_m) > half_length_m) {
-        const double end = stretch.to_m > 0.0 ? half_length_m : -half_length_m;
+    if (jump_m != 0.0 && hd_magnitude(stretch.to_m) >= half_length_m) {
+        const double bottom = (1.0 + HD_GROOVE_SEAM) * half_length_m;
+        const double end = stretch.to_m > 0.0 ? bottom : -bottom;
         const double first_part = (end - stretch.from_m) / (stretch.to_m - stretch.from_m);
         struct hd_stretch first = stretch;
         first.to_m = end;
@@ -250,7 +261,7 @@ HD_RT static void pass_grooves(struct hd_walk *walk, uint32_t index, const struc
         stretch.from_m = -end;
         stretch.from_fraction = first.to_fraction;
         stretch.from_n = first.to_n;
-        stretch.to_m -= 2.0 * end;
+        stretch.to_m -= stretch.to_m > 0.0 ? 2.0 * half_length_m : -2.0 * half_length_m;
     }
     hd_grooves_pass(walk, index, object, &stretch);
 }
@@ -281,7 +292,7 @@ HD_RT int hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object 
     }
     const int moved = slot->moving;
     if (moved) {
-        blend_place(walk, slot, &place);
+        blend_place(walk, slot, object->shape == HD_SHAPE_DISC ? 2.0 * HD_PI * object->half_m[0] : 0.0, &place);
     }
     if (object->shape == HD_SHAPE_MEMBRANE && ruptures(walk, index, object, &place, fraction)) {
         return 1;

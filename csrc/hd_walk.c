@@ -31,7 +31,9 @@ HD_RT static void find_near(struct hd_walk *walk, double needed_m) {
     double radius = hd_index_radius(&walk->world->index);
     const double wider = 2.0 * state->near_radius_m;
     radius = wider > 0.0 && wider < radius ? wider : radius;
-    radius = radius > needed_m ? radius : needed_m;
+    /* A little more than is needed, or a probe that presses asks in every tick. */
+    const double least = state->near_count > HD_NEAR_MANY ? needed_m : 2.0 * needed_m;
+    radius = radius > least ? radius : least;
     uint32_t count = hd_index_query(&walk->world->index, walk->table->objects, center, radius, state->near);
     while (count > HD_NEAR_MANY && radius > needed_m) {
         radius = 0.5 * radius > needed_m ? 0.5 * radius : needed_m;

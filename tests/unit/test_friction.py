@@ -372,3 +372,48 @@ def test_friction_that_changes_comes_in_over_the_ramp() -> None:
         most = 0.0 if friction is None else friction["coefficient"] * K * 0.001
         assert abs(force[-1, 0]) <= most + 1e-12
         last = samples
+
+
+def turned_on_a_disc(last: np.void, radius: float, bearing: float) -> float:
+    """The part of a force along a disc's tangent, clockwise."""
+    x, y = last["contact_force_n"]
+    return float(x * np.cos(bearing) - y * np.sin(bearing))
+
+
+def test_friction_that_a_disc_loses_goes_out_over_the_ramp() -> None:
+    """Stroked, and resting where it came to: the force along the surface only fades."""
+    radius = 0.01
+    bearing = np.linspace(0.5, 0.8, 500)
+    path = (radius - 0.001) * np.column_stack([np.sin(bearing), np.cos(bearing)])
+    item = {"kind": "disc", "center_m": [0, 0], "radius_m": radius, "material": "rough"}
+    rig = Rig({"disc": item}, materials=MATERIALS)
+    rig.render(np.concatenate([np.tile(path[0], (300, 1)), path]))
+    last = rig.render(np.tile(path[-1], (10, 1)))
+    before = turned_on_a_disc(last[-1], radius, bearing[-1])
+    assert before == pytest.approx(-MU * K * 0.001, abs=1e-9)
+    rig.update({"disc": {**item, "material": "plain"}})
+    samples = rig.render(np.tile(path[-1], (300, 1)))
+    along = np.array([before] + [turned_on_a_disc(sample, radius, bearing[-1]) for sample in samples])
+    assert np.abs(np.diff(along)).max() <= 2 * abs(before) / 200
+    assert np.all(np.diff(along) >= -1e-12)
+    assert abs(along[-1]) <= 1e-12
+
+
+def test_a_disc_that_is_moved_across_its_bottom_drags_by_no_more_than_that() -> None:
+    """Pressed from below, where s goes from one end to the other: it goes the shorter way."""
+    item = {"kind": "disc", "center_m": [0, 0], "radius_m": 0.01, "material": "rough"}
+    rig = Rig({"disc": item}, materials=MATERIALS)
+    last = rig.render(still(1e-4, -0.009, 500))
+    bearings = [1e-4 / 0.009]
+    for x in (2e-4, 0.5e-4, 3e-4):
+        rig.update({"disc": {**item, "center_m": [x, 0]}})
+        samples = rig.render(still(1e-4, -0.009, 300))
+        force = np.concatenate([last[-1:], samples])["contact_force_n"]
+        assert np.abs(np.diff(force, axis=0)).max() <= 0.01
+        bearings.append((1e-4 - x) / 0.009)
+        # The spring is stretched by the arc that the surface went by.
+        arc = 0.01 * (np.arctan(bearings[-1]) - np.arctan(bearings[0]))
+        normal = np.array([np.sin(np.arctan(bearings[-1])), -np.cos(np.arctan(bearings[-1]))])
+        tangent = np.array([normal[1], -normal[0]])
+        assert samples["contact_force_n"][-1] @ tangent == pytest.approx(SPRING * arc, rel=1e-6)
+        last = samples

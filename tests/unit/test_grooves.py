@@ -788,7 +788,7 @@ def around(radius: npt.ArrayLike, angle: npt.ArrayLike) -> Floats:
 def test_a_turn_around_a_disc_strikes_each_groove_once(
     direction: int, spacing: float, width: float, ticks: int
 ) -> None:
-    """Evenly around, many ticks a turn and few: what lies whole on the disc is struck once a turn, at its time."""
+    """Evenly around, many ticks a turn and few: each is struck once a turn, at its time, also one on the bottom."""
     radius, depth, rate = 0.005, 0.0004, 10_000
     rig = rig_of({"d": disc(radius)}, {"m": comb(spacing, width_m=width)}, rate_hz=rate)
     step = direction * 2 * np.pi / ticks
@@ -796,7 +796,8 @@ def test_a_turn_around_a_disc_strikes_each_groove_once(
     angle = start + step * np.arange(turns * ticks + 1)
     rig.render(around(radius - depth, angle))
     k = np.arange(-100, 101)
-    places = k[np.abs(k) * spacing + width / 2 <= np.pi * radius] * spacing / radius
+    places = k[np.abs(k) * spacing <= np.pi * radius * (1 + 1e-12)] * spacing / radius
+    places = places[places > -np.pi * (1 - 1e-12)]  # where the first and the last meet, they are one
     once = np.sort(np.mod(direction * (places - start), 2 * np.pi))
     wanted = (once + 2 * np.pi * np.arange(turns)[:, None]).ravel() / abs(step) / rate
     found = times_of(rig)
@@ -839,6 +840,32 @@ def test_the_seam_of_a_disc_neither_strikes_nor_arms() -> None:
     # Its neighbour over the seam lies 0.6 mm away and is passed as well: two each way, but at the first.
     swings = 2 * 3 * 5
     assert len(strikes_of(rig)) == 2 * swings
+
+
+@pytest.mark.parametrize("rounding", [-2e-16, 0.0, 2e-16])
+def test_a_groove_on_the_bottom_of_a_disc_is_one_groove(rounding: float) -> None:
+    """Twelve grooves all around: that on the bottom, where s starts again, has strikes, an arm and a shape as any."""
+    spacing, depth = 0.0016, 0.0004
+    radius = 6 * spacing / np.pi * (1 + rounding)
+    for direction in (1, -1):
+        rig = rig_of({"d": disc(radius)}, {"m": comb(spacing)}, rate_hz=1000)
+        rig.render(around(np.full(40, radius - depth), np.pi + direction * np.linspace(-0.2, 0.2, 40)))
+        assert len(strikes_of(rig)) == 1
+        # Back to it and held on it, never half a spacing away.
+        rest = np.pi + direction * np.append(np.linspace(0.2, 0.0, 20), 1e-4 * np.cos(np.arange(1000.0)))
+        rig.render(around(np.full(1020, radius - depth), rest))
+        assert len(strikes_of(rig)) == 0
+    profile = Profile(spacing, 0.0008, 0.0002)
+    rig = rig_of({"d": disc(radius)}, {"m": shaped(profile.spacing, profile.width, profile.depth)})
+    angle = np.linspace(np.pi - 0.3, np.pi + 0.3, 601)
+    path = around(np.full(601, radius - depth), angle)
+    force = rig.render(np.concatenate([path[:1]] * 300 + [path]))["contact_force_n"][300:]
+    h, dh = profile(radius * (angle - np.pi))
+    outward = np.column_stack([np.sin(angle), np.cos(angle)])
+    clockwise = np.column_stack([np.cos(angle), -np.sin(angle)])
+    e = (STIFFNESS * (depth - h))[:, None]
+    wanted = e * outward + e * (dh * radius / (radius - depth))[:, None] * clockwise
+    np.testing.assert_allclose(force, wanted, rtol=0, atol=1e-10)
 
 
 def test_geometry_of_a_disc_is_the_gradient_of_its_energy_and_does_no_work() -> None:
@@ -1047,3 +1074,16 @@ def test_strikes_of_an_object_go_on_counting_through_updates_of_it_and_of_others
         rig.render(path[10 * part : 10 * part + 10])
         values += strikes_of(rig)["value"].tolist()
     assert values == list(range(1, len(passages(0.0003, 0.1, 0.002, 0.0, 0.199)) + 1))
+
+
+def test_strikes_of_a_tick_are_bounded_whatever_the_patches() -> None:
+    """100 mm in a tick, over 10 patches of 900 grooves each."""
+    wall = Wall()
+    patches = [{"from_m": 0.01 * n, "to_m": 0.01 * n + 0.009, "material": "fine"} for n in range(10)]
+    item = {**wall.item, "patches": patches, "patch_ramp_m": 1e-5}
+    rig = rig_of({"w": item}, {"m": comb(0.5), "fine": comb(1e-5)}, rate_hz=1000)
+    rig.render(wall.at(np.full(30, -0.001), 0.001))
+    rig.render(wall.at(np.linspace(-0.001, 0.1, 2), 0.001))
+    rig.render(wall.at(np.array([0.1, 0.0985]), 0.001))
+    most = int(max(rig.of(EventKind.GROOVE)["value"]))
+    assert 1024 < most <= 2 * 1024

@@ -190,3 +190,19 @@ def test_fade_to_zero_is_due_by_the_clock() -> None:
     out = rig.render(still(0, -0.002, 30), periods=[10] * 30)
     assert not np.any(out["force_n"][20:])
     assert np.any(out["force_n"][18])
+
+
+@pytest.mark.parametrize("kind", ["box", "disc", "membrane"])
+def test_a_stall_in_which_the_slot_goes_to_another_object_leaves_no_contact(kind: str) -> None:
+    """What was pressed before a stall is met from the same side after it; what has its slot by then is not."""
+    rig, _ = pressed({"w": FLOOR})
+    rig.update({"w": None})
+    far: dict[str, object] = {"kind": kind, "center_m": [0, 0.05], "material": "wood"}
+    far |= {"radius_m": 0.01} if kind == "disc" else {"size_m": [0.02, 0.02]} if kind == "box" else {}
+    far |= {"normal": [0, 1], "width_m": 0.02} if kind == "membrane" else {}
+    rig.update({"v": far})
+    assert (rig.compiler.slot_of("v") or (1,))[0] == 0
+    samples = rig.render(still(0, -0.002, 400), periods=[500] + [1] * 399)
+    assert EventKind.CONTACT not in rig.kinds()
+    assert not np.any(samples["force_n"])
+    assert not np.any(samples["flags"] & Flag.CONTACT)

@@ -734,3 +734,54 @@ def test_a_disc_that_is_pressed_beyond_its_middle_is_held_from_the_same_side_aft
     samples = rig.render(still(0.0001, -0.0005, 400), periods=[5000] + [1] * 399)
     np.testing.assert_allclose(force(samples)[-1], force(before)[-1], rtol=0, atol=1e-12)
     assert force(samples)[-1, 1] > 0.5
+
+
+def test_a_box_behind_the_surface_that_is_pressed_is_not_met_again_and_again() -> None:
+    """It appears around a probe that presses a wall, wholly behind that wall's surface."""
+    rig = Rig({"wall": wall((0, 0), -np.pi / 2)}, materials=MATERIALS)
+    path = np.column_stack([np.linspace(0.0005, -0.002, 300), np.zeros(300)])
+    rig.render(path)
+    rig.update({"box": box((-0.0055, -0.0045), (0.01, 0.01))})  # its upper face is the nearest one
+    samples = rig.render(still(-0.002, 0, 500))
+    assert rig.kinds() == []
+    np.testing.assert_allclose(force(samples), np.tile([K * 0.002, 0.0], (500, 1)), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("make", [lambda x: box((x, -0.005), (0.02, 0.01)), lambda x: skin((x, 0), 0.02)])
+def test_a_seam_that_is_slid_over_within_the_ramp_has_no_step(make: Callable[[float], dict[str, object]]) -> None:
+    """What is held after a stall comes in over the ramp, and goes on from there on the neighbour."""
+    rig = Rig({"a": make(-0.01), "b": make(0.01)}, materials=MATERIALS)
+    rig.render(down(-0.0003, 0.0005, -0.001, 1e-5))
+    path = across(-0.0003, 0.002, -0.001, 1e-5)
+    samples = rig.render(path, periods=[5000] + [1] * (len(path) - 1))
+    assert rig.kinds()[-2:] == [EventKind.RELEASE, EventKind.CONTACT]
+    assert samples["flags"][int(rig.events[-1]["tick"] - samples["tick"][0])] & Flag.RAMPING
+    expected = K * 0.001 * np.minimum(np.arange(len(path)) / (RAMP_S * 10_000), 1.0)
+    np.testing.assert_allclose(force(samples)[:, 1], expected, rtol=0, atol=0.01 * K * 0.001)
+
+
+def test_a_disc_behind_a_soft_surface_is_met_when_the_probe_comes_to_it() -> None:
+    """Deep in a wall, towards a disc within it from below its middle: what stands straight above is not met before."""
+    comb = {
+        "kind": "grooves",
+        "display": "vibration",
+        "spacing_m": 0.0002,
+        "width_m": 0.0001,
+        "velocity_gain_per_s": 1000,
+        "force_gain_m_per_s2_per_n": 60,
+        "frequency_hz": 200,
+        "decay_time_s": 0.003,
+    }
+    materials = {"soft": {"stiffness_n_per_m": 100}, "comb": {"stiffness_n_per_m": K, "texture": comb}}
+    rig = Rig({"soft": wall((0, 0), 0, "soft"), "lump": disc((0, -0.005), 0.003, "comb")}, materials=materials)
+    rig.render(down(-0.01, 0.0005, -0.006, 1e-5))
+    rig.render(across(-0.01, -0.004, -0.006, 1e-5))
+    path = across(-0.004, -0.0027, -0.006, 1e-6)
+    samples = rig.render(path)
+    (contact,) = rig.events
+    tick = int(contact["tick"]) - int(samples["tick"][0])
+    inside = np.hypot(path[:, 0], path[:, 1] + 0.005) < 0.003
+    assert tick == int(np.argmax(inside))
+    assert np.ptp(force(samples)[:tick], axis=0).max() <= 1e-12
+    assert not samples["vibration_force_n"][:tick].any()
+    assert np.hypot(*(force(samples)[tick] - force(samples)[tick - 1])) <= K * 2e-6
