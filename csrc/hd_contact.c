@@ -6,7 +6,8 @@
  *   touched --let go--> free           the probe left
  *   touched --dropped--> free          the object went away under the hand: its last force fades out over the ramp
  *
- * So no message, however timed, steps the force by more than the ramp allows. */
+ * So no message, however timed, steps the force by more than the ramp allows; but a surface that is moved far along
+ * itself takes the hand along, with mu F_n at most. */
 #include "hd_contact.h"
 
 #include "hd_skin.h"
