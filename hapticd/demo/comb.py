@@ -296,8 +296,9 @@ def table(found: Combing, material: Material, marks: Marks) -> Table:
     marks.expect(
         found.farthest_m <= ON_PLACE_M, f"comb: a strike was {1e6 * found.farthest_m:.3g} um away from its groove"
     )
-    rows.add_row("grooves struck, passed", f"{found.passed - found.missing}", f"{found.passed}", "")
-    rows.add_row("grooves told in events, passed at all", f"{found.told}", f"{found.passed_at_all}", "")
+    rows.add_row("grooves told in events, and passed", f"{found.told}", f"{found.passed_at_all}", "")
+    where = "" if found.passed == found.passed_at_all else ", away from missed periods"
+    rows.add_row(f"strikes found, grooves passed{where}", f"{found.passed - found.missing}", f"{found.passed}", "")
     rows.add_row("farthest strike from its groove, um", f"{1e6 * found.farthest_m:.4f}", "0", "")
     row("spacing, mm", 1e3 * found.spacing_m, 1e3 * grooves.spacing_m, 5, 1e-3)
     row("frequency, Hz", found.frequency_hz, mode.frequency_hz, 1, 0.01)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 PLOT: Final = "demo.png"
-THERE_AND_BACK: Final = (3, 4)
-"""The strokes over the comb that are drawn, neighbours in `comb.STROKES`."""
+THERE_AND_BACK: Final = (4, 3)
+"""The strokes over the comb that are drawn, neighbours in `comb.STROKES`: even ones go to the right."""
 
 
 def save(
@@ -86,7 +86,7 @@ def _slopes(panel: Axes, fits: Mapping[str, Fitted], library: Materials) -> None
         (line,) = panel.plot(speeds[whole], np.abs(found.amplitudes[whole]), "o", ms=3, label=name)
         ends = np.array([0, 1.02 * speeds.max()])
         panel.plot(ends, tap.attack_slope_per_s * ends, lw=0.8, color=line.get_color())
-    _dress(panel, "taps: amplitude over the handle's true speed; lines: library", "m/s", "m/s²")
+    _dress(panel, "taps over the handle's true speed; lines: library", "m/s", "m/s²")
 
 
 def _puncture(panel: Axes, torn: Recorded, material: Material) -> None:
@@ -103,14 +103,17 @@ def _strokes(panel: Axes, combed: Recorded, material: Material) -> None:
     assert isinstance(material.texture, Grooves)
     spacing = 1e3 * material.texture.spacing_m
     x, force = 1e3 * combed.samples["position_m"][:, 0], combed.samples["vibration_force_n"][:, 0]
-    for number, way in zip(THERE_AND_BACK, ("→", "←"), strict=True):
+    for number in THERE_AND_BACK:
         begin, end = comb.stroke_times()[number]
         window = (combed.time_s > begin) & (combed.time_s < end)
+        way = "→" if x[window][-1] > x[window][0] else "←"
         panel.plot(x[window], force[window], lw=1, label=f"{way} {comb.STROKES[number][0]:g} m/s")
     for groove in range(-2, 4):
         panel.axvline(groove * spacing, color="grey", lw=0.6, label="grooves" if groove == 0 else None)
     panel.set_xlim(-2.5 * spacing, 3.5 * spacing)
     press = comb.STROKES[THERE_AND_BACK[0]][1]
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high + 0.6 * (high - low))  # room for the legend
     _dress(panel, f"comb, {spacing:g} mm, pressed with {press:g} N", "mm along the comb", "N", "upper right")
 
 
@@ -127,7 +130,7 @@ def _strikes(panel: Axes, combing: Combing, material: Material) -> None:
         law = grooves.velocity_gain_per_s * ends + grooves.force_gain_m_per_s2_per_n * combing.force_n[here].mean()
         panel.plot(ends, law, lw=0.8, color=dots.get_color())
     panel.set_ylim(0, None)
-    _dress(panel, "comb: strikes over the estimated speed; lines: library", "m/s", "m/s²")
+    _dress(panel, "comb over the estimated speed; lines: library", "m/s", "m/s²")
 
 
 def _spectrum(panel: Axes, sanding: Sanding, material: Material) -> None:
@@ -138,13 +141,14 @@ def _spectrum(panel: Axes, sanding: Sanding, material: Material) -> None:
     rate_hz = 2 * float(sanding.frequency_hz[-1])
     fine = np.linspace(0, 1000, 1001)
     asked = power_spectrum(stochastic_filter(law.peak_hz, law.mean_hz, rate_hz), fine, rate_hz)
-    shown = sanding.frequency_hz <= fine[-1]
+    # At 0 a one-sided spectrum is half of what it is beside it.
+    shown = (sanding.frequency_hz > 0) & (sanding.frequency_hz <= fine[-1])
     # In the same unit: the power that the spectrum holds up to there.
     step = float(sanding.frequency_hz[1])
     asked *= sanding.spectrum[shown].sum() * step / np.trapezoid(asked, fine)
     panel.plot(sanding.frequency_hz[shown], 1e3 * sanding.spectrum[shown], ".-", ms=4, lw=0.6, label="rendered")
     panel.plot(fine, 1e3 * asked, lw=1, label="library")
-    panel.axvline(law.peak_hz, color="grey", lw=0.6)
-    panel.axvline(law.mean_hz, color="grey", lw=0.6, ls="--")
+    panel.axvline(law.peak_hz, color="grey", lw=0.6, label="peak")
+    panel.axvline(law.mean_hz, color="grey", lw=0.6, ls="--", label="mean")
     title = f"{sandpaper.MATERIAL}: peak {sanding.peak_hz.value:.0f} Hz, mean {sanding.mean_hz.value:.0f} Hz"
     _dress(panel, title, "Hz", "power over the law's, 1/kHz")

@@ -33,6 +33,7 @@ SETTLED_S: Final = 0.06
 """After the hand set off the handle follows."""
 DEVIATIONS: Final = 4.0
 SEGMENT: Final = 1024
+LEAST_SEGMENTS: Final = 20
 PEAK_BELOW_HZ: Final = 1000.0
 """Where two poles are fitted: beyond it there is nothing that could move a peak."""
 
@@ -118,7 +119,9 @@ def measured(recorded: Recorded, material: Material, rate_hz: float) -> Sanding:
                 law_rms=float(np.sqrt(np.mean(rms[here] ** 2))),
             )
         )
-    if not any(stroke.rms for stroke in strokes) or min(map(len, pieces)) < 2 * SEGMENT:
+    # Where many periods were missed, a stroke may be too short for a segment.
+    pieces = [piece for piece in pieces if len(piece) >= SEGMENT]
+    if not all(stroke.rms for stroke in strokes) or sum(map(len, pieces)) < LEAST_SEGMENTS * SEGMENT:
         raise HapticdError("the sandpaper was hardly stroked: there is no spectrum to measure")
     frequency, spectrum = _welch(pieces, rate_hz)
     step = float(frequency[1])
