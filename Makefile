@@ -66,7 +66,7 @@ prerequisites:
 # ---- For everybody -----------------------------------------------------------------------------------------------
 
 .PHONY: demo
-demo: build ## daemon, simulated joystick and a second process over ZeroMQ, in under two minutes
+demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, with the first set-up 150 s
 	@$(BIN)/python -m hapticd.demo
 
 .PHONY: test

@@ -205,17 +205,18 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     """The mapping that goes over the wire; a file may hold it under `path`, as a configuration does, or bare.
 
     Raises HapticdError for a file that cannot be read or holds no mapping, InvalidError for one that is no
-    YAML.
+    YAML or holds something else beside it.
     """
     if isinstance(patch, Mapping):
         return patch
-    from hapticd.yaml_source import load_path
+    from hapticd.yaml_source import load_path, refuse_others
 
     document = load_path(patch)
     found: tuple[str, ...] = ()
     data: object = document.data
     for key in path:
         if isinstance(data, dict) and key in data:
+            refuse_others(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
             data = data[key]
             found += (key,)
     if not isinstance(data, dict):

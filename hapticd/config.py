@@ -58,7 +58,11 @@ class Sim(Model):
     force_timeout_s: float = Field(
         default=0.1, ge=0.001, le=10, description="Time after which a force that is not renewed becomes zero."
     )
-    start_m: Position = Field(default=(0.0, 0.0), description="Where the handle is at the start, [x, y].")
+    start_m: Position = Field(
+        default=(0.0, 0.0),
+        description="Where handle and hand are at the start, [x, y]; in `simulate`, waypoints that begin at 0 s say it "
+        "instead.",
+    )
     hand: Hand = Field(default=Hand(), description="The hand that holds it.")
 
     @model_validator(mode="after")

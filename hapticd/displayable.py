@@ -160,7 +160,7 @@ def _hz(frequency_hz: float) -> str:
 
 def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:
     travel_m = output.max_speed_m_per_s / output.rate_hz
-    if texture.spacing_m < travel_m * (1 - 1e-9):
+    if texture.display == "vibration" and texture.spacing_m < travel_m * (1 - 1e-9):
         held_m_per_s = texture.spacing_m * output.rate_hz
         problem = (
             f"{texture.spacing_m:g} is less than the probe may travel in a tick, {travel_m:g} at the device's "
@@ -202,7 +202,7 @@ def _losses(texture: Autoregressive, rate_hz: float) -> tuple[tuple[float, int],
 
 def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
     (loss, lossy), (error_db, wrong) = _losses(texture, output.rate_hz)
-    rate = f"at a rate of {_hz(output.rate_hz)}, most of the models"
+    rate = f"at a rate of {_hz(output.rate_hz)}" + (", more than any other model" if len(texture.models) > 1 else "")
     if loss > MAX_LOSS:
         place = path_text(("materials", name, "texture", "models", -lossy))
         yield Problem(place, f"loses {100 * loss:.3g} % of its power {rate}")

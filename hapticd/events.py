@@ -30,13 +30,15 @@ def event_map(event: Any, object_id: str | None) -> dict[str, object]:
     if kind in (EventKind.CONTACT, EventKind.PUNCTURE, EventKind.GROOVE):
         before_tick_s = float(event["before_tick_s"])
         true_speed = float(event["true_speed_m_per_s"])
+        amplitude = float(event["amplitude_m_per_s2"])
         message |= {
             "onset_time_ns": time_ns - round(before_tick_s * 1e9),
             "before_tick_s": before_tick_s,
             "speed_m_per_s": float(event["speed_m_per_s"]),
             "true_speed_m_per_s": None if math.isnan(true_speed) else true_speed,
-            "amplitude_m_per_s2": float(event["amplitude_m_per_s2"]),
-            "scale": float(event["scale"]),
+            "amplitude_m_per_s2": amplitude,
+            # The core counts what is left of a strike; of none, nothing was taken.
+            "scale": float(event["scale"]) if amplitude != 0.0 else 1.0,
         }
     match kind:
         case EventKind.CONTACT:

@@ -71,7 +71,7 @@ def grip_of(sim: Sim) -> Grip:
 def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
     """What a gesture needs to know of an object; None for what cannot be touched.
 
-    Of a box that is its upper face (as it lies when its angle is 0), of a disc its top.
+    Of a box that is its upper face (as it lies when its angle is 0), of a disc the tangent at its top, without end.
     """
     if not isinstance(item, SURFACES):
         return None
@@ -83,10 +83,17 @@ def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Ta
         normal = item.normal
     elif isinstance(item, Box):
         normal = (-math.sin(item.angle_rad), math.cos(item.angle_rad))
+    half, face = math.inf, "surface"
+    if isinstance(item, Membrane):
+        half, face = item.width_m / 2.0, "membrane"
+    elif isinstance(item, Box):
+        half, face = item.size_m[0] / 2.0, "face"
     height = item.size_m[1] / 2.0 if isinstance(item, Box) else item.radius_m if isinstance(item, Disc) else 0.0
     return Target(
         point_m=(point[0] + height * normal[0], point[1] + height * normal[1]),
         normal=normal,
         stiffness_n_per_m=material.stiffness_n_per_m,
         rupture_depth_m=None if rupture is None else rupture.rupture_depth_m,
+        half_m=half,
+        face=face,
     )

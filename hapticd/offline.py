@@ -58,14 +58,16 @@ class Run:
     """Modes and peaks of textures of the scene that this rate cannot carry."""
     warnings: tuple[Problem, ...]
     """What of the scene is displayed otherwise than it was meant, at this rate."""
+    rate_hz: float
+    """Ticks per second."""
 
 
 class _Scene:
-    """A configuration, compiled for a rate. Raises InvalidError for what no signal of this rate has."""
+    """A configuration, compiled for a rate, by default its own. Raises InvalidError for what no signal of it has."""
 
-    def __init__(self, config: ConfigSource, rate_hz: float) -> None:
+    def __init__(self, config: ConfigSource, rate_hz: float | None) -> None:
         self.config: Config = load_config(config)
-        self.rate_hz = _rate(rate_hz)
+        self.rate_hz = self.config.servo.rate_hz if rate_hz is None else _rate(rate_hz)
         scene, materials = self.config.scene, self.config.materials
         output = output_of(self.config, self.rate_hz)
         refused = rate_faults(scene.objects, materials, output)
@@ -173,17 +175,17 @@ def _positions(position_m: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
 def render(
     config: ConfigSource,
     position_m: npt.ArrayLike,
-    rate_hz: float = 10_000,
+    rate_hz: float | None = None,
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
 ) -> Samples:
     """Forces for a path of positions, open loop.
 
     `config` is what a YAML file holds, as a mapping or a path (materials, device, scene). `position_m` has shape
-    (n, 2), one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `velocity_m_per_s`,
-    shape (n, 2), is used where the caller knows it; otherwise it is estimated (exact positions: the backward
-    difference). Forces are on from the first sample; a probe that starts inside an object comes in over the scene's
-    ramp_s.
+    (n, 2), one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `rate_hz`, ticks per
+    second, is by default the configuration's. `velocity_m_per_s`, shape (n, 2), is used where the caller knows it;
+    otherwise it is estimated (exact positions: the backward difference). Forces are on from the first sample; a probe
+    that starts inside an object comes in over the scene's ramp_s.
 
     Returns (n,) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
     """
@@ -193,7 +195,7 @@ def render(
 def render_run(
     config: ConfigSource,
     position_m: npt.ArrayLike,
-    rate_hz: float = 10_000,
+    rate_hz: float | None = None,
     *,
     velocity_m_per_s: npt.ArrayLike | None = None,
     periods: npt.ArrayLike | None = None,
@@ -228,23 +230,24 @@ def render_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, None, scene.undisplayable, scene.warnings)
+    return Run(samples, events, scene.objects, None, scene.undisplayable, scene.warnings, scene.rate_hz)
 
 
 def simulate(
     config: ConfigSource,
     waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
     duration_s: float | None = None,
-    rate_hz: float = 10_000,
+    rate_hz: float | None = None,
     *,
     interpolation: Literal["linear", "minimum_jerk"] | None = None,
 ) -> Samples:
     """The closed loop of the tick and the simulated joystick of `config`, whose hand follows `waypoints`.
 
     `waypoints` are [t_s, x_m, y_m], shape (n, 3), or what an operator file holds (waypoints or a gesture), as a mapping
-    or a path. The handle starts at rest where the hand first wants to be. `duration_s` is by default the operator's.
+    or a path. The handle starts at rest where the hand first wants to be. `duration_s` is by default the operator's,
+    `rate_hz`, ticks per second, the configuration's.
 
-    Returns (round(duration_s * rate_hz),) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
+    Returns (round(duration_s * rate),) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
     """
     return simulate_run(config, waypoints, duration_s, rate_hz, interpolation=interpolation).samples
 
@@ -253,7 +256,7 @@ def simulate_run(
     config: ConfigSource,
     waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
     duration_s: float | None = None,
-    rate_hz: float = 10_000,
+    rate_hz: float | None = None,
     *,
     interpolation: Literal["linear", "minimum_jerk"] | None = None,
 ) -> Run:
@@ -288,7 +291,7 @@ def simulate_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, truth, scene.undisplayable, scene.warnings)
+    return Run(samples, events, scene.objects, truth, scene.undisplayable, scene.warnings, scene.rate_hz)
 
 
 def _operator(

@@ -8,7 +8,7 @@ An operator is exactly one of
     gesture: {kind: puncture, object, speed_m_per_s, at_m, height_m}
 
 `at_m`, `from_m` and `to_m` are tangential coordinates: 0 is the wall's point, the membrane's centre, the middle of the
-box's upper face, the disc's top; t = (n_y, -n_x).
+box's upper face, the disc's top; t = (n_y, -n_x). On a membrane and a box they lie on it, its ends included.
 A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. A gesture becomes straight lines by
 `gesture_waypoints`, a pure function of the object, the hand and where the hand is.
 """
@@ -66,6 +66,16 @@ class Target:
     normal: Point
     stiffness_n_per_m: float
     rupture_depth_m: float | None
+    half_m: float = math.inf
+    """How far the surface goes either way from its point."""
+    face: str = "surface"
+    """What is said to end there."""
+
+    def fault(self, at_m: float) -> str | None:
+        """What is wrong with a place along the surface."""
+        if abs(at_m) <= self.half_m:
+            return None
+        return f"{at_m:.15g} is beyond the {self.face}, which ends at {math.copysign(self.half_m, at_m):.15g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,6 +233,10 @@ def gesture_waypoints(
     if grip.stiffness_n_per_m <= 0:
         problem = "needs a hand that holds the handle: device.sim.hand.stiffness_n_per_m above 0"
         raise InvalidError([Problem("gesture", problem)])
+    places = ("from_m", "to_m") if isinstance(gesture, StrokeGesture) else ("at_m",)
+    faults = [Problem(f"gesture.{name}", text) for name in places if (text := target.fault(getattr(gesture, name)))]
+    if faults:
+        raise InvalidError(faults)
     path = _Path(target, wish_m)
     match gesture:
         case TapGesture():

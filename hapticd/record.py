@@ -5,15 +5,18 @@ recording is; the target is put in place at the end, whole, by a rename. A recor
 file and changes none.
 
 .npz  `samples` (structured, one a tick), `events` (structured, one column for each key that occurs), and as
-JSON text `status`, `scene` and `materials` at the start; read by numpy.load without pickle .csv  samples,
-one row a tick, vectors in two columns (`position_m_x`, `position_m_y`); events in a second file,
-`NAME.events.csv`
+      JSON text `status`, `scene` and `materials` at the start; read by numpy.load without pickle
+.csv  samples, one row a tick, vectors in two columns (`position_m_x`, `position_m_y`); events in a second file,
+      `NAME.events.csv`
+
+The section Files of docs/protocol.md says what each of them holds.
 """
 
 from __future__ import annotations
 
 import csv
 import json
+import math
 import os
 import shutil
 import threading
@@ -25,7 +28,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Self, TypeAlias, cast
+from typing import IO, Any, Final, Self, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +41,9 @@ from hapticd.samples import SampleBatch, SampleStream
 Samples: TypeAlias = npt.NDArray[np.void]
 
 _AXES = ("x", "y")
+
+NO_TIME: Final = -(2**63)
+"""What a time of an event that has none is; numpy's own NaT."""
 
 
 class Sink(ABC):
@@ -225,8 +231,14 @@ def _cell(value: object) -> object:
 def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArray[np.void]:
     """Events as one structured array with a column for each key that occurs.
 
-    Numbers become i8 or f8 (f8 with NaN where an event has none), truth values and everything without a
-    form of its own text (JSON); a missing text is "". `events` is called twice.
+    What a column is follows from what it holds, and not from whether every event has it; an event that has none holds
+
+    - truth values: i1, 0 or 1; -1
+    - whole numbers: i8; 0, or NO_TIME where the key ends in `_ns`
+    - numbers, and nothing but None: f8; NaN
+    - texts, and as JSON whatever else there is: text; ""
+
+    `events` is called twice.
     """
     kinds: dict[str, set[type]] = {}
     widths: dict[str, int] = {}
@@ -235,37 +247,35 @@ def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArra
         total += 1
         for name, value in event.items():
             kinds.setdefault(name, set()).add(type(value))
-            if not isinstance(value, int | float) or isinstance(value, bool):
+            if not isinstance(value, int | float):
                 widths[name] = max(widths.get(name, 1), len(_text(value)))
-        for name in kinds.keys() - event.keys():
-            kinds[name].add(type(None))
-    if total:
-        first_keys = next(iter(events())).keys()
-        for name in kinds.keys() - first_keys:
-            kinds[name].add(type(None))
-    fields = [(name, _column(found, widths.get(name, 1))) for name, found in kinds.items()]
-    array = np.zeros(total, np.dtype(fields))
+    columns = [(name, *_column(name, found - {type(None)}, widths.get(name, 1))) for name, found in kinds.items()]
+    array = np.zeros(total, np.dtype([(name, form) for name, form, _ in columns]))
     for index, event in enumerate(events()):
-        array[index] = tuple(_value(event.get(name), form) for name, form in fields)
+        array[index] = tuple(_value(event.get(name), form, absent) for name, form, absent in columns)
     return array
 
 
-def _column(kinds: set[type], width: int) -> str:
+def _column(name: str, kinds: set[type], width: int) -> tuple[str, object]:
+    """The form of a column that holds such values, and what stands for none."""
+    if kinds == {bool}:
+        return "i1", -1
     if kinds == {int}:
-        return "<i8"
-    if kinds <= {int, float, type(None)} and kinds != {type(None)}:
-        return "<f8"
-    return f"<U{width}"
+        return "<i8", NO_TIME if name.endswith("_ns") else 0
+    # The id of an object is a text, also where all of them are gone.
+    if kinds <= {int, float} and name != "object":
+        return "<f8", math.nan
+    return f"<U{width}", ""
 
 
 def _text(value: object) -> str:
     return "" if value is None else value if isinstance(value, str) else json.dumps(value)
 
 
-def _value(value: object, form: str) -> object:
-    if form.startswith("<U"):
-        return _text(value)
-    return float("nan") if value is None else value
+def _value(value: object, form: str, absent: object) -> object:
+    if value is None:
+        return absent
+    return _text(value) if form.startswith("<U") else value
 
 
 # ---- recording from a daemon -------------------------------------------------------------------------------

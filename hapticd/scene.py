@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, Strict, ValidationError, model_valid
 
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.model import MAX_FAULTS, Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
-from hapticd.yaml_source import Document, load_path
+from hapticd.yaml_source import Document, load_path, refuse_others
 
 MAX_OBJECTS: Final = 2**20
 """Address room; memory follows what is used."""
@@ -50,8 +50,10 @@ ForceVector: TypeAlias = Annotated[tuple[ForceComponent, ForceComponent], Strict
 class Patch(Model):
     """A stretch of a wall that is of another material."""
 
-    from_m: PatchEdge = Field(description="Where it begins, along the wall from its point.")
-    to_m: PatchEdge = Field(description="Where it ends, more than where it begins.")
+    from_m: PatchEdge = Field(
+        description="Where it begins, from the wall's point in the direction (n_y, -n_x): to the right on a floor."
+    )
+    to_m: PatchEdge = Field(description="Where it ends, in the same direction; more than where it begins.")
     material: Name = Field(description="Name of a material.")
 
     @model_validator(mode="after")
@@ -240,12 +242,7 @@ def load_scene(source: SceneSource) -> Scene:
     data = document.data
     root: Path = ()
     if isinstance(data, dict) and "scene" in data:
-        others = [key for key in data if key != "scene"]
-        if others:
-            raise InvalidError(
-                Problem(document.where((key,)), "does not belong to a scene, which is all that is taken here")
-                for key in others
-            )
+        refuse_others(document, (), (key for key in data if key != "scene"), "a scene, which is all")
         data, root = data["scene"], ("scene",)
     try:
         return Scene.model_validate(data)

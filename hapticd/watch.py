@@ -256,7 +256,9 @@ def event_line(event: Mapping[str, object]) -> str:
             words.append(
                 f"at {_number(event, 'speed_m_per_s'):.3f} m/s, {_number(event, 'amplitude_m_per_s2'):.1f} m/s²"
             )
-            if _number(event, "scale", 1.0) < 1:
+            if _number(event, "scale", 1.0) == 0:
+                words.append("not displayed")
+            elif _number(event, "scale", 1.0) < 1:
                 words.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")
         case "contact":
             words.append("inside it when it appeared")

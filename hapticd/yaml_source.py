@@ -8,7 +8,7 @@ core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_BYTES, a
 
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -33,6 +33,15 @@ _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LONGEST_NUMBER = 400
+# Commands that take what stands in a file beside what another one takes.
+_TAKERS = {
+    "servo": "hapticd run -c",
+    "device": "hapticd run -c",
+    "materials": "hapticd material set",
+    "scene": "hapticd scene set",
+    "display": "hapticd scene set",
+    "ramp_s": "hapticd scene set",
+}
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -89,6 +98,17 @@ def load_path(path: "str | os.PathLike[str]") -> Document:
     """
     name = os.fspath(path)
     return load_bytes(read_file(name, MAX_BYTES), name)
+
+
+def refuse_others(document: Document, path: Sequence[str], others: Iterable[str], what: str) -> None:
+    """Refuses keys of the mapping at `path`; `what` says what alone is taken there: "a scene, which is all"."""
+    problems = []
+    for key in others:
+        taker = f"; that is for {_TAKERS[key]}" if key in _TAKERS else ""
+        text = f"does not belong to {what} that is taken here{taker}"
+        problems.append(Problem(document.where((*path, key)), text))
+    if problems:
+        raise InvalidError(problems)
 
 
 def read_file(name: str, most: int) -> bytes:

@@ -65,7 +65,7 @@ class _LazyGroup(click.Group):
 )
 @click.pass_context
 def cli(ctx: click.Context, runtime_dir: str | None) -> None:
-    """A haptic daemon: walls, taps and membranes on a joystick, commanded over ZeroMQ."""
+    """A haptic daemon: taps, combs, sandpaper, friction, solids and membranes on a joystick, commanded over ZeroMQ."""
     ctx.obj = runtime_dir
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

@@ -67,7 +67,9 @@ def _realtime(granted: object) -> str:
 
 
 def _word(value: object) -> str:
-    if isinstance(value, bool) or value is None:
+    if value is None:
+        return "any"
+    if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):
         return "; ".join(map(str, value)) or "none"

@@ -21,23 +21,16 @@ from hapticd.errors import undisplayable_text
     callback=duration,
     help="How long: 5s, 500ms [default: as long as the operator].",
 )
-@click.option(
-    "--rate",
-    "rate_hz",
-    type=float,
-    default=10_000.0,
-    show_default=True,
-    metavar="HZ",
-    help="Ticks per second.",
-)
+@click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
 @json_option
 def simulate_command(
-    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float, as_json: bool
+    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
 ) -> None:
     """Run SCENE (YAML: a scene or a whole configuration) with the simulated joystick, without daemon and
     clock.
 
-    The same core as the daemon's; the result is the same on every run.
+    The same core as the daemon's; the result is the same on every run. The handle starts at the first
+    waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
     from hapticd.cli.simulation import simulate_to_file
 

@@ -25,9 +25,9 @@ class SimulationResult(TypedDict):
 
 
 def simulate_to_file(
-    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float
+    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float | None
 ) -> SimulationResult:
-    """Runs a scene or a configuration with the simulated joystick, into a file.
+    """Runs a scene or a configuration with the simulated joystick, into a file; without a rate at its own.
 
     Raises HapticdError or InvalidError for what cannot be read, run or written.
     """
@@ -42,7 +42,7 @@ def simulate_to_file(
     return {
         "file": output,
         "ticks": ticks,
-        "duration_s": ticks / rate_hz,
+        "duration_s": ticks / run.rate_hz,
         "events": len(run.events),
         "undisplayable": [asdict(mode) for mode in run.undisplayable],
         "warnings": [asdict(problem) for problem in run.warnings],

@@ -98,7 +98,25 @@ def test_scenes_from_files_and_models(daemon: Daemon, tmp_path: Path) -> None:
         update.write_text("- 1\n")
         with pytest.raises(HapticdError, match=r"update\.yaml:1: must be a mapping, the objects by their names"):
             client.update_scene(update)
+        other = r"does not belong to {}, which are all that is taken here; that is for hapticd {}$"
+        materials.write_text("materials:\n  felt: null\nscene: {}\n")
+        with pytest.raises(InvalidError, match=r"materials\.yaml:3: scene: " + other.format("materials", "scene set")):
+            client.update_materials(materials)
+        materials.write_text("device: {}\nmaterials:\n  felt: null\n")
+        with pytest.raises(InvalidError, match=r"materials\.yaml:1: device: " + other.format("materials", "run -c")):
+            client.update_materials(materials)
+        update.write_text("scene:\n  objects: {b: null}\nmaterials: {}\n")
+        with pytest.raises(
+            InvalidError, match=r"update\.yaml:3: materials: " + other.format("objects", "material set")
+        ):
+            client.update_scene(update)
+        update.write_text("scene:\n  objects: {b: null}\n  display: {force: false}\n")
+        with pytest.raises(
+            InvalidError, match=r"update\.yaml:3: scene.display: " + other.format("objects", "scene set")
+        ):
+            client.update_scene(update)
         assert client.get_scene() == before
+        assert "felt" in client.get_materials()["materials"]
 
 
 def test_remote_errors_say_what_and_where(daemon: Daemon) -> None:

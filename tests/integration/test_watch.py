@@ -223,6 +223,10 @@ def test_bars() -> None:
             {"event": "contact", "object": "a", "speed_m_per_s": 0.1, "amplitude_m_per_s2": 31.0, "scale": 0.5},
             "contact a at 0.100 m/s, 31.0 m/s² scaled to 0.50 by the force limit",
         ),
+        (
+            {"event": "contact", "object": "a", "speed_m_per_s": 0.1, "amplitude_m_per_s2": 31.0, "scale": 0.0},
+            "contact a at 0.100 m/s, 31.0 m/s² not displayed",
+        ),
         ({"event": "contact", "object": "a", "appeared": True}, "contact a inside it when it appeared"),
         ({"event": "puncture", "object": "skin", "depth_m": 0.004}, "puncture skin at 4.00 mm"),
         ({"event": "fault", "faults": ["lease", "device"]}, "fault lease, device"),

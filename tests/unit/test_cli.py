@@ -18,6 +18,8 @@ from hypothesis import strategies as st
 from hapticd import __version__
 from hapticd.cli import main
 from hapticd.cli.common import duration, print_yaml
+from hapticd.cli.daemon import _realtime
+from hapticd.engine import Granted
 from hapticd.yaml_source import load_text
 
 ROOT = Path(__file__).parents[2]
@@ -184,6 +186,26 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     )
     with open("c.csv", newline="") as file:
         assert sum(1 for _ in csv.reader(file)) == 101
+
+
+def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("config.yaml").write_text("servo: {rate_hz: 2000}\nscene: {}\n")
+    Path("operator.yaml").write_text(WAYPOINTS)
+    for options, ticks in (([], 200), (["--rate", "5000"], 500)):
+        command = ["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "a.npz", "--json", *options]
+        assert main(command) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert (result["ticks"], result["duration_s"]) == (ticks, 0.1)
+    assert main(["simulate", "--help"]) == 0
+    assert "[default: the configuration's]" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(("cpu", "told"), [(None, "cpu any"), (3, "cpu 3"), (0, "cpu 0")])
+def test_the_processor_of_the_status(cpu: int | None, told: str) -> None:
+    granted = Granted("fifo", 80, cpu, "all", False, ()).to_dict()
+    assert _realtime(granted) == (
+        f"scheduler fifo, priority 80, {told}, memory locked all, idle states held no, missing none"
+    )
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hapticd.core import EventKind, Flag, lib
+from hapticd.events import event_map
 from hapticd.materials import shipped_materials
 from tests.rig import FLOOR, SKIN, Rig, line, still
 
@@ -303,3 +304,21 @@ def test_thousands_of_taps_in_one_tick_stay_within_the_limit_and_end() -> None:
     assert len(rig.of(EventKind.CONTACT)) == 60
     rig.render(still(0, 0.01, 400))
     assert not np.any(rig.render(still(0, 0.01, 5))["force_n"])
+
+
+def test_the_limit_takes_nothing_from_a_strike_that_is_none() -> None:
+    """Met without an onset, and a material without a tap: amplitude 0, scale 1."""
+    silent = {"stiffness_n_per_m": 800}
+    for rig, path in (
+        (Rig({"w": FLOOR}), still(0, -0.002, 5)),
+        (Rig({"w": {**FLOOR, "material": "silent"}}, materials={"silent": silent}), line(0.001, 0.1, 200)),
+    ):
+        rig.render(path)
+        (contact,) = rig.of(EventKind.CONTACT)
+        told = event_map(contact, "w")
+        assert (told["amplitude_m_per_s2"], told["scale"]) == (0.0, 1.0)
+    rig = Rig({"w": FLOOR})
+    rig.render(line(0.001, 0.1, 200))
+    (contact,) = rig.of(EventKind.CONTACT)
+    contact["scale"] = 0.0  # the limit left nothing of a strike
+    assert event_map(contact, "w")["scale"] == 0.0

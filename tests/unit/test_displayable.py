@@ -158,6 +158,8 @@ def test_narrow_grooves(keys: Keys) -> None:
         "from 0.001 on it is"
     }
     assert told({**grooves, "width_m": 0.0008}, output(1250)) == {}
+    # A spacing that is less than a tick's travel means something for strikes only.
+    assert told({**grooves, "spacing_m": 0.004}, output()) == {}
 
 
 def test_strikes_do_not_mind_narrow_grooves() -> None:
@@ -205,6 +207,11 @@ def test_power_that_is_lost_is_told_of_the_worst_model() -> None:
     assert where == "models[1]"
     assert problem.startswith("loses ")
     assert float(problem.split()[1]) == pytest.approx(100 * lost, rel=0.01)
+    assert problem.endswith(" % of its power at a rate of 2000 Hz, more than any other model")
+    models = texture["models"]
+    assert isinstance(models, list)
+    alone = told({**texture, "models": models[1:2]}, output(shown_hz))
+    assert alone == {"models[0]": problem.removesuffix(", more than any other model")}
     assert told(texture, output(5000)) == told(texture, output(10_000)) == {}
 
 
@@ -239,6 +246,9 @@ def test_a_spectrum_that_is_not_met_is_told_with_its_error() -> None:
     off = np.abs(density[1] - density[0])[density[0] >= density[0].max() - 30].max()
     assert off > 3
     assert float(problem.split(" dB")[0].split()[-1]) == pytest.approx(off, rel=0.05)
+    assert problem.endswith(" dB at a rate of 10000 Hz, more than any other model")
+    alone = told({**texture, "models": [model]}, output(10_000))
+    assert alone == {"models[0]": problem.removesuffix(", more than any other model")}
     assert told(texture, output(1000)) == {}
 
 

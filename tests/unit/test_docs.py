@@ -9,6 +9,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 import msgpack
@@ -19,6 +20,7 @@ from pydantic import BaseModel
 from hapticd import wire
 from hapticd.calls import State
 from hapticd.cli import cli
+from hapticd.cli.simulation import simulate_to_file
 from hapticd.config import default_config
 from hapticd.control import _METHODS, Control
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
@@ -26,6 +28,7 @@ from hapticd.engine import Engine, Granted
 from hapticd.events import event_map, fault_names
 from hapticd.materials import ModeKeys
 from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
+from hapticd.record import NO_TIME, open_sink
 from tests.daemon_process import Daemon, running_daemon
 
 ROOT = Path(__file__).parents[2]
@@ -138,6 +141,18 @@ def test_samples() -> None:
     assert np.lib.format.descr_to_dtype(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) == SAMPLE_DTYPE
 
 
+def test_the_records_are_packed_and_the_lines_of_numpy_read_them() -> None:
+    dtypes = [SAMPLE_DTYPE[name] for name in SAMPLE_DTYPE.names or ()]
+    assert SAMPLE_DTYPE.itemsize == sum(dtype.itemsize for dtype in dtypes)
+    samples = np.frombuffer(np.random.default_rng(1).bytes(3 * SAMPLE_DTYPE.itemsize), SAMPLE_DTYPE)
+    described = msgpack.packb({"dtype": np.lib.format.dtype_to_descr(SAMPLE_DTYPE), "data": samples.tobytes()})
+    (code,) = blocks(section(PROTOCOL, "### samples"), "python")
+    found: dict[str, Any] = {"np": np, "message": msgpack.unpackb(described)}
+    exec(code, found)
+    assert found["dtype"] == SAMPLE_DTYPE
+    assert found["samples"].tobytes() == samples.tobytes()
+
+
 def test_flags() -> None:
     rows = tables(section(PROTOCOL, "### samples"))["flag"]
     assert [(*names(row[0]), int(row[1])) for row in rows] == [(flag.name, flag.value) for flag in Flag]
@@ -181,6 +196,53 @@ def test_commands() -> None:
     assert [re.sub("^force o(n|ff)$", "force", name) for name in documented if name != "force off"] == list(
         commands(cli)
     )
+
+
+def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The keys, shapes and columns of the table are those of a file, and the lines that open one do."""
+    described = section(PROTOCOL, "## Files")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.yaml").write_text(
+        "objects:\n  w: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
+    )
+    (tmp_path / "hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, -0.002]]\n")
+    simulate_to_file("scene.yaml", "hand.yaml", "tap.npz", None, None)
+    event = records(EVENT_DTYPE, 1)[0]
+    with open_sink("events.npz") as sink:
+        for kind in EventKind:
+            event["kind"] = kind
+            sink.write_event(event_map(event, "x"))
+        sink.finish()
+    rows = tables(described)["key"]
+    with np.load("tap.npz") as file:
+        count = len(file["samples"])
+        for row in rows:
+            if row[1] in ("both", "`simulate`"):
+                (shape,) = names(row[2])
+                shapes = {"(n,)": (count,), "(m,)": (len(file["events"]),), "(n, 4)": (count, 4)}
+                assert file[names(row[0])[0]].shape == shapes[shape]
+        assert set(file) == {names(row[0])[0] for row in rows if row[1] != "`record`"}
+    with np.load("events.npz") as file:
+        events = file["events"]
+    forms = {"text": "U", "i8": "i8", "i1": "i1", "f8": "f8"}
+    nothing = {'`""`': "", "-2^63, as numpy's NaT": NO_TIME, "0": 0, "-1": -1, "nan": np.nan}
+    documented = {name: row for row in tables(described)["column"] for name in names(row[0])}
+    assert documented.keys() == set(events.dtype.names or ())
+    for name, row in documented.items():
+        assert events.dtype[name].str[1:].startswith(forms[re.split("[;:]", row[1])[0]]), name
+        for value, kind in zip(events[name], EventKind, strict=True):
+            if name not in members(kind):
+                np.testing.assert_equal(value, nothing[row[2]])
+    (code,) = blocks(described, "python")
+    found: dict[str, np.ndarray] = {}
+    exec(code, found)
+    assert found["contacts"]["object"].tolist() == ["w"]
+
+
+def members(kind: EventKind) -> set[str]:
+    event = records(EVENT_DTYPE, 1)[0]
+    event["kind"] = kind
+    return set(event_map(event, "x"))
 
 
 def test_the_bytes_of_the_example() -> None:
@@ -269,7 +331,9 @@ def test_the_shell_of_the_readme_runs(daemon: Daemon) -> None:
             timeout=60,
         )
         assert run.returncode == 0, run.stderr
-        assert (Path(directory) / "tap.npz").stat().st_size > 0
+        with np.load(Path(directory) / "tap.npz") as recording:
+            touched = recording["events"]["event"].tolist().count("contact")
+    assert touched == 3  # all the taps of the example
     assert "daemon" in run.stdout
 
 

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from hapticd.cli import main
@@ -17,7 +18,7 @@ from hapticd.engine import Engine
 from hapticd.errors import InvalidError, Problem
 from hapticd.joystick import target_of
 from hapticd.materials import Material
-from hapticd.offline import render_run, simulate_run
+from hapticd.offline import render, render_run, simulate, simulate_run
 from hapticd.scene import validate_object
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -94,7 +95,7 @@ def test_patches_keep_their_materials_too() -> None:
 def test_warnings_are_part_of_the_status_and_follow_the_scene() -> None:
     daemon = control(a={**FLOOR, "material": "fine"}, b={**FLOOR, "material": "fine"}, c=FLOOR)
     places = [warning["where"] for warning in limits(daemon, "warnings")]
-    assert places == ["materials.fine.texture.spacing_m", "materials.fine.texture.width_m"]
+    assert places == ["materials.fine.texture.width_m"]
     daemon.call("update_scene", {"objects": {"a": None, "b": None}})
     assert limits(daemon, "warnings") == []
     steel = {"objects": {"a": {**FLOOR, "material": "steel"}}}
@@ -205,8 +206,42 @@ def test_gestures_go_to_the_upper_side_of_a_solid() -> None:
     upper = complex(0.01, 0.02) + complex(0, 0.005) * complex(math.cos(angle), math.sin(angle))
     assert complex(*target.point_m) == pytest.approx(upper, abs=1e-15)
     assert complex(*target.normal) == pytest.approx(1j * complex(math.cos(angle), math.sin(angle)), abs=1e-15)
+    assert (target.half_m, target.face) == (0.015, "face")
     disc = {"kind": "disc", "center_m": [0.01, 0.02], "radius_m": 0.005, "material": "cellophane"}
     target = target_of(validate_object("disc", disc), materials)
     assert target is not None
     assert (target.point_m, target.normal, target.rupture_depth_m) == ((0.01, 0.025), (0.0, 1.0), None)
+    assert target.half_m == math.inf
+    skin = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.03, "material": "cellophane"}
+    target = target_of(validate_object("skin", skin), materials)
+    assert target is not None
+    assert (target.half_m, target.face) == (0.015, "membrane")
+    target = target_of(validate_object("floor", {**FLOOR, "material": "wood"}), materials)
+    assert target is not None
+    assert target.half_m == math.inf
     assert target_of(validate_object("p", {"kind": "constant", "force_n": [0, 1]}), materials) is None
+
+
+def test_a_gesture_beyond_a_face_is_refused_by_daemon_and_run() -> None:
+    box = {"kind": "box", "center_m": [0, 0], "size_m": [0.01, 0.01], "material": "wood"}
+    tap: dict[str, dict[str, Any]] = {"gesture": {"kind": "tap", "object": "box", "speed_m_per_s": 0.1, "at_m": 0.02}}
+    daemon = control(box=box)
+    said = "0.02 is beyond the face, which ends at 0.005"
+    with pytest.raises(InvalidError, match=rf"^gesture\.at_m: {said}$"):
+        simulate_run({"scene": {"objects": {"box": box}}}, tap)
+    assert refused(lambda: daemon.call("set_operator", tap)) == [{"where": "gesture.at_m", "problem": said}]
+    tap["gesture"]["at_m"] = 0.005
+    assert len(simulate_run({"scene": {"objects": {"box": box}}}, tap).samples)
+
+
+def test_a_run_is_at_the_rate_of_its_configuration() -> None:
+    slow = {"servo": {"rate_hz": 2000}, "scene": {"objects": {"floor": {**FLOOR, "material": "wood"}}}}
+    plain = {"scene": slow["scene"]}
+    points = [[0, 0.001 - 0.0001 * i] for i in range(30)]
+    for given, rate_hz, meant in ((slow, None, 2000), (slow, 5000, 5000), (plain, None, 10_000), (plain, 2000, 2000)):
+        for run in (render_run(given, points, rate_hz), simulate_run(given, LINE, 0.02, rate_hz)):
+            assert run.rate_hz == meant
+            assert np.all(np.diff(run.samples["time_ns"]) == 1e9 / meant)
+        assert len(run.samples) == 0.02 * meant
+    assert np.array_equal(render(slow, points), render(plain, points, 2000))
+    assert np.array_equal(simulate(slow, LINE, 0.02), simulate(plain, LINE, 0.02, 2000))

@@ -292,6 +292,29 @@ def test_a_gesture_that_does_not_fit_its_object() -> None:
         operator.waypoints_for({"it": FLOOR}.get, Grip(stiffness_n_per_m=0.0), (0, 0))
 
 
+@pytest.mark.parametrize("kind", ALL)
+def test_a_gesture_beyond_the_end_of_a_surface(kind: str) -> None:
+    fields = ALL[kind]
+    places = {name: float(str(value)) for name, value in fields.items() if name in ("at_m", "from_m", "to_m")}
+    skin = replace(SLOPE, rupture_depth_m=0.003, face="face")
+    farthest = max(map(abs, places.values()))
+    assert gesture(replace(skin, half_m=farthest), **fields).tolist() == gesture(skin, **fields).tolist()
+    for half in (0.005, math.nextafter(farthest, 0), 0.001):
+        expected = [
+            (f"gesture.{name}", f"{at:.15g} is beyond the face, which ends at {math.copysign(half, at):.15g}")
+            for name, at in places.items()
+            if abs(at) > half
+        ]
+        if expected:
+            with pytest.raises(InvalidError) as error:
+                gesture(replace(skin, half_m=half), **fields)
+            assert faults(error) == expected
+    with pytest.raises(InvalidError, match=r"^gesture.at_m: 0.02 is beyond the face, which ends at 0.005$"):
+        gesture(replace(skin, half_m=0.005), kind="tap", speed_m_per_s=0.2, at_m=0.02)
+    with pytest.raises(InvalidError, match=r"^gesture.at_m: -0.02 is beyond the face, which ends at -0.005$"):
+        gesture(replace(skin, half_m=0.005), kind="tap", speed_m_per_s=0.2, at_m=-0.02)
+
+
 @pytest.mark.parametrize("damping", [1.0, 3.0, 5.0, 2 * math.sqrt(300 * 0.05), 9.0, 20.0])
 def test_settling(damping: float) -> None:
     """Against a step-by-step integration of M e'' + b e' + k e = 0 with e(0) = 1, e'(0) = -b/M."""

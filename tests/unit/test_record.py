@@ -12,13 +12,29 @@ import pytest
 
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError
-from hapticd.record import event_array, open_sink
+from hapticd.record import NO_TIME, event_array, open_sink
 
 EVENTS: list[dict[str, object]] = [
-    {"event": "contact", "tick": 3, "object": "floor", "speed_m_per_s": 0.25, "appeared": False},
+    {
+        "event": "contact",
+        "tick": 3,
+        "object": "floor",
+        "onset_time_ns": 299_950,
+        "speed_m_per_s": 0.25,
+        "true_speed_m_per_s": None,
+        "appeared": False,
+    },
     {"event": "overrun", "tick": 5, "missed": 2},
     {"event": "fault", "tick": 6, "faults": ["lease", "device"]},
-    {"event": "contact", "tick": 9, "object": None, "speed_m_per_s": None, "appeared": True},
+    {
+        "event": "contact",
+        "tick": 9,
+        "object": None,
+        "onset_time_ns": 2**62 + 1,
+        "speed_m_per_s": None,
+        "true_speed_m_per_s": None,
+        "appeared": True,
+    },
 ]
 
 
@@ -69,6 +85,8 @@ def test_csv_gives_back_what_was_written(tmp_path: Path) -> None:
         events = list(csv.DictReader(file))
     assert [event["event"] for event in events] == ["contact", "overrun", "fault", "contact"]
     assert json.loads(events[2]["faults"]) == ["lease", "device"]
+    assert [event["appeared"] for event in events] == ["false", "", "", "true"]
+    assert [event["missed"] for event in events] == ["", "2", "", ""]
     assert sorted(os.listdir(tmp_path)) == ["run.csv", "run.events.csv"]
 
 
@@ -141,8 +159,22 @@ def test_columns_of_events() -> None:
     array = event_array(lambda: EVENTS)
     assert array["tick"].dtype == "<i8" and array["tick"].tolist() == [3, 5, 6, 9]
     assert array["object"].tolist() == ["floor", "", "", ""]
-    assert array["appeared"].tolist() == ["false", "", "", "true"]
+    assert array["appeared"].dtype == "i1" and array["appeared"].tolist() == [0, -1, -1, 1]
     assert array["faults"].tolist() == ["", "", '["lease", "device"]', ""]
-    assert array["missed"].dtype == "<f8" and array["missed"][1] == 2 and np.isnan(array["missed"][0])
+    assert array["missed"].dtype == "<i8" and array["missed"].tolist() == [0, 2, 0, 0]
+    assert array["onset_time_ns"].dtype == "<i8"
+    assert array["onset_time_ns"].tolist() == [299_950, NO_TIME, NO_TIME, 2**62 + 1], "every nanosecond is kept"
+    assert np.isnat(array["onset_time_ns"].view("M8[ns]")).tolist() == [False, True, True, False]
     assert array["speed_m_per_s"][0] == 0.25 and np.isnan(array["speed_m_per_s"][1:]).all()
+    assert array["true_speed_m_per_s"].dtype == "<f8" and np.isnan(array["true_speed_m_per_s"]).all()
     assert event_array(lambda: []).shape == (0,)
+
+
+def test_columns_do_not_depend_on_what_else_there_is() -> None:
+    array = event_array(lambda: EVENTS)
+    for index, event in enumerate(EVENTS):
+        alone = event_array(lambda event=event: [event])  # type: ignore[misc]
+        for name in alone.dtype.names or ():
+            assert alone.dtype[name].kind == array.dtype[name].kind, name
+            assert alone.dtype[name].kind == "U" or alone.dtype[name] == array.dtype[name], name
+            np.testing.assert_equal(alone[name][0], array[name][index])
