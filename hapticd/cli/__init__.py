@@ -30,6 +30,7 @@ _HOMES: Final = {
     "record": "telemetry",
     "simulate": "offline",
     "schema": "offline",
+    "devices": "devices",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 

@@ -38,6 +38,7 @@ COMMANDS = [
     "record",
     "simulate",
     "schema",
+    "devices",
 ]
 
 

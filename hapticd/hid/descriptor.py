@@ -1,0 +1,519 @@
+"""HID report descriptors, read item by item as the HID specification 1.11 (chapters 5 and 6.2.2) has it.
+
+Nothing is guessed: what cannot be read is refused, with the byte at which the item stands. Where the specification
+leaves room, this is how Linux reads (drivers/hid/hid-core.c), since Linux has read the descriptor before we do:
+
+- Minima are signed numbers. A maximum is signed if its minimum is negative, and unsigned if not: `15 00 25 FF` is
+  0 to 255. This is decided where the field is declared, so the order of the two items does not matter.
+- A usage of one or two bytes takes the usage page that holds where it stands. If another page follows the last usage,
+  then that page holds for it, and for those before it back to the first that has that page already.
+- Usages are dealt to the elements of a field in the order in which they stand, single ones and ranges alike. If there
+  are fewer, the last one repeats; if there are more, the rest is dropped.
+- Of the usages between delimiters the first is the preferred one; the others are kept as its aliases.
+- A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is none, and the logical one counts.
+
+Long items are skipped; the specification defines none. Zero bytes after the last collection are padding.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+from hapticd.errors import HapticdError
+
+MAX_DESCRIPTOR_BYTES: Final = 4096
+"""Linux takes no longer one."""
+MAX_REPORT_BYTES: Final = 16384
+"""Linux takes no longer one."""
+MAX_DEPTH: Final = 64
+"""Of collections, and of Push."""
+
+_LONG_ITEM: Final = 0xFE
+
+
+class DescriptorError(HapticdError):
+    """A report descriptor that cannot be read; says where (the byte at which the item begins) and why."""
+
+
+class ReportKind(enum.StrEnum):
+    """What a report is for: to the computer, from it, or asked for and set."""
+
+    INPUT = "input"
+    OUTPUT = "output"
+    FEATURE = "feature"
+
+
+class CollectionType(enum.IntEnum):
+    """The types of collections that the specification names; others are plain numbers."""
+
+    PHYSICAL = 0
+    APPLICATION = 1
+    LOGICAL = 2
+    REPORT = 3
+    NAMED_ARRAY = 4
+    USAGE_SWITCH = 5
+    USAGE_MODIFIER = 6
+
+
+class FieldFlag(enum.IntFlag):
+    """The bits of an Input, Output or Feature item."""
+
+    CONSTANT = 0x01
+    VARIABLE = 0x02
+    RELATIVE = 0x04
+    WRAP = 0x08
+    NONLINEAR = 0x10
+    NO_PREFERRED = 0x20
+    NULL_STATE = 0x40
+    VOLATILE = 0x80
+    BUFFERED_BYTES = 0x100
+
+
+@dataclass(frozen=True, slots=True)
+class Collection:
+    """A collection. `number` counts them in the order in which they open, so two of the same usage differ."""
+
+    number: int
+    usage: int
+    """Usage page << 16 | usage; 0 without one."""
+    type: int
+    aliases: tuple[int, ...] = ()
+
+    def is_a(self, usage: int) -> bool:
+        return self.usage == usage or usage in self.aliases
+
+
+@dataclass(frozen=True, slots=True)
+class UsageRange:
+    """Consecutive usages (page << 16 | usage), both ends included. A single one may have aliases."""
+
+    first: int
+    last: int
+    aliases: tuple[int, ...] = ()
+
+    def __len__(self) -> int:
+        return self.last - self.first + 1
+
+
+@dataclass(frozen=True, slots=True)
+class ReportField:
+    """What one Input, Output or Feature item declares: `count` elements of `bit_size` bits.
+
+    Bits are counted from the lowest bit of the first byte after the report id. In a variable field each element is a
+    number of its own usage; in an array field each element holds `logical_min` + the index of the usage that is on.
+    """
+
+    kind: ReportKind
+    report_id: int
+    """0 where reports are not numbered."""
+    bit_offset: int
+    bit_size: int
+    count: int
+    usages: tuple[UsageRange, ...]
+    """In the order of elements (variable) or of indices (array); empty for padding."""
+    logical_min: int
+    logical_max: int
+    physical_min: int
+    physical_max: int
+    unit: int
+    unit_exponent: int
+    flags: FieldFlag
+    path: tuple[Collection, ...]
+    """The collections around it, the outermost first."""
+    item_offset: int
+    """The byte of the descriptor at which the item begins."""
+
+    @property
+    def is_constant(self) -> bool:
+        return FieldFlag.CONSTANT in self.flags
+
+    @property
+    def is_variable(self) -> bool:
+        return FieldFlag.VARIABLE in self.flags
+
+    @property
+    def is_relative(self) -> bool:
+        return FieldFlag.RELATIVE in self.flags
+
+    def usage_at(self, index: int) -> int | None:
+        """The usage of an element (variable) or of an index (array); the last one repeats in a variable field."""
+        for usages in self.usages:
+            if index < len(usages):
+                return usages.first + index
+            index -= len(usages)
+        return self.usages[-1].last if self.usages and self.is_variable else None
+
+    def index_of(self, usage: int) -> int | None:
+        """The first element (variable) or index (array) that has this usage, also as an alias."""
+        base = 0
+        for usages in self.usages:
+            if usages.first <= usage <= usages.last:
+                index = base + usage - usages.first
+            elif usage in usages.aliases:
+                index = base
+            else:
+                base += len(usages)
+                continue
+            return index if not self.is_variable or index < self.count else None
+        return None
+
+    def within(self, usage: int) -> Collection | None:
+        """The innermost collection around it that has this usage."""
+        return next((collection for collection in reversed(self.path) if collection.is_a(usage)), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Descriptor:
+    """A report descriptor, read."""
+
+    fields: tuple[ReportField, ...]
+    """In the order of their items; fields without a bit are left out."""
+    collections: tuple[Collection, ...]
+    report_bits: dict[tuple[ReportKind, int], int]
+    """How long each report is by kind and id, without the id."""
+
+    def numbered(self, kind: ReportKind) -> bool:
+        """Whether reports of this kind begin with their id."""
+        return any(of == kind and report_id for of, report_id in self.report_bits)
+
+    def report_bytes(self, kind: ReportKind, report_id: int) -> int:
+        """The length of a report as it is read and written: with its id where it has one."""
+        return (self.report_bits[kind, report_id] + 7) // 8 + (report_id != 0)
+
+
+@dataclass(slots=True)
+class _Number:
+    """The data of an item whose sign is not known yet."""
+
+    raw: int = 0
+    size: int = 0
+
+    @property
+    def signed(self) -> int:
+        bits = 8 * self.size
+        return self.raw - (1 << bits) if bits and self.raw >> (bits - 1) else self.raw
+
+
+@dataclass(slots=True)
+class _Globals:
+    usage_page: int = 0
+    logical_min: _Number = dataclasses.field(default_factory=_Number)
+    logical_max: _Number = dataclasses.field(default_factory=_Number)
+    physical_min: _Number = dataclasses.field(default_factory=_Number)
+    physical_max: _Number = dataclasses.field(default_factory=_Number)
+    unit_exponent: int = 0
+    unit: int = 0
+    report_size: int = 0
+    report_id: int = 0
+    report_count: int = 0
+
+
+@dataclass(slots=True)
+class _Usage:
+    """A usage or a range of them, and the page that holds for it; `page` is None where the item has its own."""
+
+    first: int
+    last: int
+    page: int | None
+    aliases: list[_Usage] = dataclasses.field(default_factory=list)
+
+    def complete(self) -> UsageRange:
+        page = 0 if self.page is None else self.page << 16
+        aliases = tuple(alias.complete().first for alias in self.aliases)
+        return UsageRange(page | self.first, page | self.last, aliases)
+
+
+@dataclass(slots=True)
+class _Locals:
+    usages: list[_Usage] = dataclasses.field(default_factory=list)
+    minimum: _Usage | None = None
+    maximum: _Usage | None = None
+    delimited: _Usage | None = None
+    """The preferred usage of the open set."""
+    open_since: int | None = None
+    """The byte at which the open set of alternatives began."""
+    fault: tuple[int, str, str] | None = None
+    """A range that is wrong: of no matter to what has no use for it."""
+
+
+_MAIN: Final = {0x8: "Input", 0x9: "Output", 0xA: "Collection", 0xB: "Feature", 0xC: "End Collection"}
+_GLOBAL: Final = {
+    0x0: "Usage Page",
+    0x1: "Logical Minimum",
+    0x2: "Logical Maximum",
+    0x3: "Physical Minimum",
+    0x4: "Physical Maximum",
+    0x5: "Unit Exponent",
+    0x6: "Unit",
+    0x7: "Report Size",
+    0x8: "Report ID",
+    0x9: "Report Count",
+    0xA: "Push",
+    0xB: "Pop",
+}
+_LOCAL: Final = {
+    0x0: "Usage",
+    0x1: "Usage Minimum",
+    0x2: "Usage Maximum",
+    0x3: "Designator Index",
+    0x4: "Designator Minimum",
+    0x5: "Designator Maximum",
+    0x7: "String Index",
+    0x8: "String Minimum",
+    0x9: "String Maximum",
+    0xA: "Delimiter",
+}
+_NAMES: Final[tuple[dict[int, str], ...]] = (_MAIN, _GLOBAL, _LOCAL, {})
+_KINDS: Final = {"Input": ReportKind.INPUT, "Output": ReportKind.OUTPUT, "Feature": ReportKind.FEATURE}
+
+
+def parse(data: bytes) -> Descriptor:
+    """Reads a report descriptor; raises DescriptorError."""
+    if not data:
+        raise DescriptorError("the report descriptor is empty")
+    if len(data) > MAX_DESCRIPTOR_BYTES:
+        raise DescriptorError(
+            f"the report descriptor has {len(data)} bytes; the longest that Linux takes has {MAX_DESCRIPTOR_BYTES}"
+        )
+    parser = _Parser()
+    for offset, name, number in _items(data, parser):
+        parser.take(offset, name, number)
+    return parser.finish(len(data))
+
+
+def _error(offset: int, name: str, what: str) -> DescriptorError:
+    return DescriptorError(f"report descriptor, byte {offset} ({name}): {what}")
+
+
+def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _Number]]:
+    at = 0
+    while at < len(data):
+        prefix = data[at]
+        if prefix == 0 and parser.closed and not any(data[at:]):
+            return
+        name = "long item" if prefix == _LONG_ITEM else _NAMES[prefix >> 2 & 3].get(prefix >> 4, "")
+        if not name:
+            raise _error(at, f"{prefix:02X}", "the HID specification knows no such item")
+        size = (0, 1, 2, 4)[prefix & 3]
+        if prefix == _LONG_ITEM:
+            size = 2 + data[at + 1] if at + 1 < len(data) else 2
+        body = data[at + 1 : at + 1 + size]
+        if len(body) < size:
+            raise _error(at, name, f"the descriptor ends after {len(body)} of its {size} bytes")
+        if prefix != _LONG_ITEM:
+            yield at, name, _Number(int.from_bytes(body, "little"), size)
+        at += 1 + size
+
+
+class _Parser:
+    """The state of a reader: global and local items, open collections, and how far each report has come."""
+
+    def __init__(self) -> None:
+        self._global = _Globals()
+        self._local = _Locals()
+        self._pushed: list[_Globals] = []
+        self._path: tuple[Collection, ...] = ()
+        self._opened: list[int] = []
+        self._collections: list[Collection] = []
+        self._fields: list[ReportField] = []
+        self._bits: dict[tuple[ReportKind, int], int] = {}
+
+    @property
+    def closed(self) -> bool:
+        """Every collection has ended, and there was one."""
+        return bool(self._collections) and not self._path
+
+    def take(self, at: int, name: str, number: _Number) -> None:
+        """One item."""
+        state, value = self._global, number.raw
+        match name:
+            case "Input" | "Output" | "Feature":
+                self._end_locals(at, name)
+                self._add_field(at, name, value)
+                self._local = _Locals()
+            case "Collection":
+                self._end_locals(at, name)
+                self._open(at, value)
+                self._local = _Locals()
+            case "End Collection":
+                self._end_locals(at, name)
+                if not self._path:
+                    raise _error(at, name, "no collection is open")
+                self._path = self._path[:-1]
+                self._opened.pop()
+                self._local = _Locals()
+            case "Usage Page":
+                if value > 0xFFFF:
+                    raise _error(at, name, f"{value:#x} has more than 16 bits")
+                state.usage_page = value
+            case "Logical Minimum":
+                state.logical_min = number
+            case "Logical Maximum":
+                state.logical_max = number
+            case "Physical Minimum":
+                state.physical_min = number
+            case "Physical Maximum":
+                state.physical_max = number
+            case "Unit Exponent":
+                state.unit_exponent = value - 16 if 8 <= value <= 15 else number.signed
+            case "Unit":
+                state.unit = value
+            case "Report Size":
+                state.report_size = value
+            case "Report ID":
+                if not 1 <= value <= 255:
+                    raise _error(at, name, f"{value} is no report id; they go from 1 to 255")
+                state.report_id = value
+            case "Report Count":
+                state.report_count = value
+            case "Push":
+                if len(self._pushed) >= MAX_DEPTH:
+                    raise _error(at, name, f"more than {MAX_DEPTH} are nested")
+                self._pushed.append(dataclasses.replace(state))
+            case "Pop":
+                if not self._pushed:
+                    raise _error(at, name, "nothing was pushed")
+                self._global = self._pushed.pop()
+            case "Usage" | "Usage Minimum" | "Usage Maximum":
+                page = None if number.size == 4 else state.usage_page
+                self._add_usage(at, name, _Usage(value, value, page))
+            case "Delimiter":
+                self._delimit(at, value)
+            case _:
+                pass  # designators and strings: where a hand is, and words
+
+    def finish(self, end: int) -> Descriptor:
+        """What was read, if nothing is left open."""
+        if self._local.open_since is not None:
+            raise _error(self._local.open_since, "Delimiter", f"still open where the descriptor ends (byte {end})")
+        if self._path:
+            raise _error(self._opened[-1], "Collection", f"still open where the descriptor ends (byte {end})")
+        if not self._collections:
+            raise DescriptorError("the report descriptor declares no collection, so there is no device in it")
+        return Descriptor(tuple(self._fields), tuple(self._collections), self._bits)
+
+    # ---- usages ------------------------------------------------------------------------------------------------------
+
+    def _add_usage(self, at: int, name: str, usage: _Usage) -> None:
+        local = self._local
+        if name == "Usage":
+            if local.open_since is None or local.delimited is None:
+                local.usages.append(usage)
+                if local.open_since is not None:
+                    local.delimited = usage
+            else:
+                local.delimited.aliases.append(usage)
+            return
+        if local.open_since is not None:
+            raise _error(at, name, "a range between delimiters has no one meaning")
+        if name == "Usage Minimum":
+            local.minimum = usage
+        else:
+            local.maximum = usage
+        if local.minimum is None or local.maximum is None:
+            return
+        first, last = local.minimum, local.maximum
+        local.minimum = local.maximum = None
+        if (first.page is None) != (last.page is None):
+            # One end names its page: that one holds, if the other end's page is the same.
+            whole, short = (first, last) if first.page is None else (last, first)
+            if whole.first >> 16 != short.page:
+                local.fault = (at, name, "the two ends of the range are of different usage pages")
+            short.first |= (short.page or 0) << 16
+            short.page = None
+        elif first.page is None and first.first >> 16 != last.first >> 16:
+            local.fault = (at, name, "the two ends of the range are of different usage pages")
+        if last.first < first.first:
+            local.fault = (at, name, f"the range ends ({last.first:#x}) before it begins ({first.first:#x})")
+            return
+        local.usages.append(_Usage(first.first, last.first, last.page))
+
+    def _delimit(self, at: int, value: int) -> None:
+        local = self._local
+        if value not in (0, 1):
+            raise _error(at, "Delimiter", f"{value} neither opens (1) nor closes (0)")
+        if value == 1:
+            if local.open_since is not None:
+                raise _error(at, "Delimiter", "another set is open")
+            local.open_since = at
+        else:
+            if local.open_since is None:
+                raise _error(at, "Delimiter", "no set is open")
+            local.open_since = local.delimited = None
+
+    def _end_locals(self, at: int, name: str) -> None:
+        local = self._local
+        if local.open_since is not None:
+            raise _error(at, name, f"the delimiter of byte {local.open_since} is still open")
+        if local.fault is None and (local.minimum or local.maximum):
+            absent = "Maximum" if local.minimum else "Minimum"
+            local.fault = (at, name, f"a usage range before it has no Usage {absent}")
+        page = self._global.usage_page
+        for usage in reversed(local.usages):
+            if usage.page == page:
+                break
+            if usage.page is not None:
+                usage.page = page
+        for usage in local.usages:
+            for alias in usage.aliases:
+                if alias.page is not None:
+                    alias.page = alias.page if usage.page is None else usage.page
+
+    # ---- collections and fields --------------------------------------------------------------------------------------
+
+    def _open(self, at: int, kind: int) -> None:
+        if len(self._path) >= MAX_DEPTH:
+            raise _error(at, "Collection", f"more than {MAX_DEPTH} are nested")
+        usage = self._local.usages[-1].complete() if self._local.usages else UsageRange(0, 0)
+        collection = Collection(len(self._collections), usage.first, kind, usage.aliases)
+        self._collections.append(collection)
+        self._path = (*self._path, collection)
+        self._opened.append(at)
+
+    def _add_field(self, at: int, name: str, value: int) -> None:
+        state, kind = self._global, _KINDS[name]
+        report = (kind, state.report_id)
+        offset = self._bits.setdefault(report, 0)
+        bits = state.report_size * state.report_count
+        if offset + bits > 8 * MAX_REPORT_BYTES:
+            raise _error(at, name, f"the report becomes longer than {MAX_REPORT_BYTES} bytes")
+        if bits == 0:
+            return
+        self._bits[report] = offset + bits
+        flags = FieldFlag(value & 0x1FF)
+        if self._local.fault is not None and FieldFlag.CONSTANT not in flags:
+            raise _error(*self._local.fault)
+        logical = _range(state.logical_min, state.logical_max)
+        if logical[0] > logical[1] and FieldFlag.CONSTANT not in flags:
+            raise _error(at, name, f"its logical minimum {logical[0]} lies above its maximum {logical[1]}")
+        physical = _range(state.physical_min, state.physical_max)
+        if physical == (0, 0):
+            physical = logical
+        self._fields.append(
+            ReportField(
+                kind=kind,
+                report_id=state.report_id,
+                bit_offset=offset,
+                bit_size=state.report_size,
+                count=state.report_count,
+                usages=tuple(usage.complete() for usage in self._local.usages),
+                logical_min=logical[0],
+                logical_max=logical[1],
+                physical_min=physical[0],
+                physical_max=physical[1],
+                unit=state.unit,
+                unit_exponent=state.unit_exponent,
+                flags=flags,
+                path=self._path,
+                item_offset=at,
+            )
+        )
+
+
+def _range(least: _Number, most: _Number) -> tuple[int, int]:
+    low = least.signed
+    return low, most.signed if low < 0 else most.raw
