@@ -176,12 +176,18 @@ rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
 comma := ,
 
 .PHONY: fuzz
-fuzz: ## libFuzzer on tables and motion, FUZZ_SECONDS=60
+fuzz: ## libFuzzer on tables and motion, then on HID reports, FUZZ_SECONDS=60 each
 	@echo 'int LLVMFuzzerTestOneInput(const char *d, long s) { return !d && s; }' | \
 		$(CLANG) -fsanitize=fuzzer,address,undefined -x c - -o /dev/null 2>/dev/null || \
 		{ echo "make fuzz needs $(CLANG) with libFuzzer: install clang-22 and libclang-rt-22-dev (Debian)," \
 			"or make fuzz CLANG=..." >&2; exit 1; }
-	@mkdir -p build/fuzz/corpus
+	$(call fuzzed,table,8192)
+	$(call fuzzed,report,512)
+
+# $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes.
+define fuzzed
+	@mkdir -p build/fuzz/$(1)-corpus
 	$(CLANG) $(C_FLAGS) -DHD_LIBFUZZER -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all \
-		tests/c/test_fuzz_table.c $(C_SOURCES) -lm -o build/fuzz/table
-	build/fuzz/table -max_total_time=$(FUZZ_SECONDS) -max_len=8192 -artifact_prefix=build/fuzz/ build/fuzz/corpus
+		tests/c/test_fuzz_$(1).c $(C_SOURCES) -lm -o build/fuzz/$(1)
+	build/fuzz/$(1) -max_total_time=$(FUZZ_SECONDS) -max_len=$(2) -artifact_prefix=build/fuzz/$(1)- build/fuzz/$(1)-corpus
+endef

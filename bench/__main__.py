@@ -15,12 +15,13 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import closed_loop, command, crowd, features, lateness, offline, resources, telemetry, tick, velocity
+from bench import closed_loop, command, crowd, features, lateness, link, offline, resources, telemetry, tick, velocity
 from bench.report import ROOT, Advance, Options, Section, Table, machine
 from hapticd.errors import HapticdError
 
 BENCHMARKS = ROOT / "docs" / "benchmarks.md"
 ACCURACY = ROOT / "docs" / "accuracy.md"
+DEVICES = ROOT / "docs" / "devices.md"
 
 
 def _velocity(options: Options, advance: Advance) -> Section:
@@ -71,6 +72,7 @@ MEASUREMENTS: dict[str, tuple[str, Callable[[Options, Advance], Section]]] = {
     "telemetry": ("ten subscribers, one dead", telemetry.run),
     "resources": ("start, memory, processor time", resources.run),
     "loop": ("closed-loop error against the cost of the tick", closed_loop.run),
+    "link": ("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run),
     "velocity": ("velocity estimators: error and cost", _velocity),
 }
 
@@ -80,7 +82,8 @@ def _parser() -> argparse.ArgumentParser:
     names = "\n".join(f"  {name:10s} {what}" for name, (what, _) in MEASUREMENTS.items())
     parser = argparse.ArgumentParser(
         prog="python -m bench",
-        description="Measures speed and error. A whole run writes docs/benchmarks.md and docs/accuracy.md.",
+        description="Measures speed and error. A whole run writes docs/benchmarks.md and docs/accuracy.md; link writes "
+        "its tables into docs/devices.md too.",
         epilog=f"names:\n{names}\n  accuracy   what is rendered and the closed loop, against references; writes "
         "docs/accuracy.md",
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -114,6 +117,8 @@ def _measure(console: Console, names: list[str], options: Options) -> tuple[list
             else:
                 found = [MEASUREMENTS[name][1](options, advance)]
                 speed += found
+                if name == "link" and not options.quick:
+                    link.write_into(DEVICES, found[0])
         for section in found:
             section.show(console)
     return speed, exact

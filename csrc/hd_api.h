@@ -289,6 +289,8 @@ int hd_noise_run(const struct hd_noise *noise, const double *numbers, uint32_t n
 
 /* ---- The simulated joystick ------------------------------------------------------------------------------------ */
 
+#define HD_SIM_FORCES 16 /* under way to the actuator */
+
 struct hd_sim_config {
     double handle_mass_kg;
     double handle_damping_n_s_per_m;
@@ -298,8 +300,11 @@ struct hd_sim_config {
     double force_step_n;       /* its resolution; 0: exact */
     double report_interval_s;  /* 0: a report at every servo period */
     double report_delay_s;
+    double force_interval_s;  /* 0: a put acts at once; else forces act at multiples of this time, as by a link */
+    uint32_t force_intervals; /* at which of them after the put: 1 to HD_SIM_FORCES; the newest put wins */
+    uint32_t unused;
     double workspace_m;     /* half the travel, per axis; inelastic stops */
-    double force_timeout_s; /* the force expires by itself this long after the last put */
+    double force_timeout_s; /* the force expires by itself this long after the last put has come to act */
     double hand_mass_kg;
     double hand_stiffness_n_per_m;
     double hand_damping_n_s_per_m;
@@ -330,7 +335,8 @@ void hd_sim_free(struct hd_sim *sim);
 void hd_sim_operate(struct hd_sim *sim, const struct hd_operator *path);
 /* The handle jumps, at rest, to the hand's first wish: for a run that starts with an operator. */
 void hd_sim_settle(struct hd_sim *sim);
-/* The actuator holds this force (limited, rounded) until the next put or until it expires. */
+/* The actuator holds this force (limited, rounded), at once or when the link has carried it, until the next one or
+ * until it expires. */
 void hd_sim_put(struct hd_sim *sim, const double force_n[2]);
 /* Time goes on by `periods` servo periods. */
 void hd_sim_advance(struct hd_sim *sim, uint32_t periods);
@@ -344,9 +350,153 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count);
 
+/* ---- HID devices ------------------------------------------------------------------------------------------------ */
+
+#define HD_HID_REPORT_BYTES 256 /* the longest report, with its id */
+#define HD_HID_MESSAGES 8       /* of one script */
+#define HD_HID_VALUES 4         /* numbers written into one message */
+#define HD_HID_STATES 8
+
+/* Where a number lies in a report. Bits are counted as HID counts them: from the lowest bit of the first byte after the
+ * report id; `big_endian` numbers are whole bytes, the first one the highest. */
+struct hd_hid_field {
+    uint32_t bit_offset;
+    uint32_t bit_size; /* 1 to 32 */
+    uint32_t is_signed;
+    uint32_t big_endian;
+};
+
+/* One axis: position = (counts - zero_counts) * m_per_count. */
+struct hd_hid_axis {
+    struct hd_hid_field field;
+    uint32_t report_id; /* 0: reports are not numbered */
+    uint32_t unused;
+    double zero_counts;
+    double m_per_count; /* its sign is the axis's */
+};
+
+/* What a number in an output report says of the force F (newton, x to the right, y up). */
+enum hd_hid_quantity {
+    HD_HID_X = 1,         /* F_x */
+    HD_HID_Y = 2,         /* F_y */
+    HD_HID_MAGNITUDE = 3, /* |F| */
+    HD_HID_DIRECTION = 4  /* where F comes from, radians clockwise from +y, 0 to 2 pi: HID's north is up */
+};
+
+/* counts = quantity * counts_per_unit + zero_counts, rounded to nearest, limited to least .. most, which hold
+ * zero_counts; HD_HID_DIRECTION is taken modulo a full turn instead where that lies within them. */
+struct hd_hid_value {
+    struct hd_hid_field field;
+    uint32_t quantity; /* enum hd_hid_quantity */
+    uint32_t unused;
+    double counts_per_unit;
+    double zero_counts;
+    double least;
+    double most;
+};
+
+/* An output report: bytes as they are, report id first (0 where reports are not numbered), with numbers written into
+ * it. */
+struct hd_hid_message {
+    uint32_t length; /* with the id */
+    uint32_t value_count;
+    struct hd_hid_value values[HD_HID_VALUES];
+    uint8_t bytes[HD_HID_REPORT_BYTES];
+};
+
+struct hd_hid_script {
+    uint32_t count;
+    uint32_t unused;
+    struct hd_hid_message messages[HD_HID_MESSAGES];
+};
+
+/* A number in an input report that says how the device is. */
+enum hd_hid_meaning {
+    HD_HID_RESET = 1,     /* the device was reset: its effects are gone */
+    HD_HID_ACTUATORS = 2, /* actuators enabled; 0: they are off, by the device or by another driver */
+    HD_HID_PAUSED = 3,
+    HD_HID_SAFETY = 4, /* safety switch closed; 0: the device keeps its actuators off until it is */
+    HD_HID_POWER = 5   /* actuator power */
+};
+
+struct hd_hid_state {
+    struct hd_hid_field field;
+    uint32_t report_id;
+    uint32_t meaning; /* enum hd_hid_meaning */
+};
+
+/* What a connection does, compiled once. Checked by hd_hid_connect; the caller may forget it then. */
+struct hd_hid_plan {
+    struct hd_hid_axis axes[2]; /* x, y */
+    struct hd_hid_script force; /* sent for each new force, in this order; a message that did not change is left out */
+    struct hd_hid_script renew; /* sent every renew_ns while connected: restarts effects of finite duration, keeps
+                                   watchdogs quiet; force values may stand in it */
+    struct hd_hid_script stop;  /* sent when the connection is closed in an orderly way, after a force of zero */
+    struct hd_hid_state states[HD_HID_STATES];
+    uint32_t state_count;
+    uint32_t on_change;        /* the device reports only what changes: silence says nothing */
+    int64_t renew_ns;          /* the force messages are sent again, too; 0: never */
+    int64_t write_interval_ns; /* between two writes at least, up to 0.1 s: the endpoint's interval; 0: as fast as they
+                                  are taken */
+};
+
+/* What is known of a connection; each number is read on its own. */
+struct hd_hid_status {
+    uint32_t connected;    /* both threads run */
+    int32_t error;         /* errno of what ended it; 0: none */
+    uint32_t reset;        /* the device has said, since hd_hid_connect, that it was reset, or that its actuators went
+                              off: set it up again */
+    uint32_t states;       /* bit (meaning - 1): the number is not 0 */
+    uint32_t states_known; /* bit (meaning - 1): a report has said it */
+    uint32_t unused;
+    uint64_t reports;       /* input reports read, of any id */
+    uint64_t positions;     /* of them, positions */
+    uint64_t short_reports; /* too short for what the plan reads of them: ignored */
+    uint64_t writes;
+    uint64_t forces;           /* forces that were sent; those that were overtaken are not */
+    int64_t write_ns;          /* how long writes take: running mean; 0: not known yet */
+    int64_t write_interval_ns; /* between forces sent, where they follow one another: running mean; 0: not known yet */
+    int64_t last_report_ns;
+};
+
+struct hd_hid; /* opaque: two mailboxes and, while connected, two threads */
+
+struct hd_hid *hd_hid_new(void); /* NULL without memory */
+/* Ends the connection as hd_hid_disconnect does, then frees. */
+void hd_hid_free(struct hd_hid *hid);
+/* Starts a connection over `fd`, a hidraw node (or anything that keeps message bounds, as SOCK_SEQPACKET does), open
+ * for reading and writing. Reports that wait there already tell where the handle is and how the device is; nothing in
+ * them counts as a reset. The first force is zero. The descriptor stays the caller's. `priority`: of both threads, 0
+ * none. HD_ERR_INVALID (hd_invalid_reason; also while there is a connection), HD_ERR_MEMORY, HD_ERR_SYSTEM (errno);
+ * HD_ERR_DENIED: threads of this priority are refused. One thread at a time connects, disconnects and frees. */
+int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, int priority);
+/* Ends both threads. `orderly`: a force of zero and the stop script are written first, within 0.2 s. A device that does
+ * not take what is being written in that time is given up, ETIMEDOUT; the descriptor may be closed all the same.
+ * Returns 0 or the errno that writing them met, or that had ended the connection before. */
+int hd_hid_disconnect(struct hd_hid *hid, int orderly);
+void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status);
+/* Blocks until the connection ends by itself, a reset is seen, hd_hid_wake is called or the time is over; 1: something
+ * happened, perhaps before this call, but after the last one that said so. */
+int hd_hid_wait(struct hd_hid *hid, int64_t timeout_ns);
+void hd_hid_wake(struct hd_hid *hid);
+/* The last set-up answered what was reset: looks at it as normal from now on. While `reset` stands the device gets no
+ * force; afterwards the force comes back over 20 ms. */
+void hd_hid_clear_reset(struct hd_hid *hid);
+
+/* Pack and unpack, for tests and for set-up. `report` holds `length` bytes, its id first. HD_ERR_INVALID: the field
+ * does not lie within it, or a count does not fit. */
+int hd_field_read(const struct hd_hid_field *field, const uint8_t *report, size_t length, int64_t *counts);
+int hd_field_write(const struct hd_hid_field *field, uint8_t *report, size_t length, int64_t counts);
+/* What `message` becomes with this force, for tests. */
+void hd_hid_compose(const struct hd_hid_message *message, const double force_n[2], uint8_t *bytes);
+
 /* ---- The servo --------------------------------------------------------------------------------------------------- */
 
 enum hd_realtime { HD_REALTIME_OFF = 0, HD_REALTIME_PREFERRED = 1, HD_REALTIME_REQUIRED = 2 };
+
+/* What says that a tick is due. HD_CLOCK_DEVICE: each position of a HID device, at most one tick a period; the timer
+ * goes on where none comes for two and a half periods. */
+enum hd_clock_source { HD_CLOCK_TIMER = 0, HD_CLOCK_DEVICE = 1 };
 
 struct hd_servo_config {
     double rate_hz;
@@ -359,6 +509,7 @@ struct hd_servo_config {
     double resolution_m;      /* encoder step for the velocity estimator */
     double device_timeout_s;  /* without a report for this long, the device is lost */
     uint32_t forces_on;       /* 0 or 1, at the start */
+    uint32_t clock;           /* enum hd_clock_source */
 };
 
 /* What was granted of what was asked for; errno values, 0 where it was granted or not asked for. */
@@ -409,9 +560,9 @@ struct hd_counters {
 
 struct hd_servo; /* opaque */
 
-/* Allocates everything that the servo will ever use. `sim` is borrowed and used by the servo thread alone once
- * started. NULL: hd_invalid_reason. */
-struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim);
+/* Allocates everything that the servo will ever use. Its device is `sim` or `hid`, the other one is NULL. Both are
+ * borrowed; `sim` is used by the servo thread alone once started. NULL: hd_invalid_reason. */
+struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim, struct hd_hid *hid);
 /* Locks memory, starts the thread, reports what was granted. HD_ERR_DENIED: `required` and refused. */
 int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant);
 /* Fades the force out, puts zero, ends the thread and joins it. */

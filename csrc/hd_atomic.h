@@ -16,7 +16,8 @@ static_assert(ATOMIC_INT_LOCK_FREE == 2 && ATOMIC_LLONG_LOCK_FREE == 2, "the ser
 /* What two threads write must lie this far apart, or each write stalls the other thread. */
 #define HD_CACHE_LINE 64
 
-/* add_relaxed is a load and a store: exact, and cheaper than a locked add, where one thread alone writes. */
+/* replace: if the value is `from` it becomes `to`; 1: it was.
+ * add_relaxed is a load and a store: exact, and cheaper than a locked add, where one thread alone writes. */
 #define HD_ATOMIC_DEFINE(NAME, TYPE)                                                                            \
     struct hd_atomic_##NAME {                                                                                   \
         _Atomic TYPE value;                                                                                     \
@@ -35,6 +36,9 @@ static_assert(ATOMIC_INT_LOCK_FREE == 2 && ATOMIC_LLONG_LOCK_FREE == 2, "the ser
     }                                                                                                           \
     HD_RT static inline TYPE hd_atomic_##NAME##_exchange_acq_rel(struct hd_atomic_##NAME *atomic, TYPE value) { \
         return atomic_exchange_explicit(&atomic->value, value, memory_order_acq_rel);                           \
+    }                                                                                                           \
+    HD_RT static inline int hd_atomic_##NAME##_replace(struct hd_atomic_##NAME *atomic, TYPE from, TYPE to) {   \
+        return atomic_compare_exchange_strong(&atomic->value, &from, to);                                       \
     }                                                                                                           \
     HD_RT static inline void hd_atomic_##NAME##_add_relaxed(struct hd_atomic_##NAME *atomic, TYPE value) {      \
         hd_atomic_##NAME##_store_relaxed(atomic, hd_atomic_##NAME##_load_relaxed(atomic) + value);              \

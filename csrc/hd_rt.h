@@ -26,4 +26,20 @@
 #define HD_RT_FOREIGN_END
 #endif
 
+/* Around the one system call by which the servo sleeps on something other than the clock: RealtimeSanitizer cannot know
+ * that it is meant. */
+#if defined(__has_feature)
+#if __has_feature(realtime_sanitizer)
+#include <sanitizer/rtsan_interface.h>
+#define HD_RT_SLEEP_BEGIN HD_RT_FOREIGN_BEGIN __rtsan_disable();
+#define HD_RT_SLEEP_END \
+    __rtsan_enable();   \
+    HD_RT_FOREIGN_END
+#endif
+#endif
+#ifndef HD_RT_SLEEP_BEGIN
+#define HD_RT_SLEEP_BEGIN HD_RT_FOREIGN_BEGIN
+#define HD_RT_SLEEP_END HD_RT_FOREIGN_END
+#endif
+
 #endif

@@ -1,9 +1,9 @@
 /* The servo: a thread that calls the tick on time.
  *
- * One period, top to bottom: sleep until the deadline (the last part of it spinning, if asked for); count and skip the
- * periods that were missed; take the newest table, then the commands of its revision or older; read the device, tick,
- * put the force; leave the sample and the events in their rings. The thread never allocates, locks, logs or blocks, and
- * its only system calls are the clock and the sleep.
+ * One period, top to bottom: sleep until the deadline (the last part of it spinning, if asked for) or until the device
+ * reports; count and skip the periods that were missed; take the newest table, then the commands of its revision or
+ * older; read the device, tick, put the force; leave the sample and the events in their rings. The thread never
+ * allocates, locks, logs or blocks, and its only system calls are the clock and the sleep.
  *
  * Who touches what:
  *   config, device, rings' memory     made by hd_servo_new, constant while the thread runs
@@ -15,7 +15,8 @@
  *   counters, taken_*, adopted_*      the servo writes, control reads
  *   state and the fields under it     the servo's own
  *
- * Times are CLOCK_MONOTONIC nanoseconds. Deadlines are start + k/rate, never accumulated. */
+ * Times are CLOCK_MONOTONIC nanoseconds. Deadlines are start + k/rate, never accumulated. Where the device leads, a
+ * tick has the time of its report, and the period whose deadline is nearest to it. */
 #include <errno.h>
 #include <math.h>
 #include <pthread.h>
@@ -26,9 +27,9 @@
 
 #include "hd_atomic.h"
 #include "hd_clock.h"
+#include "hd_device.h"
 #include "hd_memory.h"
 #include "hd_ring.h"
-#include "hd_sim.h"
 #include "hd_tick.h"
 #include "hd_triple.h"
 #include "hd_world.h"
@@ -39,6 +40,10 @@
 #define HD_COMMANDS_PER_TICK 64u
 #define HD_CONTROL_TIMEOUT_S 1.0 /* of ticks rendered, so that a stopped process does not count against control */
 #define HD_CHANGE_CAPACITY 4096u
+/* How far a tick moves the deadlines towards the reports, in periods: reports drift against our clock, and a tick on
+ * the border between two periods would now fall into one, now into the other. */
+#define HD_LOCK_SHARE 0.0625
+#define HD_LOCK_MAX 0.001
 #define HD_SERVO_REGIONS (HD_STATE_REGIONS + 3u * HD_WORLD_REGIONS + 5u)
 
 /* What a world has missed since it was filled last. More slots than are changed do no harm. */
@@ -50,7 +55,7 @@ struct hd_changes {
 
 struct hd_servo {
     struct hd_servo_config config;
-    struct hd_sim *sim;
+    struct hd_device device;
     double period_ns;
     double period_s;
 
@@ -92,6 +97,7 @@ struct hd_servo {
     uint64_t last_beat;
     uint64_t ticks_since_beat;
     double since_report_s;
+    uint32_t connection; /* of the device, that positions are of */
     uint8_t device_lost;
     uint8_t ending; /* the force fades out, whatever is still commanded */
     pthread_t thread;
@@ -168,7 +174,7 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
         }
         return HD_OK;
     case HD_COMMAND_OPERATOR:
-        hd_sim_step_operate(servo->sim, command->path);
+        hd_sim_step_operate(servo->device.sim, command->path);
         return HD_OK;
     default:
         return HD_OK; /* refused by hd_servo_send */
@@ -192,8 +198,42 @@ HD_RT static void take_commands(struct hd_servo *servo, int64_t time_ns) {
     }
 }
 
+HD_RT static void lose_device(struct hd_servo *servo, int64_t time_ns) {
+    if (!servo->device_lost) {
+        servo->device_lost = 1;
+        report(servo, HD_EVENT_DEVICE_LOST, time_ns, 0, servo->since_report_s);
+        hd_state_latch(servo->state, HD_FAULT_DEVICE, 1, time_ns);
+    }
+}
+
+HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *look, int64_t time_ns) {
+    if (look->connection != servo->connection) {
+        if (servo->connection != 0) {
+            lose_device(servo, time_ns); /* it may have been away between two ticks */
+        }
+        servo->connection = look->connection;
+        /* How it came to be where it is, nobody knows. */
+        hd_velocity_reset(&servo->state->velocity);
+        servo->state->located = 0;
+    }
+    if (look->fresh) {
+        servo->since_report_s = 0.0;
+        if (servo->device_lost) {
+            servo->device_lost = 0;
+            report(servo, HD_EVENT_DEVICE_FOUND, time_ns, 0, 0.0);
+        }
+        return;
+    }
+    /* A period for each tick: those that the servo itself missed say nothing about the device. */
+    servo->since_report_s += servo->period_s;
+    const int nowhere = look->connection == 0 && servo->state->enabled; /* a force without a position */
+    if (look->gone || nowhere || servo->since_report_s > servo->config.device_timeout_s) {
+        lose_device(servo, time_ns);
+    }
+}
+
 /* Everything but the tick itself that can call for zero force. */
-HD_RT static void watch(struct hd_servo *servo, const struct hd_reading *reading, int64_t now_ns, int64_t time_ns) {
+HD_RT static void watch(struct hd_servo *servo, const struct hd_look *look, int64_t now_ns, int64_t time_ns) {
     const uint64_t beat = hd_atomic_u64_load_relaxed(&servo->beat);
     if (beat != servo->last_beat) {
         servo->last_beat = beat;
@@ -205,21 +245,7 @@ HD_RT static void watch(struct hd_servo *servo, const struct hd_reading *reading
     if (lease_ns != 0 && now_ns > lease_ns) {
         hd_state_latch(servo->state, HD_FAULT_LEASE, 0, time_ns);
     }
-    if (reading->interval_s > 0.0) {
-        servo->since_report_s = 0.0;
-        if (servo->device_lost) {
-            servo->device_lost = 0;
-            report(servo, HD_EVENT_DEVICE_FOUND, time_ns, 0, 0.0);
-        }
-        return;
-    }
-    /* A period for each tick: those that the servo itself missed say nothing about the device. */
-    servo->since_report_s += servo->period_s;
-    if (servo->since_report_s > servo->config.device_timeout_s && !servo->device_lost) {
-        servo->device_lost = 1;
-        report(servo, HD_EVENT_DEVICE_LOST, time_ns, 0, servo->since_report_s);
-        hd_state_latch(servo->state, HD_FAULT_DEVICE, 1, time_ns);
-    }
+    watch_device(servo, look, time_ns);
 }
 
 HD_RT static void leave_events(struct hd_servo *servo) {
@@ -249,19 +275,19 @@ HD_RT static void leave_sample(struct hd_servo *servo, const struct hd_sample *s
 HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t now_ns, uint32_t periods) {
     struct hd_state *state = servo->state;
     struct hd_sample sample;
-    struct hd_reading reading;
+    struct hd_look look;
     struct hd_input input = {.time_ns = deadline_ns, .periods = periods};
     take_table(servo, deadline_ns);
     take_commands(servo, deadline_ns);
     if (servo->ending) {
         hd_state_want_forces(state, 0);
     }
-    hd_sim_step_advance(servo->sim, periods);
-    hd_sim_step_read(servo->sim, &reading);
-    watch(servo, &reading, now_ns, deadline_ns);
-    hd_sense(state, &servo->world->table, &reading, NULL, &input);
+    hd_device_advance(&servo->device, periods);
+    hd_device_look(&servo->device, now_ns, &look);
+    watch(servo, &look, now_ns, deadline_ns);
+    hd_sense(state, &servo->world->table, &look.reading, NULL, &input);
     hd_tick(servo->world, state, &input, &sample);
-    hd_sim_step_put(servo->sim, sample.force_n);
+    hd_device_put(&servo->device, now_ns, sample.force_n);
     sample.lateness_ns = saturate(now_ns - deadline_ns);
     sample.work_ns = saturate(hd_clock_now_ns() - now_ns);
     leave_sample(servo, &sample);
@@ -276,33 +302,100 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     hd_atomic_u64_store_release(&servo->ticks, state->tick);
 }
 
+/* Where the servo is in time. */
+struct hd_pace {
+    int64_t start_ns; /* deadline of period 0 */
+    uint64_t period;  /* the next one */
+    int64_t last_ns;  /* time of the last tick */
+    int led;          /* the last tick was a report's */
+};
+
+struct hd_due {
+    int64_t time_ns; /* of the tick */
+    int64_t now_ns;
+    uint32_t periods; /* since the last one */
+};
+
+/* Counts and skips the periods that were missed: the tick that was due at `due->time_ns` is due now. */
+HD_RT static void skip_missed(struct hd_servo *servo, struct hd_pace *pace, struct hd_due *due) {
+    const double late = (double)(due->now_ns - due->time_ns);
+    if (late >= servo->period_ns) {
+        const double missed = late / servo->period_ns;
+        const uint32_t skip = missed < 4e9 ? (uint32_t)missed : 4000000000u;
+        due->periods += skip;
+        pace->period += skip;
+        due->time_ns = due->time_ns - deadline_of(servo, pace->start_ns, pace->period - skip) +
+                       deadline_of(servo, pace->start_ns, pace->period);
+        hd_atomic_u64_add_relaxed(&servo->skipped, skip);
+        hd_atomic_u64_add_relaxed(&servo->overruns, 1);
+        report(servo, HD_EVENT_OVERRUN, due->time_ns, 0, (double)skip);
+    }
+}
+
+HD_RT static void wait_timer(struct hd_servo *servo, struct hd_pace *pace, struct hd_due *due) {
+    due->time_ns = deadline_of(servo, pace->start_ns, pace->period);
+    due->now_ns = wait_until(due->time_ns, servo->config.spin_ns);
+    due->periods = 1;
+}
+
+/* Moves the deadlines towards a report of this period. */
+HD_RT static void lock_pace(struct hd_servo *servo, struct hd_pace *pace, int64_t arrival_ns, uint64_t period) {
+    double error_ns = (double)(arrival_ns - deadline_of(servo, pace->start_ns, period));
+    if (pace->led) {
+        const double most_ns = HD_LOCK_MAX * servo->period_ns;
+        error_ns *= HD_LOCK_SHARE;
+        error_ns = error_ns > most_ns ? most_ns : error_ns < -most_ns ? -most_ns : error_ns;
+    }
+    pace->start_ns += (int64_t)error_ns;
+    pace->led = 1;
+}
+
+/* The next report that is not sooner than a period after the one before; without one for two and a half periods (a
+ * device of half the rate is in time then), the timer, until there is one. */
+HD_RT static void wait_device(struct hd_servo *servo, struct hd_pace *pace, struct hd_due *due) {
+    const int64_t half_ns = (int64_t)(0.5 * servo->period_ns);
+    const int64_t limit_ns = pace->led ? deadline_of(servo, pace->start_ns, pace->period + 1) + half_ns
+                                       : deadline_of(servo, pace->start_ns, pace->period);
+    int64_t arrival_ns;
+    while (hd_hid_step_await(servo->device.hid, limit_ns, &arrival_ns)) {
+        const int64_t since_ns = arrival_ns + half_ns - pace->start_ns;
+        const uint64_t period = since_ns > 0 ? (uint64_t)((double)since_ns / servo->period_ns) : 0;
+        if (period >= pace->period && arrival_ns > pace->last_ns) {
+            due->time_ns = arrival_ns;
+            due->now_ns = hd_clock_now_ns();
+            due->periods = (uint32_t)(period - pace->period) + 1;
+            pace->period = period;
+            lock_pace(servo, pace, arrival_ns, period);
+            return;
+        }
+    }
+    due->time_ns = limit_ns;
+    due->now_ns = hd_clock_now_ns();
+    due->periods = pace->led ? 2 : 1;
+    pace->period += pace->led ? 1 : 0;
+    pace->led = 0;
+}
+
 HD_RT static void loop(struct hd_servo *servo) {
     struct hd_state *state = servo->state;
-    uint64_t period = 0;
-    const int64_t start_ns = hd_clock_now_ns() + (int64_t)servo->period_ns;
+    struct hd_pace pace = {.start_ns = hd_clock_now_ns() + (int64_t)servo->period_ns};
     while (!servo->ending || state->gain > 0.0) {
-        int64_t deadline_ns = deadline_of(servo, start_ns, period);
-        const int64_t now_ns = wait_until(deadline_ns, servo->config.spin_ns);
-        uint32_t periods = 1;
-        const double late = (double)(now_ns - deadline_ns);
-        if (late >= servo->period_ns) {
-            const double missed = late / servo->period_ns;
-            const uint32_t skip = missed < 4e9 ? (uint32_t)missed : 4000000000u;
-            periods += skip;
-            period += skip;
-            deadline_ns = deadline_of(servo, start_ns, period);
-            hd_atomic_u64_add_relaxed(&servo->skipped, skip);
-            hd_atomic_u64_add_relaxed(&servo->overruns, 1);
-            report(servo, HD_EVENT_OVERRUN, deadline_ns, 0, (double)skip);
+        struct hd_due due;
+        if (servo->config.clock == HD_CLOCK_DEVICE) {
+            wait_device(servo, &pace, &due);
+        } else {
+            wait_timer(servo, &pace, &due);
         }
+        skip_missed(servo, &pace, &due);
         if (hd_atomic_u32_load_acquire(&servo->stopping)) {
             servo->ending = 1;
         }
-        one_tick(servo, deadline_ns, now_ns, periods);
-        period++;
+        one_tick(servo, due.time_ns, due.now_ns, due.periods);
+        pace.last_ns = due.time_ns;
+        pace.period++;
     }
     const double zero[2] = {0.0, 0.0};
-    hd_sim_step_put(servo->sim, zero);
+    hd_device_put(&servo->device, hd_clock_now_ns(), zero);
 }
 
 static void *servo_main(void *argument) {
@@ -332,11 +425,22 @@ static int config_check(const struct hd_servo_config *config) {
     if (!(config->resolution_m >= 0.0 && config->resolution_m < 1.0)) {
         return hd_invalid("servo: an encoder step of %g m", config->resolution_m);
     }
+    if (config->clock != HD_CLOCK_TIMER && config->clock != HD_CLOCK_DEVICE) {
+        return hd_invalid("servo: clock %u", config->clock);
+    }
     return HD_OK;
 }
 
-struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim) {
+struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim, struct hd_hid *hid) {
     if (config_check(config) != HD_OK) {
+        return NULL;
+    }
+    if ((sim == NULL) == (hid == NULL)) {
+        hd_invalid("servo: one device, a simulated one or a real one");
+        return NULL;
+    }
+    if (config->clock == HD_CLOCK_DEVICE && hid == NULL) {
+        hd_invalid("servo: the simulated joystick has no clock of its own");
         return NULL;
     }
     struct hd_servo *servo = NULL;
@@ -346,7 +450,10 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
     }
     memset(servo, 0, sizeof *servo);
     servo->config = *config;
-    servo->sim = sim;
+    servo->device = (struct hd_device){.sim = sim, .hid = hid};
+    if (config->clock == HD_CLOCK_DEVICE) {
+        hd_hid_await_enable(hid);
+    }
     servo->period_ns = 1e9 / config->rate_hz;
     servo->period_s = 1.0 / config->rate_hz;
     hd_triple_init(&servo->triple);
@@ -393,7 +500,7 @@ static size_t regions_of(struct hd_servo *servo, struct hd_region regions[HD_SER
     regions[count++] =
         (struct hd_region){servo->samples.slots, servo->config.sample_capacity * sizeof(struct hd_sample)};
     regions[count++] = (struct hd_region){servo->events.slots, HD_EVENT_RING_CAPACITY * sizeof(struct hd_event)};
-    regions[count++] = (struct hd_region){servo->sim, hd_sim_size()};
+    regions[count++] = hd_device_region(&servo->device);
     return count;
 }
 
@@ -598,7 +705,8 @@ static int command_check(const struct hd_servo *servo, const struct hd_command *
         return hd_mode_check(&command->mode, "play");
     }
     case HD_COMMAND_OPERATOR:
-        return command->path != NULL && servo->sim != NULL ? HD_OK : hd_invalid("operator: no path or no simulation");
+        return command->path != NULL && servo->device.sim != NULL ? HD_OK
+                                                                  : hd_invalid("operator: no path or no simulation");
     case HD_COMMAND_RESET:
     case HD_COMMAND_FORCES:
         return HD_OK;

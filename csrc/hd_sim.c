@@ -18,13 +18,17 @@
  *
  * Such a step holds while nothing happens. What can happen is found on the solution itself and splits the step there:
  * the velocity passes zero (then friction holds, or the motion turns), the handle meets a stop (and rests there:
- * inelastic), the force on a resting handle exceeds the friction, the wish enters another segment, the force expires, a
- * report is due. Within one part the net force changes its sign at most once (hd_segment courses are cut further for
- * that), so that an event cannot hide between two looks. A jump of the wish moves the spring only; its damper is not
- * struck.
+ * inelastic), the force on a resting handle exceeds the friction, the wish enters another segment, the force expires,
+ * another arrives, a report is due. Within one part the net force changes its sign at most once (hd_segment courses are
+ * cut further for that), so that an event cannot hide between two looks. A jump of the wish moves the spring only; its
+ * damper is not struck.
  *
- * Times are counted in servo periods, and for reports in 2^-24 of a period, so nothing accumulates. SI units. Control
- * makes and frees a simulation; one thread at a time runs it. */
+ * Behind a link a force acts at a later frame. That frame is known when the force is put, so that what is under way is
+ * a short row of forces and their times, each another event; a put that comes before the frame of the last one leaves
+ * takes its place.
+ *
+ * Times are counted in servo periods, and for reports and frames in 2^-24 of a period, so nothing accumulates. SI
+ * units. Control makes and frees a simulation; one thread at a time runs it. */
 #include "hd_sim.h"
 
 #include <math.h>
@@ -72,6 +76,12 @@ struct hd_report {
     double velocity_m_per_s[2];
 };
 
+/* A force on its way to the actuator. */
+struct hd_sent {
+    double force_n[2];
+    uint64_t at; /* when it acts, in 2^-24 of a period since report_tick */
+};
+
 struct hd_sim {
     /* The device and the hand: constant. */
     double period_s;
@@ -97,8 +107,17 @@ struct hd_sim {
     /* The motion. */
     struct hd_axis axes[2];
     double force_n[2];
-    uint64_t tick; /* periods since the start */
-    uint64_t put_tick;
+    uint64_t tick;     /* periods since the start */
+    uint64_t put_tick; /* the force has acted since then, and as much later in that period: */
+    double put_late_s;
+
+    /* The link of forces; times as those of reports. */
+    uint64_t force_interval; /* 0: there is none */
+    uint64_t force_intervals;
+    uint64_t arrive_at; /* when the next one arrives; UINT64_MAX: none is under way */
+    uint32_t sent_first;
+    uint32_t sent_count;
+    struct hd_sent sent[HD_SIM_FORCES]; /* a ring, in order of time */
 
     /* The wish. */
     const struct hd_operator *path; /* NULL: it rests */
@@ -491,7 +510,8 @@ HD_RT static double force_left_s(const struct hd_sim *sim) {
     if (sim->force_n[0] == 0.0 && sim->force_n[1] == 0.0) {
         return (double)INFINITY;
     }
-    const double left_s = sim->force_timeout_s - (double)(int64_t)(sim->tick - sim->put_tick) * sim->period_s;
+    const double held_s = (double)(int64_t)(sim->tick - sim->put_tick) * sim->period_s - sim->put_late_s;
+    const double left_s = sim->force_timeout_s - held_s;
     return left_s > HD_SAME_TIME * sim->period_s ? left_s : 0.0;
 }
 
@@ -516,6 +536,33 @@ HD_RT static void report(struct hd_sim *sim) {
     sim->report_at += sim->report_interval;
 }
 
+/* The first of the forces under way begins to act, `late_s` after the present tick. */
+HD_RT static void arrive(struct hd_sim *sim, double late_s) {
+    const struct hd_sent *const first = &sim->sent[sim->sent_first];
+    sim->force_n[0] = first->force_n[0];
+    sim->force_n[1] = first->force_n[1];
+    sim->put_tick = sim->tick;
+    sim->put_late_s = late_s;
+    sim->sent_first = (sim->sent_first + 1u) % HD_SIM_FORCES;
+    sim->sent_count--;
+    sim->arrive_at = sim->sent_count > 0 ? sim->sent[sim->sent_first].at : UINT64_MAX;
+}
+
+/* What is due at a tick. */
+HD_RT static inline void due_at(struct hd_sim *sim, uint64_t now) {
+    if (sim->report_at == now) {
+        report(sim);
+    }
+    if (sim->arrive_at == now) {
+        arrive(sim, 0.0);
+    }
+}
+
+/* A time within the present period, which began at `begin`. */
+HD_RT static inline double within_s(const struct hd_sim *sim, uint64_t at, uint64_t begin) {
+    return (double)(int64_t)(at - begin) * HD_REPORT_UNIT * sim->period_s;
+}
+
 /* One period with whatever falls into it. */
 HD_RT static void busy_period(struct hd_sim *sim) {
     const uint64_t begin = (sim->tick - sim->report_tick) << HD_REPORT_SHIFT;
@@ -525,6 +572,7 @@ HD_RT static void busy_period(struct hd_sim *sim) {
     while (done_s < sim->period_s) {
         double next_s = sim->period_s;
         bool reports = false;
+        bool arrives = false;
         find_segment(sim, path_s + done_s);
         if (sim->segment.end_s - path_s < next_s - HD_SAME_TIME * sim->period_s) {
             next_s = sim->segment.end_s - path_s;
@@ -537,10 +585,18 @@ HD_RT static void busy_period(struct hd_sim *sim) {
             next_s = expiry_s;
         }
         if (sim->report_at < end) {
-            const double report_s = (double)(int64_t)(sim->report_at - begin) * HD_REPORT_UNIT * sim->period_s;
+            const double report_s = within_s(sim, sim->report_at, begin);
             if (report_s <= next_s) {
                 next_s = report_s;
                 reports = true;
+            }
+        }
+        if (sim->arrive_at < end) {
+            const double arrive_s = within_s(sim, sim->arrive_at, begin);
+            if (arrive_s <= next_s) {
+                reports = reports && arrive_s == next_s;
+                next_s = arrive_s;
+                arrives = true;
             }
         }
         if (next_s > done_s) {
@@ -550,16 +606,17 @@ HD_RT static void busy_period(struct hd_sim *sim) {
         if (reports) {
             report(sim);
         }
+        if (arrives) {
+            arrive(sim, next_s);
+        }
     }
     sim->tick++;
-    if (sim->report_at == end) {
-        report(sim);
-    }
+    due_at(sim, end);
 }
 
 HD_RT static inline void one_period(struct hd_sim *sim) {
     const uint64_t end = (sim->tick + 1u - sim->report_tick) << HD_REPORT_SHIFT;
-    if (sim->tick >= sim->calm_tick || !force_lasts(sim) || sim->report_at < end) {
+    if (sim->tick >= sim->calm_tick || !force_lasts(sim) || sim->report_at < end || sim->arrive_at < end) {
         busy_period(sim);
         return;
     }
@@ -570,12 +627,11 @@ HD_RT static inline void one_period(struct hd_sim *sim) {
         }
     }
     sim->tick++;
-    if (sim->report_at == end) {
-        report(sim);
-    }
+    due_at(sim, end);
 }
 
-/* How many periods from now on can be one step: nothing falls into them, and at most a report at their end. */
+/* How many periods from now on can be one step: nothing falls into them, and at most a report and a force at
+ * their end. */
 HD_RT static uint64_t free_periods(const struct hd_sim *sim, uint64_t end_tick) {
     if (sim->tick >= sim->calm_tick || !force_lasts(sim)) {
         return 0;
@@ -588,7 +644,8 @@ HD_RT static uint64_t free_periods(const struct hd_sim *sim, uint64_t end_tick) 
         const uint64_t lasting = sim->force_whole_periods - (sim->tick - sim->put_tick);
         count = lasting < count ? lasting : count;
     }
-    const uint64_t silent = (sim->report_at - ((sim->tick - sim->report_tick) << HD_REPORT_SHIFT)) >> HD_REPORT_SHIFT;
+    const uint64_t next_at = sim->report_at < sim->arrive_at ? sim->report_at : sim->arrive_at;
+    const uint64_t silent = (next_at - ((sim->tick - sim->report_tick) << HD_REPORT_SHIFT)) >> HD_REPORT_SHIFT;
     return silent < count ? silent : count;
 }
 
@@ -618,9 +675,7 @@ HD_RT static void many_periods(struct hd_sim *sim, uint32_t periods) {
                            before[0].v == sim->axes[0].v && before[1].x == sim->axes[1].x &&
                            before[1].v == sim->axes[1].v;
         sim->tick += rests ? count : step;
-        if (sim->report_at == (sim->tick - sim->report_tick) << HD_REPORT_SHIFT) {
-            report(sim);
-        }
+        due_at(sim, (sim->tick - sim->report_tick) << HD_REPORT_SHIFT);
     }
 }
 
@@ -634,7 +689,21 @@ HD_RT void hd_sim_step_advance(struct hd_sim *sim, uint32_t periods) {
 
 /* ---- Force, wish and reports ----------------------------------------------------------------------------------- */
 
+/* Sends a force with the next frame; one that waited for it is overtaken. */
+HD_RT static void send_force(struct hd_sim *sim, const double force_n[2]) {
+    const uint64_t now = (sim->tick - sim->report_tick) << HD_REPORT_SHIFT;
+    const uint64_t at = (now / sim->force_interval + sim->force_intervals) * sim->force_interval;
+    uint32_t last = (sim->sent_first + sim->sent_count + HD_SIM_FORCES - 1u) % HD_SIM_FORCES;
+    if (sim->sent_count == 0 || sim->sent[last].at != at) {
+        last = (last + 1u) % HD_SIM_FORCES;
+        sim->sent_count++;
+    }
+    sim->sent[last] = (struct hd_sent){{force_n[0], force_n[1]}, at};
+    sim->arrive_at = sim->sent[sim->sent_first].at;
+}
+
 HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]) {
+    double shown_n[2];
     const bool finite = isfinite(force_n[0]) && isfinite(force_n[1]);
     for (int which = 0; which < 2; which++) {
         double level = finite ? force_n[which] : 0.0;
@@ -643,12 +712,18 @@ HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]) {
             level *= sim->force_per_n;
             level = level > sim->force_top ? sim->force_top : level;
             level = level < -sim->force_top ? -sim->force_top : level;
-            sim->force_n[which] = ((level + HD_ROUND_MAGIC) - HD_ROUND_MAGIC) * sim->force_step_n;
+            shown_n[which] = ((level + HD_ROUND_MAGIC) - HD_ROUND_MAGIC) * sim->force_step_n;
         } else {
             level = level > sim->force_top ? sim->force_top : level;
-            sim->force_n[which] = level < -sim->force_top ? -sim->force_top : level;
+            shown_n[which] = level < -sim->force_top ? -sim->force_top : level;
         }
     }
+    if (sim->force_interval > 0) {
+        send_force(sim, shown_n);
+        return;
+    }
+    sim->force_n[0] = shown_n[0];
+    sim->force_n[1] = shown_n[1];
     sim->put_tick = sim->tick;
 }
 
@@ -739,6 +814,7 @@ static int check_config(const struct hd_sim_config *config, double period_s) {
         {"max_force_n", config->max_force_n, 0.0, 1e6},
         {"report_interval_s", config->report_interval_s, 0.0, 1000.0},
         {"report_delay_s", config->report_delay_s, 0.0, 1000.0},
+        {"force_interval_s", config->force_interval_s, 0.0, 1000.0},
         {"workspace_m", config->workspace_m, 1e-6, 1000.0},
         {"force_timeout_s", config->force_timeout_s, 1e-6, 1e6},
         {"hand_mass_kg", config->hand_mass_kg, 0.0, 1e6},
@@ -765,6 +841,15 @@ static int check_config(const struct hd_sim_config *config, double period_s) {
         return hd_invalid("report_delay_s: %g is more than %g reports of %g s", config->report_delay_s,
                           (double)HD_REPORTS - 4.0, interval_s);
     }
+    if (config->force_interval_s > 0.0) {
+        if (config->force_interval_s * HD_REPORTS_A_PERIOD_MAX < period_s) {
+            return hd_invalid("force_interval_s: %g is less than 1/%g of the period", config->force_interval_s,
+                              HD_REPORTS_A_PERIOD_MAX);
+        }
+        if (config->force_intervals < 1 || config->force_intervals > HD_SIM_FORCES) {
+            return hd_invalid("force_intervals: %u is not between 1 and %d", config->force_intervals, HD_SIM_FORCES);
+        }
+    }
     if (fastest_rate_per_s(config) * period_s > HD_STEP_MAX * HD_PARTS_MAX) {
         return hd_invalid("handle_mass_kg: %g is too light for its damping, the hand and a period of %g s",
                           config->handle_mass_kg, period_s);
@@ -789,7 +874,7 @@ static void make_series(struct hd_sim *sim) {
     }
 }
 
-/* Reports begin anew with the present position as number 0. */
+/* Reports begin anew with the present position as number 0; forces under way are gone. */
 static void restart_reports(struct hd_sim *sim) {
     sim->report_tick = sim->tick;
     sim->report_count = 0;
@@ -797,6 +882,8 @@ static void restart_reports(struct hd_sim *sim) {
     sim->read_number = 0;
     sim->read_next_at = sim->report_interval + sim->report_delay;
     sim->read_before = false;
+    sim->sent_count = 0;
+    sim->arrive_at = UINT64_MAX;
     report(sim);
 }
 
@@ -850,6 +937,8 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
     sim->report_interval_s = interval_s;
     sim->report_interval = (uint64_t)(interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
     sim->report_delay = (uint64_t)(config->report_delay_s / unit_s * (1.0 + 1e-15) + 1e-3);
+    sim->force_interval = (uint64_t)(config->force_interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
+    sim->force_intervals = config->force_intervals;
     restart_reports(sim);
     return sim;
 }

@@ -7,7 +7,9 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import Field, ValidationError, model_validator
 
+from hapticd.core import SIM_FORCES
 from hapticd.errors import InvalidError, Path, Problem, shown
+from hapticd.hid.config import Hid, Replay
 from hapticd.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
 from hapticd.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
 from hapticd.scene import Scene, reference_faults
@@ -31,6 +33,9 @@ class Servo(Model):
         description="Real-time rights: refuse to start without them, ask for them, or do without.",
     )
     spin_us: float = Field(default=0.0, ge=0, le=100, description="Busy waiting before each deadline.")
+    clock: Literal["timer", "device"] = Field(
+        default="timer", description="What leads the ticks: the clock, or the reports of a HID device."
+    )
 
 
 class Hand(Model):
@@ -39,6 +44,18 @@ class Hand(Model):
     mass_kg: float = Field(default=0.01, ge=0, le=10, description="Mass that moves with the handle.")
     stiffness_n_per_m: Stiffness = Field(default=300.0, description="Grip stiffness.")
     damping_n_s_per_m: Damping = Field(default=5.0, description="Grip damping.")
+
+
+class Link(Model):
+    """A link of frames between the servo and the simulated joystick, as USB has it."""
+
+    rate_hz: float = Field(ge=10, le=8000, description="Frames per second.")
+    delay_frames: int = Field(
+        default=1,
+        ge=1,
+        le=SIM_FORCES,
+        description="Age of a position when it is read, in frames; a force acts at this frame after it was put.",
+    )
 
 
 class Sim(Model):
@@ -64,6 +81,20 @@ class Sim(Model):
         "instead.",
     )
     hand: Hand = Field(default=Hand(), description="The hand that holds it.")
+    link: Link | None = Field(default=None, description="What positions and forces come and go by; null: at once.")
+
+    @property
+    def reports_s(self) -> tuple[float, float]:
+        """Time between position reports (0: one at every tick), and how old they are, s."""
+        if self.link is None:
+            return self.report_interval_s, self.report_delay_s
+        return 1.0 / self.link.rate_hz, self.link.delay_frames / self.link.rate_hz
+
+    @model_validator(mode="after")
+    def _one_way_of_reports(self) -> Self:
+        if self.link is not None and (self.report_interval_s or self.report_delay_s):
+            raise ValueError("with a link, report_interval_s and report_delay_s must be left out: the link says both")
+        return self
 
     @model_validator(mode="after")
     def _start_inside(self) -> Self:
@@ -81,15 +112,19 @@ def _moving_mass_kg(fields: dict[str, object]) -> float:
 class Device(Model):
     """The device that displays the force, and what is asked of it."""
 
-    kind: Literal["sim"] = Field(default="sim", description="The simulated joystick.")
+    kind: Literal["sim", "hid", "replay"] = Field(
+        default="sim", description="The simulated joystick, a HID joystick, or a recording of one."
+    )
     max_force_n: ActuatorForce = Field(default=8.9, description="Largest magnitude of the force commanded.")
     max_speed_m_per_s: float = Field(
         default=5.0, ge=0.01, le=1000, description="A step between two positions that is faster is a glitch."
     )
     undisplayable: Literal["mute", "lower"] = Field(
-        default="mute", description="What becomes of a mode above 0.4 of the rate."
+        default="mute", description="What becomes of a mode above 0.4 of the rate, the link's if that is lower."
     )
     sim: Sim = Field(default=Sim(), description="The simulated joystick.")
+    hid: Hid = Field(default=Hid(), description="A HID joystick; of a replay, how its reports are understood.")
+    replay: Replay | None = Field(default=None, description="The recording that is played.")
     # After `sim`, which its default is taken from.
     effective_mass_kg: float = Field(
         default_factory=_moving_mass_kg,
@@ -97,6 +132,12 @@ class Device(Model):
         le=10,
         description="Mass by which an acceleration becomes a force; by default handle and hand together.",
     )
+
+    @model_validator(mode="after")
+    def _recording_named(self) -> Self:
+        if self.kind == "replay" and self.replay is None:
+            raise ValueError("kind replay needs device.replay.path, a recording of `hapticd devices dump`")
+        return self
 
 
 class Config(Model):
@@ -108,6 +149,12 @@ class Config(Model):
         default={}, max_length=MAX_MATERIALS, description="Materials by name, added to the shipped ones."
     )
     scene: Scene = Field(default=Scene(), description="The scene at the start.")
+
+    @model_validator(mode="after")
+    def _clock_reports(self) -> Self:
+        if self.servo.clock == "device" and self.device.kind == "sim":
+            raise ValueError("servo.clock device needs a device of kind hid or replay")
+        return self
 
 
 ConfigSource: TypeAlias = "Config | Mapping[str, object] | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"

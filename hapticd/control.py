@@ -157,6 +157,7 @@ class Control:
             "protocol": PROTOCOL,
             "state": "running" if counters.running else "stopped",
             "device": engine.config.device.kind,
+            "connection": None if engine.connection is None else engine.connection.status(),
             "rate_hz": engine.rate_hz,
             "realtime": None if granted is None else _realtime(granted, counters),
             "revision": engine.revision,
@@ -381,6 +382,11 @@ class Control:
 
     def _set_operator(self, params: Mapping[str, object]) -> dict[str, object]:
         engine = self._engine
+        if engine.connection is not None:
+            raise MethodError(
+                Code.NO_OPERATOR,
+                f"set_operator moves the simulated joystick's hand; this device is of kind {engine.config.device.kind}",
+            )
         operator = parse_operator(params)
         engine.beat()
         waypoints = operator.waypoints_for(self._target, grip_of(engine.config.device.sim), self._wish)

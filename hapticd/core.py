@@ -31,12 +31,16 @@ __all__ = [
     "PIECE_DTYPE",
     "PLAY_SLOT",
     "SAMPLE_DTYPE",
+    "SIM_FORCES",
     "TABLE_DTYPE",
     "CData",
+    "ClockSource",
     "CommandKind",
     "EventKind",
     "Fault",
     "Flag",
+    "HidMeaning",
+    "HidQuantity",
     "Interpolation",
     "Realtime",
     "Shape",
@@ -54,6 +58,7 @@ __all__ = [
 _SCALARS: dict[str, np.dtype[Any]] = {
     "double": np.dtype(np.float64),
     "int32_t": np.dtype(np.int32),
+    "uint8_t": np.dtype(np.uint8),
     "uint32_t": np.dtype(np.uint32),
     "int64_t": np.dtype(np.int64),
     "uint64_t": np.dtype(np.uint64),
@@ -106,6 +111,8 @@ NO_SLOT = lib.HD_NO_SLOT
 """`slot` of an event or a reset that means no object in particular."""
 PLAY_SLOT = lib.HD_PLAY_SLOT
 """`slot` of what a `play` command struck."""
+SIM_FORCES: int = lib.HD_SIM_FORCES
+"""So many frames a force may be under way to the simulated joystick."""
 
 
 class Status(IntEnum):
@@ -192,6 +199,32 @@ class Realtime(IntEnum):
     OFF = lib.HD_REALTIME_OFF
     PREFERRED = lib.HD_REALTIME_PREFERRED
     REQUIRED = lib.HD_REALTIME_REQUIRED
+
+
+class ClockSource(IntEnum):
+    """What says that a tick is due: enum hd_clock_source."""
+
+    TIMER = lib.HD_CLOCK_TIMER
+    DEVICE = lib.HD_CLOCK_DEVICE
+
+
+class HidQuantity(IntEnum):
+    """What a number in an output report says of the force: enum hd_hid_quantity."""
+
+    X = lib.HD_HID_X
+    Y = lib.HD_HID_Y
+    MAGNITUDE = lib.HD_HID_MAGNITUDE
+    DIRECTION = lib.HD_HID_DIRECTION
+
+
+class HidMeaning(IntEnum):
+    """What a number in an input report says of the device: enum hd_hid_meaning."""
+
+    RESET = lib.HD_HID_RESET
+    ACTUATORS = lib.HD_HID_ACTUATORS
+    PAUSED = lib.HD_HID_PAUSED
+    SAFETY = lib.HD_HID_SAFETY
+    POWER = lib.HD_HID_POWER
 
 
 class CommandKind(IntEnum):

@@ -91,6 +91,9 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
         f", memory locked: {granted.memory}",
         paths.command,
     )
+    if engine.connection is not None:
+        told = engine.connection.status()
+        _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     received = signals.recv(1)[0]
     if failures:

@@ -14,12 +14,12 @@ from typing import Final, Literal, TypeAlias
 from hapticd.errors import Path, Problem, path_text, undisplayable_text
 from hapticd.materials import Material
 from hapticd.mode import Mode
-from hapticd.noise import reflection_of, resampled, stochastic_filter
+from hapticd.noise import power_above, reflection_of, resampled, stochastic_filter
 from hapticd.scene import TOUCHING_M, SceneObject, Wall, used_materials
 from hapticd.texture import Autoregressive, Grooves, Stochastic
 
 DISPLAYABLE: Final = 0.4
-"""What lies above this fraction of the rate is not displayed as it is."""
+"""What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""
 STROKE_M_PER_S: Final = 0.5
 """A fast stroke: a groove's shape that it passes in less than two ticks is hardly displayed."""
 MAX_LOSS: Final = 0.01
@@ -37,6 +37,13 @@ class Output:
     max_force_n: float
     max_speed_m_per_s: float
     undisplayable: Literal["mute", "lower"]
+    link_rate_hz: float | None = None
+    """Forces that the link to the device carries in a second; None: as many as there are ticks."""
+
+    @property
+    def carried_hz(self) -> float:
+        """Forces a second that reach the device: the rate of the servo, or of the link if that is lower."""
+        return self.rate_hz if self.link_rate_hz is None else min(self.rate_hz, self.link_rate_hz)
 
 
 Use: TypeAlias = Literal["tap", "rupture", "groove", "texture"]
@@ -61,9 +68,9 @@ class Undisplayable:
 def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
     """The mode as the rate can carry it, and the factor on its coefficient that keeps the first peak.
 
-    Above 0.4 of the rate a mode is muted (None) or lowered to 0.4 of the rate.
+    Above 0.4 of the rate a mode is muted (None) or lowered to 0.4 of the rate, which is the link's if that is lower.
     """
-    highest = 2.0 * math.pi * DISPLAYABLE * output.rate_hz
+    highest = 2.0 * math.pi * DISPLAYABLE * output.carried_hz
     if mode.angular_frequency_rad_per_s <= highest:
         return mode, 1.0
     if output.undisplayable == "mute":
@@ -77,7 +84,7 @@ def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] |
 
     A peak above 0.4 of the rate is muted, or lowered to 0.4 of the rate and the mean by the same factor.
     """
-    highest = DISPLAYABLE * output.rate_hz
+    highest = DISPLAYABLE * output.carried_hz
     if texture.peak_hz <= highest:
         return texture.peak_hz, texture.mean_hz
     if output.undisplayable == "mute":
@@ -102,7 +109,7 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
                         Undisplayable(name, use, mode.frequency_hz, None if shown is None else shown.frequency_hz)
                     )
         texture = material.texture
-        if isinstance(texture, Stochastic) and texture.peak_hz > DISPLAYABLE * output.rate_hz:
+        if isinstance(texture, Stochastic) and texture.peak_hz > DISPLAYABLE * output.carried_hz:
             pair = displayed_pair(texture, output)
             found.append(Undisplayable(name, "texture", texture.peak_hz, None if pair is None else pair[0]))
     return found
@@ -159,19 +166,20 @@ def _hz(frequency_hz: float) -> str:
 
 
 def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:
-    travel_m = output.max_speed_m_per_s / output.rate_hz
+    one, two = ("tick", "ticks") if output.carried_hz == output.rate_hz else ("frame of the link", "frames of the link")
+    travel_m = output.max_speed_m_per_s / output.carried_hz
     if texture.display == "vibration" and texture.spacing_m < travel_m * (1 - 1e-9):
-        held_m_per_s = texture.spacing_m * output.rate_hz
+        held_m_per_s = texture.spacing_m * output.carried_hz
         problem = (
-            f"{texture.spacing_m:g} is less than the probe may travel in a tick, {travel_m:g} at the device's "
-            f"max_speed_m_per_s; up to {held_m_per_s:g} m/s a tick passes one groove at most"
+            f"{texture.spacing_m:g} is less than the probe may travel in a {one}, {travel_m:g} at the device's "
+            f"max_speed_m_per_s; up to {held_m_per_s:g} m/s a {one} passes one groove at most"
         )
         yield _texture_problem(name, "spacing_m", problem)
-    two_ticks_m = 2 * STROKE_M_PER_S / output.rate_hz
-    if texture.display != "vibration" and texture.width_m < two_ticks_m * (1 - 1e-9):
+    least_m = 2 * STROKE_M_PER_S / output.carried_hz
+    if texture.display != "vibration" and texture.width_m < least_m * (1 - 1e-9):
         problem = (
-            f"{texture.width_m:g} is passed in less than two ticks at {STROKE_M_PER_S:g} m/s, "
-            f"and its shape is hardly displayed; from {two_ticks_m:g} on it is"
+            f"{texture.width_m:g} is passed in less than two {two} at {STROKE_M_PER_S:g} m/s, "
+            f"and its shape is hardly displayed; from {least_m:g} on it is"
         )
         yield _texture_problem(name, "width_m", problem)
 
@@ -187,21 +195,41 @@ def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iter
             f"shown are {_hz(shown.peak_hz)} and {_hz(shown.mean_hz)}"
         )
         yield _texture_problem(name, "mean_hz", problem)
+    above = power_above(shown, DISPLAYABLE * output.carried_hz, output.rate_hz)
+    if output.carried_hz < output.rate_hz and above > MAX_LOSS:
+        yield _texture_problem(name, "mean_hz", _above_problem(above, output))
+
+
+def _above_problem(above: float, output: Output) -> str:
+    return (
+        f"has {100 * above:.3g} % of its power above {_hz(DISPLAYABLE * output.carried_hz)}, more than the link's "
+        f"{_hz(output.carried_hz)} can carry as it is"
+    )
+
+
+_Worst: TypeAlias = tuple[float, int]
+"""The largest of a figure over the models of a texture, and the index of the model, negated: of equals the first."""
 
 
 @lru_cache(maxsize=64)
-def _losses(texture: Autoregressive, rate_hz: float) -> tuple[tuple[float, int], tuple[float, int]]:
-    """What models lose when they are shown at a rate: the largest fraction of power, and the largest error of a
-    spectrum in dB, each with the index of the model."""
+def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> tuple[_Worst, _Worst, _Worst]:
+    """What models lose when they are shown at a rate: the largest fraction of power that is cut off, the largest error
+    of a spectrum in dB, and the largest fraction of power above what the link carries, if that is the lower rate."""
     shown = [resampled(reflection_of(model.coefficients), texture.rate_hz, rate_hz) for model in texture.models]
     return (
         max((1 - each.kept, -index) for index, each in enumerate(shown)),
         max((each.error_db, -index) for index, each in enumerate(shown)),
+        max(
+            (power_above((each.reflection, None), DISPLAYABLE * carried_hz, rate_hz), -index)
+            for index, each in enumerate(shown)
+        )
+        if carried_hz < rate_hz
+        else (0.0, 0),
     )
 
 
 def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output) -> Iterator[Problem]:
-    (loss, lossy), (error_db, wrong) = _losses(texture, output.rate_hz)
+    (loss, lossy), (error_db, wrong), (above, highest) = _losses(texture, output.rate_hz, output.carried_hz)
     rate = f"at a rate of {_hz(output.rate_hz)}" + (", more than any other model" if len(texture.models) > 1 else "")
     if loss > MAX_LOSS:
         place = path_text(("materials", name, "texture", "models", -lossy))
@@ -209,6 +237,10 @@ def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output)
     if error_db > MAX_ERROR_DB:
         place = path_text(("materials", name, "texture", "models", -wrong))
         yield Problem(place, f"is shown with a spectrum that is off by up to {error_db:.2g} dB {rate}")
+    if above > MAX_LOSS:
+        place = path_text(("materials", name, "texture", "models", -highest))
+        more = ", more of it than any other model" if len(texture.models) > 1 else ""
+        yield Problem(place, f"{_above_problem(above, output)}{more}")
 
 
 def _patch_warnings(id: str, wall: Wall) -> Iterator[Problem]:

@@ -26,6 +26,7 @@ from hapticd.core import (
     PLAY_SLOT,
     SAMPLE_DTYPE,
     CData,
+    ClockSource,
     CommandKind,
     Fault,
     Realtime,
@@ -37,6 +38,8 @@ from hapticd.core import (
 )
 from hapticd.displayable import Output, Undisplayable, displayed_mode, rate_faults, undisplayable, warnings
 from hapticd.errors import HapticdError, InvalidError, Problem
+from hapticd.hid.connection import Connection
+from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim
 from hapticd.materials import Materials
 from hapticd.mode import Attack, Mode
@@ -63,15 +66,21 @@ class WaitTimeoutError(HapticdError):
     """The servo did not take a command or a revision in time."""
 
 
-def output_of(config: Config, rate_hz: float) -> Output:
-    """What a configuration's device makes of a scene at a rate."""
+def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
+    """What a configuration's device makes of a scene at a rate.
+
+    `link_rate_hz`: forces a second that the device takes; None: what the simulated joystick's link carries.
+    """
     device = config.device
+    if device.kind == "sim" and device.sim.link is not None:
+        link_rate_hz = device.sim.link.rate_hz
     return Output(
         rate_hz=rate_hz,
         effective_mass_kg=device.effective_mass_kg,
         max_force_n=device.max_force_n,
         max_speed_m_per_s=device.max_speed_m_per_s,
         undisplayable=device.undisplayable,
+        link_rate_hz=link_rate_hz,
     )
 
 
@@ -132,11 +141,32 @@ class Engine:
         self.revision = 1
         self.granted: Granted | None = None
         self._awake = Awake()
-        self.output = output_of(config, servo.rate_hz)
+        self._sim: CData | None = None
+        self.connection: Connection | None = None
+        if config.device.kind == "sim":
+            self._sim = new_sim(config.device.sim, servo.rate_hz)
+        else:
+            below_servo = 0 if servo.realtime == "off" else max(1, servo.priority - 1)
+            self.connection = Connection(source_of(config.device), below_servo)
+        try:
+            self._make()
+        except BaseException:
+            self._disconnect()
+            raise
+
+    def _make(self) -> None:
+        """Opens the device, and makes the servo for it."""
+        config, servo = self.config, self.config.servo
+        sim = config.device.sim
+        resolution_m, report_age_s, link_hz = sim.encoder_step_m, sum(sim.reports_s), None
+        if self.connection is not None:
+            plan, link = self.connection.open()
+            resolution_m, report_age_s, link_hz = plan.resolution_m, 0.0, link.rate_hz
+        carried_hz = None if link_hz is None or link_hz >= servo.rate_hz else link_hz
+        self.output = output_of(config, servo.rate_hz, carried_hz)
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
-        self._sim = new_sim(config.device.sim, servo.rate_hz)
         self._operators: deque[tuple[int, CData]] = deque()
         self._dropped = ffi.new("uint64_t *")
         self._sequence = ffi.new("uint64_t *")
@@ -149,16 +179,18 @@ class Engine:
         settings.slot_capacity = MAX_OBJECTS
         settings.sample_capacity = SAMPLE_CAPACITY
         settings.spin_ns = round(servo.spin_us * 1000)
-        sim = config.device.sim
-        settings.resolution_m = sim.encoder_step_m
-        settings.device_timeout_s = DEVICE_TIMEOUT_S + sim.report_interval_s + sim.report_delay_s
-        settings.forces_on = 1
-        made = lib.hd_servo_new(settings, self._sim)
+        settings.resolution_m = resolution_m
+        settings.device_timeout_s = DEVICE_TIMEOUT_S + report_age_s
+        settings.clock = ClockSource[servo.clock.upper()]
+        # A real device pushes once somebody says so.
+        settings.forces_on = self._sim is not None
+        hid = None if self.connection is None else self.connection.hid
+        made = lib.hd_servo_new(settings, self._sim or ffi.NULL, hid or ffi.NULL)
         if made == ffi.NULL:
             raise HapticdError(invalid_reason())
 
         # The thread ends first: the destructor itself keeps alive what the thread uses until then.
-        def free(servo: CData, _used: tuple[CData, deque[tuple[int, CData]]] = (self._sim, self._operators)) -> None:
+        def free(servo: CData, _used: tuple[object, ...] = (self._sim, hid, self._operators)) -> None:
             lib.hd_servo_free(servo)
 
         self._servo = ffi.gc(made, free)
@@ -170,6 +202,15 @@ class Engine:
 
     def start(self) -> Granted:
         """Starts the servo thread. Raises HapticdError where real time is required and refused."""
+        try:
+            if self.connection is not None:
+                self.connection.start()
+            return self._start()
+        except BaseException:
+            self._disconnect()
+            raise
+
+    def _start(self) -> Granted:
         servo = self.config.servo
         grant = ffi.new("struct hd_grant *")
         status = lib.hd_servo_start(self._servo, grant)
@@ -186,6 +227,10 @@ class Engine:
                 self._awake.hold()
             except OSError as error:
                 missing.append(f"processors kept out of deep idle states: {error.strerror} ({error.filename})")
+        if self.connection is not None and self.connection.denied:
+            missing.append("SCHED_FIFO for the threads that read and write the device")
+            if servo.realtime == "required":
+                status = Status.ERR_DENIED
         if status == Status.ERR_DENIED:
             raise HapticdError(
                 f"servo.realtime is required but refused: {'; '.join(missing)}; "
@@ -204,10 +249,16 @@ class Engine:
         return self.granted
 
     def stop(self) -> None:
-        """Fades the force out over the ramp, puts zero and ends the thread."""
+        """Fades the force out over the ramp, puts zero, ends the thread and lets the device go."""
         self._awake.release()
-        if lib.hd_servo_stop(self._servo) != Status.OK:
+        ended = lib.hd_servo_stop(self._servo)
+        self._disconnect()
+        if ended != Status.OK:
             raise HapticdError(f"the servo thread does not end: {os.strerror(ffi.errno)}")
+
+    def _disconnect(self) -> None:
+        if self.connection is not None:
+            self.connection.stop()
 
     def beat(self) -> None:
         """The thread that serves commands lives; without a beat for a second the forces fade out."""
@@ -304,7 +355,12 @@ class Engine:
         return self._send_and_wait([command])
 
     def set_operator(self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]) -> int:
-        """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned."""
+        """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned.
+
+        Raises HapticdError where there is no simulated hand.
+        """
+        if self._sim is None:
+            raise HapticdError(f"the device is of kind {self.config.device.kind}: its handle has a hand of its own")
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)
         command.path = path

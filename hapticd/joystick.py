@@ -30,12 +30,14 @@ def new_sim(sim: Sim, rate_hz: float) -> CData:
         "encoder_step_m",
         "max_force_n",
         "force_step_n",
-        "report_interval_s",
-        "report_delay_s",
         "workspace_m",
         "force_timeout_s",
     ):
         setattr(config, name, getattr(sim, name))
+    config.report_interval_s, config.report_delay_s = sim.reports_s
+    if sim.link is not None:
+        config.force_interval_s = 1.0 / sim.link.rate_hz
+        config.force_intervals = sim.link.delay_frames
     config.hand_mass_kg = hand.mass_kg
     config.hand_stiffness_n_per_m = hand.stiffness_n_per_m
     config.hand_damping_n_s_per_m = hand.damping_n_s_per_m

@@ -95,6 +95,16 @@ def power_spectrum(source: Spectral, frequency_hz: npt.ArrayLike, rate_hz: float
     return _power(reflection, taps, angle) * (2 / rate_hz)
 
 
+def power_above(source: Spectral, frequency_hz: float, rate_hz: float) -> float:
+    """The fraction of the power above a frequency: the integral of power_spectrum from there to rate/2."""
+    reflection, taps = (source.reflection, source.taps) if isinstance(source, Filter) else source
+    if frequency_hz >= rate_hz / 2:
+        return 0.0
+    nodes, weights = _pole_mesh(_poles(reflection), 2 * math.pi * frequency_hz / rate_hz)
+    below = float(weights @ _power(reflection, taps, nodes)) / math.pi
+    return min(max(1.0 - below, 0.0), 1.0)
+
+
 def _power(reflection: Sequence[float], taps: Sequence[float] | None, angle: Array) -> Array:
     """|H|^2 at these angles; its mean over 0 .. pi is 1."""
     delay = np.exp(-1j * angle)

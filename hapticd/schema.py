@@ -16,6 +16,8 @@ _UNITS = {
     "_m_per_s2": "m/s^2",
     "_m_per_s": "m/s",
     "_n_per_m": "N/m",
+    "_per_m": "1/m",
+    "_per_n": "1/N",
     "_per_s": "1/s",
     "_rad": "rad",
     "_hz": "Hz",

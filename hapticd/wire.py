@@ -51,6 +51,7 @@ class Code(enum.IntEnum):
     RING_FULL = -32005
     WAIT_TIMED_OUT = -32006
     LEASE_LAPSED = -32007
+    NO_OPERATOR = -32008
 
 
 class WireError(HapticdError):

@@ -62,7 +62,12 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
 
 def print_yaml(value: Mapping[str, object]) -> None:
     """YAML that the loader takes back: mappings of plain values on one line, larger ones as a block."""
-    click.echo("\n".join(_block(value, "")))
+    click.echo(yaml_text(value))
+
+
+def yaml_text(value: Mapping[str, object]) -> str:
+    """As print_yaml prints it, without the last line's end."""
+    return "\n".join(_block(value, ""))
 
 
 def _block(mapping: Mapping[str, object], pad: str) -> list[str]:

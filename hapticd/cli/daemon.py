@@ -46,6 +46,7 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
     lines = [
         ("daemon", f"hapticd {status['version']}, protocol {status['protocol']}, {status['state']}"),
         ("device", f"{status['device']} at {status['rate_hz']:g} Hz"),
+        *_connection(status.get("connection")),
         ("real time", _realtime(status["realtime"])),
         ("scene", f"revision {status['revision']}, tick {status['tick']}"),
         ("forces", status["forces"] + (f" ({', '.join(status['faults'])})" if status["faults"] else "")),
@@ -58,6 +59,29 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
     width = max(len(name) for name, _ in lines)
     for name, value in lines:
         click.echo(f"{name:<{width}}  {value}")
+
+
+def _connection(told: object) -> list[tuple[str, str]]:
+    if not isinstance(told, dict):
+        return []
+    where = f"{told['name']} at {told['path']}, " if told["name"] else ""
+    lines = [("connection", f"{where}{told['state']}" + (f": {told['problem']}" if told["problem"] else ""))]
+    rates = [
+        f"{what} {told[key]:g} Hz"
+        for what, key in (
+            ("carries forces at", "link_hz"),
+            ("reports at", "report_hz"),
+            ("takes forces at", "force_hz"),
+        )
+        if told[key] is not None
+    ]
+    if rates:
+        lines.append(("link", ", ".join(rates)))
+    if told["states"]:
+        lines.append(("states", ", ".join(f"{name} {_word(value)}" for name, value in told["states"].items())))
+    if told["resets"]:
+        lines.append(("resets", str(told["resets"])))
+    return lines
 
 
 def _realtime(granted: object) -> str:

@@ -3,24 +3,128 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import json_option, print_json
+from hapticd.cli.common import duration, json_option, print_json, yaml_text
 from hapticd.errors import HapticdError, quoted
 
 if TYPE_CHECKING:
+    from hapticd.hid.discover import Found
     from hapticd.hid.layout import Layout
 
 _MAX_FILE_BYTES: Final = 1 << 20
 """More than any report descriptor is as text; what lies behind is not read."""
 
 
-@click.group("devices")
-def devices_command() -> None:
-    """HID devices, and which of them can be driven."""
+@click.group("devices", invoke_without_command=True, short_help="HID devices, and which can be driven.")
+@json_option
+@click.pass_context
+def devices_command(ctx: click.Context, as_json: bool) -> None:
+    """List HID devices, and say which of them can be driven; or do what a command below says."""
+    if ctx.invoked_subcommand is not None:
+        return
+    from hapticd.hid.discover import find
+
+    found = find()
+    if as_json:
+        print_json([item.to_dict() for item in found])
+    elif not found:
+        click.echo("no HID device is connected, or the kernel has no hidraw")
+    for item in () if as_json else found:
+        click.echo(f"{item}, {item.bus}")
+        click.echo(f"    {_verdict(item)}")
+
+
+def _verdict(item: Found) -> str:
+    from hapticd.hid.device import RULE
+
+    if not item.usable:
+        return f"cannot be driven without a description: {item.why_not()}"
+    said = "can be driven"
+    if item.out_interval_s:
+        said += f", a report every {1e3 * item.out_interval_s:g} ms"
+    return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
+
+
+@devices_command.command("dump")
+@click.argument("device", metavar="DEVICE")
+@click.option("-o", "--output", required=True, metavar="FILE", help="Where the recording goes.")
+@click.option(
+    "--for", "duration_s", callback=duration, default="5s", show_default=True, metavar="TIME", help="How long."
+)
+def dump_command(device: str, output: str, duration_s: float) -> None:
+    """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
+    or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
+    import os
+
+    from hapticd.hid.discover import find
+    from hapticd.hid.replay import Recording, record, save
+
+    item = _named(device, find())
+    fd = os.open(item.path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        reports = record(fd, duration_s)
+    finally:
+        os.close(fd)
+    save(output, Recording(item.name, item.vendor, item.product, item.descriptor, reports))
+    click.echo(f"{len(reports)} reports of {item} in {output}")
+
+
+def _named(device: str, found: Sequence[Found]) -> Found:
+    meant = [item for item in found if device in (item.path, f"{item.vendor:04x}:{item.product:04x}")]
+    if len(meant) == 1:
+        return meant[0]
+    listed = ", ".join(map(str, meant or found)) or "none"
+    if meant:
+        raise HapticdError(f"{quoted(device)} is several devices, name one by its path: {listed}")
+    raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
+
+
+@devices_command.command("calibrate")
+@click.option("-c", "--config", "configs", multiple=True, metavar="FILE", help="Configuration that names the device.")
+@click.option(
+    "--force",
+    "force_n",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="N",
+    help="Force to push with [default: 5 % of full].",
+)
+@click.option("-o", "--output", metavar="FILE", help="Write the section there, too.")
+@click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
+def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: str | None, yes: bool) -> None:
+    """Find out which way a device pushes, and print the configuration that says so.
+
+    The handle is pushed gently along each axis, both ways; nobody may hold it.
+    """
+    from hapticd.config import default_config, load_config
+    from hapticd.hid.calibrate import MOST_OF_FULL, calibrate
+    from hapticd.hid.config import ForceAxes
+    from hapticd.hid.sources import open_hid
+
+    config = load_config(configs) if configs else default_config()
+    hid = config.device.hid
+    most_n = MOST_OF_FULL * hid.full_scale_force_n
+    force_n = 0.5 * most_n if force_n is None else force_n
+    if force_n > most_n:
+        raise click.UsageError(f"--force {force_n:g}: at most {most_n:g}, a tenth of device.hid.full_scale_force_n")
+    opened = open_hid(hid.model_copy(update={"force_axes": ForceAxes()}))
+    try:
+        if not yes:
+            click.confirm(f"{opened.name} at {opened.device.path} will move. Is every hand off it?", abort=True)
+        found = calibrate(opened.device, opened.driver, hid, force_n)
+    finally:
+        opened.device.close()
+    section = {
+        "device": {"kind": "hid", "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict()}},
+    }
+    text = yaml_text(section)
+    if output is not None:
+        Path(output).write_text(text + "\n", encoding="utf-8")
+    click.echo(text)
 
 
 @devices_command.command("parse")

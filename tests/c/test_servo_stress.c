@@ -426,7 +426,7 @@ static uint32_t increments(void) {
     quiet.forces_on = 0;
     still.start_m[0] = still.start_m[1] = 0.0;
     sim = hd_sim_new(&still, 1.0 / RATE_HZ);
-    servo = hd_servo_new(&quiet, sim);
+    servo = hd_servo_new(&quiet, sim, NULL);
     CHECK(sim != NULL && servo != NULL);
     crowd.table = (struct hd_table){
         .revision = 1,
@@ -496,7 +496,7 @@ int main(void) {
     struct hd_operator *stroke = hd_operator_new(strokes[0], 5, HD_MINIMUM_JERK);
     struct hd_operator *press = hd_operator_new(presses[0], 3, HD_LINEAR);
     struct hd_sim *sim = hd_sim_new(&joystick, 1.0 / RATE_HZ);
-    struct hd_servo *servo = hd_servo_new(&config, sim);
+    struct hd_servo *servo = hd_servo_new(&config, sim, NULL);
     struct drain drain = {.servo = servo};
     struct scene scene;
     struct hd_grant grant;

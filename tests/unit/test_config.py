@@ -67,7 +67,7 @@ def numbers() -> Iterator[tuple[str, str, Schema, bool]]:
             items = property_.get("prefixItems")
             if isinstance(items, list):
                 yield name, key, mapping(items[0]), True
-            elif property_.get("type") in ("number", "integer"):
+            elif property_.get("type") in ("number", "integer") and "enum" not in property_:
                 yield name, key, property_, False
 
 
@@ -132,17 +132,27 @@ def test_start_is_inside_the_workspace() -> None:
     assert load_config({"device": {"sim": {"start_m": [0, -0.1], "workspace_m": 0.1}}}).device.sim.start_m[1] == -0.1
 
 
+def test_a_link_says_when_reports_come() -> None:
+    assert load_config({}).device.sim.reports_s == (0, 0)
+    sim = load_config({"device": {"sim": {"link": {"rate_hz": 250, "delay_frames": 3}}}}).device.sim
+    assert sim.reports_s == pytest.approx((0.004, 0.012), rel=1e-15)
+    told = "with a link, report_interval_s and report_delay_s must be left out: the link says both"
+    for key in ("report_interval_s", "report_delay_s"):
+        assert faults({"device": {"sim": {"link": {"rate_hz": 1000}, key: 0.001}}}) == {"device.sim": told}
+    assert list(faults({"device": {"sim": {"link": {}}}})) == ["device.sim.link.rate_hz"]
+
+
 def test_words() -> None:
     assert faults(
         {
             "servo": {"realtime": False, "priority": 80.0},
-            "device": {"kind": "hid", "undisplayable": "Mute"},
+            "device": {"kind": "usb", "undisplayable": "Mute"},
             "scene": {"display": {"force": "off", "vibration": 1}},
         }
     ) == {
         "servo.realtime": "must be required, preferred or off, is false",
         "servo.priority": "must be a whole number, is 80.0",
-        "device.kind": 'must be sim, is "hid"',
+        "device.kind": 'must be sim, hid or replay, is "usb"',
         "device.undisplayable": 'must be mute or lower, is "Mute"',
         "scene.display.force": 'must be true or false, is "off"',
         "scene.display.vibration": "must be true or false, is 1",
@@ -182,7 +192,7 @@ def test_every_fault_names_file_line_key_and_limit(tmp_path: pathlib.Path) -> No
     assert faults(path) == {
         f"{path}:2: servo.rate_hz": "must be at least 1000, is 1",
         f"{path}:4: servo.prioriti": "unknown key; did you mean priority? "
-        "known: rate_hz, cpu, priority, realtime, spin_us",
+        "known: rate_hz, cpu, priority, realtime, spin_us, clock",
         f"{path}:7: materials.pine.stiffness_n_per_m": 'must be a number, is "1"',
         f"{path}:8: materials.pine.tap": "needs exactly one of decay_time_s and decay_rate_per_s, has neither",
         f"{path}:14: scene.objects.table.point_m[1]": "must be a number, is true",
@@ -501,6 +511,7 @@ def test_schema_is_plain_json_with_words_and_units() -> None:
         ("mass_kg", "kg"),
         ("rate_hz", "Hz"),
         ("spin_us", "us"),
+        ("counts_per_n", "1/N"),
         ("max_strain", None),
         ("heals", None),
     ],
@@ -527,6 +538,10 @@ def limits_of(schema: Schema) -> str:
             return f"{least} to {most} numbers, {limits_of(mapping(item))}"
         case {"oneOf": list() as members}:
             return "see " + ", ".join(limits_of(mapping(member)).removeprefix("see ") for member in members)
+        case {"items": {"enum": list() as options}}:
+            return "a list of " + ", ".join(f"`{option}`" for option in options)
+        case {"items": {"type": "string"}, "maxItems": int() as most}:
+            return f"a list of reports in hex, at most {most}"
         case {"maxProperties": int() as most}:
             return f"at most {most}"
         case {"$ref": str() as reference}:

@@ -127,6 +127,9 @@ def test_only_whole_contiguous_items_become_c_arrays() -> None:
         (core.Interpolation, "enum hd_interpolation"),
         (core.Realtime, "enum hd_realtime"),
         (core.CommandKind, "enum hd_command_kind"),
+        (core.ClockSource, "enum hd_clock_source"),
+        (core.HidQuantity, "enum hd_hid_quantity"),
+        (core.HidMeaning, "enum hd_hid_meaning"),
     ],
 )
 def test_an_enum_is_complete(python: type[enum.IntEnum] | type[enum.IntFlag], c: str) -> None:

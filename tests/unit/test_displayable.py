@@ -38,9 +38,9 @@ STRIKES: Keys = {
 GRIT: Keys = {"kind": "stochastic", "peak_hz": 160, "mean_hz": 210, "velocity_gain_per_s": 24}
 
 
-def output(rate_hz: float = 1000, rest: str = "mute") -> Output:
+def output(rate_hz: float = 1000, rest: str = "mute", link_rate_hz: float | None = None) -> Output:
     assert rest in ("mute", "lower")
-    return Output(rate_hz, 0.05, 8.9, 5.0, "mute" if rest == "mute" else "lower")
+    return Output(rate_hz, 0.05, 8.9, 5.0, "mute" if rest == "mute" else "lower", link_rate_hz)
 
 
 def library(**materials: Keys) -> dict[str, Material]:
@@ -250,6 +250,84 @@ def test_a_spectrum_that_is_not_met_is_told_with_its_error() -> None:
     alone = told({**texture, "models": [model]}, output(10_000))
     assert alone == {"models[0]": problem.removesuffix(", more than any other model")}
     assert told(texture, output(1000)) == {}
+
+
+# ---- behind a link --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rest", ["mute", "lower"])
+def test_behind_a_link_its_rate_counts_if_it_is_lower(rest: str) -> None:
+    slow, linked = output(1000, rest), output(10_000, rest, 1000)
+    materials = library(
+        tapped={"tap": {"attack_slope_per_s": 1, "frequency_hz": 500, "decay_time_s": 0.003}},
+        low={"tap": {"attack_slope_per_s": 1, "frequency_hz": 399, "decay_time_s": 0.003}},
+        grit={"texture": {**GRIT, "peak_hz": 450, "mean_hz": 460}},
+    )
+    assert [(each.material, each.frequency_hz) for each in undisplayable(materials, linked)] == [
+        ("tapped", pytest.approx(500)),
+        ("grit", 450),
+    ]
+    assert undisplayable(materials, linked) == undisplayable(materials, slow)
+    for frequency_hz in (399, 401, 3999, 4001):
+        mode = Mode(100, 2 * math.pi * frequency_hz)
+        assert displayed_mode(mode, linked) == displayed_mode(mode, slow)
+        fast = output(10_000, rest, 20_000)
+        assert displayed_mode(mode, fast) == displayed_mode(mode, output(10_000, rest))
+    # A filter runs at the rate of the servo: half of that is what is refused.
+    high = library(m={"texture": {**GRIT, "peak_hz": 600, "mean_hz": 700}})
+    assert rate_faults(objects(a="m"), high, linked) == []
+
+
+def test_grooves_behind_a_link_are_passed_in_frames() -> None:
+    grooves: Keys = {"kind": "grooves", "spacing_m": 0.01, "width_m": 0.0008, "display": "geometry", "depth_m": 1e-4}
+    for texture in ({**STRIKES, **MODE}, grooves):
+        slow, linked = told(texture, output()), told(texture, output(10_000, link_rate_hz=1000))
+        assert linked == {
+            key: text.replace("ticks", "frames of the link").replace("tick", "frame of the link")
+            for key, text in slow.items()
+        }
+        assert slow
+        assert told(texture, output(10_000, link_rate_hz=10_000)) == {}
+
+
+def above(coefficients: list[float], from_hz: float, rate_hz: float) -> float:
+    """The fraction of an all-pole filter's power above a frequency, integrated over scipy's spectrum."""
+    frequency, h = signal.freqz([1], [1, *coefficients], worN=400_001, include_nyquist=True, fs=rate_hz)
+    power = np.abs(h) ** 2
+    high = frequency >= from_hz
+    return float(trapezoid(power[high], frequency[high]) / trapezoid(power, frequency))
+
+
+@pytest.mark.parametrize("link_hz", [1000.0, 500.0])
+def test_noise_above_what_a_link_carries_is_told(link_hz: float) -> None:
+    shown = stochastic_filter(160, 210, 10_000)
+    assert shown.taps is None
+    lost = above(list(coefficients_of(shown.reflection)), 0.4 * link_hz, 10_000)
+    assert lost > 0.01
+    (text,) = told(GRIT, output(10_000, link_rate_hz=link_hz)).values()
+    assert text == (
+        f"has {100 * lost:.3g} % of its power above {0.4 * link_hz:g} Hz, more than the link's {link_hz:.4g} Hz can "
+        "carry as it is"
+    )
+    assert told(GRIT, output(10_000)) == told(GRIT, output(10_000, link_rate_hz=10_000)) == {}
+
+
+def test_models_above_what_a_link_carries_are_told_of_the_worst() -> None:
+    rate_hz = 5000.0
+    low, high = poles(0.98, 2 * math.pi * 100 / rate_hz), poles(0.98, 2 * math.pi * 480 / rate_hz)
+    texture: Keys = {
+        "kind": "autoregressive",
+        "rate_hz": rate_hz,
+        "models": [
+            {"speed_m_per_s": 0.1, "force_n": force, "coefficients": list[Json](a), "rms_m_per_s2": 1}
+            for force, a in ((1, low), (2, high), (3, low))
+        ],
+    }
+    ((where, problem),) = told(texture, output(rate_hz, link_rate_hz=1000)).items()
+    assert where == "models[1]"
+    assert float(problem.split()[1]) == pytest.approx(100 * above(high, 400, rate_hz), rel=0.01)
+    assert problem.endswith("more of it than any other model")
+    assert told(texture, output(rate_hz)) == {}
 
 
 def test_narrow_patches_and_gaps() -> None:

@@ -7,9 +7,10 @@ import re
 import subprocess
 import sys
 import tempfile
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 import msgpack
@@ -21,20 +22,23 @@ from hapticd import wire
 from hapticd.calls import State
 from hapticd.cli import cli
 from hapticd.cli.simulation import simulate_to_file
-from hapticd.config import default_config
+from hapticd.config import default_config, load_config
 from hapticd.control import _METHODS, Control
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
 from hapticd.engine import Engine, Granted
 from hapticd.events import event_map, fault_names
+from hapticd.hid.config import Quirk
 from hapticd.materials import ModeKeys
 from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.record import NO_TIME, open_sink
+from hapticd.yaml_source import load_text
 from tests.daemon_process import Daemon, running_daemon
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 README = (ROOT / "README.md").read_text()
 PROTOCOL = (ROOT / "docs" / "protocol.md").read_text()
+DEVICES = (ROOT / "docs" / "devices.md").read_text()
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
 
 Rows = list[list[str]]
@@ -256,6 +260,26 @@ def test_the_bytes_of_the_example() -> None:
     assert wire.parse_request(wire.decode(question)).params == {"enabled": True}
     assert answer == wire.result_reply(1, {"forces": "on", "tick": 1500})
     assert msgpack.unpackb(answer) == {"jsonrpc": "2.0", "id": 1, "result": {"forces": "on", "tick": 1500}}
+
+
+# ---- devices.md ----------------------------------------------------------------------------------------------------
+
+
+def test_the_configurations_of_the_devices_page_are_valid() -> None:
+    found = re.findall(r"^ *```yaml\n(.*?)^ *```$", DEVICES, flags=re.MULTILINE | re.DOTALL)
+    kinds = {load_config(load_text(textwrap.dedent(each), "docs/devices.md").data).device.kind for each in found}
+    assert kinds == {"sim", "hid", "replay"}
+
+
+def test_every_quirk_is_told() -> None:
+    assert set(first_names(tables(section(DEVICES, "## Quirks"))["quirk"])) == set(get_args(Quirk))
+
+
+def test_the_rule_sorts_where_the_page_says() -> None:
+    (rule,) = (ROOT / "systemd").glob("*.rules")
+    assert f"systemd/{rule.name}" in DEVICES
+    assert rule.name < "70-uaccess.rules"
+    assert 'KERNELS=="*:1209:0001.*", ENV{HAPTICD_DEVICE}="1"' in rule.read_text()
 
 
 # ---- architecture.md, decision records, links ----------------------------------------------------------------------

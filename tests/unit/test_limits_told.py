@@ -104,6 +104,32 @@ def test_warnings_are_part_of_the_status_and_follow_the_scene() -> None:
     assert (mode["material"], mode["mode"]) == ("steel", "tap")
 
 
+def test_what_a_link_cannot_carry_is_told_and_followed() -> None:
+    source = {
+        "device": {"sim": {"link": {"rate_hz": 1000}}},
+        "scene": {"objects": {"floor": {**FLOOR, "material": "steel"}}},
+    }
+    run = simulate_run(source, LINE)
+    (told,) = run.undisplayable
+    assert (told.material, told.mode, told.frequency_hz, told.shown_hz) == ("steel", "tap", pytest.approx(1682), None)
+    assert not run.samples["vibration_force_n"].any()
+    assert run.samples["contact_force_n"].any()
+    daemon = Control(Engine(load_config(source)))
+    (mode,) = limits(daemon, "undisplayable")
+    assert (mode["material"], mode["mode"], mode["shown_hz"]) == ("steel", "tap", None)
+    assert simulate_run({**source, "device": {"sim": {"link": {"rate_hz": 8000}}}}, LINE).undisplayable == ()
+
+
+def test_positions_come_once_a_frame() -> None:
+    source = {"device": {"sim": {"link": {"rate_hz": 500, "delay_frames": 2}, "encoder_step_m": 0}}, "scene": {}}
+    run = simulate_run(source, [[0, 0, 0], [0.2, 0.02, 0.01]], 0.2)
+    assert run.truth is not None
+    # Ticks of a frame have one position: that of the handle two frames before the frame began.
+    ticks = np.arange(len(run.samples))
+    made = np.maximum(ticks // 20 * 20 - 40, 0)
+    np.testing.assert_array_equal(run.samples["position_m"], run.truth[made, :2])
+
+
 def test_warnings_of_a_run(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     source = {"materials": MATERIALS, "scene": {"objects": {"floor": {**FLOOR, "material": "fine"}}}}
     run = simulate_run(source, LINE, rate_hz=1000)

@@ -5,6 +5,7 @@ import math
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import mpmath
 import numpy as np
@@ -31,6 +32,8 @@ class Device:
     force_step_n: float = 0.0
     report_interval_s: float = 0.0
     report_delay_s: float = 0.0
+    force_interval_s: float = 0.0
+    force_intervals: int = 0
     workspace_m: float = 0.075
     force_timeout_s: float = 1000.0
     hand_mass_kg: float = 0.01
@@ -604,6 +607,133 @@ def test_reports_come_when_they_are_due(interval_ticks: float, delay_ticks: floa
         last = number
 
 
+# ---- the link of forces ----------------------------------------------------------------------------------
+
+
+def carried_forces(
+    puts: Sequence[tuple[int, float]], interval: Fraction, intervals: int, timeout: Fraction
+) -> list[tuple[Fraction, float]]:
+    """When the actuator's force changes, and to what, in ticks: frame by frame.
+
+    At each frame the newest put from before it, if it is newer than the last frame, leaves and acts `intervals - 1`
+    frames later; what is not followed by another within the timeout expires.
+    """
+    acting: list[tuple[Fraction, float]] = []
+    for frame in range(1, 2 + math.ceil(puts[-1][0] / interval)):
+        begin, end = (frame - 1) * interval, frame * interval
+        waiting = [force for tick, force in puts if begin <= tick < end]
+        if waiting:
+            acting.append((end + (intervals - 1) * interval, waiting[-1]))
+    changes = []
+    for index, (at, force) in enumerate(acting):
+        changes.append((at, force))
+        if index + 1 == len(acting) or acting[index + 1][0] - at > timeout:
+            changes.append((at + timeout, 0.0))
+    return changes
+
+
+def coasted(changes: Sequence[tuple[Fraction, float]], ticks: int, mass_kg: float) -> list[tuple[float, float]]:
+    """Position and velocity of a free handle at ticks 1, 2, ... under a piecewise constant force, in fractions."""
+    period = Fraction(1, 10_000)
+    x = v = now = force = Fraction(0)
+    found = []
+    for at, new in sorted(
+        [*changes, *((Fraction(tick), None) for tick in range(1, ticks + 1))], key=lambda each: each[0]
+    ):
+        lasting, now = (at - now) * period, at
+        x += v * lasting + force / Fraction(mass_kg) * lasting**2 / 2
+        v += force / Fraction(mass_kg) * lasting
+        if new is None:
+            found.append((float(x), float(v)))
+        else:
+            force = Fraction(new)
+    return found
+
+
+@pytest.mark.parametrize("intervals", [1, 2, 5, 16])
+@pytest.mark.parametrize("interval", [Fraction(10), Fraction(1), Fraction(5, 2), Fraction(3, 2), Fraction(1, 4)])
+@pytest.mark.parametrize("pause", [1, 7, 60])
+def test_a_link_carries_the_newest_force_of_a_frame(pause: int, interval: Fraction, intervals: int) -> None:
+    """A free handle: the motion tells when each force began to act, within ticks too."""
+    timeout = Fraction(325, 10)
+    device = Device(
+        force_interval_s=float(interval) * PERIOD_S,
+        force_intervals=intervals,
+        force_timeout_s=float(timeout) * PERIOD_S,
+        workspace_m=1000,
+    )
+    joystick = Joystick(device)
+    choice = random.Random(f"{interval} {intervals} {pause}")
+    puts = [(0, 2.0)]
+    joystick.put(2.0)
+    found = []
+    for tick in range(1, 500):
+        joystick.advance()
+        found.append((joystick.x, joystick.v))
+        if tick < 300 and choice.random() < 1 / pause:
+            puts.append((tick, choice.randrange(-64, 65) / 8))
+            joystick.put(puts[-1][1])
+    changes = carried_forces(puts, interval, intervals, timeout)
+    np.testing.assert_allclose(found, coasted(changes, 499, device.mass_kg), rtol=1e-12, atol=1e-15)
+    assert joystick.force == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("chunk", [7, 500, 4000])
+@pytest.mark.parametrize("interval_s", [0.001, 0.0007, 0.05])
+def test_many_periods_at_once_behind_a_link(chunk: int, interval_s: float) -> None:
+    device = replace(
+        EVENTFUL,
+        report_interval_s=interval_s,
+        report_delay_s=interval_s,
+        force_interval_s=interval_s,
+        force_intervals=3,
+        force_timeout_s=0.15003,
+    )
+    one, many = Joystick(device), Joystick(device)
+    for joystick in (one, many):
+        joystick.operate(TOUR)
+    for index in range(4000 // chunk):
+        for joystick in (one, many):
+            joystick.put(0.4 * (-1) ** index, 0.1)
+        for _ in range(chunk):
+            one.advance()
+        many.advance(chunk)
+        assert many.x == pytest.approx(one.x, abs=1e-13)
+        assert many.v == pytest.approx(one.v, abs=1e-11)
+        assert many.force == one.force
+        assert many.read()[1] == one.read()[1]
+
+
+def test_a_link_of_one_tick_is_one_tick_late() -> None:
+    """What is put at one tick acts from the next on: the same motion as that of forces put there without a link."""
+    linked, direct = Joystick(replace(EVENTFUL, force_interval_s=PERIOD_S, force_intervals=1)), Joystick(EVENTFUL)
+    for joystick in (linked, direct):
+        joystick.operate(TOUR)
+    choice = random.Random(5)
+    force = 0.0
+    for _ in range(3000):
+        linked.advance()
+        direct.advance()
+        assert linked.truth()[:2] == direct.truth()[:2]
+        direct.put(force)
+        force = choice.uniform(-1, 1)
+        linked.put(force)
+
+
+def test_what_is_under_way_is_gone_after_settling() -> None:
+    joystick = Joystick(Device(force_interval_s=0.001, force_intervals=2))
+    joystick.put(3.0)
+    joystick.advance(5)
+    joystick.settle()
+    joystick.advance(100)
+    assert joystick.truth() == ([0.0, 0.0], [0.0, 0.0], [0.0, 0.0])
+    joystick.put(3.0)
+    joystick.advance(14)  # 105 ticks since settling are 10.5 frames; two more are 12
+    assert joystick.force == [0.0, 0.0]
+    joystick.advance(6)
+    assert joystick.force == [3.0, 0.0]
+
+
 # ---- the hand's wish -------------------------------------------------------------------------------------
 
 
@@ -703,6 +833,9 @@ def test_nothing_decays_into_subnormal_numbers() -> None:
         ("report_interval_s", -1.0),
         ("report_interval_s", 1e-7),
         ("report_delay_s", 0.3),
+        ("force_interval_s", -1.0),
+        ("force_interval_s", 1e-7),
+        ("force_interval_s", math.nan),
         ("workspace_m", 0.0),
         ("force_timeout_s", 0.0),
         ("hand_mass_kg", -1.0),
@@ -716,6 +849,12 @@ def test_a_device_that_cannot_be(field: str, value: object) -> None:
     with pytest.raises(ValueError, match=f"^{field}") as caught:
         Joystick(replace(Device(), **{field: value}))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("intervals", [0, 17])
+def test_a_force_that_is_too_long_under_way(intervals: int) -> None:
+    with pytest.raises(ValueError, match=rf"^force_intervals: {intervals} is not between 1 and 16$"):
+        Joystick(Device(force_interval_s=0.001, force_intervals=intervals))
 
 
 def test_a_device_too_light_for_its_rate() -> None:

@@ -1,0 +1,308 @@
+"""Keeps a device connected: sets it up, hands it to C, waits, sets it up anew after a reset, and looks for it when it
+has gone.
+
+A thread does that while the daemon runs; C's reader and writer threads (csrc/hd_hid.c) do what happens every few
+milliseconds, and the servo waits for neither. A device that is lost is looked for every `RETRY_S`; the scene stays.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import statistics
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from hapticd.core import CData, HidMeaning, Status, ffi, invalid_reason, lib
+from hapticd.errors import HapticdError
+from hapticd.hid.device import Device, Driver
+from hapticd.hid.plan import DeviceError, Plan
+
+RETRY_S: Final = 0.25
+"""A device that is gone is looked for so often."""
+RECOVERY_S: Final = 0.25
+"""A device that was set up anew has this long to say that it is ready."""
+SETTLE_S: Final = 0.02
+"""So long what it says of its own set-up may be under way."""
+LISTEN_S: Final = 0.15
+"""So long a device is listened to, to find out whether it reports without being moved."""
+_MEASURED_ROUNDS: Final = 8
+_MEASURED_S: Final = 0.05
+_RATE_EVERY_S: Final = 1.0
+
+_log = logging.getLogger("hapticd")
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """A device that is open, and how it is driven."""
+
+    device: Device
+    driver: Driver
+    name: str
+    out_interval_s: float | None = None
+    """Interval of the endpoint that takes forces; None where none is known."""
+    on_change: bool | None = None
+    """The device reports only what changes; None: listen to it."""
+    measure: bool = True
+    """Whether it is measured how long reports take."""
+
+
+Source = Callable[[], Opened]
+"""Finds and opens the device. Raises HapticdError, one line, while it cannot."""
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """How fast a device takes forces."""
+
+    endpoint_hz: float | None
+    """What the endpoint's interval allows, for whole forces."""
+    measured_hz: float | None
+    """What was measured when the device was set up."""
+    limit_hz: float | None
+    """What the configuration allows."""
+
+    @property
+    def rate_hz(self) -> float | None:
+        """The least of them; None: nothing is known to hold it up."""
+        return min(
+            (rate for rate in (self.endpoint_hz, self.measured_hz, self.limit_hz) if rate is not None), default=None
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Live:
+    """What is connected."""
+
+    opened: Opened
+    plan: Plan
+    link: Link
+
+
+class Connection:
+    """One device, found and found again. `open` and `stop` are for one thread; `status` for any."""
+
+    def __init__(self, source: Source, priority: int = 0) -> None:
+        """`priority`: of C's threads, 0 for none."""
+        made = lib.hd_hid_new()
+        if made == ffi.NULL:
+            raise MemoryError("no memory for a connection")
+        self.hid: CData = ffi.gc(made, lib.hd_hid_free)
+        self.denied = False
+        """Whether C's threads were refused their priority."""
+        self._source = source
+        self._priority = priority
+        self._live: _Live | None = None
+        self._problem: str | None = None
+        self._resets = 0
+        self._connects = 0
+        self._rates: tuple[float | None, float | None] = (None, None)
+        self._counted: tuple[float, int, int] | None = None
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    # ---- Life ------------------------------------------------------------------------------------------------------
+
+    def open(self) -> tuple[Plan, Link]:
+        """Connects for the first time. Raises HapticdError, one line, where that cannot be."""
+        live = self._connect()
+        return live.plan, live.link
+
+    def start(self) -> None:
+        """Looks after the connection from now on; waits a moment for the first position, so that the servo has one."""
+        deadline = time.monotonic() + LISTEN_S
+        while not self._raw().positions and time.monotonic() < deadline and not self._stop.wait(0.002):
+            pass
+        self._thread = threading.Thread(target=self._run, name="device", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Force zero, effects stopped and freed, actuators off; then the device is let go."""
+        self._stop.set()
+        lib.hd_hid_wake(self.hid)
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        self._let_go(orderly=True)
+
+    def status(self) -> dict[str, object]:
+        """What get_status says of the connection."""
+        live, raw = self._live, self._raw()
+        states = {
+            meaning.name.lower(): bool(raw.states >> (meaning - 1) & 1)
+            for meaning in HidMeaning
+            if raw.states_known >> (meaning - 1) & 1
+        }
+        report_hz, force_hz = self._rates
+        link = None if live is None else live.link
+        return {
+            "name": None if live is None else live.opened.name,
+            "path": None if live is None else live.opened.device.path,
+            "state": "connected" if live is not None and raw.connected else "lost",
+            "problem": self._problem,
+            "link_hz": None if link is None else link.rate_hz,
+            "endpoint_hz": None if link is None else link.endpoint_hz,
+            "measured_hz": None if link is None else link.measured_hz,
+            "report_hz": report_hz,
+            "force_hz": force_hz,
+            "write_s": raw.write_ns * 1e-9 if raw.writes else None,
+            "reports": raw.reports,
+            "short_reports": raw.short_reports,
+            "forces": raw.forces,
+            "resets": self._resets,
+            "connects": self._connects,
+            "states": states,
+        }
+
+    # ---- The thread ------------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._stop.is_set():
+            if self._live is None:
+                if not self._stop.wait(RETRY_S):
+                    self._try(self._connect)
+                continue
+            lib.hd_hid_wait(self.hid, int(_RATE_EVERY_S * 1e9))
+            if self._stop.is_set():
+                break
+            raw = self._raw()
+            if not raw.connected:
+                self._lose(os.strerror(raw.error) if raw.error else "the connection ended")
+            elif raw.reset:
+                self._try(self._recover)
+            self._count()
+
+    def _try(self, work: Callable[[], object]) -> None:
+        """What goes wrong is told once for each reason, and ends the connection."""
+        try:
+            work()
+        except HapticdError as error:
+            self._lose(str(error))
+
+    def _lose(self, why: str) -> None:
+        self._let_go(orderly=False)
+        if why != self._problem:
+            _log.warning("device lost: %s", why)
+        self._problem = why
+
+    def _let_go(self, *, orderly: bool) -> None:
+        live, self._live = self._live, None
+        if live is not None:
+            lib.hd_hid_disconnect(self.hid, orderly)
+            live.opened.device.close()
+        self._counted, self._rates = None, (None, None)
+
+    def _connect(self) -> _Live:
+        opened = self._source()
+        try:
+            plan = opened.driver.set_up(opened.device)
+            link = _link(opened, plan)
+            on_change = opened.on_change
+            if on_change is None:
+                on_change = not _reports_steadily(opened.device, plan.x.report_id != 0, self._stop)
+            plan = replace(plan, on_change=on_change)
+            self._hand_over(opened.device, plan)
+        except BaseException:
+            opened.device.close()
+            raise
+        self._live = live = _Live(opened, plan, link)
+        self._connects += 1
+        if self._problem is not None:
+            _log.info("device found: %s at %s", opened.name, opened.device.path)
+        self._problem = None
+        return live
+
+    def _hand_over(self, device: Device, plan: Plan) -> None:
+        described = plan.to_c()
+        result = lib.hd_hid_connect(self.hid, described, device.fileno(), self._priority)
+        if result == Status.ERR_DENIED and self._priority:
+            self.denied, self._priority = True, 0
+            result = lib.hd_hid_connect(self.hid, described, device.fileno(), 0)
+        if result == Status.ERR_INVALID:
+            raise DeviceError(f"{device.path}: {invalid_reason()}")
+        if result != Status.OK:
+            raise DeviceError(f"{device.path}: cannot be connected: {Status(result).name.lower()}")
+
+    def _recover(self) -> None:
+        """Sets a device up anew that was reset. As long as its effects have the same numbers, the servo sees nothing of
+        that but forces that did not arrive. A device that keeps its actuators off is tried again and again."""
+        live = self._live
+        assert live is not None
+        if self._problem is None:
+            self._resets += 1
+            _log.warning("device reset: %s is set up anew", live.opened.name)
+        plan = replace(live.opened.driver.set_up(live.opened.device), on_change=live.plan.on_change)
+        if plan != live.plan:
+            lib.hd_hid_disconnect(self.hid, 0)
+            self._hand_over(live.opened.device, plan)
+            self._live = _Live(live.opened, plan, live.link)
+            return
+        # The set-up itself resets the device, which it reports too.
+        deadline = time.monotonic() + RECOVERY_S
+        while not self._stop.wait(SETTLE_S) and time.monotonic() < deadline and self._actuators() is not True:
+            pass
+        if self._actuators() is not False:
+            lib.hd_hid_clear_reset(self.hid)
+            self._problem = None
+        elif self._problem is None:
+            self._problem = "the device keeps its actuators off"
+            _log.warning("%s", self._problem)
+
+    def _actuators(self) -> bool | None:
+        """Whether the device says that its actuators are on; None where it says nothing."""
+        raw, bit = self._raw(), 1 << (HidMeaning.ACTUATORS - 1)
+        return bool(raw.states & bit) if raw.states_known & bit else None
+
+    def _raw(self) -> CData:
+        raw = ffi.new("struct hd_hid_status *")
+        lib.hd_hid_status(self.hid, raw)
+        return raw
+
+    def _count(self) -> None:
+        """Reports and forces a second, over the last second or more."""
+        raw, now = self._raw(), time.monotonic()
+        if self._counted is None:
+            self._counted = (now, raw.reports, raw.forces)
+            return
+        since, reports, forces = self._counted
+        if now - since >= 0.5 * _RATE_EVERY_S:
+            self._rates = ((raw.reports - reports) / (now - since), (raw.forces - forces) / (now - since))
+            self._counted = (now, raw.reports, raw.forces)
+
+
+def _link(opened: Opened, plan: Plan) -> Link:
+    """How often a whole force, all of its reports, can be sent."""
+    count = max(1, len(plan.force))
+    endpoint = None if not opened.out_interval_s else 1.0 / (opened.out_interval_s * count)
+    limit = None if plan.write_interval_s <= 0.0 else 1.0 / (plan.write_interval_s * count)
+    return Link(endpoint, _measured_hz(opened.device, plan) if opened.measure else None, limit)
+
+
+def _measured_hz(device: Device, plan: Plan) -> float | None:
+    reports = [message.at_rest() for message in plan.force]
+    took_s: list[float] = []
+    begun = time.monotonic()
+    while reports and len(took_s) < _MEASURED_ROUNDS and time.monotonic() - begun < _MEASURED_S:
+        start = time.monotonic()
+        for report in reports:
+            device.write(report)
+        took_s.append(time.monotonic() - start)
+    return 1.0 / max(statistics.median(took_s), 1e-6) if took_s else None
+
+
+def _reports_steadily(device: Device, numbered: bool, stop: threading.Event) -> bool:
+    """Whether a device reports the same thing twice running: then silence means that something is wrong."""
+    last: dict[int, bytes] = {}
+    deadline = time.monotonic() + LISTEN_S
+    while (left := deadline - time.monotonic()) > 0 and not stop.is_set():
+        report = device.listen(left)
+        if report:
+            report_id = report[0] if numbered else 0
+            if last.get(report_id) == report:
+                return True
+            last[report_id] = report
+    return False

@@ -1,0 +1,192 @@
+"""HID devices of this machine, which of them can be driven, and the choice of one.
+
+What there is stands in sysfs, for everybody to read: nothing is opened to list it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal
+
+from hapticd.errors import quoted
+from hapticd.hid.config import Hid
+from hapticd.hid.descriptor import DescriptorError, parse
+from hapticd.hid.device import RULE
+from hapticd.hid.layout import Layout, layout_of
+from hapticd.hid.plan import DeviceError
+
+SYSFS: Final = Path("/sys/class/hidraw")
+DEV: Final = Path("/dev")
+
+_BUSES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
+_HERE: Final = "`hapticd devices` lists what is there"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A HID device, as sysfs describes it."""
+
+    path: str
+    name: str
+    vendor: int
+    product: int
+    serial: str
+    bus: str
+    driver: str
+    descriptor: bytes
+    in_interval_s: float | None
+    """Of its interrupt endpoints (USB); None where it has none."""
+    out_interval_s: float | None
+    permission: Literal["ok", "denied", "absent"]
+    layout: Layout | None
+    problem: str | None
+    """Why its report descriptor cannot be read."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether its descriptor says all that is needed."""
+        return self.layout is not None and self.layout.usable
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What its descriptor lacks, by the specification's names."""
+        return () if self.layout is None else tuple(self.layout.missing)
+
+    def __str__(self) -> str:
+        return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
+
+    def why_not(self) -> str:
+        """Why it cannot be driven without a description."""
+        if self.problem is not None:
+            return f"its report descriptor is not valid: {self.problem}"
+        return f"its report descriptor has no {', no '.join(self.missing)}"
+
+    def to_dict(self) -> dict[str, object]:
+        """For programs."""
+        return {
+            "path": self.path,
+            "name": self.name,
+            "vendor": self.vendor,
+            "product": self.product,
+            "serial": self.serial,
+            "bus": self.bus,
+            "driver": self.driver,
+            "usable": self.usable,
+            "missing": list(self.missing),
+            "problem": self.problem,
+            "permission": self.permission,
+            "in_interval_s": self.in_interval_s,
+            "out_interval_s": self.out_interval_s,
+        }
+
+
+def find(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
+    """Every hidraw device, by number. A device that goes away while it is looked at is left out."""
+    try:
+        names = [name for name in os.listdir(sysfs) if re.fullmatch(r"hidraw\d+", name)]
+    except OSError:
+        return []
+    found = []
+    for name in sorted(names, key=lambda text: int(text[6:])):
+        try:
+            found.append(_look(sysfs / name, dev / name))
+        except OSError:
+            continue
+    return found
+
+
+def choose(hid: Hid, found: Sequence[Found]) -> Found:
+    """The one device that the configuration means. Raises DeviceError: none, several, or one that cannot be driven."""
+    wanted = [
+        f"{key} {quoted(value) if isinstance(value, str) else f'0x{value:04x}'}"
+        for key, value in (("vendor", hid.vendor), ("product", hid.product), ("serial", hid.serial), ("path", hid.path))
+        if value is not None
+    ]
+    meant = [item for item in found if _meant(hid, item)]
+    text = f" with {', '.join(wanted)}" if wanted else ""
+    if not meant:
+        others = f"; there are {_listed(found)}" if found and wanted else ""
+        raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
+    usable = meant if hid.report is not None else [item for item in meant if item.usable]
+    if not usable:
+        if len(meant) == 1:
+            raise DeviceError(
+                f"{meant[0]} cannot be driven: {meant[0].why_not()}; a device with reports of its own needs "
+                "device.hid.report"
+            )
+        raise DeviceError(
+            f"no HID device{text} can be driven: none of {_listed(meant)} is a force-feedback device; {_HERE}"
+        )
+    if len(usable) > 1:
+        raise DeviceError(
+            f"several HID devices{text} can be driven: {_listed(usable)}; "
+            "choose one by device.hid.vendor, product, serial or path"
+        )
+    one = usable[0]
+    if one.permission == "denied":
+        raise DeviceError(f"{one}: no permission: {RULE}")
+    return one
+
+
+def _listed(found: Sequence[Found]) -> str:
+    return ", ".join(map(str, found[:8])) + (", ..." if len(found) > 8 else "")
+
+
+def _meant(hid: Hid, item: Found) -> bool:
+    return (
+        hid.vendor in (None, item.vendor)
+        and hid.product in (None, item.product)
+        and hid.serial in (None, item.serial)
+        and (hid.path is None or os.path.realpath(hid.path) == os.path.realpath(item.path))
+    )
+
+
+def _look(entry: Path, node: Path) -> Found:
+    device = entry / "device"
+    told = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
+    bus, vendor, product = (int(part, 16) for part in told.get("HID_ID", "0:0:0").split(":"))
+    descriptor = (device / "report_descriptor").read_bytes()
+    layout, problem = None, None
+    try:
+        layout = layout_of(parse(descriptor))
+    except DescriptorError as error:
+        problem = str(error)
+    intervals = _intervals(device.resolve().parent)
+    absent = not node.exists()
+    denied = not absent and not os.access(node, os.R_OK | os.W_OK)
+    return Found(
+        path=str(node),
+        name=told.get("HID_NAME", ""),
+        vendor=vendor & 0xFFFF,
+        product=product & 0xFFFF,
+        serial=told.get("HID_UNIQ", ""),
+        bus=_BUSES.get(bus, f"bus {bus}"),
+        driver=told.get("DRIVER", ""),
+        descriptor=descriptor,
+        in_interval_s=intervals.get("in"),
+        out_interval_s=intervals.get("out"),
+        permission="absent" if absent else "denied" if denied else "ok",
+        layout=layout,
+        problem=problem,
+    )
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _intervals(interface: Path) -> dict[str, float]:
+    """Intervals of the interrupt endpoints of a USB interface, by direction."""
+    found: dict[str, float] = {}
+    for endpoint in sorted(interface.glob("ep_*")):
+        try:
+            match = re.fullmatch(r"(\d+)(ms|us)", _text(endpoint / "interval").strip())
+            if match and _text(endpoint / "type").strip() == "Interrupt":
+                found[_text(endpoint / "direction").strip()] = int(match[1]) * (1e-3 if match[2] == "ms" else 1e-6)
+        except OSError:
+            continue
+    return found

@@ -1,0 +1,433 @@
+"""Devices of the PID class: set-up, and the plan of what is sent then, from the layout of their descriptor alone.
+
+A constant force is shown by
+
+- two effects, one for each axis, whose magnitudes carry a sign: a component that did not change costs no report; or
+- one effect whose magnitude and direction are both sent, where magnitudes have no sign, or one effect is all there is.
+
+Effects have a finite duration and are started again in time: a daemon that is stopped or killed leaves no force.
+A direction is where a force comes from, clockwise from away from the user ("north"), as the specification and Linux
+have it; `device.hid.force_axes` says where a device has it otherwise.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from hapticd.core import HidMeaning, HidQuantity
+from hapticd.hid.config import HandleAxis, Hid
+from hapticd.hid.device import Device
+from hapticd.hid.layout import Axis, BlockLoad, Choice, Field, Layout, SetEffect
+from hapticd.hid.plan import (
+    STILL_M_PER_COUNT,
+    AxisPlan,
+    Bits,
+    DeviceError,
+    Message,
+    Plan,
+    StateBit,
+    Value,
+)
+
+LOAD_TRIES: Final = 30
+LOAD_PAUSE_S: Final = 0.01
+"""A device that has not yet loaded an effect is asked again so often, after this time."""
+
+_log = logging.getLogger("hapticd")
+
+Way = Literal["two", "polar", "one", "sides"]
+"""two: an effect for each axis; polar: one with direction; one: a single axis; sides: that, with an effect each way."""
+
+
+class _FullError(DeviceError):
+    """The device has no room for another effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Effect:
+    """One effect: the axis it is for, where its force comes from (turns), and what its magnitude is."""
+
+    axis: Literal["x", "y"]
+    from_turns: float
+    quantity: HidQuantity
+    sign: int
+    needs_angle: bool = False
+    """An enabled axis would not say which way."""
+
+
+class PidDriver:
+    """Sets up one device, as often as it is asked to."""
+
+    def __init__(self, layout: Layout, hid: Hid) -> None:
+        """Raises DeviceError where the layout cannot show what is wanted."""
+        self._layout = layout
+        self._hid = hid
+        self._ways = ways_of(layout, hid)
+        axes_of(layout, hid)
+
+    def set_up(self, device: Device) -> Plan:
+        """Resets the device, enables it, and leaves its effects running with a force of zero."""
+        for way in self._ways:
+            try:
+                return self._set_up(device, way)
+            except _FullError as error:
+                if way == self._ways[-1]:
+                    raise
+                _log.warning("%s; one effect with direction is used", error)
+        raise AssertionError("there is always a way")
+
+    def _set_up(self, device: Device, way: Way) -> Plan:
+        layout, quirks = self._layout, self._hid.quirks
+        for name in ("device_reset", "stop_all_effects", "enable_actuators"):
+            if name != "device_reset" or "no_reset" not in quirks:
+                _send(device, _control(layout, name))
+        gain = layout.device_gain
+        if gain is not None and "no_device_gain" not in quirks:
+            report = _Report(gain.report_id, gain.report_bytes)
+            report.put(gain.gain, gain.gain.logical_max)
+            device.write(bytes(report.data))
+        effects = _effects(way, self._hid)
+        if len(effects) > 1:
+            self._check_pool(device, len(effects))
+        indices: list[int] = []
+        for effect in effects:
+            index = self._create(device)
+            if index in indices:
+                raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
+            indices.append(index)
+            device.write(set_effect_report(layout, self._hid, index, effect if way != "polar" else None))
+            device.write(_constant_force(layout, index).at_rest())
+            device.write(_operation(layout, index, "start").data)
+        return plan_of(layout, self._hid, way, indices)
+
+    def _check_pool(self, device: Device, count: int) -> None:
+        pool = self._layout.pool
+        if pool is None or pool.simultaneous_effects_max is None or "no_pid_pool" in self._hid.quirks:
+            return
+        length = pool.report_bytes + (pool.report_id == 0)
+        most = _get(device.get_feature(pool.report_id, length), pool.simultaneous_effects_max, "PID Pool", device)
+        if 0 < most < count:
+            raise _FullError(f"{device.path}: plays {most} effect at a time, {count} are needed")
+
+    def _create(self, device: Device) -> int:
+        """A new constant force; its block index."""
+        create, load = self._layout.create_new_effect, self._layout.block_load
+        assert create is not None and load is not None
+        report = _Report(create.report_id, create.report_bytes)
+        report.choose(create.effect_type, "constant_force")
+        device.send_feature(bytes(report.data))
+        for _ in range(LOAD_TRIES):
+            answer = device.get_feature(load.report_id, load.report_bytes + (load.report_id == 0))
+            status = _load_status(load, answer, device)
+            if status == "success":
+                index = _get(answer, load.effect_index, "PID Block Load", device)
+                first, last = self._layout.effect_indices or (1, 0)
+                if not first <= index <= last:
+                    raise DeviceError(
+                        f"{device.path}: PID Block Load gives effect {index}, not one of {first} to {last}"
+                    )
+                return index
+            if status == "full":
+                raise _FullError(f"{device.path}: PID Block Load says that there is no room for another effect")
+            if status == "error":
+                raise DeviceError(f"{device.path}: PID Block Load says that the effect is refused")
+            time.sleep(LOAD_PAUSE_S)
+        raise DeviceError(f"{device.path}: PID Block Load does not say that the effect is loaded")
+
+
+# ---- Ways and axes ---------------------------------------------------------------------------------------------------
+
+
+def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
+    """How a force can be shown, the best first. Raises DeviceError."""
+    effect, force = layout.set_effect, layout.constant_force
+    assert effect is not None and force is not None
+    signed = force.magnitude.is_signed
+    room = layout.effect_indices is None or layout.effect_indices[1] > layout.effect_indices[0]
+    room = room and "one_effect" not in hid.quirks
+    both = len(effect.axes_enable) >= 2
+    if _single(layout):
+        if signed:
+            return ("one",)
+        if effect.direction and room:
+            return ("sides",)
+        raise DeviceError("the device has magnitudes without a sign, and no way to say the direction of a force")
+    ways: list[Way] = []
+    if signed and room and (effect.direction or both):
+        ways.append("two")
+    if effect.direction:
+        ways.append("polar")
+    if not ways:
+        raise DeviceError(
+            "the device has two axes, and neither Direction nor Axes Enable to tell them apart in a force"
+        )
+    return tuple(ways)
+
+
+def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
+    """The handle's axes. Raises DeviceError where the device has no such axis."""
+    x = _axis(layout, hid.axes.x, "x", hid)
+    if _single(layout) and hid.axes.y.usage.lower() not in layout.input:
+        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_M_PER_COUNT)
+    return x, _axis(layout, hid.axes.y, "y", hid)
+
+
+def _single(layout: Layout) -> bool:
+    """Whether the device pushes along one axis only."""
+    assert layout.set_effect is not None
+    return len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
+
+
+def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
+    found: Axis | None = layout.input.get(axis.usage.lower())
+    if found is None:
+        known = ", ".join(usage.capitalize() for usage in layout.input)
+        raise DeviceError(f"device.hid.axes.{name}.usage: the device has no axis {axis.usage}; it has {known}")
+    field = found.field
+    half = (field.logical_max - field.logical_min) / 2.0
+    middle = field.logical_min + half
+    return AxisPlan(_bits(field), field.report_id, middle, axis.sign * hid.travel_m / half)
+
+
+def _effects(way: Way, hid: Hid) -> tuple[_Effect, ...]:
+    axes, swap = hid.force_axes, hid.force_axes.swap
+    along_x, along_y = (HidQuantity.Y, HidQuantity.X) if swap else (HidQuantity.X, HidQuantity.Y)
+    # A force to the right comes from the left, one away from the user from the user.
+    right, away = 0.75, 0.5
+    match way:
+        case "two":
+            return (_Effect("x", right, along_x, axes.x.sign), _Effect("y", away, along_y, axes.y.sign))
+        case "polar":
+            return (_Effect("x", 0.0, HidQuantity.MAGNITUDE, 1),)
+        case "one":
+            return (_Effect("x", right, HidQuantity.X, axes.x.sign),)
+        case "sides":
+            sign = axes.x.sign
+            return (_Effect("x", right, HidQuantity.X, sign, True), _Effect("x", 1 - right, HidQuantity.X, -sign, True))
+
+
+# ---- The plan --------------------------------------------------------------------------------------------------------
+
+
+def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
+    """What a connection does once these effects exist."""
+    x, y = axes_of(layout, hid)
+    effects = _effects(way, hid)
+    # The direction first: the new strength is never shown the old way.
+    force = [_polar_effect(layout, hid, indices[0])] if way == "polar" else []
+    force += [_constant_force(layout, index, effect, hid) for effect, index in zip(effects, indices, strict=True)]
+    control = [_control(layout, name) for name in ("stop_all_effects", "disable_actuators")]
+    stop = [
+        *(_operation(layout, index, "stop") for index in indices),
+        *(_block_free(layout, index) for index in indices),
+        *(Message(data) for data in control if data),
+    ]
+    infinite = "infinite_duration" in hid.quirks
+    _, duration_s = _duration(layout, hid)
+    return Plan(
+        x=x,
+        y=y,
+        force=tuple(force),
+        renew=tuple(_operation(layout, index, "start") for index in indices),
+        stop=tuple(message for message in stop if message is not None),
+        states=_states(layout),
+        renew_s=hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s),
+        write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
+    )
+
+
+def _states(layout: Layout) -> tuple[StateBit, ...]:
+    state = layout.pid_state
+    if state is None:
+        return ()
+    told = (
+        (state.device_reset, HidMeaning.RESET),
+        (state.actuators_enabled, HidMeaning.ACTUATORS),
+        (state.device_paused, HidMeaning.PAUSED),
+        (state.safety_switch, HidMeaning.SAFETY),
+        (state.actuator_power, HidMeaning.POWER),
+    )
+    return tuple(StateBit(_bits(field), field.report_id, meaning) for field, meaning in told if field is not None)
+
+
+def _constant_force(layout: Layout, index: int, effect: _Effect | None = None, hid: Hid | None = None) -> Message:
+    """Set Constant Force of an effect; without `effect` for a force of zero."""
+    force = layout.constant_force
+    assert force is not None
+    field = force.magnitude
+    report = _Report(force.report_id, force.report_bytes)
+    report.put(force.effect_index, index)
+    zero = min(max(0, field.logical_min), field.logical_max)
+    report.put(field, zero)
+    if effect is None or hid is None:
+        return Message(bytes(report.data))
+    counts_per_n = effect.sign * (field.logical_max - zero) / hid.full_scale_force_n
+    least = max(field.logical_min, -field.logical_max) if field.is_signed else zero
+    value = Value(_bits(field), effect.quantity, counts_per_n, zero, least, field.logical_max)
+    return Message(bytes(report.data), (value,))
+
+
+def _polar_effect(layout: Layout, hid: Hid, index: int) -> Message:
+    """Set Effect that carries the direction of the force."""
+    assert layout.set_effect is not None
+    field = layout.set_effect.direction[0]
+    per_turn = field.counts_per_turn()
+    slope, turns = _mirrored(hid)
+    # Within one turn, so that C has to take at most one away or add one.
+    zero = field.logical_min + per_turn * (turns % 1.0)
+    value = Value(
+        _bits(field),
+        HidQuantity.DIRECTION,
+        slope * per_turn / (2.0 * math.pi),
+        zero,
+        field.logical_min,
+        field.logical_max,
+    )
+    return Message(set_effect_report(layout, hid, index, None), (value,))
+
+
+def _mirrored(hid: Hid) -> tuple[int, float]:
+    """What the device takes for a direction of d turns: slope * d + offset, by its signs and a swap of its axes.
+
+    A direction is an angle from +y towards +x. Taking x negative turns d into -d, y negative into 1/2 - d, and swapping
+    the axes into 1/4 - d; the swap comes first.
+    """
+    axes = hid.force_axes
+    slope, offset = (-1, 0.25) if axes.swap else (1, 0.0)
+    if axes.x.sign < 0:
+        slope, offset = -slope, -offset
+    if axes.y.sign < 0:
+        slope, offset = -slope, 0.5 - offset
+    return slope, offset
+
+
+# ---- Reports ---------------------------------------------------------------------------------------------------------
+
+
+class _Report:
+    """A report in the making, its id first."""
+
+    def __init__(self, report_id: int, report_bytes: int) -> None:
+        self.data = bytearray(report_bytes + (report_id == 0))
+        self.data[0] = report_id
+
+    def put(self, field: Field | None, counts: float) -> None:
+        """The number of counts, rounded and limited to the field's range; nothing where there is no field."""
+        if field is not None:
+            _bits(field).put(self.data, min(max(round(counts), field.logical_min), field.logical_max))
+
+    def fill(self, field: Field | None) -> None:
+        """All ones: none, or without end."""
+        if field is not None:
+            Bits(field.bit_offset, field.bit_size, False).put(self.data, (1 << field.bit_size) - 1)
+
+    def choose(self, choice: Choice, name: str) -> None:
+        """One of several names."""
+        entry = choice.entries[name]
+        _bits(entry.field).put(self.data, entry.value)
+
+
+def set_effect_report(layout: Layout, hid: Hid, index: int, effect: _Effect | None) -> bytes:
+    """Set Effect of a constant force; without `effect` its direction is sent later."""
+    to = layout.set_effect
+    assert to is not None
+    report = _Report(to.report_id, to.report_bytes)
+    report.put(to.effect_index, index)
+    report.choose(to.effect_type, "constant_force")
+    if "infinite_duration" in hid.quirks:
+        report.fill(to.duration)
+    else:
+        report.put(to.duration, _duration(layout, hid)[0])
+    for absent in (to.trigger_repeat_interval, to.sample_period, to.start_delay):
+        report.put(absent, 0)
+    if to.gain is not None:
+        report.put(to.gain, to.gain.logical_max)
+    report.fill(to.trigger_button)
+    _aim(report, to, effect)
+    return bytes(report.data)
+
+
+def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
+    """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
+    by_angle = to.direction and (
+        to.direction_enable is not None or not to.axes_enable or effect is None or effect.needs_angle
+    )
+    if by_angle:
+        report.put(to.direction_enable, 1)
+        if effect is not None:
+            field = to.direction[0]
+            report.put(field, field.logical_min + field.counts_per_turn() * effect.from_turns)
+    if not by_angle or to.direction_enable is None:
+        for name, field in to.axes_enable.items():
+            report.put(field, effect is None or name == effect.axis)
+
+
+def _duration(layout: Layout, hid: Hid) -> tuple[int, float]:
+    """The duration of an effect, in counts and as the device understands them, s."""
+    assert layout.set_effect is not None
+    field = layout.set_effect.duration
+    # The specification's own unit, where the descriptor names none.
+    step_s = field.seconds_per_count() or 1e-3
+    counts = min(max(round(hid.effect_duration_s / step_s), field.logical_min, 1), field.logical_max)
+    return counts, counts * step_s
+
+
+def _operation(layout: Layout, index: int, name: str) -> Message:
+    to = layout.effect_operation
+    assert to is not None
+    report = _Report(to.report_id, to.report_bytes)
+    report.put(to.effect_index, index)
+    report.choose(to.operation, name)
+    report.put(to.loop_count, 1)
+    return Message(bytes(report.data))
+
+
+def _block_free(layout: Layout, index: int) -> Message | None:
+    to = layout.block_free
+    if to is None:
+        return None
+    report = _Report(to.report_id, to.report_bytes)
+    report.put(to.effect_index, index)
+    return Message(bytes(report.data))
+
+
+def _control(layout: Layout, name: str) -> bytes | None:
+    """A command of Device Control; None where the device knows no such command."""
+    to = layout.device_control
+    assert to is not None
+    if name not in to.command.entries:
+        return None
+    report = _Report(to.report_id, to.report_bytes)
+    report.choose(to.command, name)
+    return bytes(report.data)
+
+
+def _send(device: Device, report: bytes | None) -> None:
+    if report is not None:
+        device.write(report)
+
+
+def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
+    """success, full or error; None: not yet known."""
+    if load.status is None:
+        return "success" if _get(answer, load.effect_index, "PID Block Load", device) else "full"
+    for name, entry in load.status.entries.items():
+        if _get(answer, entry.field, "PID Block Load", device) == entry.value:
+            return name
+    return None
+
+
+def _get(answer: bytes, field: Field, name: str, device: Device) -> int:
+    try:
+        return _bits(field).get(answer)
+    except ValueError:
+        raise DeviceError(f"{device.path}: {name} is too short: {len(answer)} bytes") from None
+
+
+def _bits(field: Field) -> Bits:
+    return Bits(field.bit_offset, field.bit_size, field.is_signed)

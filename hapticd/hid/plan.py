@@ -1,0 +1,187 @@
+"""What a connection does with a device, as data: where positions stand, and which reports carry a force.
+
+Made once by `pid.py`, `vendor.py` or `replay.py`, and handed to C as `struct hd_hid_plan` (csrc/hd_api.h says what each
+number means). Reports are bytes with the report id first, 0 where reports are not numbered; bits are counted after it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from hapticd.core import CData, HidMeaning, HidQuantity, ffi, lib
+from hapticd.errors import HapticdError
+
+STILL_M_PER_COUNT: Final = 1e-15
+"""A handle with one axis: its other one moves by nothing that matters."""
+
+
+class DeviceError(HapticdError):
+    """A device that cannot be driven; `str` is one line that says which, why and what would be right."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bits:
+    """Where a number lies in a report, counted from the lowest bit of the byte after the report id."""
+
+    bit_offset: int
+    bit_size: int
+    signed: bool
+    big_endian: bool = False
+
+    @property
+    def end(self) -> int:
+        """The first bit after it."""
+        return self.bit_offset + self.bit_size
+
+    @property
+    def least(self) -> int:
+        """The smallest number that it holds."""
+        return -(1 << (self.bit_size - 1)) if self.signed else 0
+
+    @property
+    def most(self) -> int:
+        """The largest number that it holds."""
+        return (1 << (self.bit_size - self.signed)) - 1
+
+    def put(self, report: bytearray, counts: int) -> None:
+        """Writes a number into a report (id first).
+
+        Raises ValueError for a number that does not fit, or a field that lies beyond the report.
+        """
+        if not self.least <= counts <= self.most:
+            raise ValueError(f"{counts} is not between {self.least} and {self.most}")
+        if self.end > 8 * (len(report) - 1):
+            raise ValueError(f"bit {self.end - 1} lies beyond a report of {len(report) - 1} bytes")
+        mask = (1 << self.bit_size) - 1
+        raw = counts & mask
+        if self.big_endian:
+            raw = int.from_bytes(raw.to_bytes(self.bit_size // 8, "big"), "little")
+        whole = int.from_bytes(report[1:], "little") & ~(mask << self.bit_offset) | raw << self.bit_offset
+        report[1:] = whole.to_bytes(len(report) - 1, "little")
+
+    def get(self, report: bytes) -> int:
+        """Reads it from a report (id first). Raises ValueError where it lies beyond the report."""
+        if self.end > 8 * (len(report) - 1):
+            raise ValueError(f"bit {self.end - 1} lies beyond a report of {len(report) - 1} bytes")
+        raw = int.from_bytes(report[1:], "little") >> self.bit_offset & (1 << self.bit_size) - 1
+        if self.big_endian:
+            raw = int.from_bytes(raw.to_bytes(self.bit_size // 8, "big"), "little")
+        return raw - (1 << self.bit_size) if self.signed and raw >> (self.bit_size - 1) else raw
+
+
+@dataclass(frozen=True, slots=True)
+class AxisPlan:
+    """One axis: position in m = (counts - zero_counts) * m_per_count."""
+
+    bits: Bits
+    report_id: int
+    zero_counts: float
+    m_per_count: float
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most."""
+
+    bits: Bits
+    quantity: HidQuantity
+    counts_per_unit: float
+    zero_counts: float
+    least: float
+    most: float
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """An output report as it is, and the numbers written into it."""
+
+    data: bytes
+    values: tuple[Value, ...] = ()
+
+    def at_rest(self) -> bytes:
+        """The report for a force of zero."""
+        report = bytearray(self.data)
+        for value in self.values:
+            value.bits.put(report, min(max(round(value.zero_counts), round(value.least)), round(value.most)))
+        return bytes(report)
+
+
+@dataclass(frozen=True, slots=True)
+class StateBit:
+    """Where an input report says how the device is."""
+
+    bits: Bits
+    report_id: int
+    meaning: HidMeaning
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything that a connection does."""
+
+    x: AxisPlan
+    y: AxisPlan
+    force: tuple[Message, ...]
+    """Sent for each new force, in this order."""
+    renew: tuple[Message, ...]
+    """Sent every `renew_s`."""
+    stop: tuple[Message, ...]
+    """Sent at an orderly end, after a force of zero."""
+    states: tuple[StateBit, ...] = ()
+    on_change: bool = False
+    """The device reports only what changes."""
+    renew_s: float = 0.04
+    write_interval_s: float = 0.0
+    """Between two writes at least; 0: as fast as the device takes them."""
+
+    @property
+    def resolution_m(self) -> float:
+        """The step of positions, the coarser axis's."""
+        return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
+
+    def to_c(self) -> CData:
+        """A `struct hd_hid_plan *`. Raises DeviceError for what has no room in it."""
+        plan = ffi.new("struct hd_hid_plan *")
+        for into, axis in zip(plan.axes, (self.x, self.y), strict=True):
+            _fill_bits(into.field, axis.bits)
+            into.report_id = axis.report_id
+            into.zero_counts, into.m_per_count = axis.zero_counts, axis.m_per_count
+        for script, messages in ((plan.force, self.force), (plan.renew, self.renew), (plan.stop, self.stop)):
+            _fill_script(script, messages)
+        if len(self.states) > lib.HD_HID_STATES:
+            raise DeviceError(f"a device with {len(self.states)} state bits; at most {lib.HD_HID_STATES} are watched")
+        for into, state in zip(plan.states, self.states, strict=False):
+            _fill_bits(into.field, state.bits)
+            into.report_id, into.meaning = state.report_id, state.meaning
+        plan.state_count = len(self.states)
+        plan.on_change = self.on_change
+        plan.renew_ns = round(self.renew_s * 1e9)
+        plan.write_interval_ns = round(self.write_interval_s * 1e9)
+        return plan
+
+
+def _fill_bits(into: CData, bits: Bits) -> None:
+    into.bit_offset, into.bit_size = bits.bit_offset, bits.bit_size
+    into.is_signed, into.big_endian = bits.signed, bits.big_endian
+
+
+def _fill_script(script: CData, messages: Sequence[Message]) -> None:
+    if len(messages) > lib.HD_HID_MESSAGES:
+        raise DeviceError(f"a script of {len(messages)} reports; at most {lib.HD_HID_MESSAGES} are sent at a time")
+    script.count = len(messages)
+    for into, message in zip(script.messages, messages, strict=False):
+        if len(message.data) > lib.HD_HID_REPORT_BYTES:
+            raise DeviceError(
+                f"report {message.data[0]} has {len(message.data)} bytes; at most {lib.HD_HID_REPORT_BYTES} are sent"
+            )
+        if len(message.values) > lib.HD_HID_VALUES:
+            raise DeviceError(f"a report with {len(message.values)} numbers; at most {lib.HD_HID_VALUES} are written")
+        into.length, into.value_count = len(message.data), len(message.values)
+        ffi.memmove(into.bytes, message.data, len(message.data))
+        for place, value in zip(into.values, message.values, strict=False):
+            _fill_bits(place.field, value.bits)
+            place.quantity = value.quantity
+            place.counts_per_unit, place.zero_counts = value.counts_per_unit, value.zero_counts
+            place.least, place.most = value.least, value.most

@@ -1,0 +1,237 @@
+"""Recordings of devices: input reports with their times, and the report descriptor that says what they mean.
+
+A recording is text, one JSON value a line: first a map with `recording` (the version of this format, 1), `name`,
+`vendor`, `product` and `descriptor` (hex), then `[t_s, "report in hex"]` for each report, id first where they are
+numbered. `hapticd devices dump` writes one, `device: {kind: replay}` plays it as if it were the device. Forces go
+nowhere.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, cast
+
+from hapticd.errors import HapticdError, shown
+from hapticd.hid.config import Replay
+from hapticd.hid.plan import DeviceError
+
+VERSION: Final = 1
+MAX_REPORT_BYTES: Final = 4096
+MAX_REPORTS: Final = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """What a device reported."""
+
+    name: str
+    vendor: int
+    product: int
+    descriptor: bytes
+    reports: tuple[tuple[float, bytes], ...]
+    """Time in s from the beginning, rising, and the report as hidraw gives it."""
+
+    @property
+    def on_change(self) -> bool:
+        """Whether the device reports only what changes: no report is like the one before it."""
+        return all(before[1] != after[1] for before, after in pairwise(self.reports))
+
+
+def save(path: str | os.PathLike[str], recording: Recording) -> None:
+    """Writes a recording. Raises OSError."""
+    with open(path, "w", encoding="utf-8") as file:
+        head = {
+            "recording": VERSION,
+            "name": recording.name,
+            "vendor": recording.vendor,
+            "product": recording.product,
+            "descriptor": recording.descriptor.hex(),
+        }
+        print(json.dumps(head), file=file)
+        for time_s, report in recording.reports:
+            print(json.dumps([round(time_s, 6), report.hex()]), file=file)
+
+
+def load(path: str | os.PathLike[str]) -> Recording:
+    """Reads a recording. Raises HapticdError, which names file and line, for what is none."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            return _read(os.fspath(path), file)
+    except OSError as error:
+        raise HapticdError(f"{os.fspath(path)}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise HapticdError(f"{os.fspath(path)}: is no recording: no text") from None
+
+
+def _read(path: str, lines: Iterable[str]) -> Recording:
+    head: dict[str, object] | None = None
+    reports: list[tuple[float, bytes]] = []
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            value = json.loads(line)
+            if head is None:
+                head = _head(value)
+                continue
+            reports.append(_report(value, reports[-1][0] if reports else 0.0))
+        except (ValueError, TypeError, RecursionError) as error:
+            raise HapticdError(f"{path}:{number}: {' '.join(str(error).split())}") from None
+        if len(reports) > MAX_REPORTS:
+            raise HapticdError(f"{path}:{number}: a recording has at most {MAX_REPORTS} reports")
+    if head is None:
+        raise HapticdError(f"{path}: is no recording: it is empty")
+    if not reports:
+        raise HapticdError(f"{path}: holds no report: was the device moved while it was recorded?")
+    return Recording(
+        cast(str, head["name"]),
+        cast(int, head["vendor"]),
+        cast(int, head["product"]),
+        bytes.fromhex(cast(str, head["descriptor"])),
+        tuple(reports),
+    )
+
+
+def _head(value: object) -> dict[str, object]:
+    if not isinstance(value, dict) or "recording" not in value:
+        raise ValueError("is no recording: its first line has no `recording`")
+    if value["recording"] != VERSION:
+        raise ValueError(f"a recording of version {shown(value['recording'])}; this reads version {VERSION}")
+    kinds: tuple[tuple[str, type], ...] = (("name", str), ("vendor", int), ("product", int), ("descriptor", str))
+    for key, kind in kinds:
+        if not isinstance(value.get(key), kind):
+            raise ValueError(f"the first line needs `{key}`")
+    try:
+        bytes.fromhex(cast(str, value["descriptor"]))
+    except ValueError:
+        raise ValueError("`descriptor` must be hex digits") from None
+    return value
+
+
+def _report(value: object, before_s: float) -> tuple[float, bytes]:
+    if not (isinstance(value, list) and len(value) == 2 and isinstance(value[1], str)):
+        raise ValueError('needs [t_s, "report in hex"]')
+    time_s = value[0]
+    if isinstance(time_s, bool) or not isinstance(time_s, int | float) or not before_s <= time_s <= 1e6:
+        raise ValueError(f"the time {shown(time_s)} does not follow {before_s:g}")
+    try:
+        report = bytes.fromhex(value[1])
+    except ValueError:
+        raise ValueError(f"{shown(value[1])} is not hex digits") from None
+    if not 0 < len(report) <= MAX_REPORT_BYTES:
+        raise ValueError(f"a report has 1 to {MAX_REPORT_BYTES} bytes, this one {len(report)}")
+    return float(time_s), report
+
+
+def record(
+    fd: int, duration_s: float, *, now: Callable[[], float] = time.monotonic, stop: Callable[[], bool] = lambda: False
+) -> tuple[tuple[float, bytes], ...]:
+    """What a device reports for a time, or until it is gone."""
+    reports: list[tuple[float, bytes]] = []
+    poll = select.poll()
+    poll.register(fd, select.POLLIN)
+    start = now()
+    while (left := start + duration_s - now()) > 0 and not stop():
+        if not poll.poll(min(left, 0.2) * 1e3):
+            continue
+        try:
+            report = os.read(fd, MAX_REPORT_BYTES)
+        except OSError:
+            break
+        if not report:
+            break
+        reports.append((now() - start, report))
+    return tuple(reports)
+
+
+class ReplayDevice:
+    """A device that reports what a recording holds, in a thread of its own, and takes every force.
+
+    At the end it begins anew, or is gone, as if it had been unplugged.
+    """
+
+    def __init__(self, recording: Recording, replay: Replay) -> None:
+        self._recording = recording
+        self._replay = replay
+        # Message bounds are kept, as those of hidraw are.
+        self._ours, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._wake, self._closing = socket.socketpair()
+        self.over = threading.Event()
+        """Set when the recording has been played."""
+        self._thread = threading.Thread(target=self._play, name="replay", daemon=True)
+        self._thread.start()
+
+    @property
+    def path(self) -> str:
+        """The recording."""
+        return self._replay.path
+
+    def fileno(self) -> int:
+        """The end that stands for a hidraw node."""
+        return self._ours.fileno()
+
+    def write(self, report: bytes) -> None:
+        """Takes a report."""
+        try:
+            self._ours.send(report)
+        except OSError as error:
+            raise DeviceError(f"{self.path}: {error.strerror}") from None
+
+    def send_feature(self, report: bytes) -> None:
+        """Takes a report."""
+
+    def get_feature(self, report_id: int, length: int) -> bytes:
+        """A recording answers no question. Raises DeviceError."""
+        raise DeviceError(f"{self.path}: a recording has no feature report {report_id}")
+
+    def listen(self, timeout_s: float) -> bytes:
+        """Nothing: what a recording holds is known."""
+        return b""
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._closing.close()
+        self._thread.join()
+        self._wake.close()
+        self._ours.close()
+
+    def _play(self) -> None:
+        reports, speed = self._recording.reports, self._replay.speed
+        # Between the last report and the first of the next round: as between two on average.
+        pause_s = reports[-1][0] / len(reports)
+        start = time.monotonic()
+        try:
+            while True:
+                for time_s, report in reports:
+                    if not self._wait_until(start + time_s / speed):
+                        return
+                    # What nobody reads in time is lost, as it is with hidraw.
+                    with suppress(BlockingIOError):
+                        self._theirs.send(report, socket.MSG_DONTWAIT)
+                start += (reports[-1][0] + pause_s) / speed
+                if not self._replay.loop:
+                    self.over.set()
+                    return
+        except OSError:
+            return  # the other end is closed
+        finally:
+            self._theirs.close()
+
+    def _wait_until(self, when: float) -> bool:
+        """Takes forces until then; False: it is to end."""
+        while True:
+            left = when - time.monotonic()
+            ready, _, _ = select.select((self._theirs, self._wake), (), (), max(0.0, left))
+            if self._wake in ready or (ready and not self._theirs.recv(MAX_REPORT_BYTES)):
+                return False
+            if not ready and left <= 0:
+                return True

@@ -1,0 +1,270 @@
+"""A joystick for tests that speaks PID: one end of a SOCK_SEQPACKET pair stands for its hidraw node.
+
+It is a state machine of its own: it reads output and feature reports by its own layout, keeps effects, and
+says what force it would display. Nothing is timed; its effects do not expire by themselves.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import queue
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from hapticd.hid.descriptor import parse
+from hapticd.hid.layout import Choice, Field, Layout, layout_of
+from hapticd.hid.plan import Bits, DeviceError
+
+
+def number(report: bytes, place: Field) -> int:
+    return Bits(place.bit_offset, place.bit_size, place.is_signed).get(report)
+
+
+def chosen(report: bytes, choice: Choice) -> list[str]:
+    """The names that a report chooses."""
+    return [name for name, entry in choice.entries.items() if number(report, entry.field) == entry.value]
+
+
+@dataclass
+class Effect:
+    """What the device knows of one effect."""
+
+    set_effect: bytes = b""
+    magnitude: int = 0
+    playing: bool = False
+
+
+@dataclass
+class FakePid:
+    """The device. `device` is what the code under test opens."""
+
+    descriptor: bytes
+    room: int = 16
+    """Effects that it has room for."""
+    first_index: int = 1
+    load_says: str | None = None
+    on_log: Callable[[str], None] = lambda _: None
+    log: list[str] = field(default_factory=list)
+    """Names of the reports received, in order, as `operation start 1`."""
+    effects: dict[int, Effect] = field(default_factory=dict)
+    enabled: bool = False
+    gone: bool = False
+
+    def __post_init__(self) -> None:
+        self.layout: Layout = layout_of(parse(self.descriptor))
+        self.loaded = 0
+        self.changed = threading.Condition()
+        self.heard: queue.Queue[bytes] = queue.Queue()
+        self.ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.device = FakeDevice(self)
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    # ---- What the code under test calls ------------------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                report = self.theirs.recv(4096)
+            except OSError:
+                return
+            if not report:
+                return
+            self.take(report)
+
+    def take(self, report: bytes) -> None:
+        """An output report."""
+        with self.changed:
+            self._take(report)
+            self.changed.notify_all()
+
+    def _take(self, report: bytes) -> None:
+        parts = self.layout
+        assert parts.device_control and parts.set_effect and parts.constant_force and parts.effect_operation
+        match report[0]:
+            case parts.device_control.report_id:
+                for name in chosen(report, parts.device_control.command):
+                    self._note(name)
+                    if name == "device_reset":
+                        self.effects.clear()
+                        self._enable(False)
+                    elif name in ("enable_actuators", "disable_actuators"):
+                        self._enable(name == "enable_actuators")
+                    elif name == "stop_all_effects":
+                        for effect in self.effects.values():
+                            effect.playing = False
+            case parts.set_effect.report_id:
+                index = number(report, parts.set_effect.effect_index)
+                self._note(f"set_effect {index}")
+                self._of(index).set_effect = report
+            case parts.constant_force.report_id:
+                index = number(report, parts.constant_force.effect_index)
+                self._note(f"constant_force {index}")
+                self._of(index).magnitude = number(report, parts.constant_force.magnitude)
+            case parts.effect_operation.report_id:
+                index = number(report, parts.effect_operation.effect_index)
+                for name in chosen(report, parts.effect_operation.operation):
+                    self._note(f"operation {name} {index}")
+                    self._of(index).playing = name != "stop"
+            case _ if parts.block_free and report[0] == parts.block_free.report_id:
+                index = number(report, parts.block_free.effect_index)
+                self._note(f"block_free {index}")
+                self.effects.pop(index, None)
+            case _ if parts.device_gain and report[0] == parts.device_gain.report_id:
+                self._note(f"gain {number(report, parts.device_gain.gain)}")
+            case _:
+                self._note(f"unknown {report.hex()}")
+
+    def _of(self, index: int) -> Effect:
+        # A report for an effect that does not exist is heard and ignored.
+        return self.effects.get(index, Effect())
+
+    def _note(self, text: str) -> None:
+        self.log.append(text)
+        self.on_log(text)
+
+    def set_feature(self, report: bytes) -> None:
+        create = self.layout.create_new_effect
+        assert create is not None and report[0] == create.report_id and len(report) == create.report_bytes
+        assert chosen(report, create.effect_type) == ["constant_force"]
+        with self.changed:
+            self._note("create")
+            self.loaded = 0
+            if len(self.effects) < self.room:
+                self.loaded = next(n for n in range(self.first_index, 999) if n not in self.effects)
+                self.effects[self.loaded] = Effect()
+
+    def get_feature(self, report_id: int, length: int) -> bytes:
+        load, pool = self.layout.block_load, self.layout.pool
+        report = bytearray(length)
+        report[0] = report_id
+        if load is not None and report_id == load.report_id:
+            assert length == load.report_bytes
+            self._note("load")
+            status = self.load_says or ("success" if self.loaded else "full")
+            _put(report, load.effect_index, self.loaded)
+            if load.status is not None:
+                entry = load.status.entries[status]
+                _put(report, entry.field, entry.value)
+        elif pool is not None and report_id == pool.report_id:
+            self._note("pool")
+            if pool.simultaneous_effects_max is not None:
+                _put(report, pool.simultaneous_effects_max, min(self.room, 255))
+        return bytes(report)
+
+    # ---- What a test does --------------------------------------------------------------------------------------------
+
+    def report(self, x: int, y: int, **states: bool) -> None:
+        """Sends an input report with these counts."""
+        for axis in {axis.field.report_id: axis for axis in self.layout.input.values()}.values():
+            data = bytearray(axis.report_bytes + (axis.field.report_id == 0))
+            data[0] = axis.field.report_id
+            for name, counts in (("x", x), ("y", y)):
+                if name in self.layout.input and self.layout.input[name].field.report_id == data[0]:
+                    _put(data, self.layout.input[name].field, counts)
+            self._send(bytes(data))
+
+    def reset(self) -> None:
+        """Somebody else resets it."""
+        with self.changed:
+            self.log.clear()
+            self.effects.clear()
+            self._enable(False)
+
+    def _enable(self, enabled: bool) -> None:
+        """Actuators on or off, which a PID State report tells."""
+        self.enabled = enabled
+        state = self.layout.pid_state
+        if state is not None and state.actuators_enabled is not None:
+            data = bytearray(state.report_bytes)
+            data[0] = state.report_id
+            _put(data, state.actuators_enabled, int(enabled))
+            self._send(bytes(data))
+
+    def _send(self, data: bytes) -> None:
+        self.heard.put(data if data[0] else data[1:])
+        # Nobody may be there, or nobody may read.
+        with contextlib.suppress(OSError):
+            self.theirs.send(data if data[0] else data[1:], socket.MSG_DONTWAIT)
+
+    def unplug(self) -> None:
+        """It is gone."""
+        self.gone = True
+        self.theirs.shutdown(socket.SHUT_RDWR)
+        self.theirs.close()
+
+    def force(self) -> tuple[float, float]:
+        """What it displays, as parts of its largest magnitude, [x, y]: by the specification, a force comes from its
+        direction, which is counted clockwise from the north."""
+        effect_to, force_to = self.layout.set_effect, self.layout.constant_force
+        assert effect_to is not None and force_to is not None
+        x = y = 0.0
+        for effect in self.effects.values() if self.enabled else ():
+            if not effect.playing or not effect.set_effect:
+                continue
+            size = effect.magnitude / force_to.magnitude.logical_max
+            if effect_to.direction_enable is not None and number(effect.set_effect, effect_to.direction_enable):
+                place = effect_to.direction[0]
+                turns = (number(effect.set_effect, place) - place.logical_min) / place.counts_per_turn()
+                x -= size * math.sin(2 * math.pi * turns)
+                y -= size * math.cos(2 * math.pi * turns)
+            else:
+                enabled = {name for name, bit in effect_to.axes_enable.items() if number(effect.set_effect, bit)}
+                x += size * ("x" in enabled)
+                y += size * ("y" in enabled)
+        return x, y
+
+    def wait(self, until: Callable[[], bool], timeout_s: float = 10.0) -> None:
+        """Waits until something holds after a report; the bound only keeps a broken test from hanging."""
+        with self.changed:
+            assert self.changed.wait_for(until, timeout_s), self.log[-20:]
+
+    def close(self) -> None:
+        if not self.gone:
+            self.unplug()
+        self.ours.close()
+        self._thread.join(5)
+
+
+class FakeDevice:
+    """FakePid as `hapticd.hid.device.Device`."""
+
+    def __init__(self, stick: FakePid) -> None:
+        self._stick = stick
+        self.path = "fake0"
+        self.closed = False
+
+    def fileno(self) -> int:
+        return self._stick.ours.fileno()
+
+    def write(self, report: bytes) -> None:
+        if self._stick.gone:
+            raise DeviceError("fake0: gone")
+        self._stick.take(report)
+
+    def send_feature(self, report: bytes) -> None:
+        if self._stick.gone:
+            raise DeviceError("fake0: gone")
+        self._stick.set_feature(report)
+
+    def get_feature(self, report_id: int, length: int) -> bytes:
+        if self._stick.gone:
+            raise DeviceError("fake0: gone")
+        return self._stick.get_feature(report_id, length)
+
+    def listen(self, timeout_s: float) -> bytes:
+        try:
+            return self._stick.heard.get(timeout=timeout_s)
+        except queue.Empty:
+            return b""
+
+    def close(self) -> None:
+        self.closed = True
+        self._stick.ours.close()
+
+
+def _put(report: bytearray, place: Field, counts: int) -> None:
+    Bits(place.bit_offset, place.bit_size, place.is_signed).put(report, counts)

@@ -1,0 +1,110 @@
+"""`devices`, `devices dump` and `devices calibrate`, with devices that stand in for the machine's."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hapticd.cli import main
+from hapticd.config import load_config
+from hapticd.hid import discover, sources
+from hapticd.hid.config import ForceAxes, ForceAxis, Hid
+from hapticd.hid.connection import Opened
+from hapticd.hid.descriptor import parse
+from hapticd.hid.discover import Found
+from hapticd.hid.layout import layout_of
+from hapticd.hid.pid import PidDriver
+from tests.hid_descriptors import Joystick
+from tests.hid_device import FakePid
+
+STICK = bytes(Joystick())
+
+
+def found(path: str = "/dev/hidraw0", descriptor: bytes = STICK) -> Found:
+    return Found(
+        path=path,
+        name="Lab stick",
+        vendor=0x1209,
+        product=0x5AFF,
+        serial="",
+        bus="USB",
+        driver="hid-generic",
+        descriptor=descriptor,
+        in_interval_s=0.001,
+        out_interval_s=0.004,
+        permission="ok",
+        layout=layout_of(parse(descriptor)),
+        problem=None,
+    )
+
+
+def here(monkeypatch: pytest.MonkeyPatch, *devices: Found) -> None:
+    monkeypatch.setattr(discover, "find", lambda: list(devices))
+
+
+def test_list(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    pad = found("/dev/hidraw1", bytes(Joystick(without=frozenset({0x73}))))
+    here(monkeypatch, found(), pad, replace(found("/dev/hidraw2"), permission="denied"))
+    assert main(["devices"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["/dev/hidraw0 (Lab stick, 1209:5aff), USB", "    can be driven, a report every 4 ms"]
+    assert lines[3] == "    cannot be driven without a description: its report descriptor has no Set Constant Force"
+    assert lines[5].startswith("    can be driven, a report every 4 ms; but no permission: install ")
+    assert main(["devices", "--json"]) == 0
+    assert [item["usable"] for item in json.loads(capsys.readouterr().out)] == [True, False, True]
+
+
+def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    here(monkeypatch)
+    assert main(["devices"]) == 0
+    assert capsys.readouterr().out == "no HID device is connected, or the kernel has no hidraw\n"
+    assert main(["devices", "dump", "/dev/hidraw0", "-o", "x"]) == 1
+    assert capsys.readouterr().err == 'hapticd: no HID device "/dev/hidraw0"; there are: none\n'
+
+
+def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    node = tmp_path / "hidraw0"
+    # A file is at its end after one read, as a device is that goes.
+    node.write_bytes(b"\x01\x00\x00\x05\x00\x00")
+    here(monkeypatch, found(str(node)))
+    out = tmp_path / "stick.jsonl"
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--for", "1min"]) == 0
+    head, report = out.read_text().splitlines()
+    assert json.loads(head) == {
+        "recording": 1,
+        "name": "Lab stick",
+        "vendor": 0x1209,
+        "product": 0x5AFF,
+        "descriptor": STICK.hex(),
+    }
+    assert json.loads(report)[1] == "010000050000"
+    assert capsys.readouterr().out.startswith("1 reports of ")
+    here(monkeypatch, found(), found("/dev/hidraw1"))
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out)]) == 1
+    assert "is several devices, name one by its path: /dev/hidraw0" in capsys.readouterr().err
+
+
+def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    from hapticd.hid import calibrate as module
+
+    stick = FakePid(STICK)
+    axes = ForceAxes(x=ForceAxis(sign=-1), swap=True)
+    monkeypatch.setattr(
+        sources, "open_hid", lambda hid: Opened(stick.device, PidDriver(stick.layout, hid), "Lab stick")
+    )
+    monkeypatch.setattr(module, "calibrate", lambda *_: module.Calibration(axes, {}))
+    config = tmp_path / "stick.yaml"
+    config.write_text("device: {kind: hid, hid: {vendor: 0x1209, travel_m: 0.04}}\n")
+    out = tmp_path / "calibrated.yaml"
+    assert main(["devices", "calibrate", "-c", str(config), "-o", str(out), "--yes"]) == 0
+    assert capsys.readouterr().out == out.read_text()
+    read = load_config(out).device
+    assert read.kind == "hid"
+    assert read.hid == Hid(vendor=0x1209, travel_m=0.04, force_axes=axes)
+    assert stick.device.closed
+    assert main(["devices", "calibrate", "-c", str(config), "--force", "1"]) == 2
+    assert "--force 1: at most 0.89" in capsys.readouterr().err
+    stick.close()
