@@ -13,7 +13,7 @@ BIN := $(VENV)/bin
 BUILT := $(VENV)/.built
 SETUP := pyproject.toml setup.py hapticd/_version.py
 C_SOURCES := $(wildcard csrc/*.c)
-C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] bench/*.[ch])
+C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] tests/vm/*.[ch] bench/*.[ch])
 JOBS := $(shell nproc 2>/dev/null || echo 1)
 
 .DEFAULT_GOAL := help
@@ -75,6 +75,10 @@ test: build ctest pytest ## C tests and pytest
 .PHONY: pytest
 pytest: build
 	@$(BIN)/python -m pytest
+
+.PHONY: test-vm
+test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
+	@bash tests/vm/test.sh
 
 .PHONY: bench
 bench: build ## speed against error, as in docs/benchmarks.md

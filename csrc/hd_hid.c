@@ -51,6 +51,7 @@
 #include "hd_triple.h"
 
 #define HD_DRAIN_MAX 256          /* reports read before the newest is published; hidraw keeps 64 */
+#define HD_FRESH_NS 4000000       /* so long at most a newer force is waited for */
 #define HD_RETURN_NS 20000000     /* over which the force comes back after a reset */
 #define HD_LOOK_NS 50000          /* how often the writer looks for a force */
 #define HD_FORCE_AGE_NS 100000000 /* an older force is none */
@@ -99,6 +100,8 @@ struct hd_connection {
     int begun;                                          /* the first pass is over: it is of no force */
     int leaving;                                        /* the last one is */
     int64_t next_write_ns;
+    int64_t written_ns;     /* when the last write was done */
+    int64_t fresh_until_ns; /* until then a force newer than that is waited for */
     int64_t last_pass_ns;
     int64_t idle_ns; /* since the last pass */
 };
@@ -427,7 +430,10 @@ static int write_report(struct hd_connection *connection, const uint8_t *bytes, 
         }
         if (written == (ssize_t)length) {
             const int64_t end_ns = hd_clock_now_ns();
+            const int64_t half_ns = (end_ns - start_ns) / 2;
             connection->next_write_ns = start_ns + connection->plan.write_interval_ns;
+            connection->written_ns = end_ns;
+            connection->fresh_until_ns = end_ns + (half_ns < HD_FRESH_NS ? half_ns : HD_FRESH_NS);
             hd_atomic_u64_add_relaxed(&hid->writes, 1);
             running_mean(&hid->write_ns, end_ns - start_ns);
             return 0;
@@ -469,7 +475,14 @@ static void take_force(struct hd_connection *connection, int64_t now_ns, double 
     }
 }
 
-/* A message as of now. */
+/* Whether the force at hand is from before the last write was done. */
+static int is_stale(const struct hd_connection *connection) {
+    const struct hd_hid *hid = connection->hid;
+    return hid->forces[hd_triple_front(&hid->force_triple)].time_ns <= connection->written_ns;
+}
+
+/* A message as of now. A write that blocked ends with a frame, and the next one brings a position: what is in the
+ * mailbox then is a frame old, so that half as long as the write took a newer force is waited for (docs/adr/0014). */
 static void compose_now(struct hd_connection *connection, const struct hd_hid_message *message, uint8_t *bytes) {
     double force_n[2] = {0.0, 0.0};
     if (hd_clock_now_ns() < connection->next_write_ns) {
@@ -477,6 +490,10 @@ static void compose_now(struct hd_connection *connection, const struct hd_hid_me
     }
     if (connection->begun && !connection->leaving) {
         take_force(connection, hd_clock_now_ns(), force_n);
+        while (is_stale(connection) && hd_clock_now_ns() < connection->fresh_until_ns) {
+            hd_clock_sleep_until(hd_clock_now_ns() + HD_LOOK_NS);
+            take_force(connection, hd_clock_now_ns(), force_n);
+        }
     }
     hd_report_compose(message, force_n, connection->direction_rad, bytes);
 }
