@@ -182,6 +182,10 @@ class Connection:
             work()
         except HapticdError as error:
             self._lose(str(error))
+        except Exception as error:
+            # A fault of ours. Without this thread nobody would look for the device again.
+            _log.exception("the thread of the device")
+            self._lose(f"{type(error).__name__}: {error}")
 
     def _lose(self, why: str) -> None:
         self._let_go(orderly=False)

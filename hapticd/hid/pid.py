@@ -16,6 +16,7 @@ import logging
 import math
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -68,6 +69,7 @@ class PidDriver:
         self._layout = layout
         self._hid = hid
         self._ways = ways_of(layout, hid)
+        self._indices: list[int] = []
         axes_of(layout, hid)
 
     def set_up(self, device: Device) -> Plan:
@@ -83,6 +85,10 @@ class PidDriver:
 
     def _set_up(self, device: Device, way: Way) -> Plan:
         layout, quirks = self._layout, self._hid.quirks
+        if self._indices and ("no_reset" in quirks or _control(layout, "device_reset") is None):
+            # Nothing else would free what the last set-up made.
+            _undo(layout, device, self._indices)
+        self._indices = []
         for name in ("device_reset", "stop_all_effects", "enable_actuators"):
             if name != "device_reset" or "no_reset" not in quirks:
                 _send(device, _control(layout, name))
@@ -92,17 +98,22 @@ class PidDriver:
             report.put(gain.gain, gain.gain.logical_max)
             device.write(bytes(report.data))
         effects = _effects(way, self._hid)
-        if len(effects) > 1:
-            self._check_pool(device, len(effects))
         indices: list[int] = []
-        for effect in effects:
-            index = self._create(device)
-            if index in indices:
-                raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
-            indices.append(index)
-            device.write(set_effect_report(layout, self._hid, index, effect if way != "polar" else None))
-            device.write(_constant_force(layout, index).at_rest())
-            device.write(_operation(layout, index, "start").data)
+        try:
+            if len(effects) > 1:
+                self._check_pool(device, len(effects))
+            for effect in effects:
+                index = self._create(device)
+                if index in indices:
+                    raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
+                indices.append(index)
+                device.write(set_effect_report(layout, self._hid, index, effect if way != "polar" else None))
+                device.write(_constant_force(layout, index).at_rest())
+                device.write(_operation(layout, index, "start").data)
+        except DeviceError:
+            _undo(layout, device, indices)
+            raise
+        self._indices = indices
         return plan_of(layout, self._hid, way, indices)
 
     def _check_pool(self, device: Device, count: int) -> None:
@@ -147,26 +158,36 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     """How a force can be shown, the best first. Raises DeviceError."""
     effect, force = layout.set_effect, layout.constant_force
     assert effect is not None and force is not None
-    signed = force.magnitude.is_signed
+    angle, signed = _angle(effect), force.magnitude.is_signed
+    if not signed and force.magnitude.physical_min < 0 < force.magnitude.physical_max:
+        raise DeviceError(
+            f"the magnitude of Set Constant Force counts from {force.magnitude.logical_min}, and its physical range "
+            "begins below zero: it does not say which count is no force"
+        )
     room = layout.effect_indices is None or layout.effect_indices[1] > layout.effect_indices[0]
     room = room and "one_effect" not in hid.quirks
     both = len(effect.axes_enable) >= 2
     if _single(layout):
         if signed:
             return ("one",)
-        if effect.direction and room:
+        if angle is not None and room:
             return ("sides",)
         raise DeviceError("the device has magnitudes without a sign, and no way to say the direction of a force")
     ways: list[Way] = []
-    if signed and room and (effect.direction or both):
+    if signed and room and (angle is not None or both):
         ways.append("two")
-    if effect.direction:
+    if angle is not None:
         ways.append("polar")
     if not ways:
         raise DeviceError(
             "the device has two axes, and neither Direction nor Axes Enable to tell them apart in a force"
         )
     return tuple(ways)
+
+
+def _angle(effect: SetEffect) -> Field | None:
+    """The direction as an angle; None where there is none, or parts of a vector stand for it."""
+    return None if effect.is_direction_cartesian or not effect.direction else effect.direction[0]
 
 
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
@@ -221,12 +242,6 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
     # The direction first: the new strength is never shown the old way.
     force = [_polar_effect(layout, hid, indices[0])] if way == "polar" else []
     force += [_constant_force(layout, index, effect, hid) for effect, index in zip(effects, indices, strict=True)]
-    control = [_control(layout, name) for name in ("stop_all_effects", "disable_actuators")]
-    stop = [
-        *(_operation(layout, index, "stop") for index in indices),
-        *(_block_free(layout, index) for index in indices),
-        *(Message(data) for data in control if data),
-    ]
     infinite = "infinite_duration" in hid.quirks
     _, duration_s = _duration(layout, hid)
     return Plan(
@@ -234,11 +249,29 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         y=y,
         force=tuple(force),
         renew=tuple(_operation(layout, index, "start") for index in indices),
-        stop=tuple(message for message in stop if message is not None),
+        stop=_stop(layout, indices),
         states=_states(layout),
         renew_s=hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s),
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
     )
+
+
+def _stop(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]:
+    """Stops and frees these effects, and switches the actuators off."""
+    control = [_control(layout, name) for name in ("stop_all_effects", "disable_actuators")]
+    stop = [
+        *(_operation(layout, index, "stop") for index in indices),
+        *(_block_free(layout, index) for index in indices),
+        *(Message(data) for data in control if data),
+    ]
+    return tuple(message for message in stop if message is not None)
+
+
+def _undo(layout: Layout, device: Device, indices: Sequence[int]) -> None:
+    """Ends a set-up that failed half way, as far as the device still takes it: what it has room for is free again."""
+    with suppress(DeviceError):
+        for message in _stop(layout, indices):
+            device.write(message.data)
 
 
 def _states(layout: Layout) -> tuple[StateBit, ...]:
@@ -275,7 +308,8 @@ def _constant_force(layout: Layout, index: int, effect: _Effect | None = None, h
 def _polar_effect(layout: Layout, hid: Hid, index: int) -> Message:
     """Set Effect that carries the direction of the force."""
     assert layout.set_effect is not None
-    field = layout.set_effect.direction[0]
+    field = _angle(layout.set_effect)
+    assert field is not None
     per_turn = field.counts_per_turn()
     slope, turns = _mirrored(hid)
     # Within one turn, so that C has to take at most one away or add one.
@@ -354,17 +388,19 @@ def set_effect_report(layout: Layout, hid: Hid, index: int, effect: _Effect | No
 
 def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
     """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
-    by_angle = to.direction and (
+    angle = _angle(to)
+    by_angle = angle is not None and (
         to.direction_enable is not None or not to.axes_enable or effect is None or effect.needs_angle
     )
     if by_angle:
         report.put(to.direction_enable, 1)
         if effect is not None:
-            field = to.direction[0]
-            report.put(field, field.logical_min + field.counts_per_turn() * effect.from_turns)
+            assert angle is not None
+            report.put(angle, angle.logical_min + angle.counts_per_turn() * effect.from_turns)
     if not by_angle or to.direction_enable is None:
         for name, field in to.axes_enable.items():
-            report.put(field, effect is None or name == effect.axis)
+            # A device of one axis has it under any name.
+            report.put(field, effect is None or name == effect.axis or len(to.axes_enable) == 1)
 
 
 def _duration(layout: Layout, hid: Hid) -> tuple[int, float]:

@@ -12,6 +12,7 @@ import json
 import os
 import select
 import socket
+import stat
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -27,6 +28,8 @@ from hapticd.hid.plan import DeviceError
 VERSION: Final = 1
 MAX_REPORT_BYTES: Final = 4096
 MAX_REPORTS: Final = 10_000_000
+LEAST_PAUSE_S: Final = 1e-3
+"""Between two rounds, so that a recording that takes no time does not keep a processor busy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,9 @@ def save(path: str | os.PathLike[str], recording: Recording) -> None:
 def load(path: str | os.PathLike[str]) -> Recording:
     """Reads a recording. Raises HapticdError, which names file and line, for what is none."""
     try:
+        # Anything else may have no end, or keep whoever opens it waiting.
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise HapticdError(f"{os.fspath(path)}: is no recording: no regular file")
         with open(path, encoding="utf-8") as file:
             return _read(os.fspath(path), file)
     except OSError as error:
@@ -207,7 +213,7 @@ class ReplayDevice:
     def _play(self) -> None:
         reports, speed = self._recording.reports, self._replay.speed
         # Between the last report and the first of the next round: as between two on average.
-        pause_s = reports[-1][0] / len(reports)
+        pause_s = max(reports[-1][0] / len(reports), LEAST_PAUSE_S)
         start = time.monotonic()
         try:
             while True:

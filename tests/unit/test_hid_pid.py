@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -13,7 +14,7 @@ import pytest
 from hapticd.core import ffi, lib
 from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import parse
-from hapticd.hid.layout import layout_of
+from hapticd.hid.layout import Layout, layout_of
 from hapticd.hid.pid import PidDriver, ways_of
 from hapticd.hid.plan import DeviceError, Plan
 from tests.hid_descriptors import Joystick
@@ -274,3 +275,74 @@ def test_durations_of_other_units() -> None:
         assert plan.renew_s == pytest.approx(0.01)
         to = stick.layout.set_effect
         assert to is not None and number(stick.effects[1].set_effect, to.duration) == 20
+
+
+def without_reset(**keys: Any) -> Any:
+    """A joystick that is not asked for its pool, nor reset."""
+    return joystick(Joystick(without=frozenset({0x7F})), **keys)
+
+
+def test_room_for_one_effect_without_a_reset() -> None:
+    with without_reset(room=1) as stick:
+        plan = driver(stick, quirks=["no_reset"]).set_up(stick.device)
+        assert list(stick.effects) == [1] and len(plan.renew) == 1 and stick.enabled
+        send(stick, plan, (3.0, 0.0))
+        assert stick.force()[0] == pytest.approx(3.0 / FULL_N, abs=error_of(stick, plan))
+
+
+def test_a_set_up_that_fails_half_way_leaves_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    with without_reset() as stick:
+        answer = stick.get_feature
+
+        def refuse_the_second(report_id: int, length: int) -> bytes:
+            stick.load_says = "error" if stick.log.count("create") == 2 else None
+            return answer(report_id, length)
+
+        monkeypatch.setattr(stick, "get_feature", refuse_the_second)
+        with pytest.raises(DeviceError, match="the effect is refused"):
+            driver(stick, quirks=["no_reset"]).set_up(stick.device)
+        assert 1 not in stick.effects and not stick.enabled
+        assert stick.log.index("operation stop 1") < stick.log.index("block_free 1")
+
+
+def test_set_up_again_without_a_reset_needs_no_more_room() -> None:
+    with without_reset(room=2) as stick:
+        again = driver(stick, quirks=["no_reset"])
+        first = again.set_up(stick.device)
+        for _ in range(3):
+            assert again.set_up(stick.device) == first
+        assert list(stick.effects) == [1, 2] and stick.enabled
+
+
+def layout_like(like: Joystick | None = None) -> Layout:
+    return layout_of(parse(bytes(like or Joystick())))
+
+
+def test_a_magnitude_that_does_not_say_which_count_is_no_force_is_refused() -> None:
+    layout = layout_like(Joystick(is_magnitude_signed=False))
+    force = layout.constant_force
+    assert force is not None and ways_of(layout, hid())
+    below = replace(force, magnitude=replace(force.magnitude, physical_min=-10000, physical_max=10000))
+    with pytest.raises(DeviceError, match="which count is no force"):
+        PidDriver(replace(layout, constant_force=below), hid())
+
+
+def test_directions_that_are_parts_of_a_vector_are_not_taken_for_angles() -> None:
+    layout = layout_like()
+    to = layout.set_effect
+    assert to is not None
+    vector = replace(layout, set_effect=replace(to, is_direction_cartesian=True))
+    assert ways_of(vector, hid()) == ("two",)
+    signless = replace(vector, constant_force=layout_like(Joystick(is_magnitude_signed=False)).constant_force)
+    with pytest.raises(DeviceError, match="to tell them apart"):
+        ways_of(signless, hid())
+
+
+@pytest.mark.parametrize("usage", [0x30, 0x31])
+def test_the_one_axis_that_pushes_is_enabled_whichever_it_is(usage: int) -> None:
+    with joystick(Joystick(force_axes=(usage,), directions=0, direction_bits=0)) as stick:
+        driver(stick).set_up(stick.device)
+        to = stick.layout.set_effect
+        assert to is not None
+        (enabled,) = to.axes_enable.values()
+        assert [number(effect.set_effect, enabled) for effect in stick.effects.values()] == [1]

@@ -86,6 +86,29 @@ def test_no_file(path: str) -> None:
         load(path)
 
 
+def test_what_may_have_no_end_is_no_recording(path: str) -> None:
+    os.mkfifo(path)
+    for other in (path, "/dev/zero"):
+        with pytest.raises(HapticdError) as caught:
+            load(other)
+        assert str(caught.value) == f"{other}: is no recording: no regular file"
+
+
+def test_rounds_that_take_no_time_are_held_apart(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    due: list[float] = []
+
+    def next_round(self: ReplayDevice, when: float) -> bool:
+        due.append(when)
+        return len(due) < 4
+
+    monkeypatch.setattr(ReplayDevice, "_wait_until", next_round)
+    at_once = Recording("stick", 0x1209, 0x5AFF, STICK, ((0.0, report(0, 1)),))
+    device = ReplayDevice(at_once, Replay(path=path, loop=True, speed=0.5))
+    device._thread.join(10)
+    device.close()
+    assert np.diff(due) == pytest.approx([2e-3] * 3)
+
+
 def test_recording_a_device() -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
