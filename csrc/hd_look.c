@@ -178,6 +178,7 @@ HD_RT void hd_look_begin(struct hd_walk *walk) {
     struct hd_onset onsets[HD_WALK_MET];
     double hits[HD_WALK_MET][2];
     for (uint32_t i = 0; i < count; i++) {
+        onsets[i] = (struct hd_onset){.silent = 0}; /* no shape sets all of it */
         meets(walk, &objects[walk->met[i]], 0, &onsets[i]);
         hd_between(walk->from_m, walk->input->position_m, onsets[i].fraction, hits[i]);
     }
