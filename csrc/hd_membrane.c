@@ -86,14 +86,6 @@ HD_RT int hd_membrane_left(const struct hd_walk *walk, const struct hd_object *o
     if (!(place->depth_m >= 0.0)) {
         return 1;
     }
-    double along = place->along_m;
-    double lifted[2];
-    if (hd_path_lift(walk, walk->input->position_m, slot, lifted)) {
-        double shift[2];
-        double tangent[2];
-        hd_tangent(object->normal, tangent);
-        hd_difference(lifted, walk->input->position_m, shift);
-        along += hd_dot(shift, tangent);
-    }
+    const double along = place->along_m + hd_path_shift(walk, slot, object->normal);
     return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
 }
