@@ -8,6 +8,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import Field, ValidationError, model_validator
 
 from hapticd.core import SIM_FORCES
+from hapticd.dynamics import Dynamics, Grip, Handle
 from hapticd.errors import InvalidError, Path, Problem, shown
 from hapticd.hid.config import Hid, Replay
 from hapticd.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
@@ -103,10 +104,43 @@ class Sim(Model):
         return self
 
 
+def _dynamics(kind: object, sim: Sim, handle: Handle | None, grip: Grip | None) -> Dynamics | None:
+    hand = sim.hand
+    if kind == "sim":
+        handle = handle or Handle(
+            mass_kg=sim.handle_mass_kg,
+            damping_n_s_per_m=sim.handle_damping_n_s_per_m,
+            friction_n=sim.coulomb_friction_n,
+        )
+        grip = grip or Grip(
+            mass_kg=hand.mass_kg, damping_n_s_per_m=hand.damping_n_s_per_m, stiffness_n_per_m=hand.stiffness_n_per_m
+        )
+    if handle is None:
+        return None
+    grip = grip or Grip()
+    return Dynamics(
+        handle_mass_kg=handle.mass_kg,
+        handle_damping_n_s_per_m=handle.damping_n_s_per_m,
+        friction_n=handle.friction_n,
+        grip_mass_kg=grip.mass_kg,
+        grip_damping_n_s_per_m=grip.damping_n_s_per_m,
+        grip_stiffness_n_per_m=grip.stiffness_n_per_m,
+    )
+
+
 def _moving_mass_kg(fields: dict[str, object]) -> float:
-    sim = fields["sim"]
+    sim, handle, grip = fields["sim"], fields["handle"], fields["grip"]
     assert isinstance(sim, Sim)
-    return sim.handle_mass_kg + sim.hand.mass_kg
+    assert handle is None or isinstance(handle, Handle)
+    assert grip is None or isinstance(grip, Grip)
+    known = _dynamics(fields["kind"], sim, handle, grip) or _dynamics("sim", sim, handle, grip)
+    assert known is not None
+    return known.mass_kg
+
+
+def _muted_or_lowered(fields: dict[str, object]) -> Literal["mute", "lower"]:
+    # On a slow stick steel would feel softer than wood if it were only silent.
+    return "mute" if fields["kind"] == "sim" else "lower"
 
 
 class Device(Model):
@@ -120,18 +154,28 @@ class Device(Model):
         default=5.0, ge=0.01, le=1000, description="A step between two positions that is faster is a glitch."
     )
     undisplayable: Literal["mute", "lower"] = Field(
-        default="mute", description="What becomes of a mode above 0.4 of the rate, the link's if that is lower."
+        default_factory=_muted_or_lowered,
+        description="What becomes of a mode above 0.4 of the rate, the link's if that is lower.",
     )
     sim: Sim = Field(default=Sim(), description="The simulated joystick.")
     hid: Hid = Field(default=Hid(), description="A HID joystick; of a replay, how its reports are understood.")
     replay: Replay | None = Field(default=None, description="The recording that is played.")
-    # After `sim`, which its default is taken from.
+    handle: Handle | None = Field(
+        default=None, description="The handle, of a real joystick; by default the simulated one's."
+    )
+    grip: Grip | None = Field(default=None, description="The hand on it; by default the simulated one's, or none.")
+    # After those which its default is taken from.
     effective_mass_kg: float = Field(
         default_factory=_moving_mass_kg,
         ge=1e-4,
-        le=10,
+        le=20,
         description="Mass by which an acceleration becomes a force; by default handle and hand together.",
     )
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """The device as a force sees it; None of a real joystick whose `handle` is not given."""
+        return _dynamics(self.kind, self.sim, self.handle, self.grip)
 
     @model_validator(mode="after")
     def _recording_named(self) -> Self:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hapticd.config import Config, Device, Sim, default_config, load_config
+from hapticd.dynamics import Dynamics
 from hapticd.errors import HapticdError, InvalidError
 from hapticd.materials import shipped_document, shipped_materials
 from hapticd.model import Model, problems_of
@@ -123,6 +124,32 @@ def test_effective_mass_follows_handle_and_hand() -> None:
     sim: dict[str, Json] = {"handle_mass_kg": 0.5, "hand": {"mass_kg": 0.25}}
     assert load_config({"device": {"sim": sim}}).device.effective_mass_kg == 0.75
     assert load_config({"device": {"sim": sim, "effective_mass_kg": 1}}).device.effective_mass_kg == 1
+    assert load_config({"device": {"sim": sim, "handle": {"mass_kg": 0.125}}}).device.effective_mass_kg == 0.375
+    assert load_config({"device": {"sim": sim, "grip": {"mass_kg": 0.125}}}).device.effective_mass_kg == 0.625
+    both = {"kind": "hid", "handle": {"mass_kg": 0.5}, "grip": {}}
+    assert load_config({"device": both}).device.effective_mass_kg == 0.5
+
+
+def test_what_a_real_link_cannot_carry_is_lowered() -> None:
+    assert load_config({}).device.undisplayable == "mute"
+    assert load_config({"device": {"kind": "hid"}}).device.undisplayable == "lower"
+    assert load_config({"device": {"kind": "replay", "replay": {"path": "x"}}}).device.undisplayable == "lower"
+    assert load_config({"device": {"kind": "hid", "undisplayable": "mute"}}).device.undisplayable == "mute"
+
+
+def test_the_device_as_a_force_sees_it() -> None:
+    sim = load_config({}).device
+    assert sim.dynamics == Dynamics(0.04, 0.2, 0.05, 0.01, 5, 300)
+    assert (sim.dynamics.mass_kg, sim.dynamics.damping_n_s_per_m) == (sim.effective_mass_kg, 5.2)
+    handle: dict[str, Json] = {"mass_kg": 0.1, "damping_n_s_per_m": 0.5, "friction_n": 0.2}
+    grip: dict[str, Json] = {"mass_kg": 0.02, "damping_n_s_per_m": 3, "stiffness_n_per_m": 200}
+    for kind in ("sim", "hid"):
+        given = load_config({"device": {"kind": kind, "handle": handle, "grip": grip}}).device.dynamics
+        assert given == Dynamics(0.1, 0.5, 0.2, 0.02, 3, 200)
+    assert load_config({"device": {"kind": "hid", "handle": handle}}).device.dynamics == Dynamics(
+        0.1, 0.5, 0.2, 0, 0, 0
+    )
+    assert load_config({"device": {"kind": "hid", "grip": grip}}).device.dynamics is None
 
 
 def test_start_is_inside_the_workspace() -> None:
@@ -555,8 +582,10 @@ def default_of(model: type[Model], key: str) -> str:
     field = model.model_fields[key]
     if field.is_required():
         return "required"
-    if field.default_factory is not None:
+    if key == "effective_mass_kg":
         return f"handle and hand, {Device().effective_mass_kg:.15g}"
+    if key == "undisplayable":
+        return f"`{Device().undisplayable}`; of a real joystick `{Device(kind='hid').undisplayable}`"
     value: object = field.default
     match value:
         case None:
