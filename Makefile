@@ -7,6 +7,7 @@ PYTHON ?= python3
 CC ?= cc
 CLANG ?= clang-22
 FUZZ_SECONDS ?= 60
+DESCRIPTORS ?= 20000
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -180,13 +181,14 @@ rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
 comma := ,
 
 .PHONY: fuzz
-fuzz: ## libFuzzer on tables and motion, then on HID reports, FUZZ_SECONDS=60 each
+fuzz: build ## libFuzzer on tables and motion, then on HID reports, FUZZ_SECONDS=60 each, then DESCRIPTORS=20000
 	@echo 'int LLVMFuzzerTestOneInput(const char *d, long s) { return !d && s; }' | \
 		$(CLANG) -fsanitize=fuzzer,address,undefined -x c - -o /dev/null 2>/dev/null || \
 		{ echo "make fuzz needs $(CLANG) with libFuzzer: install clang-22 and libclang-rt-22-dev (Debian)," \
 			"or make fuzz CLANG=..." >&2; exit 1; }
 	$(call fuzzed,table,8192)
 	$(call fuzzed,report,512)
+	$(BIN)/python -m tests.fuzz_descriptors --runs $(DESCRIPTORS)
 
 # $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes.
 define fuzzed
