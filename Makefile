@@ -168,13 +168,15 @@ define sanitized
 		CHECKS='-fsanitize=$(2) -fno-sanitize-recover=all -fno-omit-frame-pointer'
 endef
 
-.PHONY: tsan asan ubsan rtsan
+.PHONY: tsan asan ubsan msan rtsan
 tsan: ## C tests under ThreadSanitizer
 	$(call sanitized,tsan,thread)
 asan: ## C tests under AddressSanitizer
 	$(call sanitized,asan,address)
 ubsan: ## C tests under UndefinedBehaviorSanitizer
 	$(call sanitized,ubsan,undefined$(comma)float-cast-overflow)
+msan: ## C tests under MemorySanitizer
+	$(call sanitized,msan,memory)
 rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
 	$(call sanitized,rtsan,realtime)
 
