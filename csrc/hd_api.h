@@ -356,6 +356,7 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
 #define HD_HID_MESSAGES 8       /* of one script */
 #define HD_HID_VALUES 4         /* numbers written into one message */
 #define HD_HID_STATES 8
+#define HD_HID_EFFECTS 4 /* whose playing is watched */
 
 /* Where a number lies in a report. Bits are counted as HID counts them: from the lowest bit of the first byte after the
  * report id; `big_endian` numbers are whole bytes, the first one the highest. */
@@ -414,9 +415,9 @@ struct hd_hid_script {
 enum hd_hid_meaning {
     HD_HID_RESET = 1,     /* the device was reset: its effects are gone */
     HD_HID_ACTUATORS = 2, /* actuators enabled; 0: they are off, by the device or by another driver */
-    HD_HID_PAUSED = 3,
-    HD_HID_SAFETY = 4, /* safety switch closed; 0: the device keeps its actuators off until it is */
-    HD_HID_POWER = 5   /* actuator power */
+    HD_HID_PAUSED = 3,    /* once it was not paused, no force is sent while it is */
+    HD_HID_SAFETY = 4,    /* safety switch closed; 0: the device keeps its actuators off until it is */
+    HD_HID_POWER = 5      /* actuator power */
 };
 
 struct hd_hid_state {
@@ -425,19 +426,35 @@ struct hd_hid_state {
     uint32_t meaning; /* enum hd_hid_meaning */
 };
 
+/* Where an input report says which effect it speaks of, and whether that plays. An effect of ours that played, then did
+ * not, and does not play again although it was renewed, is one that the device has forgotten: it was reset. Some
+ * devices do not heed renewals in what they report, so that is believed of a device once; and always where effects were
+ * seen to play on over `proof` renewals, which takes longer than their duration. */
+struct hd_hid_effects {
+    struct hd_hid_field index;
+    struct hd_hid_field playing;
+    uint32_t report_id;
+    uint32_t count; /* of indices; 0: nothing is watched */
+    uint32_t indices[HD_HID_EFFECTS];
+    uint32_t proof; /* at least 1 */
+    uint32_t unused;
+};
+
 /* What a connection does, compiled once. Checked by hd_hid_connect; the caller may forget it then. */
 struct hd_hid_plan {
     struct hd_hid_axis axes[2]; /* x, y */
+    struct hd_hid_script begin; /* sent once, before the first force; no force */
     struct hd_hid_script force; /* sent for each new force, in this order; a message that did not change is left out */
     struct hd_hid_script renew; /* sent every renew_ns while connected: restarts effects of finite duration, keeps
                                    watchdogs quiet; force values may stand in it */
     struct hd_hid_script stop;  /* sent when the connection is closed in an orderly way, after a force of zero */
+    struct hd_hid_effects effects;
     struct hd_hid_state states[HD_HID_STATES];
     uint32_t state_count;
     uint32_t on_change;        /* the device reports only what changes: silence says nothing */
     int64_t renew_ns;          /* the force messages are sent again, too; 0: never */
-    int64_t write_interval_ns; /* between two writes at least, up to 0.1 s: the endpoint's interval; 0: as fast as they
-                                  are taken */
+    int64_t write_interval_ns; /* between two writes at least, up to 0.1 s, shorter at the end: the endpoint's interval;
+                                  0: as fast as they are taken */
 };
 
 /* What is known of a connection; each number is read on its own. */
@@ -445,7 +462,7 @@ struct hd_hid_status {
     uint32_t connected;    /* both threads run */
     int32_t error;         /* errno of what ended it; 0: none */
     uint32_t reset;        /* the device has said, since hd_hid_connect, that it was reset, or that its actuators went
-                              off: set it up again */
+                              off, or it has forgotten an effect: set it up again */
     uint32_t states;       /* bit (meaning - 1): the number is not 0 */
     uint32_t states_known; /* bit (meaning - 1): a report has said it */
     uint32_t unused;

@@ -24,8 +24,9 @@
  *   forces                                         the servo writes, the writer reads while its phase is IDLE
  *   seen_* and what follows in struct hd_hid       the servo's own
  *   the writer's counters                          the writer, while its phase is IDLE
+ *   playing, ended in struct hd_connection         the reader writes, the writer reads
  *   connection                                     control's own: one thread at a time connects and disconnects
- *   connected, error, reset, event_fd              anybody
+ *   connected, error, reset, returns_ns, event_fd  anybody
  *
  * Times are CLOCK_MONOTONIC nanoseconds. */
 #include "hd_hid.h"
@@ -94,6 +95,9 @@ struct hd_connection {
     struct hd_position known; /* the reader's own */
     uint32_t axes_known;
 
+    struct hd_atomic_u32 playing; /* bit i: the device says that effect i plays */
+    struct hd_atomic_u32 ended;   /* bit i: it played, and does not */
+
     uint8_t sent[HD_HID_MESSAGES][HD_HID_REPORT_BYTES]; /* the writer's own, from here on */
     uint32_t sent_once;                                 /* bit: that message was sent */
     double direction_rad;                               /* of the last force that had one */
@@ -104,6 +108,7 @@ struct hd_connection {
     int64_t fresh_until_ns; /* until then a force newer than that is waited for */
     int64_t last_pass_ns;
     int64_t idle_ns; /* since the last pass */
+    struct hd_renewals renewals;
 };
 
 struct hd_hid {
@@ -117,6 +122,7 @@ struct hd_hid {
     struct hd_atomic_i64 arrived_ns;                      /* of the newest */
     struct hd_atomic_u32 states;
     struct hd_atomic_u32 states_known;
+    struct hd_atomic_u32 states_seen; /* were not 0 once */
     struct hd_atomic_u64 reports;
     struct hd_atomic_u64 read_positions;
     struct hd_atomic_u64 short_reports;
@@ -131,7 +137,8 @@ struct hd_hid {
     struct hd_atomic_u32 connection_number; /* control writes, the servo reads */
     struct hd_atomic_u32 error;
     struct hd_atomic_u32 reset;
-    struct hd_atomic_i64 cleared_ns; /* when control answered the last reset */
+    struct hd_atomic_u32 paused;     /* somebody has paused the device */
+    struct hd_atomic_i64 returns_ns; /* when the last reset was answered, or a pause was over */
     int event_fd;
     struct hd_connection *connection;
 
@@ -273,6 +280,12 @@ static void fail(struct hd_connection *connection, int error) {
     }
 }
 
+/* The device was reset: control has to set it up again. */
+static void tell_reset(struct hd_hid *hid) {
+    hd_atomic_u32_store_release(&hid->reset, 1);
+    signal_fd(hid->event_fd);
+}
+
 /* ---- The reader -------------------------------------------------------------------------------------------------- */
 
 /* What a report says of the device itself. `watching`: control has set the device up, so a change is not its doing. */
@@ -281,13 +294,33 @@ static void take_states(struct hd_hid *hid, const struct hd_report_news *news, i
     const uint32_t known = hd_atomic_u32_load_relaxed(&hid->states_known);
     const uint32_t reset = 1u << (HD_HID_RESET - 1);
     const uint32_t actuators = 1u << (HD_HID_ACTUATORS - 1);
+    const uint32_t paused = 1u << (HD_HID_PAUSED - 1);
     const uint32_t rose = news->said & news->states & ~before;
     const uint32_t fell = news->said & known & before & ~news->states;
     hd_atomic_u32_store_relaxed(&hid->states, (before & ~news->said) | news->states);
     hd_atomic_u32_store_relaxed(&hid->states_known, known | news->said);
+    hd_atomic_u32_store_relaxed(&hid->states_seen, hd_atomic_u32_load_relaxed(&hid->states_seen) | news->states);
     if (watching && ((rose & reset) != 0 || (fell & actuators) != 0)) {
-        hd_atomic_u32_store_release(&hid->reset, 1);
-        signal_fd(hid->event_fd);
+        tell_reset(hid);
+    }
+    if ((rose & known & paused) != 0) {
+        hd_atomic_u32_store_release(&hid->paused, 1);
+    } else if ((fell & paused) != 0) {
+        hd_atomic_i64_store_relaxed(&hid->returns_ns, hd_clock_now_ns());
+        hd_atomic_u32_store_release(&hid->paused, 0);
+    }
+}
+
+/* What a report says of an effect of ours. `watching` as above: of an effect that ended before, nothing follows. */
+static void take_effects(struct hd_connection *connection, const struct hd_report_news *news, int watching) {
+    const uint32_t playing = hd_atomic_u32_load_relaxed(&connection->playing);
+    const uint32_t ended = hd_atomic_u32_load_relaxed(&connection->ended);
+    if (news->playing) {
+        hd_atomic_u32_store_relaxed(&connection->ended, ended & ~news->effects);
+        hd_atomic_u32_store_relaxed(&connection->playing, playing | news->effects);
+    } else {
+        hd_atomic_u32_store_relaxed(&connection->ended, ended | (watching ? playing & news->effects : 0u));
+        hd_atomic_u32_store_relaxed(&connection->playing, playing & ~news->effects);
     }
 }
 
@@ -313,6 +346,9 @@ static int read_report(struct hd_connection *connection, int64_t now_ns, int wat
     }
     if (news.said != 0) {
         take_states(hid, &news, watching);
+    }
+    if (news.effects != 0) {
+        take_effects(connection, &news, watching);
     }
     if (news.axes != 0) {
         for (int axis = 0; axis < 2; axis++) {
@@ -451,12 +487,13 @@ static int write_report(struct hd_connection *connection, const uint8_t *bytes, 
     }
 }
 
-/* How much of the force a device that was reset gets: nothing until it is set up again, then more and more. */
+/* How much of the force a device that was reset or paused gets: nothing until it is set up again or goes on, then more
+ * and more. */
 static double returned(struct hd_hid *hid, int64_t now_ns) {
-    if (hd_atomic_u32_load_acquire(&hid->reset)) {
+    if (hd_atomic_u32_load_acquire(&hid->reset) || hd_atomic_u32_load_acquire(&hid->paused)) {
         return 0.0;
     }
-    const double since = (double)(now_ns - hd_atomic_i64_load_relaxed(&hid->cleared_ns)) / (double)HD_RETURN_NS;
+    const double since = (double)(now_ns - hd_atomic_i64_load_relaxed(&hid->returns_ns)) / (double)HD_RETURN_NS;
     return since < 1.0 ? since > 0.0 ? since : 0.0 : 1.0;
 }
 
@@ -546,14 +583,54 @@ static void count_pass(struct hd_connection *connection) {
     connection->idle_ns = 0;
 }
 
+int hd_hid_forgotten(struct hd_renewals *renewals, const struct hd_hid_effects *effects, uint32_t playing,
+                     uint32_t ended, int excused) {
+    int found = 0;
+    for (uint32_t i = 0; i < effects->count; i++) {
+        uint32_t *played = &renewals->played[i];
+        uint32_t *waited = &renewals->waited[i];
+        *played = (playing >> i & 1u) == 0 ? 0 : *played < effects->proof ? *played + 1 : *played;
+        renewals->proven |= *played >= effects->proof;
+        if ((ended >> i & 1u) == 0) {
+            *waited = 0;
+        } else if (*waited <= HD_FORGET_RENEWALS) {
+            *waited = excused ? 0 : *waited + 1;
+            found |= *waited > HD_FORGET_RENEWALS;
+        }
+    }
+    found = found && (renewals->proven || !renewals->guessed);
+    renewals->guessed |= found;
+    return found;
+}
+
+/* Asked when effects are about to be renewed. */
+static int has_forgotten(struct hd_connection *connection) {
+    const struct hd_hid *hid = connection->hid;
+    const uint32_t safety = 1u << (HD_HID_SAFETY - 1);
+    /* On a device that has no such switch it was never closed. */
+    const uint32_t off = hd_atomic_u32_load_relaxed(&hid->states_seen) & ~hd_atomic_u32_load_relaxed(&hid->states);
+    const int excused =
+        hd_atomic_u32_load_acquire(&hid->reset) || hd_atomic_u32_load_acquire(&hid->paused) || (off & safety) != 0;
+    return hd_hid_forgotten(&connection->renewals, &connection->plan.effects,
+                            hd_atomic_u32_load_relaxed(&connection->playing),
+                            hd_atomic_u32_load_relaxed(&connection->ended), excused);
+}
+
 /* Until the connection ends. As write_report. */
 static int write_on(struct hd_connection *connection) {
     const struct hd_hid_plan *plan = &connection->plan;
     int64_t renew_ns = connection->start_ns; /* when it is due: at once, the set-up was a while ago */
+    int error = write_script(connection, &plan->begin);
+    if (error != 0) {
+        return error;
+    }
     for (;;) {
         const int renews = plan->renew_ns > 0 && hd_clock_now_ns() >= renew_ns;
         uint32_t changed = 0;
-        int error = write_forces(connection, renews, &changed);
+        if (renews && has_forgotten(connection)) {
+            tell_reset(connection->hid);
+        }
+        error = write_forces(connection, renews, &changed);
         connection->begun = 1;
         if (error == 0 && renews) {
             renew_ns = hd_clock_now_ns() + plan->renew_ns;
@@ -584,6 +661,15 @@ static void connection_free(struct hd_connection *connection) {
     free(connection);
 }
 
+/* The pauses between the last writes take half of the time for them at most, however slow the device wants them. */
+static void hurry(struct hd_connection *connection) {
+    struct hd_hid_plan *plan = &connection->plan;
+    const int64_t pause_ns = HD_PARTING_NS / 2 / (1 + plan->force.count + plan->stop.count);
+    const int64_t latest_ns = hd_clock_now_ns() + pause_ns;
+    plan->write_interval_ns = plan->write_interval_ns < pause_ns ? plan->write_interval_ns : pause_ns;
+    connection->next_write_ns = connection->next_write_ns < latest_ns ? connection->next_write_ns : latest_ns;
+}
+
 static void *writer_main(void *argument) {
     struct hd_connection *connection = argument;
     prctl(PR_SET_NAME, "hid writer", 0ul, 0ul, 0ul);
@@ -593,6 +679,7 @@ static void *writer_main(void *argument) {
     if (error == ECANCELED && hd_atomic_u32_load_acquire(&connection->end) == HD_END_ORDERLY) {
         uint32_t changed;
         connection->leaving = 1;
+        hurry(connection);
         error = write_forces(connection, 1, &changed);
         error = error == 0 ? write_script(connection, &connection->plan.stop) : error;
         connection->parting_error = error;
@@ -664,9 +751,11 @@ static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_
 static void forget(struct hd_hid *hid) {
     hd_atomic_u32_store_relaxed(&hid->error, 0);
     hd_atomic_u32_store_relaxed(&hid->reset, 0);
-    hd_atomic_i64_store_relaxed(&hid->cleared_ns, INT64_MIN / 2);
+    hd_atomic_u32_store_relaxed(&hid->paused, 0);
+    hd_atomic_i64_store_relaxed(&hid->returns_ns, INT64_MIN / 2);
     hd_atomic_u32_store_relaxed(&hid->states, 0);
     hd_atomic_u32_store_relaxed(&hid->states_known, 0);
+    hd_atomic_u32_store_relaxed(&hid->states_seen, 0);
     hd_atomic_u64_store_relaxed(&hid->reports, 0);
     hd_atomic_u64_store_relaxed(&hid->read_positions, 0);
     hd_atomic_u64_store_relaxed(&hid->short_reports, 0);
@@ -833,6 +922,6 @@ void hd_hid_wake(struct hd_hid *hid) {
 }
 
 void hd_hid_clear_reset(struct hd_hid *hid) {
-    hd_atomic_i64_store_relaxed(&hid->cleared_ns, hd_clock_now_ns());
+    hd_atomic_i64_store_relaxed(&hid->returns_ns, hd_clock_now_ns());
     hd_atomic_u32_store_release(&hid->reset, 0);
 }

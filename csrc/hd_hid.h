@@ -1,4 +1,4 @@
-/* A HID device, from the inside of the core: what the servo thread calls. None of it makes a system call but
+/* A HID device, from the inside of the core: what the servo thread calls. None of that makes a system call but
  * hd_hid_step_await, which sleeps. One thread at a time is the servo of a device. */
 #ifndef HD_HID_H
 #define HD_HID_H
@@ -24,6 +24,23 @@ HD_RT void hd_hid_step_put(struct hd_hid *hid, int64_t now_ns, const double forc
 HD_RT int hd_hid_step_await(struct hd_hid *hid, int64_t until_ns, int64_t *arrival_ns);
 /* Control, before the servo starts: somebody awaits positions, so the reader has to wake. */
 void hd_hid_await_enable(struct hd_hid *hid);
+
+#define HD_FORGET_RENEWALS 2 /* an effect that ended plays again after so many, or is forgotten */
+
+/* What the effects of a connection did over their renewals; zero at its beginning. The writer's. */
+struct hd_renewals {
+    uint32_t played[HD_HID_EFFECTS]; /* it played at so many in a row, up to `proof` */
+    uint32_t waited[HD_HID_EFFECTS]; /* since it ended; one more than HD_FORGET_RENEWALS: that was told */
+    int proven;                      /* effects play on when they are renewed, by what the device says */
+    int guessed;                     /* it was told without that */
+};
+
+/* Whether the device has forgotten an effect; asked once whenever effects are about to be renewed. Bit i of `playing`:
+ * effect i plays; of `ended`: it did, and does not. `excused`: the device has said otherwise why it shows none.
+ * Renewals are counted and not time: an effect that ran out because the writer was held up plays again after the next
+ * one. */
+int hd_hid_forgotten(struct hd_renewals *renewals, const struct hd_hid_effects *effects, uint32_t playing,
+                     uint32_t ended, int excused);
 
 /* How much memory *hid is: the servo locks it. */
 size_t hd_hid_size(void);

@@ -174,8 +174,18 @@ int hd_report_check(const struct hd_hid_plan *plan) {
             return hd_invalid("plan: state %u: meaning %u", i, state->meaning);
         }
     }
-    if (check_script(&plan->force, "force") != HD_OK || check_script(&plan->renew, "renew") != HD_OK ||
-        check_script(&plan->stop, "stop") != HD_OK) {
+    const struct hd_hid_effects *effects = &plan->effects;
+    if (effects->count > HD_HID_EFFECTS || (effects->count > 0 && effects->proof < 1)) {
+        return hd_invalid("plan: %u effects, at most %d; proven by %u renewals", effects->count, HD_HID_EFFECTS,
+                          effects->proof);
+    }
+    if (effects->count > 0 &&
+        (check_input(&effects->index, effects->report_id, numbered, "effect index") != HD_OK ||
+         check_input(&effects->playing, effects->report_id, numbered, "effect playing") != HD_OK)) {
+        return HD_ERR_INVALID;
+    }
+    if (check_script(&plan->begin, "begin") != HD_OK || check_script(&plan->force, "force") != HD_OK ||
+        check_script(&plan->renew, "renew") != HD_OK || check_script(&plan->stop, "stop") != HD_OK) {
         return HD_ERR_INVALID;
     }
     if (plan->renew_ns < 0 || (plan->renew.count > 0 && plan->renew_ns == 0)) {
@@ -215,6 +225,16 @@ HD_RT void hd_report_take(const struct hd_hid_plan *plan, const uint8_t *report,
             found.said |= bit;
             found.states |= counts != 0 ? bit : 0u;
         }
+    }
+    const struct hd_hid_effects *effects = &plan->effects;
+    if (effects->count > 0 && effects->report_id == report[0] && !cut) {
+        int64_t playing = 0;
+        cut = hd_report_read(&effects->index, report, length, &counts) != HD_OK ||
+              hd_report_read(&effects->playing, report, length, &playing) != HD_OK;
+        for (uint32_t i = 0; i < effects->count; i++) {
+            found.effects |= counts == (int64_t)effects->indices[i] ? 1u << i : 0u;
+        }
+        found.playing = playing != 0;
     }
     if (cut) {
         news->short_of_it = 1;

@@ -22,6 +22,8 @@ struct hd_report_news {
     uint32_t axes;        /* bit 0: x, bit 1: y: the report has it */
     uint32_t states;      /* bit (meaning - 1): the number is not 0 */
     uint32_t said;        /* bit (meaning - 1): the report has it */
+    uint32_t effects;     /* bit i: it speaks of plan.effects.indices[i] */
+    uint32_t playing;     /* 1: which plays */
     uint32_t short_of_it; /* 1: it ends before something that the plan reads of it; nothing above is set */
 };
 

@@ -104,6 +104,7 @@ class Lib:
     HD_HID_MESSAGES: int
     HD_HID_VALUES: int
     HD_HID_STATES: int
+    HD_HID_EFFECTS: int
     HD_HID_X: int
     HD_HID_Y: int
     HD_HID_MAGNITUDE: int

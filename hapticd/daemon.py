@@ -79,7 +79,13 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
         _log.warning("%s", told)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
     stack.callback(router.close)
-    _thread("command", lambda stop: server.serve(router, engine, control, stop), failures, stack)
+    _thread(
+        "command",
+        lambda stop: server.serve(router, engine, control, stop),
+        failures,
+        stack,
+        wake=lambda: server.wake(context),
+    )
     gc.collect()
     gc.freeze()
     gc.enable()
@@ -105,9 +111,16 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
 
 
 def _thread(
-    name: str, work: Callable[[threading.Event], None], failures: list[BaseException], stack: ExitStack
+    name: str,
+    work: Callable[[threading.Event], None],
+    failures: list[BaseException],
+    stack: ExitStack,
+    wake: Callable[[], None] | None = None,
 ) -> None:
-    """A thread that takes the daemon down if it fails, and is ended and joined when the stack unwinds."""
+    """A thread that takes the daemon down if it fails, and is ended and joined when the stack unwinds.
+
+    `wake`: has it look at its event, where it waits for something else.
+    """
     stop = threading.Event()
 
     def guarded() -> None:
@@ -121,6 +134,8 @@ def _thread(
     thread = threading.Thread(target=guarded, name=name)
     thread.start()
     stack.callback(thread.join)
+    if wake is not None:
+        stack.callback(wake)
     stack.callback(stop.set)
 
 

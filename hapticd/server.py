@@ -24,6 +24,9 @@ LARGEST_MESSAGE: Final = 64 * 1024 * 1024
 _log = logging.getLogger(__name__)
 
 
+_WAKE: Final = "inproc://wake"
+
+
 def bind(context: zmq.Context[zmq.Socket[bytes]], endpoint: str) -> zmq.Socket[bytes]:
     """The ROUTER of the command socket. Raises zmq.ZMQError."""
     socket = context.socket(zmq.ROUTER)
@@ -31,7 +34,15 @@ def bind(context: zmq.Context[zmq.Socket[bytes]], endpoint: str) -> zmq.Socket[b
     socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
     socket.setsockopt(zmq.RCVTIMEO, BEAT_EVERY_MS)
     socket.bind(endpoint)
+    socket.bind(_WAKE)
     return socket
+
+
+def wake(context: zmq.Context[zmq.Socket[bytes]]) -> None:
+    """Ends the wait for a request, so that `serve` looks whether it is to stop. For any thread."""
+    with context.socket(zmq.DEALER) as socket:
+        socket.connect(_WAKE)
+        socket.send(b"")
 
 
 def answer(control: Control, body: bytes | None) -> bytes | None:
@@ -68,6 +79,8 @@ def serve(socket: zmq.Socket[bytes], engine: Engine, control: Control, stop: thr
             identity, *frames = socket.recv_multipart()
         except zmq.Again:
             continue
+        if stop.is_set():
+            return
         delimited, body = wire.open_envelope(frames)
         reply = answer(control, body)
         if reply is not None:

@@ -122,6 +122,8 @@ class Joystick:
     is_magnitude_signed: bool = True
     direction_bits: int = 8
     """8: 0 to 255; 16: 0 to 35999. 0: there is no direction."""
+    is_direction_signed: bool = False
+    """-180 to 180 instead, in 16 bits."""
     directions: int = 2
     control: str = "array"
     """array or bits."""
@@ -288,8 +290,12 @@ class Joystick:
             body.append(pad(OUTPUT, 8 - count % 8))
         if self.direction_bits:
             most = {8: 255, 16: 35999}[self.direction_bits]
-            angle = usage32(ORDINAL, *range(1, self.directions + 1)) + logical(0, most)
-            angle += physical(0, 36000) + unit(0x14, -2) + size(self.direction_bits, self.directions) + data(OUTPUT)
+            angle = usage32(ORDINAL, *range(1, self.directions + 1))
+            if self.is_direction_signed:
+                angle += logical(-180, 180) + physical(-18000, 18000)
+            else:
+                angle += logical(0, most) + physical(0, 36000)
+            angle += unit(0x14, -2) + size(self.direction_bits, self.directions) + data(OUTPUT)
             if self.is_pushed:
                 angle = push() + angle + pop()
             else:

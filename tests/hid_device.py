@@ -46,6 +46,10 @@ class FakePid:
     """Effects that it has room for."""
     first_index: int = 1
     load_says: str | None = None
+    answers_as: int | None = None
+    """The report id in its answers to feature reports; None: the right one."""
+    tells_playing: bool = True
+    """It reports when an effect begins or ends to play."""
     on_log: Callable[[str], None] = lambda _: None
     log: list[str] = field(default_factory=list)
     """Names of the reports received, in order, as `operation start 1`."""
@@ -89,13 +93,13 @@ class FakePid:
                 for name in chosen(report, parts.device_control.command):
                     self._note(name)
                     if name == "device_reset":
-                        self.effects.clear()
+                        self._forget()
                         self._enable(False)
                     elif name in ("enable_actuators", "disable_actuators"):
                         self._enable(name == "enable_actuators")
                     elif name == "stop_all_effects":
-                        for effect in self.effects.values():
-                            effect.playing = False
+                        for index in self.effects:
+                            self._play(index, False)
             case parts.set_effect.report_id:
                 index = number(report, parts.set_effect.effect_index)
                 self._note(f"set_effect {index}")
@@ -108,15 +112,28 @@ class FakePid:
                 index = number(report, parts.effect_operation.effect_index)
                 for name in chosen(report, parts.effect_operation.operation):
                     self._note(f"operation {name} {index}")
-                    self._of(index).playing = name != "stop"
+                    self._play(index, name != "stop")
             case _ if parts.block_free and report[0] == parts.block_free.report_id:
                 index = number(report, parts.block_free.effect_index)
                 self._note(f"block_free {index}")
+                self._play(index, False)
                 self.effects.pop(index, None)
             case _ if parts.device_gain and report[0] == parts.device_gain.report_id:
                 self._note(f"gain {number(report, parts.device_gain.gain)}")
             case _:
                 self._note(f"unknown {report.hex()}")
+
+    def _play(self, index: int, playing: bool) -> None:
+        effect = self._of(index)
+        if effect.playing != playing:
+            effect.playing = playing
+            if self.tells_playing and index in self.effects:
+                self._tell(index)
+
+    def _forget(self) -> None:
+        for index in self.effects:
+            self._play(index, False)
+        self.effects.clear()
 
     def _of(self, index: int) -> Effect:
         # A report for an effect that does not exist is heard and ignored.
@@ -140,7 +157,7 @@ class FakePid:
     def get_feature(self, report_id: int, length: int) -> bytes:
         load, pool = self.layout.block_load, self.layout.pool
         report = bytearray(length)
-        report[0] = report_id
+        report[0] = report_id if self.answers_as is None else self.answers_as
         if load is not None and report_id == load.report_id:
             assert length == load.report_bytes
             self._note("load")
@@ -167,21 +184,29 @@ class FakePid:
                     _put(data, self.layout.input[name].field, counts)
             self._send(bytes(data))
 
-    def reset(self) -> None:
-        """Somebody else resets it."""
+    def reset(self, *, enabled: bool = False) -> None:
+        """Somebody else resets it, and it has its actuators on or off then."""
         with self.changed:
             self.log.clear()
-            self.effects.clear()
-            self._enable(False)
+            self._forget()
+            self._enable(enabled)
 
     def _enable(self, enabled: bool) -> None:
         """Actuators on or off, which a PID State report tells."""
         self.enabled = enabled
+        self._tell(0)
+
+    def _tell(self, index: int) -> None:
+        """A PID State report, about one effect or none."""
         state = self.layout.pid_state
         if state is not None and state.actuators_enabled is not None:
             data = bytearray(state.report_bytes)
             data[0] = state.report_id
-            _put(data, state.actuators_enabled, int(enabled))
+            _put(data, state.actuators_enabled, int(self.enabled))
+            place = state.effect_index
+            if place is not None and state.effect_playing is not None and index <= place.logical_max:
+                _put(data, place, index)
+                _put(data, state.effect_playing, int(self._of(index).playing))
             self._send(bytes(data))
 
     def _send(self, data: bytes) -> None:
@@ -208,7 +233,7 @@ class FakePid:
             size = effect.magnitude / force_to.magnitude.logical_max
             if effect_to.direction_enable is not None and number(effect.set_effect, effect_to.direction_enable):
                 place = effect_to.direction[0]
-                turns = (number(effect.set_effect, place) - place.logical_min) / place.counts_per_turn()
+                turns = _turns(number(effect.set_effect, place), place)
                 x -= size * math.sin(2 * math.pi * turns)
                 y -= size * math.cos(2 * math.pi * turns)
             else:
@@ -264,6 +289,16 @@ class FakeDevice:
     def close(self) -> None:
         self.closed = True
         self._stick.ours.close()
+
+
+def _turns(counts: int, place: Field) -> float:
+    """A direction, by the specification: counts are interpolated between the ends of the physical range, in 0.01 of a
+    degree in every descriptor here, or in degrees where it names none."""
+    share = (counts - place.logical_min) / (place.logical_max - place.logical_min)
+    physical = place.physical_min + share * (place.physical_max - place.physical_min)
+    if place.unit == 0x14:
+        return physical / 36000
+    return physical / (place.physical_max - place.physical_min)
 
 
 def _put(report: bytearray, place: Field, counts: int) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
+
+from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -58,6 +62,25 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         click.echo(text)
     if "warning" in result:
         click.echo(f"hapticd: {result['warning']}", err=True)
+
+
+def write_whole(path: str, text: str) -> None:
+    """Writes a file, or leaves the one that is there as it is. Raises HapticdError."""
+    target = os.path.realpath(path)
+    part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
+    try:
+        if os.path.exists(target) and not os.path.isfile(target):
+            # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
+            with open(target, "w", encoding="utf-8") as file:
+                file.write(text)
+            return
+        with open(part, "x", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(part, target)
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(part)
+        raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def print_yaml(value: Mapping[str, object]) -> None:

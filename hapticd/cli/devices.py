@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import duration, json_option, print_json, yaml_text
+from hapticd.cli.common import duration, json_option, print_json, write_whole, yaml_text
 from hapticd.errors import HapticdError, quoted
 
 if TYPE_CHECKING:
@@ -59,8 +60,6 @@ def _verdict(item: Found) -> str:
 def dump_command(device: str, output: str, duration_s: float) -> None:
     """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
     or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
-    import os
-
     from hapticd.hid.discover import find
     from hapticd.hid.replay import Recording, record, save
 
@@ -105,6 +104,8 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
     from hapticd.hid.config import ForceAxes
     from hapticd.hid.sources import open_hid
 
+    if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
+        raise click.UsageError(f"-o {output}: would take the place of the configuration; name another file")
     config = load_config(configs) if configs else default_config()
     hid = config.device.hid
     most_n = MOST_OF_FULL * hid.full_scale_force_n
@@ -122,9 +123,10 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
         "device": {"kind": "hid", "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict()}},
     }
     text = yaml_text(section)
-    if output is not None:
-        Path(output).write_text(text + "\n", encoding="utf-8")
+    # Whatever becomes of the file, what was found is told.
     click.echo(text)
+    if output is not None:
+        write_whole(output, text + "\n")
 
 
 @devices_command.command("parse")

@@ -29,6 +29,8 @@ SETTLE_S: Final = 0.02
 """So long what it says of its own set-up may be under way."""
 LISTEN_S: Final = 0.15
 """So long a device is listened to, to find out whether it reports without being moved."""
+STOP_S: Final = 2.0
+"""So long the end waits for a set-up that is under way."""
 _MEASURED_ROUNDS: Final = 8
 _MEASURED_S: Final = 0.05
 _RATE_EVERY_S: Final = 1.0
@@ -103,6 +105,9 @@ class Connection:
         self._rates: tuple[float | None, float | None] = (None, None)
         self._counted: tuple[float, int, int] | None = None
         self._stop = threading.Event()
+        # Taken by whoever connects or lets go. Once abandoned, the thread does neither any more.
+        self._hands = threading.Lock()
+        self._abandoned = False
         self._thread: threading.Thread | None = None
 
     # ---- Life ------------------------------------------------------------------------------------------------------
@@ -121,11 +126,20 @@ class Connection:
         self._thread.start()
 
     def stop(self) -> None:
-        """Force zero, effects stopped and freed, actuators off; then the device is let go."""
+        """Force zero, effects stopped and freed, actuators off; then the device is let go.
+
+        A thread that hangs in the kernel in the middle of a set-up is left there after `STOP_S`, and with it the
+        device's descriptor: there was no force while it set the device up.
+        """
         self._stop.set()
         lib.hd_hid_wake(self.hid)
         if self._thread is not None:
-            self._thread.join()
+            self._thread.join(STOP_S)
+            with self._hands:
+                self._abandoned = self._thread.is_alive()
+                if self._abandoned:
+                    _log.warning("the device does not answer its set-up: it is left as it is, with a force of zero")
+                    lib.hd_hid_disconnect(self.hid, 1)
             self._thread = None
         self._let_go(orderly=True)
 
@@ -194,10 +208,11 @@ class Connection:
         self._problem = why
 
     def _let_go(self, *, orderly: bool) -> None:
-        live, self._live = self._live, None
-        if live is not None:
-            lib.hd_hid_disconnect(self.hid, orderly)
-            live.opened.device.close()
+        with self._hands:
+            live, self._live = self._live, None
+            if live is not None and not self._abandoned:
+                lib.hd_hid_disconnect(self.hid, orderly)
+                live.opened.device.close()
         self._counted, self._rates = None, (None, None)
 
     def _connect(self) -> _Live:
@@ -222,10 +237,14 @@ class Connection:
 
     def _hand_over(self, device: Device, plan: Plan) -> None:
         described = plan.to_c()
-        result = lib.hd_hid_connect(self.hid, described, device.fileno(), self._priority)
-        if result == Status.ERR_DENIED and self._priority:
-            self.denied, self._priority = True, 0
-            result = lib.hd_hid_connect(self.hid, described, device.fileno(), 0)
+        with self._hands:
+            if self._abandoned:
+                raise DeviceError(f"{device.path}: answers after it was given up")
+            lib.hd_hid_disconnect(self.hid, 0)
+            result = lib.hd_hid_connect(self.hid, described, device.fileno(), self._priority)
+            if result == Status.ERR_DENIED and self._priority:
+                self.denied, self._priority = True, 0
+                result = lib.hd_hid_connect(self.hid, described, device.fileno(), 0)
         if result == Status.ERR_INVALID:
             raise DeviceError(f"{device.path}: {invalid_reason()}")
         if result != Status.OK:
@@ -241,7 +260,6 @@ class Connection:
             _log.warning("device reset: %s is set up anew", live.opened.name)
         plan = replace(live.opened.driver.set_up(live.opened.device), on_change=live.plan.on_change)
         if plan != live.plan:
-            lib.hd_hid_disconnect(self.hid, 0)
             self._hand_over(live.opened.device, plan)
             self._live = _Live(live.opened, plan, live.link)
             return

@@ -18,10 +18,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+from hapticd.core import lib
 from hapticd.hid.descriptor import CollectionType, Descriptor, ReportField, ReportKind
 
-MAX_REPORT_BYTES: Final = 256
-"""HD_HID_REPORT_BYTES of csrc/hd_api.h: the longest report that is driven, with its id."""
+MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
+"""The longest report that is driven, with its id."""
 MAX_FIELD_BITS: Final = 32
 """The widest field that is driven."""
 
@@ -97,13 +98,27 @@ class Field:
         By its unit (degrees 0x14, radians 0x12) if the range is then a turn within a tenth. Else the range is one turn,
         as Linux takes it: many descriptors take the unit back before the field.
         """
-        counts = float(self.logical_max - self.logical_min)
+        return (self.logical_max - self.logical_min) / (self._turns() or 1.0)
+
+    def counts_at_north(self) -> float:
+        """Counts of an angle of zero, of a field that holds a direction.
+
+        Where the physical range is zero, if that is a turn by its unit, or is 360 of something. Else the counts are
+        taken for the angle itself: zero, or what is nearest to it.
+        """
+        span = self.physical_max - self.physical_min
+        is_turn = self._turns() is not None or any(0.9 <= span / (360.0 * 10**tens) <= 1.1 for tens in range(5))
+        if is_turn and self.physical_min <= 0 <= self.physical_max:
+            return self.logical_min - self.physical_min * (self.logical_max - self.logical_min) / span
+        return min(max(0, self.logical_min), self.logical_max)
+
+    def _turns(self) -> float | None:
+        """The physical range in turns, if its unit is one of angles and it is about one turn."""
         per_turn = {0x14: 360.0, 0x12: 2 * math.pi}.get(self.unit)
-        if per_turn is not None and -12 <= self.unit_exponent <= 7 and self.physical_max > self.physical_min:
-            turns = (self.physical_max - self.physical_min) * 10.0**self.unit_exponent / per_turn
-            if 0.9 <= turns <= 1.1:
-                return counts / turns
-        return counts
+        if per_turn is None or not -12 <= self.unit_exponent <= 7:
+            return None
+        turns = (self.physical_max - self.physical_min) * 10.0**self.unit_exponent / per_turn
+        return turns if 0.9 <= turns <= 1.1 else None
 
 
 @dataclass(frozen=True, slots=True)

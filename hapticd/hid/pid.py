@@ -31,6 +31,7 @@ from hapticd.hid.plan import (
     DeviceError,
     Message,
     Plan,
+    PlayingBits,
     StateBit,
     Value,
 )
@@ -120,8 +121,8 @@ class PidDriver:
         pool = self._layout.pool
         if pool is None or pool.simultaneous_effects_max is None or "no_pid_pool" in self._hid.quirks:
             return
-        length = pool.report_bytes + (pool.report_id == 0)
-        most = _get(device.get_feature(pool.report_id, length), pool.simultaneous_effects_max, "PID Pool", device)
+        answer = _feature(device, pool.report_id, pool.report_bytes, "PID Pool")
+        most = _get(answer, pool.simultaneous_effects_max, "PID Pool", device)
         if 0 < most < count:
             raise _FullError(f"{device.path}: plays {most} effect at a time, {count} are needed")
 
@@ -133,7 +134,7 @@ class PidDriver:
         report.choose(create.effect_type, "constant_force")
         device.send_feature(bytes(report.data))
         for _ in range(LOAD_TRIES):
-            answer = device.get_feature(load.report_id, load.report_bytes + (load.report_id == 0))
+            answer = _feature(device, load.report_id, load.report_bytes, "PID Block Load")
             status = _load_status(load, answer, device)
             if status == "success":
                 index = _get(answer, load.effect_index, "PID Block Load", device)
@@ -244,14 +245,20 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
     force += [_constant_force(layout, index, effect, hid) for effect, index in zip(effects, indices, strict=True)]
     infinite = "infinite_duration" in hid.quirks
     _, duration_s = _duration(layout, hid)
+    renew_s = hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s)
+    watched = _playing(layout, indices, math.ceil(duration_s / renew_s) + 2)
     return Plan(
         x=x,
         y=y,
         force=tuple(force),
         renew=tuple(_operation(layout, index, "start") for index in indices),
         stop=_stop(layout, indices),
+        # Most devices say that an effect plays when it begins to. The set-up began it before anybody listened; the
+        # first renewal comes at once.
+        begin=tuple(_operation(layout, index, "stop") for index in indices) if watched else (),
+        effects=watched,
         states=_states(layout),
-        renew_s=hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s),
+        renew_s=renew_s,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
     )
 
@@ -288,6 +295,17 @@ def _states(layout: Layout) -> tuple[StateBit, ...]:
     return tuple(StateBit(_bits(field), field.report_id, meaning) for field, meaning in told if field is not None)
 
 
+def _playing(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:
+    """Where the device says which effects play; None where it does not, or cannot name ours."""
+    state = layout.pid_state
+    if state is None or state.effect_index is None or state.effect_playing is None:
+        return None
+    index, playing = state.effect_index, state.effect_playing
+    if not all(index.logical_min <= ours <= index.logical_max for ours in indices):
+        return None
+    return PlayingBits(_bits(index), _bits(playing), state.report_id, tuple(indices), proof)
+
+
 def _constant_force(layout: Layout, index: int, effect: _Effect | None = None, hid: Hid | None = None) -> Message:
     """Set Constant Force of an effect; without `effect` for a force of zero."""
     force = layout.constant_force
@@ -312,8 +330,8 @@ def _polar_effect(layout: Layout, hid: Hid, index: int) -> Message:
     assert field is not None
     per_turn = field.counts_per_turn()
     slope, turns = _mirrored(hid)
-    # Within one turn, so that C has to take at most one away or add one.
-    zero = field.logical_min + per_turn * (turns % 1.0)
+    # Within one turn of the range's begin, so that C has to take at most one away or add one.
+    zero = _angle_counts(field, turns)
     value = Value(
         _bits(field),
         HidQuantity.DIRECTION,
@@ -396,11 +414,19 @@ def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
         report.put(to.direction_enable, 1)
         if effect is not None:
             assert angle is not None
-            report.put(angle, angle.logical_min + angle.counts_per_turn() * effect.from_turns)
+            report.put(angle, _angle_counts(angle, effect.from_turns))
     if not by_angle or to.direction_enable is None:
         for name, field in to.axes_enable.items():
             # A device of one axis has it under any name.
             report.put(field, effect is None or name == effect.axis or len(to.axes_enable) == 1)
+
+
+def _angle_counts(angle: Field, turns: float) -> float:
+    """The counts of a direction, at least the field's first and less than a turn beyond."""
+    per_turn = angle.counts_per_turn()
+    if per_turn <= 0.0:
+        return angle.logical_min
+    return angle.logical_min + (angle.counts_at_north() + per_turn * turns - angle.logical_min) % per_turn
 
 
 def _duration(layout: Layout, hid: Hid) -> tuple[int, float]:
@@ -446,6 +472,15 @@ def _control(layout: Layout, name: str) -> bytes | None:
 def _send(device: Device, report: bytes | None) -> None:
     if report is not None:
         device.write(report)
+
+
+def _feature(device: Device, report_id: int, report_bytes: int, name: str) -> bytes:
+    """The answer to a feature report, its id first. Raises DeviceError where it is another report."""
+    answer = device.get_feature(report_id, report_bytes + (report_id == 0))
+    if answer[:1] != bytes([report_id]):
+        other = f"report {answer[0]}" if answer else "nothing"
+        raise DeviceError(f"{device.path}: asked for {name}, report {report_id}, the device answers {other}")
+    return answer
 
 
 def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:

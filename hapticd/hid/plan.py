@@ -118,6 +118,19 @@ class StateBit:
 
 
 @dataclass(frozen=True, slots=True)
+class PlayingBits:
+    """Where an input report says which effect it speaks of, and whether that plays."""
+
+    index: Bits
+    playing: Bits
+    report_id: int
+    indices: tuple[int, ...]
+    """Of the effects that are watched."""
+    proof: int
+    """Renewals that together take longer than an effect."""
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """Everything that a connection does."""
 
@@ -129,6 +142,10 @@ class Plan:
     """Sent every `renew_s`."""
     stop: tuple[Message, ...]
     """Sent at an orderly end, after a force of zero."""
+    begin: tuple[Message, ...] = ()
+    """Sent once, before the first force."""
+    effects: PlayingBits | None = None
+    """What tells that the device has forgotten an effect; None: nothing does."""
     states: tuple[StateBit, ...] = ()
     on_change: bool = False
     """The device reports only what changes."""
@@ -148,8 +165,15 @@ class Plan:
             _fill_bits(into.field, axis.bits)
             into.report_id = axis.report_id
             into.zero_counts, into.m_per_count = axis.zero_counts, axis.m_per_count
-        for script, messages in ((plan.force, self.force), (plan.renew, self.renew), (plan.stop, self.stop)):
+        for script, messages in (
+            (plan.begin, self.begin),
+            (plan.force, self.force),
+            (plan.renew, self.renew),
+            (plan.stop, self.stop),
+        ):
             _fill_script(script, messages)
+        if self.effects is not None:
+            _fill_effects(plan.effects, self.effects)
         if len(self.states) > lib.HD_HID_STATES:
             raise DeviceError(f"a device with {len(self.states)} state bits; at most {lib.HD_HID_STATES} are watched")
         for into, state in zip(plan.states, self.states, strict=False):
@@ -165,6 +189,17 @@ class Plan:
 def _fill_bits(into: CData, bits: Bits) -> None:
     into.bit_offset, into.bit_size = bits.bit_offset, bits.bit_size
     into.is_signed, into.big_endian = bits.signed, bits.big_endian
+
+
+def _fill_effects(into: CData, effects: PlayingBits) -> None:
+    if len(effects.indices) > lib.HD_HID_EFFECTS:
+        raise DeviceError(f"{len(effects.indices)} effects; at most {lib.HD_HID_EFFECTS} are watched")
+    _fill_bits(into.index, effects.index)
+    _fill_bits(into.playing, effects.playing)
+    into.report_id, into.proof = effects.report_id, effects.proof
+    into.count = len(effects.indices)
+    for place, index in enumerate(effects.indices):
+        into.indices[place] = index
 
 
 def _fill_script(script: CData, messages: Sequence[Message]) -> None:

@@ -15,11 +15,11 @@ import socket
 import stat
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, cast
+from typing import Final, TextIO, cast
 
 from hapticd.errors import HapticdError, shown
 from hapticd.hid.config import Replay
@@ -28,6 +28,8 @@ from hapticd.hid.plan import DeviceError
 VERSION: Final = 1
 MAX_REPORT_BYTES: Final = 4096
 MAX_REPORTS: Final = 10_000_000
+MAX_LINE: Final = 65536
+"""Characters of a line; the longest descriptor and the longest report need a quarter of that."""
 LEAST_PAUSE_S: Final = 1e-3
 """Between two rounds, so that a recording that takes no time does not keep a processor busy."""
 
@@ -71,17 +73,25 @@ def load(path: str | os.PathLike[str]) -> Recording:
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise HapticdError(f"{os.fspath(path)}: is no recording: no regular file")
         with open(path, encoding="utf-8") as file:
-            return _read(os.fspath(path), file)
+            return _read(os.fspath(path), _lines(file))
     except OSError as error:
         raise HapticdError(f"{os.fspath(path)}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise HapticdError(f"{os.fspath(path)}: is no recording: no text") from None
 
 
+def _lines(file: TextIO) -> Iterator[str]:
+    """Its lines; one that is too long comes in pieces, the first of which is too long."""
+    while line := file.readline(MAX_LINE + 1):
+        yield line
+
+
 def _read(path: str, lines: Iterable[str]) -> Recording:
     head: dict[str, object] | None = None
     reports: list[tuple[float, bytes]] = []
     for number, line in enumerate(lines, 1):
+        if len(line) > MAX_LINE:
+            raise HapticdError(f"{path}:{number}: a line of more than {MAX_LINE} characters")
         if not line.strip():
             continue
         try:

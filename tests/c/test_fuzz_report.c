@@ -101,6 +101,12 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
         plan.states[i].report_id = numbered ? 1 + (uint32_t)take_bytes(&source, 1) % 3 : 0;
         plan.states[i].meaning = 1 + (uint32_t)take_bytes(&source, 1) % HD_HID_POWER;
     }
+    plan.effects = (struct hd_hid_effects){.count = (uint32_t)take_bytes(&source, 1) % (HD_HID_EFFECTS + 2),
+                                           .index = take_field(&source, 16),
+                                           .playing = take_field(&source, 16),
+                                           .report_id = numbered ? 1 + (uint32_t)take_bytes(&source, 1) % 3 : 0,
+                                           .indices = {1, 2, 3, 4},
+                                           .proof = (uint32_t)take_bytes(&source, 1) % 8};
     plan.force.count = (uint32_t)take_bytes(&source, 1) % 3;
     for (uint32_t i = 0; i < plan.force.count; i++)
         take_message(&source, &plan.force.messages[i]);
@@ -128,6 +134,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
                 known[axis] = news.position_m[axis];
             }
         CHECK((news.states & ~news.said) == 0 && news.said < 1u << HD_HID_POWER);
+        CHECK(news.effects >> plan.effects.count == 0 && news.playing <= 1);
         outcome.positions += news.axes != 0;
         outcome.shorts += news.short_of_it;
         for (uint32_t i = 0; i < plan.force.count; i++)

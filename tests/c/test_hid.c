@@ -342,6 +342,29 @@ static void forces(void) {
     close_pair(fds);
 }
 
+/* A device that is written to as rarely as may be has all of the end within its bound, too. */
+static void end_of_a_slow_one(void) {
+    struct hd_hid_plan slow = plan;
+    struct hd_hid *hid;
+    int fds[2];
+
+    slow.write_interval_ns = 100000000;
+    open_pair(fds);
+    hid = connected(fds[OURS], &slow);
+    expect(fds[DEVICE], 5, 0);
+    expect(fds[DEVICE], 6, 0);
+    put(hid, 1.0, 0.0);
+    expect(fds[DEVICE], 5, 100);
+    CHECK(hd_hid_disconnect(hid, 1) == 0);
+    expect(fds[DEVICE], 5, 0);
+    expect(fds[DEVICE], 6, 0);
+    expect(fds[DEVICE], 8, 1);
+    expect(fds[DEVICE], 9, 2);
+    expect_silence(fds[DEVICE]);
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
 /* A device that was reset gets no force until it is set up again, and then all of it bit by bit. */
 static void force_after_a_reset(void) {
     struct hd_hid *hid;
@@ -365,6 +388,198 @@ static void force_after_a_reset(void) {
         CHECK(message.id == 5 && message.value > value && message.value <= 800);
         value = message.value;
     }
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
+/* What effects do over their renewals, as `plays` says it from renewal to renewal: + plays, - played and has ended, 0
+ * neither, and of the second one the same. Returns at which one the device is said to have forgotten one, from 1; 0:
+ * never. */
+static int forgotten_at(struct hd_renewals *renewals, const char *first, const char *second, int excused) {
+    const struct hd_hid_effects effects = {.count = 2, .indices = {1, 2}, .proof = 4};
+    int found = 0;
+
+    for (int i = 0; first[i] != 0; i++) {
+        const uint32_t playing = (first[i] == '+' ? 1u : 0u) | (second[i] == '+' ? 2u : 0u);
+        const uint32_t ended = (first[i] == '-' ? 1u : 0u) | (second[i] == '-' ? 2u : 0u);
+
+        if (hd_hid_forgotten(renewals, &effects, playing, ended, excused)) {
+            CHECK(found == 0);
+            found = i + 1;
+        }
+    }
+    return found;
+}
+
+static int forgotten_once(const char *first, const char *second) {
+    struct hd_renewals renewals = {.proven = 0};
+
+    return forgotten_at(&renewals, first, second, 0);
+}
+
+/* Renewals that pass while an effect is not said to play: two may, the third says that it is forgotten, once. */
+static void forgotten_effects(void) {
+    struct hd_renewals renewals = {.proven = 0};
+
+    CHECK(forgotten_once("++++++", "++++++") == 0);
+    CHECK(forgotten_once("000000", "000000") == 0);
+    CHECK(forgotten_once("++++---", "+++++++") == 7);
+    CHECK(forgotten_once("+++++++", "++++---") == 7);
+    CHECK(forgotten_once("++++---------", "++++--------") == 7);
+    /* The writer was held up, and the effect ran out; or it blinks when it is renewed. */
+    CHECK(forgotten_once("++++--++++--++++", "++++-+-+-+-+-+-+") == 0);
+    /* A device that does not say that renewed effects play on is believed once, the other always. */
+    CHECK(forgotten_at(&renewals, "+++---++---++---", "000000000000000", 0) == 6);
+    CHECK(!renewals.proven && renewals.guessed);
+    CHECK(forgotten_at(&renewals, "+++---", "++++++", 0) == 6);
+    CHECK(renewals.proven);
+    CHECK(forgotten_at(&renewals, "+---", "0000", 0) == 4 && forgotten_at(&renewals, "+---", "0000", 0) == 4);
+    /* What the device says otherwise explains it; afterwards they have to play. */
+    CHECK(forgotten_at(&renewals, "++------", "++------", 1) == 0);
+    CHECK(forgotten_at(&renewals, "---", "---", 0) == 3);
+}
+
+/* Report 4: an index and whether that plays. Effects 3 and 7 are ours, renewed by message 10. */
+/* Renewals: more than the socket holds, so that the last of them is from after the first was heard. */
+#define MANY 300
+
+static struct hd_hid_plan watched_plan(void) {
+    struct hd_hid_plan watched = plan;
+
+    watched.effects = (struct hd_hid_effects){
+        .index = {0, 8, 0, 0}, .playing = {8, 1, 0, 0}, .report_id = 4, .count = 2, .indices = {3, 7}, .proof = 4};
+    watched.states[3] = (struct hd_hid_state){{3, 1, 0, 0}, 2, HD_HID_SAFETY};
+    watched.state_count = 4;
+    watched.begin.count = 1;
+    watched.begin.messages[0] = (struct hd_hid_message){.length = 2, .bytes = {7, 1}};
+    watched.renew_ns = 200000;
+    watched.renew.count = 1;
+    watched.renew.messages[0] = (struct hd_hid_message){.length = 2, .bytes = {10, 1}};
+    return watched;
+}
+
+static void tell_effect(int fd, uint8_t index, uint8_t playing) {
+    const uint8_t report[3] = {4, index, playing};
+
+    CHECK(send(fd, report, sizeof report, MSG_NOSIGNAL) == sizeof report);
+}
+
+/* Hears so many renewals; the force along x that came last. */
+static int hear_renewals(int fd, int count) {
+    static int value;
+
+    while (count > 0) {
+        const struct message message = hear(fd);
+
+        CHECK(message.id == 5 || message.id == 6 || message.id == 10);
+        value = message.id == 5 ? message.value : value;
+        count -= message.id == 10;
+    }
+    return value;
+}
+
+static void hear_force(int fd, int wanted) {
+    while (hear_renewals(fd, 1) != wanted) {
+    }
+}
+
+/* A device that forgets its effects and says no more of that than that one does not play. */
+static void effects_that_end(void) {
+    const struct hd_hid_plan watched = watched_plan();
+    struct hd_hid *hid;
+    int fds[2];
+
+    open_pair(fds);
+    tell_effect(fds[DEVICE], 3, 1); /* before the set-up was over */
+    tell_effect(fds[DEVICE], 3, 0);
+    hid = connected(fds[OURS], &watched);
+    expect(fds[DEVICE], 7, 1);
+    put(hid, 5.0, 0.0);
+    hear_force(fds[DEVICE], 500);
+    hear_renewals(fds[DEVICE], MANY);
+    CHECK(!status_of(hid).reset);
+    /* Effects of others, and one of ours that was never said to play. */
+    tell_effect(fds[DEVICE], 4, 1);
+    tell_effect(fds[DEVICE], 4, 0);
+    tell_effect(fds[DEVICE], 7, 0);
+    CHECK(send(fds[DEVICE], (uint8_t[]){4, 3}, 2, 0) == 2); /* too short */
+    await_reports(hid, 6);
+    hear_renewals(fds[DEVICE], MANY);
+    CHECK(!status_of(hid).reset && status_of(hid).short_reports == 1 && hd_hid_wait(hid, 0) == 0);
+    for (int i = 0; i < 3; i++) {
+        const uint64_t reports = status_of(hid).reports;
+
+        tell_effect(fds[DEVICE], 3, 1);
+        tell_effect(fds[DEVICE], 7, 1);
+        await_reports(hid, reports + 2);
+        hear_renewals(fds[DEVICE], MANY);
+        hear_force(fds[DEVICE], 500);
+        CHECK(!status_of(hid).reset);
+        tell_effect(fds[DEVICE], i == 1 ? 7 : 3, 0);
+        hear_force(fds[DEVICE], 0);
+        CHECK(hd_hid_wait(hid, PATIENCE_NS) == 1 && status_of(hid).reset && status_of(hid).connected);
+        hd_hid_clear_reset(hid);
+        hear_renewals(fds[DEVICE], MANY);
+        CHECK(!status_of(hid).reset); /* it was answered, whatever the device says since */
+    }
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
+/* A pause that begins while the device is watched holds the force back; one that was there says nothing. */
+static void paused(void) {
+    const struct hd_hid_plan watched = watched_plan();
+    struct hd_hid *hid;
+    int fds[2];
+
+    open_pair(fds);
+    tell_states(fds[DEVICE], 2 | 4);
+    hid = connected(fds[OURS], &watched);
+    expect(fds[DEVICE], 7, 1);
+    put(hid, 5.0, 0.0);
+    hear_force(fds[DEVICE], 500);
+    tell_effect(fds[DEVICE], 3, 1);
+    await_reports(hid, 2);
+    hear_renewals(fds[DEVICE], MANY);
+    for (int i = 0; i < 3; i++) {
+        const uint64_t reports = status_of(hid).reports;
+
+        tell_states(fds[DEVICE], 2);
+        await_reports(hid, reports + 1);
+        hear_force(fds[DEVICE], 500);
+        tell_states(fds[DEVICE], 2 | 4);
+        tell_effect(fds[DEVICE], 3, 0); /* that is why */
+        hear_force(fds[DEVICE], 0);
+        await_reports(hid, reports + 3);
+        CHECK(hear_renewals(fds[DEVICE], MANY) == 0 && !status_of(hid).reset);
+        tell_effect(fds[DEVICE], 3, 1);
+    }
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
+/* A hand that lets go opens the safety switch, and no effect plays until it closes; then they have to. */
+static void safety_switch(void) {
+    const struct hd_hid_plan watched = watched_plan();
+    struct hd_hid *hid;
+    int fds[2];
+
+    open_pair(fds);
+    hid = connected(fds[OURS], &watched);
+    expect(fds[DEVICE], 7, 1);
+    tell_states(fds[DEVICE], 2 | 8);
+    tell_effect(fds[DEVICE], 3, 1);
+    await_reports(hid, 2);
+    hear_renewals(fds[DEVICE], MANY);
+    tell_states(fds[DEVICE], 2);
+    tell_effect(fds[DEVICE], 3, 0);
+    await_reports(hid, 4);
+    hear_renewals(fds[DEVICE], MANY);
+    CHECK(!status_of(hid).reset && hd_hid_wait(hid, 0) == 0);
+    tell_states(fds[DEVICE], 2 | 8);
+    while (hd_hid_wait(hid, 0) == 0)
+        hear_renewals(fds[DEVICE], 1);
+    CHECK(status_of(hid).reset);
     hd_hid_free(hid);
     close_pair(fds);
 }
@@ -650,8 +865,13 @@ int main(void) {
     on_change();
     states();
     forces();
+    end_of_a_slow_one();
     force_after_a_reset();
     renewal();
+    forgotten_effects();
+    effects_that_end();
+    paused();
+    safety_switch();
     unplugged();
     stuck(0);
     stuck(O_NONBLOCK);

@@ -184,6 +184,15 @@ static struct hd_hid_plan plan_of(uint32_t x_id, uint32_t y_id) {
     return plan;
 }
 
+static struct hd_hid_effects watched_effects(uint32_t report_id) {
+    return (struct hd_hid_effects){.index = {0, 7, 0, 0},
+                                   .playing = {7, 1, 0, 0},
+                                   .report_id = report_id,
+                                   .count = 2,
+                                   .indices = {5, 9},
+                                   .proof = 1};
+}
+
 static void input(void) {
     struct hd_hid_plan plan = plan_of(1, 1);
     uint8_t report[4] = {1};
@@ -209,6 +218,22 @@ static void input(void) {
     CHECK(news.axes == 1 && news.said == 0);
     plan = plan_of(0, 0);
     CHECK(hd_report_check(&plan) == HD_OK && !hd_report_numbered(&plan));
+
+    /* Effects: 5 and 9 of ours, in a report of their own or in that of the axes. */
+    plan = plan_of(1, 1);
+    plan.effects = watched_effects(6);
+    CHECK(hd_report_check(&plan) == HD_OK);
+    hd_report_take(&plan, (const uint8_t[]){6, 0x80 | 9}, 2, &news);
+    CHECK(news.effects == 2 && news.playing == 1 && news.axes == 0 && !news.short_of_it);
+    hd_report_take(&plan, (const uint8_t[]){6, 5}, 2, &news);
+    CHECK(news.effects == 1 && news.playing == 0);
+    hd_report_take(&plan, (const uint8_t[]){6, 0x80 | 6}, 2, &news);
+    CHECK(news.effects == 0 && !news.short_of_it);
+    hd_report_take(&plan, (const uint8_t[]){6}, 1, &news);
+    CHECK(news.effects == 0 && news.short_of_it);
+    plan.effects.report_id = 1;
+    hd_report_take(&plan, (const uint8_t[]){1, 0x80 | 5, 0, 0}, 4, &news);
+    CHECK(news.effects == 1 && news.playing == 1 && news.axes == 3);
 }
 
 #define REFUSES(CHANGE)                                  \
@@ -229,6 +254,12 @@ static void refusals(void) {
     REFUSES(plan.state_count = HD_HID_STATES + 1);
     REFUSES(plan.states[0].meaning = 6);
     REFUSES(plan.states[0].field.bit_size = 0);
+    REFUSES(plan.effects = watched_effects(0));
+    REFUSES(plan.effects = watched_effects(1); plan.effects.count = HD_HID_EFFECTS + 1);
+    REFUSES(plan.effects = watched_effects(1); plan.effects.proof = 0);
+    REFUSES(plan.effects = watched_effects(1); plan.effects.index.bit_size = 33);
+    REFUSES(plan.effects = watched_effects(1); plan.effects.playing.bit_offset = 8 * 255);
+    REFUSES(plan.begin.count = HD_HID_MESSAGES + 1);
     REFUSES(plan.force.count = HD_HID_MESSAGES + 1);
     REFUSES(plan.force.messages[0].length = 2);
     REFUSES(plan.force.messages[0].length = HD_HID_REPORT_BYTES + 1);

@@ -105,6 +105,19 @@ def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     assert read.kind == "hid"
     assert read.hid == Hid(vendor=0x1209, travel_m=0.04, force_axes=axes)
     assert stick.device.closed
+    assert [item.name for item in tmp_path.iterdir() if item not in (config, out)] == []
+    # What was found is told, and what was there stays, whatever becomes of the file.
+    before = config.read_text()
+    (tmp_path / "folder").mkdir()
+    for place, told in ((tmp_path / "none" / "a.yaml", "No such file"), (tmp_path / "folder", "Is a directory")):
+        assert main(["devices", "calibrate", "-c", str(config), "-o", str(place), "--yes"]) == 1
+        seen = capsys.readouterr()
+        assert seen.out == out.read_text()
+        assert seen.err.startswith(f"hapticd: {place}: cannot be written: {told}")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["calibrated.yaml", "folder", "stick.yaml"]
+    assert main(["devices", "calibrate", "-c", str(config), "-o", f"{tmp_path}/./stick.yaml", "--yes"]) == 2
+    assert "would take the place of the configuration" in capsys.readouterr().err
+    assert config.read_text() == before
     assert main(["devices", "calibrate", "-c", str(config), "--force", "1"]) == 2
     assert "--force 1: at most 0.89" in capsys.readouterr().err
     stick.close()

@@ -213,6 +213,32 @@ def test_a_device_that_was_reset_is_set_up_anew(world: World) -> None:
     assert connection.status()["connects"] == 1 and connection.status()["resets"] in (1, 2)
 
 
+def test_a_reset_that_leaves_the_actuators_on_is_seen_by_the_effects(world: World) -> None:
+    stick = world.plug()
+    engine = world.start()
+    world.hold(0.004)
+    engine.set_forces(True)
+    stick.wait(pressed(stick, 0.004))
+    for _ in range(3):
+        # Effects have to play on over renewals before it means something that they do not.
+        stick.log.clear()
+        stick.wait(lambda: stick.log.count("operation start 2") >= 8)
+        stick.reset(enabled=True)
+        stick.wait(lambda: "operation start 2" in stick.log and "create" in stick.log)
+        stick.wait(pressed(stick, 0.004))
+    assert engine.faults() == Fault(0)
+    connection = engine.connection
+    assert connection is not None and connection.status()["resets"] == 3 and connection.status()["connects"] == 1
+
+
+def test_a_device_that_does_not_say_what_plays_is_left_alone(world: World) -> None:
+    stick = world.plug(tells_playing=False)
+    engine = world.start()
+    stick.wait(lambda: stick.log.count("operation start 2") >= 12)
+    assert engine.connection is not None and engine.connection.status()["resets"] == 0
+    assert stick.log.count("create") == 2
+
+
 def test_effects_with_other_numbers_after_a_reset(world: World) -> None:
     stick = world.plug()
     engine = world.start()
@@ -222,6 +248,38 @@ def test_effects_with_other_numbers_after_a_reset(world: World) -> None:
     world.hold(0.004)
     # The connection began anew, which the servo may have seen as a fault: then forces are off until somebody says so.
     world.until(lambda: engine.set_forces(True) > 0 and not engine.faults() and pressed(stick, 0.004)())
+
+
+def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
+    world: World, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(connection_module, "STOP_S", 0.1)
+    stick = world.plug()
+    engine = world.start()
+    assert engine.connection is not None
+    asked, answers = threading.Event(), threading.Event()
+    ask = stick.device.get_feature
+
+    def hang(report_id: int, length: int) -> bytes:
+        asked.set()
+        assert answers.wait(60)
+        return ask(report_id, length)
+
+    monkeypatch.setattr(stick.device, "get_feature", hang)
+    thread = engine.connection._thread
+    assert thread is not None
+    stick.reset()
+    assert asked.wait(10)
+    engine.stop()
+    world.engine = None
+    assert [record.message for record in caplog.records if "does not answer" in record.message] == [
+        "the device does not answer its set-up: it is left as it is, with a force of zero"
+    ]
+    # What the thread still holds stays open; when it comes back it does nothing that would need it.
+    assert not stick.device.closed and thread.is_alive()
+    answers.set()
+    thread.join(10)
+    assert not thread.is_alive() and not engine.connection._raw().connected
 
 
 def test_what_status_says(world: World) -> None:

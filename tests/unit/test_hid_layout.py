@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping
 
 import pytest
 
+from hapticd.core import lib
+from hapticd.hid import config
 from hapticd.hid.descriptor import Descriptor, DescriptorError, ReportKind, parse
 from hapticd.hid.layout import MAX_REPORT_BYTES, Axis, Field, Layout, layout_of
 from tests.hid_descriptors import (
@@ -445,6 +447,32 @@ def test_a_turn(items: bytes, turn: float) -> None:
     axis = usage(0x30) + items + size(16) + data(INPUT)
     field = layout(collection(usage_page(DESKTOP) + usage(4), APPLICATION, axis)).input["x"].field
     assert field.counts_per_turn() == pytest.approx(turn)
+
+
+@pytest.mark.parametrize(
+    ("items", "north"),
+    [
+        (logical(0, 255) + physical(0, 36000) + unit(0x14, -2), 0),
+        (logical(-180, 180) + physical(-180, 180) + unit(0x14), 0),
+        (logical(-180, 180) + physical(0, 360) + unit(0x14), -180),
+        (logical(0, 255) + physical(-180, 180) + unit(0), 127.5),
+        (logical(-128, 127) + physical(-31416, 31416) + unit(0x12, -4), -0.5),
+        # No range of angles: the counts are the angle.
+        (logical(-180, 180) + physical(0, 0) + unit(0), 0),
+        (logical(1, 255) + physical(0, 0) + unit(0), 1),
+        (logical(0, 255) + physical(-10000, 10000) + unit(0), 0),
+        (logical(-90, 270) + physical(5, 365) + unit(0x14), 0),
+    ],
+)
+def test_where_north_is(items: bytes, north: float) -> None:
+    axis = usage(0x30) + items + size(16) + data(INPUT)
+    field = layout(collection(usage_page(DESKTOP) + usage(4), APPLICATION, axis)).input["x"].field
+    assert field.counts_at_north() == pytest.approx(north)
+
+
+def test_numbers_that_the_core_has_too() -> None:
+    assert lib.HD_HID_REPORT_BYTES == MAX_REPORT_BYTES == config.MAX_REPORT_BYTES + 1
+    assert lib.HD_HID_MESSAGES == config.MAX_REPORTS
 
 
 # ---- mutated descriptors -------------------------------------------------------------------------------------------

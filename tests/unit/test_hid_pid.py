@@ -90,6 +90,34 @@ def test_effects_are_finite_and_wait_for_no_button() -> None:
         assert stick.log == ["operation start 1", "operation start 2"]
 
 
+def test_what_is_watched_of_the_effects() -> None:
+    with joystick() as stick:
+        plan = driver(stick).set_up(stick.device)
+        state = stick.layout.pid_state
+        assert state is not None and state.effect_index and state.effect_playing and plan.effects is not None
+        watched = plan.effects
+        assert (watched.report_id, watched.indices) == (state.report_id, (1, 2))
+        assert watched.index.bit_offset == state.effect_index.bit_offset
+        assert watched.playing.bit_offset == state.effect_playing.bit_offset
+        # So many renewals take longer than an effect, whenever within an interval the first one comes.
+        assert (watched.proof - 1) * plan.renew_s > 0.1
+        # Stopped, so that the first renewal makes them play anew while somebody listens.
+        stick.log.clear()
+        for message in plan.begin:
+            stick.take(message.data)
+        assert stick.log == ["operation stop 1", "operation stop 2"]
+        described = plan.to_c().effects
+        assert described.count == 2 and list(described.indices)[:2] == [1, 2] and described.proof == watched.proof
+
+
+def test_a_state_that_cannot_name_an_effect_is_not_watched() -> None:
+    # With 200 effects, the 7 bits of the index in the state are too few for that of the last ones.
+    for like, first_index in ((Joystick(without=frozenset({0x92})), 1), (Joystick(indices=200), 198)):
+        with joystick(like, first_index=first_index) as stick:
+            plan = driver(stick).set_up(stick.device)
+            assert plan.effects is None and plan.begin == ()
+
+
 def test_infinite_duration_is_all_ones_and_a_quirk() -> None:
     with joystick() as stick:
         driver(stick, quirks=["infinite_duration"]).set_up(stick.device)
@@ -126,6 +154,8 @@ DEVICES = {
     "32767": Joystick(magnitude=32767),
     "unsigned": Joystick(magnitude=10000, is_magnitude_signed=False, direction_bits=16),
     "unsigned, coarse": Joystick(magnitude=255, magnitude_bits=8, is_magnitude_signed=False),
+    "zero in the middle": Joystick(direction_bits=16, is_direction_signed=True),
+    "zero in the middle, unsigned": Joystick(direction_bits=16, is_direction_signed=True, is_magnitude_signed=False),
     "axes enabled one by one": Joystick(direction_bits=0, without=frozenset({0x56})),
     "axes in the other order": Joystick(axes=(0x31, 0x30), force_axes=(0x31, 0x30), direction_bits=0),
     "ids from 23 on": Joystick(first_id=23),
@@ -231,6 +261,20 @@ def test_block_load_gives_what_cannot_be() -> None:
     with joystick(Joystick(indices=5), first_index=6) as stick, pytest.raises(DeviceError) as caught:
         driver(stick).set_up(stick.device)
     assert str(caught.value) == "fake0: PID Block Load gives effect 6, not one of 1 to 5"
+
+
+@pytest.mark.parametrize(
+    ("answers_as", "without", "told"),
+    [
+        (1, {0x7F}, "fake0: asked for PID Block Load, report 2, the device answers report 1"),
+        (9, set(), "fake0: asked for PID Pool, report 3, the device answers report 9"),
+    ],
+)
+def test_another_report_is_no_answer(answers_as: int, without: set[int], told: str) -> None:
+    with joystick(Joystick(without=frozenset(without)), answers_as=answers_as) as stick:
+        with pytest.raises(DeviceError) as caught:
+            driver(stick).set_up(stick.device)
+        assert str(caught.value) == told
 
 
 def test_effects_numbered_by_the_device() -> None:

@@ -7,6 +7,7 @@ import socket
 import struct
 import threading
 import time
+import tracemalloc
 from itertools import pairwise
 from pathlib import Path
 
@@ -67,7 +68,9 @@ HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "
         (HEAD + '[0, "0"]\n', ':2: "0" is not hex digits'),
         (HEAD + '[0, ""]\n', ":2: a report has 1 to 4096 bytes, this one 0"),
         (HEAD + "[0]\n", ':2: needs [t_s, "report in hex"]'),
-        (HEAD + "[" * 100000 + "\n", ":2: "),
+        (HEAD + "[" * 50000 + "\n", ":2: "),
+        (HEAD + '[0, "01"]\n' + "1" * 65536 + "\n", ":3: a line of more than 65536 characters"),
+        (" " * 70000 + "\n" + HEAD, ":1: a line of more than 65536 characters"),
     ],
 )
 def test_what_is_no_recording(path: str, text: str, told: str) -> None:
@@ -75,6 +78,21 @@ def test_what_is_no_recording(path: str, text: str, told: str) -> None:
     with pytest.raises(HapticdError) as caught:
         load(path)
     assert str(caught.value).startswith(path) and told in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_no_more_is_read_of_a_line_than_fits(path: str) -> None:
+    """A file of a gigabyte without an end of line, which takes no room on the disk."""
+    Path(path).write_text(HEAD)
+    os.truncate(path, 1 << 30)
+    tracemalloc.start()
+    try:
+        with pytest.raises(HapticdError) as caught:
+            load(path)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert str(caught.value) == f"{path}:2: a line of more than 65536 characters"
+    assert most < 2 << 20
 
 
 def test_no_file(path: str) -> None:

@@ -295,7 +295,7 @@ def stopped(joystick: usb.Joystick, daemon: rig.Daemon) -> None:
     since = time.monotonic()
     code = daemon.stop(signal.SIGTERM)
     ended = last_pushed(joystick, since)
-    check(code == 0 and ended < 0.3, "SIGTERM: exit code, force zero after; s", code, ended)
+    check(code == 0 and ended < 0.06, "SIGTERM: exit code, force zero after; s", code, ended)
     said = names(joystick)
     check(
         in_order(said, ["stop 1", "free 1", "disable"]) and in_order(said, ["stop 2", "free 2", "disable"]),
