@@ -38,6 +38,11 @@ struct hd_mode {
     double peak_time_s;                 /* where it is */
     double amplitude_per_unit;          /* m/s^2 of A per unit of what excites it (m/s for a tap, 1 for a rupture) */
     double force_per_unit;              /* N of coefficient per the same unit; 0: nothing is struck */
+    uint32_t effect;                    /* id of the hd_hid_offer that a device may play instead; 0: none */
+    uint32_t unused;
+    double effect_force_per_unit; /* N of coefficient per the same unit, where the effect is played */
+    double effect_peak;           /* the largest level of the effect over the coefficient */
+    double effect_s;              /* so long it plays */
 };
 
 /* How a texture is displayed. */
@@ -353,8 +358,10 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
 /* ---- HID devices ------------------------------------------------------------------------------------------------ */
 
 #define HD_HID_REPORT_BYTES 256 /* the longest report, with its id */
-#define HD_HID_MESSAGES 8       /* of one script */
-#define HD_HID_VALUES 4         /* numbers written into one message */
+#define HD_HID_MESSAGES 24      /* of one script */
+#define HD_HID_OFFERS 8         /* effects that a device plays by itself */
+#define HD_HID_OFFER_MESSAGES 4
+#define HD_HID_VALUES 4 /* numbers written into one message */
 #define HD_HID_STATES 8
 #define HD_HID_EFFECTS 4 /* whose playing is watched */
 
@@ -457,6 +464,27 @@ struct hd_hid_plan {
                                   0: as fast as they are taken */
 };
 
+/* A mode as the device plays it by itself: a periodic effect of finite length, which nothing renews. */
+struct hd_hid_offer {
+    uint32_t id;            /* not 0; of this mode on this device, never reused for another one */
+    uint32_t place;         /* of the device's effect, below HD_HID_OFFERS: each is one mode at a time */
+    uint32_t message_count; /* 1 to HD_HID_OFFER_MESSAGES */
+    uint32_t unused;
+    int64_t duration_ns;                                   /* up to 0.2 s */
+    double least_n;                                        /* a coefficient below this is nothing to the device */
+    double most_n;                                         /* one beyond it is played as this */
+    struct hd_hid_message messages[HD_HID_OFFER_MESSAGES]; /* their force is the coefficient, as a vector. The last one
+                                                               starts it; the others are left out where they did not
+                                                               change */
+    struct hd_hid_message stop;                            /* without numbers */
+};
+
+struct hd_hid_offers {
+    uint32_t count;
+    uint32_t unused;
+    struct hd_hid_offer effects[HD_HID_OFFERS];
+};
+
 /* What is known of a connection; each number is read on its own. */
 struct hd_hid_status {
     uint32_t connected;    /* both threads run */
@@ -474,6 +502,8 @@ struct hd_hid_status {
     int64_t write_ns;          /* how long writes take: running mean; 0: not known yet */
     int64_t write_interval_ns; /* between forces sent, where they follow one another: running mean; 0: not known yet */
     int64_t last_report_ns;
+    uint64_t strikes;      /* that the device was told to play by itself */
+    uint64_t strikes_lost; /* too late, overtaken by a silence, of an effect that is gone, or without room */
 };
 
 struct hd_hid; /* opaque: two mailboxes and, while connected, two threads */
@@ -491,6 +521,11 @@ int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, i
  * not take what is being written in that time is given up, ETIMEDOUT; the descriptor may be closed all the same.
  * Returns 0 or the errno that writing them met, or that had ended the connection before. */
 int hd_hid_disconnect(struct hd_hid *hid, int orderly);
+/* What the device plays by itself from now on, in this connection; each one begins without any. Strikes of modes that
+ * name one of these effects are no voices of the tick then, but are sent to the device while the forces are fully on;
+ * what plays is stopped when they no longer are. Copied. HD_ERR_INVALID (hd_invalid_reason); without a connection it
+ * does nothing. Not at the same time as hd_hid_connect or hd_hid_disconnect. */
+int hd_hid_offer(struct hd_hid *hid, const struct hd_hid_offers *effects);
 void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status);
 /* Blocks until the connection ends by itself, a reset is seen, hd_hid_wake is called or the time is over; 1: something
  * happened, perhaps before this call, but after the last one that said so. */

@@ -10,6 +10,7 @@
  * itself takes the hand along, with mu F_n at most. */
 #include "hd_contact.h"
 
+#include "hd_offload.h"
 #include "hd_skin.h"
 #include "hd_voice.h"
 
@@ -156,7 +157,8 @@ HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int dropped,
 
 HD_RT void hd_strike_add(struct hd_state *state, const struct hd_strike *strike) {
     const int heard = state->gain > 0.0 && state->show_vibration > 0.0;
-    if (heard && strike->mode->force_per_unit > 0.0 && state->strike_count < HD_STRIKE_CAPACITY) {
+    const int sounds = strike->mode->force_per_unit > 0.0 || (strike->mode->effect != 0 && state->offload_open);
+    if (heard && sounds && state->strike_count < HD_STRIKE_CAPACITY) {
         state->strikes[state->strike_count++] = *strike;
     }
 }
@@ -165,17 +167,24 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
     double wanted = 0.0;
     double growth = 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
-        const struct hd_strike *strike = &state->strikes[i];
-        wanted += strike->units * strike->mode->force_per_unit * strike->mode->peak;
+        struct hd_strike *strike = &state->strikes[i];
+        strike->offload = strike->mode->effect != 0 ? hd_offload_reserve(state, strike->mode->effect) : 0;
+        wanted +=
+            strike->units * (strike->offload != 0 ? strike->mode->effect_force_per_unit * strike->mode->effect_peak
+                                                  : strike->mode->force_per_unit * strike->mode->peak);
         growth += state->show_force * strike->growth_n;
     }
-    const double room = table->max_force_n - felt_n - growth - hd_voices_bound(state);
+    const double room = table->max_force_n - felt_n - growth - hd_voices_bound(state) - state->reserved_n;
     const double scale = wanted <= room ? 1.0 : room > 0.0 ? room / wanted : 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
         const struct hd_strike *strike = &state->strikes[i];
-        const double force = strike->units * strike->mode->force_per_unit * scale;
-        const double vector[2] = {force * strike->direction[0], force * strike->direction[1]};
-        hd_voices_strike(state, strike, vector, table->period_s);
+        if (strike->offload != 0) {
+            hd_offload_strike(state, strike, scale, table->period_s);
+        } else {
+            const double force = strike->units * strike->mode->force_per_unit * scale;
+            const double vector[2] = {force * strike->direction[0], force * strike->direction[1]};
+            hd_voices_strike(state, strike, vector, table->period_s);
+        }
         if (strike->event < state->event_count) {
             state->events[strike->event].scale = scale;
         }

@@ -38,6 +38,11 @@ HD_RT static inline void hd_device_put(const struct hd_device *device, int64_t n
     }
 }
 
+/* Whether it plays effects by itself, when it is told to strike them. */
+HD_RT static inline int hd_device_offers(const struct hd_device *device) {
+    return device->hid != NULL && hd_hid_step_offers(device->hid);
+}
+
 /* What the servo touches of it. */
 static inline struct hd_region hd_device_region(const struct hd_device *device) {
     return device->sim != NULL ? (struct hd_region){device->sim, hd_sim_size()}

@@ -11,8 +11,8 @@
  *                ^                           |
  *     read()     +---- fd, a hidraw node ----+  write(), which blocks until the transfer is done
  *
- * Nothing queues: what was overtaken in a mailbox is never seen. The writer looks for a new force every 50 us, because
- * the servo makes no system call that could wake it.
+ * Nothing queues but what the device is to play by itself (hd_player.h): what was overtaken in a mailbox is never seen.
+ * The writer looks for a new force every 50 us, because the servo makes no system call that could wake it.
  *
  * A connection owns a copy of the plan and a duplicate of the descriptor. Whichever thread meets an error ends it for
  * both. Control joins both, within a bound: a writer that does not come back from write() is given up. It is detached,
@@ -21,7 +21,7 @@
  *
  * Who touches what:
  *   positions, arrivals, the reader's counters     the reader writes; control before the reader starts
- *   forces                                         the servo writes, the writer reads while its phase is IDLE
+ *   forces, orders                                 the servo writes, the writer reads while its phase is IDLE
  *   seen_* and what follows in struct hd_hid       the servo's own
  *   the writer's counters                          the writer, while its phase is IDLE
  *   playing, ended in struct hd_connection         the reader writes, the writer reads
@@ -48,6 +48,7 @@
 
 #include "hd_atomic.h"
 #include "hd_clock.h"
+#include "hd_player.h"
 #include "hd_report.h"
 #include "hd_triple.h"
 
@@ -109,6 +110,7 @@ struct hd_connection {
     int64_t last_pass_ns;
     int64_t idle_ns; /* since the last pass */
     struct hd_renewals renewals;
+    struct hd_player player;
 };
 
 struct hd_hid {
@@ -116,6 +118,8 @@ struct hd_hid {
     struct hd_position positions[3];
     struct hd_triple force_triple;
     struct hd_force forces[3];
+    struct hd_orders orders;
+    struct hd_atomic_u32 offers; /* control writes, the servo reads: there are effects for orders */
 
     alignas(HD_CACHE_LINE) struct hd_atomic_u32 arrivals; /* positions so far, of all connections: a futex */
     struct hd_atomic_u32 awaited;                         /* somebody sleeps on it */
@@ -232,6 +236,18 @@ HD_RT void hd_hid_step_put(struct hd_hid *hid, int64_t now_ns, const double forc
     force->force_n[1] = force_n[1];
     force->time_ns = now_ns;
     hd_triple_publish(&hid->force_triple);
+}
+
+HD_RT int hd_hid_step_offers(const struct hd_hid *hid) {
+    return hd_atomic_u32_load_relaxed(&hid->offers) != 0;
+}
+
+HD_RT void hd_hid_step_strike(struct hd_hid *hid, int64_t now_ns, uint32_t effect, const double force_n[2]) {
+    hd_orders_put(&hid->orders, now_ns, effect, force_n);
+}
+
+HD_RT void hd_hid_step_silence(struct hd_hid *hid) {
+    hd_orders_silence(&hid->orders);
 }
 
 HD_RT static void futex_wait(const struct hd_atomic_u32 *word, uint32_t seen, int64_t until_ns) {
@@ -572,6 +588,27 @@ static int write_script(struct hd_connection *connection, const struct hd_hid_sc
     return 0;
 }
 
+/* What the device is to play by itself: all of one strike at most, so that the next force comes in between. */
+static int write_orders(struct hd_connection *connection) {
+    struct hd_hid *hid = connection->hid;
+    for (uint32_t i = 0; i < HD_HID_OFFER_MESSAGES; i++) {
+        uint8_t bytes[HD_HID_REPORT_BYTES];
+        if (hd_clock_now_ns() < connection->next_write_ns) {
+            hd_clock_sleep_until(connection->next_write_ns);
+        }
+        const int64_t now_ns = hd_clock_now_ns();
+        const int64_t returns_ns = hd_atomic_i64_load_relaxed(&hid->returns_ns);
+        const int64_t since_ns = returns_ns > connection->start_ns ? returns_ns : connection->start_ns;
+        const uint32_t length =
+            hd_player_next(&connection->player, &hid->orders, now_ns, since_ns, returned(hid, now_ns) == 1.0, bytes);
+        const int error = length > 0 ? write_report(connection, bytes, length) : 0;
+        if (length == 0 || error != 0) {
+            return error;
+        }
+    }
+    return 0;
+}
+
 static void count_pass(struct hd_connection *connection) {
     struct hd_hid *hid = connection->hid;
     const int64_t now_ns = hd_clock_now_ns();
@@ -636,6 +673,7 @@ static int write_on(struct hd_connection *connection) {
             renew_ns = hd_clock_now_ns() + plan->renew_ns;
             error = write_script(connection, &plan->renew);
         }
+        error = error == 0 ? write_orders(connection) : error;
         if (error == 0 && hd_atomic_u32_load_acquire(&connection->end) != HD_END_NOT) {
             error = ECANCELED;
         }
@@ -709,6 +747,7 @@ struct hd_hid *hd_hid_new(void) {
     }
     hd_triple_init(&hid->position_triple);
     hd_triple_init(&hid->force_triple);
+    hd_orders_init(&hid->orders);
     hid->seen.true_velocity_m_per_s[0] = hid->seen.true_velocity_m_per_s[1] = (double)NAN;
     return hid;
 }
@@ -727,10 +766,11 @@ void hd_hid_await_enable(struct hd_hid *hid) {
 }
 
 static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd) {
-    struct hd_connection *connection = calloc(1, sizeof *connection);
-    if (connection == NULL) {
+    struct hd_connection *connection = NULL;
+    if (posix_memalign((void **)&connection, HD_CACHE_LINE, sizeof *connection) != 0) {
         return NULL;
     }
+    memset(connection, 0, sizeof *connection);
     connection->hid = hid;
     connection->plan = *plan;
     connection->fd = fcntl(fd, F_DUPFD_CLOEXEC, 0);
@@ -738,6 +778,7 @@ static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_
     connection->left_fd = eventfd(0, EFD_CLOEXEC);
     connection->start_ns = hd_clock_now_ns();
     connection->known.on_change = plan->on_change;
+    hd_player_init(&connection->player, &hid->orders);
     if (connection->fd < 0 || connection->end_fd < 0 || connection->left_fd < 0) {
         const int error = errno;
         connection_free(connection);
@@ -874,11 +915,23 @@ int hd_hid_disconnect(struct hd_hid *hid, int orderly) {
     connection->parting_until_ns = hd_clock_now_ns() + HD_PARTING_NS;
     const int lost = !hd_atomic_u32_replace(&connection->end, HD_END_NOT, orderly ? HD_END_ORDERLY : HD_END_NOW);
     hd_atomic_u32_store_release(&hid->connected, 0);
+    hd_atomic_u32_store_relaxed(&hid->offers, 0);
     signal_fd(connection->end_fd);
     pthread_join(connection->reader, NULL);
     hid->connection = NULL;
     const int error = join_writer(connection);
     return lost ? (int)hd_atomic_u32_load_relaxed(&hid->error) : error;
+}
+
+int hd_hid_offer(struct hd_hid *hid, const struct hd_hid_offers *effects) {
+    if (hid->connection == NULL) {
+        return HD_OK;
+    }
+    const int status = hd_player_offer(&hid->connection->player, effects);
+    if (status == HD_OK) {
+        hd_atomic_u32_store_relaxed(&hid->offers, effects->count > 0);
+    }
+    return status;
 }
 
 void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status) {
@@ -896,6 +949,8 @@ void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status) {
         .write_ns = hd_atomic_i64_load_relaxed(&hid->write_ns),
         .write_interval_ns = hd_atomic_i64_load_relaxed(&hid->write_interval_ns),
         .last_report_ns = hd_atomic_i64_load_relaxed(&hid->last_report_ns),
+        .strikes = hd_atomic_u64_load_relaxed(&hid->orders.played),
+        .strikes_lost = hd_orders_lost(&hid->orders),
     };
 }
 

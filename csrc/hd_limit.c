@@ -1,6 +1,7 @@
 /* The force limit. Vibration gives way first, the wall last, and neither is clipped into another waveform.
  *
- * A strike is scaled as a whole before it sounds (hd_strikes_apply). What can still go wrong is a contact force that
+ * A strike is scaled as a whole before it sounds (hd_strikes_apply). What the device plays by itself cannot be scaled
+ * any more: the limit is lower by it while it plays. What can still go wrong is a contact force that
  * grows into a mode that rings already: then everything that rings goes on at the factor g for which the command just
  * reaches the limit, |contact + g vibration| = max. Only a contact force beyond the limit is itself cut, along its own
  * direction; nothing rings then. */
@@ -12,7 +13,7 @@
 
 HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                              const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags) {
-    const double limit = table->max_force_n;
+    const double limit = hd_limit_of(state, table);
     const double wanted = force_n[0] * force_n[0] + force_n[1] * force_n[1];
     *flags |= HD_FLAG_SATURATED;
     if (!state->saturated) {

@@ -12,11 +12,17 @@
 HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                              const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags);
 
-/* The command of this tick: contact and vibration within the table's max_force_n. */
+/* What the command may be: the table's max_force_n without what the device may add by itself. */
+HD_RT static inline double hd_limit_of(const struct hd_state *state, const struct hd_table *table) {
+    const double limit = table->max_force_n - state->reserved_n;
+    return limit > 0.0 ? limit : 0.0;
+}
+
+/* The command of this tick: contact and vibration within the limit. */
 HD_RT static inline void hd_limit_apply(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                                         const double vibration_n[2], int64_t time_ns, double force_n[2],
                                         uint32_t *flags) {
-    const double limit = table->max_force_n;
+    const double limit = hd_limit_of(state, table);
     force_n[0] = contact_n[0] + vibration_n[0];
     force_n[1] = contact_n[1] + vibration_n[1];
     if (force_n[0] * force_n[0] + force_n[1] * force_n[1] <= HD_JUST_BELOW * limit * limit) {

@@ -115,22 +115,28 @@ static int check_value(const struct hd_hid_value *value, uint32_t length, const 
     return HD_OK;
 }
 
+int hd_report_check_message(const struct hd_hid_message *message, const char *name, uint32_t index) {
+    if (message->length < 1 || message->length > HD_HID_REPORT_BYTES) {
+        return hd_invalid("plan: %s[%u]: %u bytes", name, index, message->length);
+    }
+    if (message->value_count > HD_HID_VALUES) {
+        return hd_invalid("plan: %s[%u]: %u numbers, at most %d", name, index, message->value_count, HD_HID_VALUES);
+    }
+    for (uint32_t k = 0; k < message->value_count; k++) {
+        if (check_value(&message->values[k], message->length, name, index) != HD_OK) {
+            return HD_ERR_INVALID;
+        }
+    }
+    return HD_OK;
+}
+
 static int check_script(const struct hd_hid_script *script, const char *name) {
     if (script->count > HD_HID_MESSAGES) {
         return hd_invalid("plan: %s: %u messages, at most %d", name, script->count, HD_HID_MESSAGES);
     }
     for (uint32_t i = 0; i < script->count; i++) {
-        const struct hd_hid_message *message = &script->messages[i];
-        if (message->length < 1 || message->length > HD_HID_REPORT_BYTES) {
-            return hd_invalid("plan: %s[%u]: %u bytes", name, i, message->length);
-        }
-        if (message->value_count > HD_HID_VALUES) {
-            return hd_invalid("plan: %s[%u]: %u numbers, at most %d", name, i, message->value_count, HD_HID_VALUES);
-        }
-        for (uint32_t k = 0; k < message->value_count; k++) {
-            if (check_value(&message->values[k], message->length, name, i) != HD_OK) {
-                return HD_ERR_INVALID;
-            }
+        if (hd_report_check_message(&script->messages[i], name, i) != HD_OK) {
+            return HD_ERR_INVALID;
         }
     }
     return HD_OK;

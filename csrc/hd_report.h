@@ -12,6 +12,8 @@ HD_RT int hd_report_write(const struct hd_hid_field *field, uint8_t *report, siz
 
 /* HD_OK, or HD_ERR_INVALID with hd_invalid_reason: everything that the functions below count on. */
 int hd_report_check(const struct hd_hid_plan *plan);
+/* The same of one output report; `name` and `index` are for the reason. */
+int hd_report_check_message(const struct hd_hid_message *message, const char *name, uint32_t index);
 
 /* Reports of a checked plan begin with an id. */
 HD_RT int hd_report_numbered(const struct hd_hid_plan *plan);

@@ -99,7 +99,8 @@ struct hd_servo {
     double since_report_s;
     uint32_t connection; /* of the device, that positions are of */
     uint8_t device_lost;
-    uint8_t ending; /* the force fades out, whatever is still commanded */
+    uint8_t offloading; /* the device may be playing something by itself */
+    uint8_t ending;     /* the force fades out, whatever is still commanded */
     pthread_t thread;
     uint8_t started;
 };
@@ -272,6 +273,20 @@ HD_RT static void leave_sample(struct hd_servo *servo, const struct hd_sample *s
     hd_ring_commit(&servo->samples);
 }
 
+/* What the device plays by itself; none of it once the forces are no longer fully on. */
+HD_RT static void offload(struct hd_servo *servo, int64_t now_ns) {
+    struct hd_state *state = servo->state;
+    const int fully = state->enabled && state->gain == 1.0;
+    if (!fully && servo->offloading) {
+        hd_hid_step_silence(servo->device.hid);
+    }
+    servo->offloading = (uint8_t)fully;
+    for (uint32_t i = 0; i < state->offload_count && fully; i++) {
+        hd_hid_step_strike(servo->device.hid, now_ns, state->offloads[i].effect, state->offloads[i].force_n);
+    }
+    state->offload_count = 0;
+}
+
 HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t now_ns, uint32_t periods) {
     struct hd_state *state = servo->state;
     struct hd_sample sample;
@@ -286,7 +301,11 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     hd_device_look(&servo->device, now_ns, &look);
     watch(servo, &look, now_ns, deadline_ns);
     hd_sense(state, &servo->world->table, &look.reading, NULL, &input);
+    state->offload_open = (uint8_t)hd_device_offers(&servo->device);
     hd_tick(servo->world, state, &input, &sample);
+    if (state->offload_open || servo->offloading) {
+        offload(servo, now_ns);
+    }
     hd_device_put(&servo->device, now_ns, sample.force_n);
     sample.lateness_ns = saturate(now_ns - deadline_ns);
     sample.work_ns = saturate(hd_clock_now_ns() - now_ns);

@@ -7,6 +7,8 @@
  *   healing[] punctured membranes that close again
  *   voices[]  the modes that ring now, dense, in no order; a slot knows its own
  *   noises[]  the noises that sound now; a slot knows its own, free ones are stacked in free_noises[]
+ *   offloads[] strikes of this tick that the device plays by itself; taken by whoever called it
+ *   reserves[] what those that were struck may still add to the command
  *   strikes[] filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit
  *             leaves for vibration) is known
  *   events[]  filled by a tick, taken by whoever called it
@@ -28,6 +30,8 @@
 #define HD_EVENT_CAPACITY 256u   /* reported by one tick */
 #define HD_PLAYED_CAPACITY 64u   /* modes played by hand within one tick */
 #define HD_NOISE_CAPACITY 256u   /* surfaces with noise that are touched at once; further ones are silent */
+#define HD_OFFLOAD_CAPACITY 8u   /* strikes of one tick that the device plays by itself */
+#define HD_RESERVE_CAPACITY 16u  /* effects that may play at once */
 #define HD_STATE_REGIONS 16u
 
 enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_GROOVE = 2, HD_MODE_USES = 3 };
@@ -109,11 +113,25 @@ struct hd_strike {
     uint32_t slot;
     uint32_t generation;
     uint32_t use;
-    uint32_t event;  /* index of the event that reports it */
-    double units;    /* of what excites the mode */
-    double before_s; /* began this long before the tick, 0 to T */
-    double growth_n; /* the surface's own force by the time of the first peak */
+    uint32_t event;   /* index of the event that reports it */
+    uint32_t offload; /* place in offloads[] plus one; 0: it is a voice */
+    double units;     /* of what excites the mode */
+    double before_s;  /* began this long before the tick, 0 to T */
+    double growth_n;  /* the surface's own force by the time of the first peak */
     double direction[2];
+};
+
+/* A strike that the device plays by itself. */
+struct hd_offload {
+    uint32_t effect; /* id of an hd_hid_offer */
+    double force_n[2];
+};
+
+/* An effect that may be playing. */
+struct hd_reserve {
+    uint32_t effect;
+    uint32_t left; /* ticks */
+    double most_n;
 };
 
 struct hd_state {
@@ -128,6 +146,8 @@ struct hd_state {
     uint32_t strike_count;
     uint32_t event_count;
     uint32_t played_count;
+    uint32_t offload_count;
+    uint32_t reserve_count;
     uint32_t revision;
     uint32_t faults;
     uint32_t epoch;       /* raised when every membrane heals at once; never 0 */
@@ -138,6 +158,7 @@ struct hd_state {
     uint8_t saturated;    /* the last tick was */
     uint8_t field_active; /* the field exerts a force, or is on its way to none */
     uint8_t near_known;   /* near[] holds for near_center_m */
+    uint8_t offload_open; /* the device plays effects by itself: whoever calls the tick says so */
     double gain;          /* of the whole command: enabling and fading */
     double show_force;    /* of contacts and fields: the display flag, ramped */
     double show_vibration;
@@ -149,6 +170,7 @@ struct hd_state {
     double residual_step_n[2];
     uint32_t residual_left; /* ticks */
     double ringing_n[2];    /* the sum of Im z over voices[] */
+    double reserved_n;      /* of the limit, for reserves[] */
     uint32_t field_version;
     double field_blend;
     struct hd_field field;
@@ -169,6 +191,8 @@ struct hd_state {
     uint32_t *free_noises;
     struct hd_strike *strikes;
     struct hd_event *events;
+    struct hd_offload offloads[HD_OFFLOAD_CAPACITY];
+    struct hd_reserve reserves[HD_RESERVE_CAPACITY];
     struct hd_mode played[HD_PLAYED_CAPACITY]; /* copies: strikes[] points to them until the tick is over */
     struct hd_velocity velocity;
 };

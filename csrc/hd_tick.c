@@ -7,6 +7,7 @@
 
 #include "hd_contact.h"
 #include "hd_limit.h"
+#include "hd_offload.h"
 #include "hd_voice.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
@@ -95,6 +96,7 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, str
     hd_voices_silence(state);
     state->strike_count = 0;
     state->played_count = 0;
+    state->offload_count = 0;
     resynchronise(state, input, 0);
     state->resync = 1;
     state->located = 0;
@@ -173,6 +175,9 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
 
     if (state->voice_count > 0) {
         hd_voices_advance(state, input->periods);
+    }
+    if (state->reserve_count > 0) {
+        hd_offload_advance(state, input->periods);
     }
     hd_walk_objects(&walk);
     hd_field_walk(&walk);

@@ -28,7 +28,7 @@ static int between(double value, double low, double high) {
 /* ---- Checks ------------------------------------------------------------------------------------------------- */
 
 int hd_mode_check(const struct hd_mode *mode, const char *what) {
-    if (mode->force_per_unit == 0.0 && mode->end_s == 0.0) {
+    if (mode->force_per_unit == 0.0 && mode->end_s == 0.0 && mode->effect == 0) {
         return HD_OK; /* none */
     }
     if (!between(mode->rotor_re, -1.0, 1.0) || !between(mode->rotor_im, -1.0, 1.0) ||
@@ -48,6 +48,11 @@ int hd_mode_check(const struct hd_mode *mode, const char *what) {
     if (!between(mode->force_per_unit, 0.0, HD_LARGEST) || !between(mode->amplitude_per_unit, 0.0, HD_LARGEST)) {
         return hd_invalid("%s: force per unit %g and amplitude per unit %g must lie between 0 and %g", what,
                           mode->force_per_unit, mode->amplitude_per_unit, HD_LARGEST);
+    }
+    if (!between(mode->effect_force_per_unit, 0.0, HD_LARGEST) || !between(mode->effect_peak, 0.0, HD_LARGEST) ||
+        !between(mode->effect_s, 0.0, 1.0)) {
+        return hd_invalid("%s: effect with %g N per unit, peak %g, %g s is out of range", what,
+                          mode->effect_force_per_unit, mode->effect_peak, mode->effect_s);
     }
     return HD_OK;
 }

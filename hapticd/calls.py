@@ -95,6 +95,7 @@ class Status(TypedDict):
     counters: dict[str, int]
     undisplayable: list[dict[str, Json]]
     warnings: list[dict[str, str]]
+    offload: list[dict[str, Json]]
 
 
 class SceneResult(TypedDict):

@@ -17,10 +17,11 @@ import cmath
 import heapq
 import math
 import struct
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import pairwise
-from typing import Final, NamedTuple, TypeAlias, TypeGuard
+from types import MappingProxyType
+from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -59,19 +60,48 @@ _Place: TypeAlias = tuple[float, float, float, float, float, float]
 _Pieces: TypeAlias = tuple[tuple[float, float, int], ...]
 
 
+Effect: TypeAlias = tuple[int, float, float]
+"""What a device plays in place of a mode: its id, its largest level over the coefficient, and how long, s."""
+
+
+class Effects(Protocol):
+    """What a device plays by itself."""
+
+    def take(self, mode: Mode) -> Effect | None:
+        """A mode is used from now on; what is played in its place."""
+        ...
+
+    def give(self, mode: Mode) -> None:
+        """It is used by one thing less."""
+        ...
+
+
+class _NoEffects:
+    def take(self, mode: Mode) -> Effect | None:
+        return None
+
+    def give(self, mode: Mode) -> None:
+        pass
+
+
 def mode_record(
-    mode: Mode, amplitude_per_unit: float, coefficient_per_unit: float, output: Output
+    mode: Mode,
+    amplitude_per_unit: float,
+    coefficient_per_unit: float,
+    output: Output,
+    effect: Effect | None = None,
 ) -> tuple[float, ...]:
-    """The nine numbers of a `struct hd_mode`, in its order.
+    """The numbers of a `struct hd_mode`, in its order.
 
     `amplitude_per_unit` (m/s^2 per unit of what excites the mode) is reported, `coefficient_per_unit` is struck.
     """
     shown, factor = displayed_mode(mode, output)
     decay, omega = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
+    whole_force = output.effective_mass_kg * coefficient_per_unit
     force = 0.0
     if shown is not None:
         omega = shown.angular_frequency_rad_per_s
-        force = output.effective_mass_kg * coefficient_per_unit * factor
+        force = whole_force * factor
     period = 1.0 / output.rate_hz
     rotor = cmath.exp(complex(-decay * period, omega * period))
     heard = mode if shown is None else shown
@@ -85,20 +115,32 @@ def mode_record(
         heard.peak_time_s,
         amplitude_per_unit,
         force,
+        *((0, 0, 0.0, 0.0, 0.0) if effect is None else (effect[0], 0, whole_force, effect[1], effect[2])),
     )
 
 
-def material_record(material: Material, noise_index: int, output: Output) -> CData:
-    """A `struct hd_material *`; `noise_index` is where its noise is, for a texture that is noise."""
+def _struck(material: Material) -> Iterator[Mode]:
+    """The modes that a device may play by itself."""
+    if material.tap is not None:
+        yield material.tap.mode
+    if material.rupture is not None:
+        yield material.rupture.mode
+
+
+def material_record(
+    material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
+) -> CData:
+    """A `struct hd_material *`; `noise_index` is where its noise is, for a texture that is noise; `effects` are what a
+    device plays by itself."""
     record = ffi.new("struct hd_material *")
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m
     if material.tap is not None:
         slope, mode = material.tap.attack_slope_per_s, material.tap.mode
-        record.tap = mode_record(mode, slope, mode.coefficient(slope, material.tap.attack), output)
+        record.tap = mode_record(mode, slope, mode.coefficient(slope, material.tap.attack), output, effects.get(mode))
     if material.rupture is not None:
-        amplitude = material.rupture.amplitude_m_per_s2
-        record.rupture = mode_record(material.rupture.mode, amplitude, amplitude, output)
+        amplitude, mode = material.rupture.amplitude_m_per_s2, material.rupture.mode
+        record.rupture = mode_record(mode, amplitude, amplitude, output, effects.get(mode))
         record.rupture_depth_m = material.rupture.rupture_depth_m
         record.heals = material.rupture.heals
     if material.friction is not None:
@@ -214,9 +256,12 @@ class _Rows:
 class _Materials:
     """The materials that are used: a record and an index for each, kept as long as anything is made of it."""
 
-    def __init__(self, output: Output, working: Callable[[], None]) -> None:
+    def __init__(self, output: Output, working: Callable[[], None], effects: Effects) -> None:
         self._output = output
         self._working = working
+        self._effects = effects
+        self._struck: dict[int, tuple[Mode, ...]] = {}
+        """Material to the modes that it uses of those."""
         self._places = _Places()
         self._index: dict[str, int] = {}
         self._names: list[str] = []
@@ -274,6 +319,7 @@ class _Materials:
             del self._index[self._names[index]]
             self._places.give(index)
             self._silence(index)
+            self._let_go(index)
             self._rows.pointer[index] = ffi.new("struct hd_material *")[0]
             self.changed = True
 
@@ -289,8 +335,16 @@ class _Materials:
                 self._noises_changed = True
         else:
             self._silence(index)
-        self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self._output)[0]
+        self._let_go(index)
+        self._working()
+        effects = {mode: self._effects.take(mode) for mode in _struck(material)}
+        self._struck[index] = tuple(effects)
+        self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self._output, effects)[0]
         self.changed = True
+
+    def _let_go(self, index: int) -> None:
+        for mode in self._struck.pop(index, ()):
+            self._effects.give(mode)
 
     def _designed(self, texture: Stochastic | Autoregressive) -> _Design:
         self._working()
@@ -414,8 +468,11 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 class Compiler:
     """Keeps the table of one scene up to date. One thread at a time, but for `name_of`."""
 
-    def __init__(self, output: Output, working: Callable[[], None] = lambda: None) -> None:
-        """`working` is called now and then in what takes long: the filters of many textures take seconds."""
+    def __init__(
+        self, output: Output, working: Callable[[], None] = lambda: None, effects: Effects | None = None
+    ) -> None:
+        """`working` is called now and then in what takes long: the filters of many textures take seconds. `effects`:
+        what the device plays by itself; None: nothing."""
         self._objects = _Rows("struct hd_object", OBJECT_DTYPE)
         self._places = _Places()
         self._slots: dict[str, int] = {}
@@ -428,7 +485,7 @@ class Compiler:
         """What walls with patches are made of, by slot: (from_m, half_ramp_m, material)."""
         self._pieces = records(PIECE_DTYPE, 0)
         self._pieces_changed = False
-        self._materials = _Materials(output, working)
+        self._materials = _Materials(output, working, effects or _NoEffects())
         self._fields = _Fields()
         self._changed: set[int] = set()
         self._changed_slots = np.zeros(0, np.uint32)

@@ -124,7 +124,7 @@ class Control:
         self._engine = engine
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._wish = engine.config.device.sim.start_m
-        self._limits: tuple[int, dict[str, object]] = (0, {})
+        self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method. Raises MethodError."""
@@ -181,14 +181,15 @@ class Control:
     def _find_limits(self) -> dict[str, object]:
         """What the rate cannot carry as it is, found anew only when the scene or the materials changed."""
         known, found = self._limits
-        revision = self._engine.revision
-        if known != revision:
+        state = (self._engine.revision, self._engine.offload_version)
+        if known != state:
             undisplayable, warnings = self._engine.limits()
             found = {
                 "undisplayable": [asdict(mode) for mode in undisplayable],
                 "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
+                "offload": [asdict(told) for told in self._engine.offloaded()[:MAX_FAULTS]],
             }
-            self._limits = (revision, found)
+            self._limits = (state, found)
         return found
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------

@@ -39,6 +39,7 @@ from hapticd.core import (
 from hapticd.displayable import Output, Undisplayable, displayed_mode, rate_faults, undisplayable, warnings
 from hapticd.errors import HapticdError, InvalidError, Problem
 from hapticd.hid.connection import Connection
+from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim
 from hapticd.materials import Materials
@@ -143,11 +144,14 @@ class Engine:
         self._awake = Awake()
         self._sim: CData | None = None
         self.connection: Connection | None = None
+        self._offload: Offload | None = None
         if config.device.kind == "sim":
             self._sim = new_sim(config.device.sim, servo.rate_hz)
         else:
             below_servo = 0 if servo.realtime == "off" else max(1, servo.priority - 1)
             self.connection = Connection(source_of(config.device), below_servo)
+            if config.device.hid.offload == "auto":
+                self._offload = self.connection.offload
         try:
             self._make()
         except BaseException:
@@ -167,6 +171,8 @@ class Engine:
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
+        if self._offload is not None:
+            self._offload.judge_by(self.output.carried_hz)
         self._operators: deque[tuple[int, CData]] = deque()
         self._dropped = ffi.new("uint64_t *")
         self._sequence = ffi.new("uint64_t *")
@@ -195,7 +201,7 @@ class Engine:
 
         self._servo = ffi.gc(made, free)
         # Whoever compiles for seconds is at work all the while. (`made` itself keeps nothing alive.)
-        self._compiler = Compiler(self.output, lambda: lib.hd_servo_beat(made))
+        self._compiler = Compiler(self.output, lambda: lib.hd_servo_beat(made), self._offload)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
     # ---- Life ------------------------------------------------------------------------------------------------------
@@ -293,7 +299,22 @@ class Engine:
         objects, materials = _of_all_materials(self.scene.objects), self.materials
         used = {name for item in objects.values() for name in materials_of(item)}
         shown = {name: material for name, material in materials.items() if name in used}
-        return undisplayable(shown, self.output), warnings(objects, shown, self.output)
+        lacking = undisplayable(shown, self.output)
+        played = {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
+        return [one for one in lacking if (one.material, one.mode) not in played], warnings(objects, shown, self.output)
+
+    @property
+    def offload_version(self) -> int:
+        """Raised whenever `offloaded` may say something else though the scene is the same."""
+        return 0 if self._offload is None else self._offload.version
+
+    def offloaded(self) -> list[Offloaded]:
+        """What became of the scene's taps and ruptures, where the device was to play them by itself. For any thread."""
+        if self._offload is None:
+            return []
+        used = {name for item in _of_all_materials(self.scene.objects).values() for name in materials_of(item)}
+        materials = self.materials
+        return self._offload.told({name: material for name, material in materials.items() if name in used})
 
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that an event speaks of; None where no object is meant."""
@@ -308,6 +329,8 @@ class Engine:
     def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
         changed = list(changed)
         table = self._compiler.update(scene, changed, materials, revision)
+        if self._offload is not None:
+            self._offload.settle()
         status = lib.hd_servo_publish(self._servo, table)
         if status != Status.OK:
             # The servo still has what it had; so does the compiler after this.
@@ -323,12 +346,20 @@ class Engine:
     ) -> tuple[int, float | None]:
         """Strikes a mode; the tick that took it, and the frequency displayed (None: the rate cannot carry it)."""
         command = self._command(CommandKind.PLAY)
-        command.mode = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self.output)
+        effect = None
+        if self._offload is not None:
+            effect = self._offload.take(mode)
+            self._offload.give(mode)
+            self._offload.settle()
+        command.mode = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self.output, effect)
         length = math.hypot(*direction)
         command.direction = (direction[0] / length, direction[1] / length)
         command.amplitude = amplitude_m_per_s2
         command.slot = PLAY_SLOT
         tick = self._send_and_wait([command])
+        played_hz = None if self._offload is None else self._offload.shown_hz(mode)
+        if played_hz is not None:
+            return tick, played_hz
         shown, _ = displayed_mode(mode, self.output)
         return tick, None if shown is None else shown.frequency_hz
 

@@ -102,3 +102,11 @@ def undisplayable_text(told: Mapping[str, object]) -> str:
     protocol."""
     shown = "silent" if told["shown_hz"] is None else f"shown at {told['shown_hz']:g} Hz"
     return f"{told['mode']} of {told['material']}, {told['frequency_hz']:g} Hz: {shown}"
+
+
+def offload_text(told: Mapping[str, object]) -> str:
+    """What a person reads of a tap or rupture that the device was to play by itself: an `offload` of the protocol."""
+    name = f"{told['mode']} of {told['material']}, {told['frequency_hz']:g} Hz"
+    if told["refused"] is not None:
+        return f"{name}: streamed, {told['refused']}"
+    return f"{name}: played by the device at {told['shown_hz']:g} Hz, {told['error_percent']:.2g} % off"

@@ -136,6 +136,10 @@ class Joystick:
     """Global items that differ are put between Push and Pop."""
     without: frozenset[int] = field(default_factory=frozenset)
     """Usages of PID reports, or of fields of Set Effect, that it lacks."""
+    time_exponent: int | None = None
+    """Times are in units of ten to this, s. None: Set Effect's are ms, those of periodic effects have no unit."""
+    level: int = 255
+    """The largest magnitude and level of periodic effects."""
     is_split: bool = False
     """The PID collections stand in an application collection of their own."""
 
@@ -198,10 +202,10 @@ class Joystick:
                 "periodic",
                 (
                     self._index(OUTPUT),
-                    self._value(OUTPUT, 0x70, 0, 255, 8),
+                    self._value(OUTPUT, 0x70, 0, self.level, 8 if self.level < 256 else 16),
                     self._value(OUTPUT, 0x6F, -127, 127, 8),
                     self._value(OUTPUT, 0x71, 0, 255, 8),
-                    self._value(OUTPUT, 0x72, 0, 32767, 16),
+                    self._wave_time(0x72),
                 ),
             ),
             0x73: ("constant_force", (self._index(OUTPUT), self._magnitude())),
@@ -253,8 +257,8 @@ class Joystick:
 
     def _levels(self) -> tuple[bytes, ...]:
         return (
-            *(self._value(OUTPUT, name, 0, 255, 8) for name in (0x5B, 0x5D)),
-            *(self._value(OUTPUT, name, 0, 32767, 16) for name in (0x5C, 0x5E)),
+            *(self._value(OUTPUT, name, 0, self.level, 8 if self.level < 256 else 16) for name in (0x5B, 0x5D)),
+            *(self._wave_time(name) for name in (0x5C, 0x5E)),
         )
 
     def _magnitude(self) -> bytes:
@@ -306,6 +310,10 @@ class Joystick:
         return tuple(body)
 
     def _time(self, name: int) -> bytes:
+        exponent = -3 if self.time_exponent is None else self.time_exponent
         if self.is_pushed:
-            return push() + unit(0x1003, -3) + self._value(OUTPUT, name, 0, 32767, 16) + pop()
-        return unit(0x1003, -3) + self._value(OUTPUT, name, 0, 32767, 16) + unit(0)
+            return push() + unit(0x1003, exponent) + self._value(OUTPUT, name, 0, 32767, 16) + pop()
+        return unit(0x1003, exponent) + self._value(OUTPUT, name, 0, 32767, 16) + unit(0)
+
+    def _wave_time(self, name: int) -> bytes:
+        return self._value(OUTPUT, name, 0, 32767, 16) if self.time_exponent is None else self._time(name)

@@ -14,6 +14,9 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+import numpy.typing as npt
+
 from hapticd.hid.descriptor import parse
 from hapticd.hid.layout import Choice, Field, Layout, layout_of
 from hapticd.hid.plan import Bits, DeviceError
@@ -32,9 +35,22 @@ def chosen(report: bytes, choice: Choice) -> list[str]:
 class Effect:
     """What the device knows of one effect."""
 
+    kind: str = "constant_force"
     set_effect: bytes = b""
     magnitude: int = 0
+    envelope: bytes = b""
+    periodic: bytes = b""
     playing: bool = False
+
+
+@dataclass(frozen=True)
+class Strike:
+    """A periodic effect as it was when it was started."""
+
+    index: int
+    set_effect: bytes
+    envelope: bytes
+    periodic: bytes
 
 
 @dataclass
@@ -54,6 +70,8 @@ class FakePid:
     log: list[str] = field(default_factory=list)
     """Names of the reports received, in order, as `operation start 1`."""
     effects: dict[int, Effect] = field(default_factory=dict)
+    strikes: list[Strike] = field(default_factory=list)
+    """Periodic effects that were started, in order."""
     enabled: bool = False
     gone: bool = False
 
@@ -111,8 +129,20 @@ class FakePid:
             case parts.effect_operation.report_id:
                 index = number(report, parts.effect_operation.effect_index)
                 for name in chosen(report, parts.effect_operation.operation):
+                    effect = self._of(index)
+                    if effect.kind == "sine" and name != "stop":
+                        assert chosen(effect.set_effect, parts.set_effect.effect_type) == ["sine"]
+                        self.strikes.append(Strike(index, effect.set_effect, effect.envelope, effect.periodic))
                     self._note(f"operation {name} {index}")
                     self._play(index, name != "stop")
+            case _ if parts.set_periodic and report[0] == parts.set_periodic.report_id:
+                index = number(report, parts.set_periodic.effect_index)
+                self._note(f"periodic {index}")
+                self._of(index).periodic = report
+            case _ if parts.set_envelope and report[0] == parts.set_envelope.report_id:
+                index = number(report, parts.set_envelope.effect_index)
+                self._note(f"envelope {index}")
+                self._of(index).envelope = report
             case _ if parts.block_free and report[0] == parts.block_free.report_id:
                 index = number(report, parts.block_free.effect_index)
                 self._note(f"block_free {index}")
@@ -146,13 +176,14 @@ class FakePid:
     def set_feature(self, report: bytes) -> None:
         create = self.layout.create_new_effect
         assert create is not None and report[0] == create.report_id and len(report) == create.report_bytes
-        assert chosen(report, create.effect_type) == ["constant_force"]
+        (kind,) = chosen(report, create.effect_type)
+        assert kind in ("constant_force", "sine")
         with self.changed:
-            self._note("create")
+            self._note("create" if kind == "constant_force" else f"create {kind}")
             self.loaded = 0
             if len(self.effects) < self.room:
                 self.loaded = next(n for n in range(self.first_index, 999) if n not in self.effects)
-                self.effects[self.loaded] = Effect()
+                self.effects[self.loaded] = Effect(kind)
 
     def get_feature(self, report_id: int, length: int) -> bytes:
         load, pool = self.layout.block_load, self.layout.pool
@@ -228,7 +259,7 @@ class FakePid:
         assert effect_to is not None and force_to is not None
         x = y = 0.0
         for effect in self.effects.values() if self.enabled else ():
-            if not effect.playing or not effect.set_effect:
+            if not effect.playing or not effect.set_effect or effect.kind != "constant_force":
                 continue
             size = effect.magnitude / force_to.magnitude.logical_max
             if effect_to.direction_enable is not None and number(effect.set_effect, effect_to.direction_enable):
@@ -241,6 +272,35 @@ class FakePid:
                 x += size * ("x" in enabled)
                 y += size * ("y" in enabled)
         return x, y
+
+    def shown(self, strike: Strike, time_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """What a periodic effect does after its start, as parts of the largest magnitude, (n, 2) [x, y]: a sine within
+        the lines of its envelope, by the specification and by this device's own reading of its times."""
+        effect_to, lines, wave = self.layout.set_effect, self.layout.set_envelope, self.layout.set_periodic
+        assert effect_to is not None and lines is not None and wave is not None
+        assert wave.phase is not None and number(strike.periodic, wave.phase) == 0
+        assert wave.offset is not None and number(strike.periodic, wave.offset) == 0
+        end_s = _seconds(strike.set_effect, effect_to.duration)
+        attack_s, fade_s = _seconds(strike.envelope, lines.attack_time), _seconds(strike.envelope, lines.fade_time)
+        assert attack_s + fade_s <= end_s + 1e-9 and end_s <= 0.1
+        parts = (
+            (strike.envelope, lines.attack_level),
+            (strike.periodic, wave.magnitude),
+            (strike.envelope, lines.fade_level),
+        )
+        first, middle, last = (number(report, place) / place.logical_max for report, place in parts)
+        level = np.full(len(time_s), middle)
+        if attack_s > 0.0:
+            rising = time_s < attack_s
+            level[rising] = first + (middle - first) * time_s[rising] / attack_s
+        if fade_s > 0.0:
+            falling = time_s > end_s - fade_s
+            level[falling] = middle + (last - middle) * (time_s[falling] - end_s + fade_s) / fade_s
+        level[time_s > end_s] = 0.0
+        value = level * np.sin(2 * np.pi * time_s / _seconds(strike.periodic, wave.period))
+        place = effect_to.direction[0]
+        angle = 2 * math.pi * _turns(number(strike.set_effect, place), place)
+        return np.outer(value, [-math.sin(angle), -math.cos(angle)])
 
     def wait(self, until: Callable[[], bool], timeout_s: float = 10.0) -> None:
         """Waits until something holds after a report; the bound only keeps a broken test from hanging."""
@@ -299,6 +359,11 @@ def _turns(counts: int, place: Field) -> float:
     if place.unit == 0x14:
         return physical / 36000
     return physical / (place.physical_max - place.physical_min)
+
+
+def _seconds(report: bytes, place: Field) -> float:
+    """A time in counts of 10^exponent s; of 1 ms where the descriptor has no unit for it."""
+    return number(report, place) * (10.0**place.unit_exponent if place.unit else 1e-3)
 
 
 def _put(report: bytearray, place: Field, counts: int) -> None:

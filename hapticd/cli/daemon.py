@@ -8,7 +8,7 @@ import os
 import click
 
 from hapticd.cli.common import daemon, json_option, print_json
-from hapticd.errors import undisplayable_text
+from hapticd.errors import offload_text, undisplayable_text
 
 
 @click.command("run")
@@ -55,6 +55,7 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
     ]
     for mode in status["undisplayable"]:
         lines.append(("undisplayable", undisplayable_text(mode)))
+    lines += [("offload", offload_text(told)) for told in status["offload"]]
     lines += [("warning", f"{warning['where']}: {warning['problem']}") for warning in status["warnings"]]
     width = max(len(name) for name, _ in lines)
     for name, value in lines:

@@ -20,7 +20,7 @@ Quirk: TypeAlias = Literal[
 ]
 ReportId: TypeAlias = Annotated[int, Field(ge=0, le=255)]
 MAX_REPORT_BYTES = 255
-MAX_REPORTS = 8
+MAX_REPORTS = 24
 
 
 def _hex(text: str) -> str:
@@ -215,6 +215,9 @@ class Hid(Model):
     renew_s: float = Field(default=0.04, ge=0.005, le=5, description="Effects are started again so often.")
     max_rate_hz: Annotated[float, Field(ge=10, le=10000)] | None = Field(
         default=None, description="Most force reports per second; null: what the link takes."
+    )
+    offload: Literal["off", "auto"] = Field(
+        default="off", description="auto: taps and ruptures that the device can play nearer than the link carries them."
     )
     quirks: Annotated[tuple[Quirk, ...], Field(max_length=16, strict=False)] = Field(
         default=(), description="What this device needs otherwise than the specification has it."

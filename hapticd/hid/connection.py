@@ -19,6 +19,7 @@ from typing import Final
 from hapticd.core import CData, HidMeaning, Status, ffi, invalid_reason, lib
 from hapticd.errors import HapticdError
 from hapticd.hid.device import Device, Driver
+from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
 
 RETRY_S: Final = 0.25
@@ -94,6 +95,8 @@ class Connection:
         if made == ffi.NULL:
             raise MemoryError("no memory for a connection")
         self.hid: CData = ffi.gc(made, lib.hd_hid_free)
+        self.offload = Offload(self.hid)
+        """What the device plays by itself."""
         self.denied = False
         """Whether C's threads were refused their priority."""
         self._source = source
@@ -139,6 +142,7 @@ class Connection:
                 self._abandoned = self._thread.is_alive()
                 if self._abandoned:
                     _log.warning("the device does not answer its set-up: it is left as it is, with a force of zero")
+                    self.offload.detach()
                     lib.hd_hid_disconnect(self.hid, 1)
             self._thread = None
         self._let_go(orderly=True)
@@ -167,6 +171,8 @@ class Connection:
             "reports": raw.reports,
             "short_reports": raw.short_reports,
             "forces": raw.forces,
+            "strikes": raw.strikes,
+            "strikes_lost": raw.strikes_lost,
             "resets": self._resets,
             "connects": self._connects,
             "states": states,
@@ -210,6 +216,7 @@ class Connection:
     def _let_go(self, *, orderly: bool) -> None:
         with self._hands:
             live, self._live = self._live, None
+            self.offload.detach()
             if live is not None and not self._abandoned:
                 lib.hd_hid_disconnect(self.hid, orderly)
                 live.opened.device.close()
@@ -240,11 +247,14 @@ class Connection:
         with self._hands:
             if self._abandoned:
                 raise DeviceError(f"{device.path}: answers after it was given up")
+            self.offload.detach()
             lib.hd_hid_disconnect(self.hid, 0)
             result = lib.hd_hid_connect(self.hid, described, device.fileno(), self._priority)
             if result == Status.ERR_DENIED and self._priority:
                 self.denied, self._priority = True, 0
                 result = lib.hd_hid_connect(self.hid, described, device.fileno(), 0)
+            if result == Status.OK:
+                self.offload.attach(plan.periodic, plan.no_periodic)
         if result == Status.ERR_INVALID:
             raise DeviceError(f"{device.path}: {invalid_reason()}")
         if result != Status.OK:

@@ -17,10 +17,10 @@ import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
-from hapticd.core import HidMeaning, HidQuantity
+from hapticd.core import HidMeaning, HidQuantity, lib
 from hapticd.hid.config import HandleAxis, Hid
 from hapticd.hid.device import Device
 from hapticd.hid.layout import Axis, BlockLoad, Choice, Field, Layout, SetEffect
@@ -30,8 +30,12 @@ from hapticd.hid.plan import (
     Bits,
     DeviceError,
     Message,
+    Numbers,
+    Periodic,
+    PeriodicBlock,
     Plan,
     PlayingBits,
+    Scale,
     StateBit,
     Value,
 )
@@ -48,6 +52,10 @@ Way = Literal["two", "polar", "one", "sides"]
 
 class _FullError(DeviceError):
     """The device has no room for another effect."""
+
+
+class _RefusedError(DeviceError):
+    """The device does not take an effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,24 +122,60 @@ class PidDriver:
         except DeviceError:
             _undo(layout, device, indices)
             raise
-        self._indices = indices
-        return plan_of(layout, self._hid, way, indices)
+        self._indices = list(indices)
+        plan = plan_of(layout, self._hid, way, indices)
+        return self._with_periodic(device, plan, indices)
 
-    def _check_pool(self, device: Device, count: int) -> None:
+    def _with_periodic(self, device: Device, plan: Plan, constant: Sequence[int]) -> Plan:
+        """The plan, and what periodic effects there is room for beside the constant ones."""
+        layout, hid = self._layout, self._hid
+        problem = periodic_problem(layout, hid)
+        if problem is not None:
+            return replace(plan, no_periodic=problem)
+        made: list[int] = []
+        try:
+            most = self._simultaneous(device) or len(constant) + lib.HD_HID_OFFERS
+            while len(made) < min(lib.HD_HID_OFFERS, most - len(constant)):
+                index = self._create(device, "sine")
+                if index in self._indices:
+                    raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
+                made.append(index)
+                self._indices.append(index)
+        except _FullError:
+            problem = "the device has no room for another effect"  # as many as there are
+        except _RefusedError:
+            problem = "the device refuses to make such an effect"
+        except DeviceError:
+            _undo(layout, device, self._indices)
+            raise
+        if not made:
+            return replace(plan, no_periodic=problem or "the device has no room for another effect")
+        periodic = periodic_of(layout, hid, made)
+        frees = tuple(message for message in (_block_free(layout, index) for index in made) if message is not None)
+        stops = () if _control(layout, "stop_all_effects") else tuple(block.stop for block in periodic.blocks)
+        # Last of all: an effect that is not freed costs room, no force.
+        return replace(plan, stop=(*stops, *plan.stop, *frees), periodic=periodic)
+
+    def _simultaneous(self, device: Device) -> int | None:
+        """How many effects it plays at a time; None where it does not say."""
         pool = self._layout.pool
         if pool is None or pool.simultaneous_effects_max is None or "no_pid_pool" in self._hid.quirks:
-            return
+            return None
         answer = _feature(device, pool.report_id, pool.report_bytes, "PID Pool")
         most = _get(answer, pool.simultaneous_effects_max, "PID Pool", device)
-        if 0 < most < count:
+        return most if most > 0 else None
+
+    def _check_pool(self, device: Device, count: int) -> None:
+        most = self._simultaneous(device)
+        if most is not None and most < count:
             raise _FullError(f"{device.path}: plays {most} effect at a time, {count} are needed")
 
-    def _create(self, device: Device) -> int:
-        """A new constant force; its block index."""
+    def _create(self, device: Device, kind: str = "constant_force") -> int:
+        """A new effect; its block index."""
         create, load = self._layout.create_new_effect, self._layout.block_load
         assert create is not None and load is not None
         report = _Report(create.report_id, create.report_bytes)
-        report.choose(create.effect_type, "constant_force")
+        report.choose(create.effect_type, kind)
         device.send_feature(bytes(report.data))
         for _ in range(LOAD_TRIES):
             answer = _feature(device, load.report_id, load.report_bytes, "PID Block Load")
@@ -147,7 +191,7 @@ class PidDriver:
             if status == "full":
                 raise _FullError(f"{device.path}: PID Block Load says that there is no room for another effect")
             if status == "error":
-                raise DeviceError(f"{device.path}: PID Block Load says that the effect is refused")
+                raise _RefusedError(f"{device.path}: PID Block Load says that the effect is refused")
             time.sleep(LOAD_PAUSE_S)
         raise DeviceError(f"{device.path}: PID Block Load does not say that the effect is loaded")
 
@@ -356,6 +400,84 @@ def _mirrored(hid: Hid) -> tuple[int, float]:
     if axes.y.sign < 0:
         slope, offset = -slope, 0.5 - offset
     return slope, offset
+
+
+# ---- Effects that the device plays by itself -------------------------------------------------------------------------
+
+
+def periodic_problem(layout: Layout, hid: Hid) -> str | None:
+    """Why there are no periodic effects, short; None: the descriptor has all of it, and they are wanted."""
+    effect, create = layout.set_effect, layout.create_new_effect
+    assert effect is not None and create is not None
+    if hid.offload == "off":
+        return "device.hid.offload is off"
+    reports = {"Set Periodic": layout.set_periodic, "Set Envelope": layout.set_envelope}
+    absent = [name for name, report in reports.items() if report is None]
+    if not {"sine"} <= effect.effect_type.entries.keys() & create.effect_type.entries.keys():
+        absent.append("ET Sine")
+    if _angle(effect) is None or _single(layout):
+        absent.append("Direction of two axes")
+    if absent:
+        return f"the device has no {', no '.join(absent)}"
+    assert layout.set_periodic is not None and layout.set_envelope is not None
+    if layout.set_periodic.magnitude.logical_max <= 0 or layout.set_envelope.attack_level.logical_max <= 0:
+        return "the device has no levels above zero"
+    if "infinite_duration" in hid.quirks:
+        return "the device ignores finite durations"
+    return None
+
+
+def periodic_of(layout: Layout, hid: Hid, indices: Sequence[int]) -> Periodic:
+    """Periodic effects that were made; the layout has all that they need."""
+    effect, periodic, envelope = layout.set_effect, layout.set_periodic, layout.set_envelope
+    assert effect is not None and periodic is not None and envelope is not None
+    numbers = Numbers(
+        duration=_time_scale(effect.duration),
+        attack_time=_time_scale(envelope.attack_time),
+        fade_time=_time_scale(envelope.fade_time),
+        period=_time_scale(periodic.period),
+        magnitude=_level_scale(periodic.magnitude, hid),
+        attack_level=_level_scale(envelope.attack_level, hid),
+        fade_level=_level_scale(envelope.fade_level, hid),
+    )
+    return Periodic(numbers, tuple(_periodic_block(layout, hid, index) for index in indices))
+
+
+def _periodic_block(layout: Layout, hid: Hid, index: int) -> PeriodicBlock:
+    effect, periodic, envelope = layout.set_effect, layout.set_periodic, layout.set_envelope
+    assert effect is not None and periodic is not None and envelope is not None
+    # As a constant force, but for its type.
+    polar = _polar_effect(layout, hid, index)
+    set_effect = _Report(effect.report_id, effect.report_bytes)
+    set_effect.data[:] = polar.data
+    if effect.effect_type.kind == "bits":
+        set_effect.put(effect.effect_type.entries["constant_force"].field, 0)
+    set_effect.choose(effect.effect_type, "sine")
+    shape = _Report(periodic.report_id, periodic.report_bytes)
+    shape.put(periodic.effect_index, index)
+    for rest in (periodic.magnitude, periodic.offset, periodic.phase):
+        shape.put(rest, 0)
+    lines = _Report(envelope.report_id, envelope.report_bytes)
+    lines.put(envelope.effect_index, index)
+    start, stop = (_operation(layout, index, name) for name in ("start", "stop"))
+    return PeriodicBlock(
+        Message(bytes(set_effect.data), polar.values), bytes(lines.data), bytes(shape.data), start, stop
+    )
+
+
+def _time_scale(field: Field) -> Scale:
+    """A time, s; counts of the specification's own unit, 1 ms, where the descriptor names none."""
+    step_s = field.seconds_per_count()
+    zero = 0.0 if step_s is None else field.logical_min - field.physical_min * 10.0**field.unit_exponent / step_s
+    return Scale(_bits(field), 1.0 / (step_s or 1e-3), zero, field.logical_min, field.logical_max)
+
+
+def _level_scale(field: Field, hid: Hid) -> Scale:
+    """A level, N; the largest number is the full force."""
+    zero = min(max(0, field.logical_min), field.logical_max)
+    return Scale(
+        _bits(field), (field.logical_max - zero) / hid.full_scale_force_n, zero, field.logical_min, field.logical_max
+    )
 
 
 # ---- Reports ---------------------------------------------------------------------------------------------------------

@@ -10,6 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from hapticd.core import CData, HidMeaning, HidQuantity, ffi, lib
 from hapticd.errors import HapticdError
 
@@ -131,6 +134,72 @@ class PlayingBits:
 
 
 @dataclass(frozen=True, slots=True)
+class Scale:
+    """A number of a report and what it stands for: quantity * counts_per_unit + zero_counts, within least .. most."""
+
+    bits: Bits
+    counts_per_unit: float
+    zero_counts: float
+    least: int
+    most: int
+
+    @property
+    def resolution(self) -> float:
+        """The quantity of one count."""
+        return 1.0 / self.counts_per_unit
+
+    @property
+    def largest(self) -> float:
+        """The quantity of the largest number."""
+        return self.quantity(self.most)
+
+    def counts(self, quantity: float) -> int:
+        """The nearest number within its limits."""
+        return min(max(round(quantity * self.counts_per_unit + self.zero_counts), self.least), self.most)
+
+    def quantity(self, counts: int) -> float:
+        """What a number stands for."""
+        return (counts - self.zero_counts) / self.counts_per_unit
+
+    def quantities(self, counts: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+        """As `quantity`, of many."""
+        return (counts.astype(np.float64) - self.zero_counts) / self.counts_per_unit
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """The numbers of a periodic effect: times in s, levels in N."""
+
+    duration: Scale
+    attack_time: Scale
+    fade_time: Scale
+    period: Scale
+    magnitude: Scale
+    attack_level: Scale
+    fade_level: Scale
+
+
+@dataclass(frozen=True, slots=True)
+class PeriodicBlock:
+    """The reports of one periodic effect that the device has made, without its times and levels."""
+
+    set_effect: Message
+    """With the direction of the force."""
+    envelope: bytes
+    periodic: bytes
+    start: Message
+    stop: Message
+
+
+@dataclass(frozen=True, slots=True)
+class Periodic:
+    """Periodic effects that the device plays by itself."""
+
+    numbers: Numbers
+    blocks: tuple[PeriodicBlock, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """Everything that a connection does."""
 
@@ -152,6 +221,9 @@ class Plan:
     renew_s: float = 0.04
     write_interval_s: float = 0.0
     """Between two writes at least; 0: as fast as the device takes them."""
+    periodic: Periodic | None = None
+    no_periodic: str = "the device has no periodic effects"
+    """Why there is none."""
 
     @property
     def resolution_m(self) -> float:
@@ -207,16 +279,21 @@ def _fill_script(script: CData, messages: Sequence[Message]) -> None:
         raise DeviceError(f"a script of {len(messages)} reports; at most {lib.HD_HID_MESSAGES} are sent at a time")
     script.count = len(messages)
     for into, message in zip(script.messages, messages, strict=False):
-        if len(message.data) > lib.HD_HID_REPORT_BYTES:
-            raise DeviceError(
-                f"report {message.data[0]} has {len(message.data)} bytes; at most {lib.HD_HID_REPORT_BYTES} are sent"
-            )
-        if len(message.values) > lib.HD_HID_VALUES:
-            raise DeviceError(f"a report with {len(message.values)} numbers; at most {lib.HD_HID_VALUES} are written")
-        into.length, into.value_count = len(message.data), len(message.values)
-        ffi.memmove(into.bytes, message.data, len(message.data))
-        for place, value in zip(into.values, message.values, strict=False):
-            _fill_bits(place.field, value.bits)
-            place.quantity = value.quantity
-            place.counts_per_unit, place.zero_counts = value.counts_per_unit, value.zero_counts
-            place.least, place.most = value.least, value.most
+        fill_message(into, message)
+
+
+def fill_message(into: CData, message: Message) -> None:
+    """Fills a `struct hd_hid_message`. Raises DeviceError for what has no room in it."""
+    if len(message.data) > lib.HD_HID_REPORT_BYTES:
+        raise DeviceError(
+            f"report {message.data[0]} has {len(message.data)} bytes; at most {lib.HD_HID_REPORT_BYTES} are sent"
+        )
+    if len(message.values) > lib.HD_HID_VALUES:
+        raise DeviceError(f"a report with {len(message.values)} numbers; at most {lib.HD_HID_VALUES} are written")
+    into.length, into.value_count = len(message.data), len(message.values)
+    ffi.memmove(into.bytes, message.data, len(message.data))
+    for place, value in zip(into.values, message.values, strict=False):
+        _fill_bits(place.field, value.bits)
+        place.quantity = value.quantity
+        place.counts_per_unit, place.zero_counts = value.counts_per_unit, value.zero_counts
+        place.least, place.most = value.least, value.most

@@ -413,6 +413,9 @@ static void refuses_modes(struct hd_world *world) {
         NOT_WITHIN(modes[i]->peak_time_s, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->amplitude_per_unit, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->force_per_unit, -1.0, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->effect_force_per_unit, -1.0, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->effect_peak, -0.1, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->effect_s, -0.1, 1.1, names[i]);
         TAKEN(*modes[i] = (struct hd_mode){0});
     }
 }

@@ -7,11 +7,13 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
 from hapticd.config import load_config
 from hapticd.control import Control, MethodError
-from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, records
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
 from hapticd.engine import Engine
 from hapticd.errors import HapticdError
 from hapticd.hid import connection as connection_module
@@ -38,6 +40,12 @@ class World:
         self.sticks: list[FakePid] = []
         self.opened: list[Opened] = []
         self.on_change: bool | None = False
+        self.hid: dict[str, Any] = {}
+        """More of `device.hid`."""
+        self.config: dict[str, Any] = {
+            "materials": {"plain": {"stiffness_n_per_m": STIFFNESS}},
+            "scene": FLOOR,
+        }
         self.engine: Engine | None = None
         self._stop = threading.Event()
         self._y = 0
@@ -59,7 +67,7 @@ class World:
         stick = self.stick
         if stick is None:
             raise DeviceError("no HID device is connected")
-        hid = Hid(travel_m=TRAVEL_M, full_scale_force_n=FULL_N)
+        hid = Hid(travel_m=TRAVEL_M, full_scale_force_n=FULL_N, **self.hid)
         self.opened.append(Opened(stick.device, PidDriver(stick.layout, hid), "stick", 0.001, self.on_change))
         return self.opened[-1]
 
@@ -67,9 +75,8 @@ class World:
         config = load_config(
             {
                 "servo": {"realtime": "off", "rate_hz": 1000, **servo},
-                "device": {"kind": "hid", "hid": {"travel_m": TRAVEL_M}},
-                "materials": {"plain": {"stiffness_n_per_m": STIFFNESS}},
-                "scene": FLOOR,
+                **self.config,
+                "device": {"kind": "hid", "hid": {"travel_m": TRAVEL_M, **self.hid}, **self.config.get("device", {})},
             }
         )
         self.engine = Engine(config)
@@ -97,6 +104,23 @@ class World:
         while not what():
             assert time.monotonic() < deadline
             pause.wait(0.002)
+
+    def full(self, engine: Engine) -> None:
+        """Waits until the forces are fully on."""
+        room = records(SAMPLE_DTYPE, 16384)
+
+        def settled() -> bool:
+            count, _ = engine.read_samples(room)
+            flags = room["flags"][:count]
+            return bool(count) and int(flags[-1]) & (Flag.FORCES_ON | Flag.RAMPING | Flag.FAULT) == Flag.FORCES_ON
+
+        self.until(settled)
+
+    def contacts(self, engine: Engine) -> npt.NDArray[np.void]:
+        """The contact events since the last look."""
+        room = records(EVENT_DTYPE, 4096)
+        count, _ = engine.read_events(room)
+        return room[:count][room["kind"][:count] == EventKind.CONTACT]
 
     def events(self) -> list[EventKind]:
         assert self.engine is not None
