@@ -79,7 +79,7 @@ pytest: build
 
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
-	@bash tests/vm/test.sh
+	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh
 
 .PHONY: bench
 bench: build ## speed against error, as in docs/benchmarks.md
@@ -100,7 +100,7 @@ clean: ## remove everything that was built, .venv too
 # ---- What CI runs ------------------------------------------------------------------------------------------------
 
 .PHONY: check
-check: lint warnings test ## lint, types, layout, warnings as errors, C tests, pytest
+check: lint warnings test test-vm ## lint, types, layout, warnings as errors, C tests, pytest, test-vm
 
 .PHONY: lint
 lint: build

@@ -12,7 +12,8 @@
  *     read()     +---- fd, a hidraw node ----+  write(), which blocks until the transfer is done
  *
  * Nothing queues but what the device is to play by itself (hd_player.h): what was overtaken in a mailbox is never seen.
- * The writer looks for a new force every 50 us, because the servo makes no system call that could wake it.
+ * The servo makes no system call that could wake the writer, so the writer looks for a new force: every 50 us from when
+ * the next tick may be on.
  *
  * A connection owns a copy of the plan and a duplicate of the descriptor. Whichever thread meets an error ends it for
  * both. Control joins both, within a bound: a writer that does not come back from write() is given up. It is detached,
@@ -55,7 +56,8 @@
 #define HD_DRAIN_MAX 256          /* reports read before the newest is published; hidraw keeps 64 */
 #define HD_FRESH_NS 4000000       /* so long at most a newer force is waited for */
 #define HD_RETURN_NS 20000000     /* over which the force comes back after a reset */
-#define HD_LOOK_NS 50000          /* how often the writer looks for a force */
+#define HD_LOOK_NS 50000          /* how often the writer looks for a force that is due */
+#define HD_LOOK_MOST_NS 1000000   /* and for one that is not: it renews and ends, too */
 #define HD_FORCE_AGE_NS 100000000 /* an older force is none */
 #define HD_PARTING_NS 200000000   /* for what is written at the end */
 #define HD_IDLE_NS 1000000        /* passes further apart say nothing about how fast the device takes them */
@@ -123,6 +125,7 @@ struct hd_hid {
 
     alignas(HD_CACHE_LINE) struct hd_atomic_u32 arrivals; /* positions so far, of all connections: a futex */
     struct hd_atomic_u32 awaited;                         /* somebody sleeps on it */
+    struct hd_atomic_i64 tick_ns;                         /* a force comes that long after another, not sooner */
     struct hd_atomic_i64 arrived_ns;                      /* of the newest */
     struct hd_atomic_u32 states;
     struct hd_atomic_u32 states_known;
@@ -534,6 +537,17 @@ static int is_stale(const struct hd_connection *connection) {
     return hid->forces[hd_triple_front(&hid->force_triple)].time_ns <= connection->written_ns;
 }
 
+/* When to look for a newer force than the one at hand: a look before it may be there, then every 50 us. */
+static int64_t next_look_ns(const struct hd_connection *connection) {
+    const struct hd_hid *hid = connection->hid;
+    const int64_t now_ns = hd_clock_now_ns();
+    const int64_t due_ns = hid->forces[hd_triple_front(&hid->force_triple)].time_ns +
+                           hd_atomic_i64_load_relaxed(&hid->tick_ns) - HD_LOOK_NS;
+    const int64_t soonest_ns = now_ns + HD_LOOK_NS;
+    const int64_t latest_ns = now_ns + HD_LOOK_MOST_NS;
+    return due_ns < soonest_ns ? soonest_ns : due_ns > latest_ns ? latest_ns : due_ns;
+}
+
 /* A message as of now. A write that blocked ends with a frame, and the next one brings a position: what is in the
  * mailbox then is a frame old, so that half as long as the write took a newer force is waited for (docs/adr/0014). */
 static void compose_now(struct hd_connection *connection, const struct hd_hid_message *message, uint8_t *bytes) {
@@ -544,7 +558,8 @@ static void compose_now(struct hd_connection *connection, const struct hd_hid_me
     if (connection->begun && !connection->leaving) {
         take_force(connection, hd_clock_now_ns(), force_n);
         while (is_stale(connection) && hd_clock_now_ns() < connection->fresh_until_ns) {
-            hd_clock_sleep_until(hd_clock_now_ns() + HD_LOOK_NS);
+            const int64_t look_ns = next_look_ns(connection);
+            hd_clock_sleep_until(look_ns < connection->fresh_until_ns ? look_ns : connection->fresh_until_ns);
             take_force(connection, hd_clock_now_ns(), force_n);
         }
     }
@@ -683,8 +698,9 @@ static int write_on(struct hd_connection *connection) {
         if (changed > 0) {
             count_pass(connection);
         } else {
-            hd_clock_sleep_until(hd_clock_now_ns() + HD_LOOK_NS);
-            connection->idle_ns += HD_LOOK_NS;
+            const int64_t begin_ns = hd_clock_now_ns();
+            hd_clock_sleep_until(next_look_ns(connection));
+            connection->idle_ns += hd_clock_now_ns() - begin_ns;
         }
     }
 }
@@ -763,6 +779,10 @@ void hd_hid_free(struct hd_hid *hid) {
 
 void hd_hid_await_enable(struct hd_hid *hid) {
     hd_atomic_u32_store_relaxed(&hid->awaited, 1);
+}
+
+void hd_hid_expect_ticks(struct hd_hid *hid, int64_t tick_ns) {
+    hd_atomic_i64_store_relaxed(&hid->tick_ns, tick_ns);
 }
 
 static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd) {

@@ -31,6 +31,8 @@ HD_RT void hd_hid_step_silence(struct hd_hid *hid);
 HD_RT int hd_hid_step_await(struct hd_hid *hid, int64_t until_ns, int64_t *arrival_ns);
 /* Control, before the servo starts: somebody awaits positions, so the reader has to wake. */
 void hd_hid_await_enable(struct hd_hid *hid);
+/* Control, before the servo starts: the writer need not look for a force sooner than that after another. 0 at first. */
+void hd_hid_expect_ticks(struct hd_hid *hid, int64_t tick_ns);
 
 #define HD_FORGET_RENEWALS 2 /* an effect that ended plays again after so many, or is forgotten */
 

@@ -373,8 +373,8 @@ HD_RT static void lock_pace(struct hd_servo *servo, struct hd_pace *pace, int64_
  * device of half the rate is in time then), the timer, until there is one. */
 HD_RT static void wait_device(struct hd_servo *servo, struct hd_pace *pace, struct hd_due *due) {
     const int64_t half_ns = (int64_t)(0.5 * servo->period_ns);
-    const int64_t limit_ns = pace->led ? deadline_of(servo, pace->start_ns, pace->period + 1) + half_ns
-                                       : deadline_of(servo, pace->start_ns, pace->period);
+    int64_t limit_ns = pace->led ? deadline_of(servo, pace->start_ns, pace->period + 1) + half_ns
+                                 : deadline_of(servo, pace->start_ns, pace->period);
     int64_t arrival_ns;
     while (hd_hid_step_await(servo->device.hid, limit_ns, &arrival_ns)) {
         const int64_t since_ns = arrival_ns + half_ns - pace->start_ns;
@@ -386,6 +386,12 @@ HD_RT static void wait_device(struct hd_servo *servo, struct hd_pace *pace, stru
             pace->period = period;
             lock_pace(servo, pace, arrival_ns, period);
             return;
+        }
+        if (!pace->led && arrival_ns > pace->last_ns) {
+            /* Too soon after a tick of the timer, as all that follow would be: the next one is waited for. */
+            pace->start_ns += arrival_ns + 2 * half_ns - deadline_of(servo, pace->start_ns, pace->period);
+            pace->led = 1;
+            limit_ns = deadline_of(servo, pace->start_ns, pace->period + 1) + half_ns;
         }
     }
     due->time_ns = limit_ns;
@@ -474,6 +480,11 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
         hd_hid_await_enable(hid);
     }
     servo->period_ns = 1e9 / config->rate_hz;
+    if (hid != NULL) {
+        /* A tick that a report leads may be half a period early. */
+        hd_hid_expect_ticks(hid,
+                            (int64_t)(config->clock == HD_CLOCK_DEVICE ? 0.5 * servo->period_ns : servo->period_ns));
+    }
     servo->period_s = 1.0 / config->rate_hz;
     hd_triple_init(&servo->triple);
     servo->state = hd_state_new(config->slot_capacity);

@@ -321,6 +321,12 @@ static void forces(void) {
     expect(fds[DEVICE], 6, 0);
     put(hid, -2.0, 0.0);
     expect(fds[DEVICE], 5, -200);
+    hd_hid_expect_ticks(hid, (int64_t)PATIENCE_NS * 1000); /* it is looked for a newer one all the same */
+    put(hid, -2.5, 0.0);
+    expect(fds[DEVICE], 5, -250);
+    put(hid, -2.0, 0.0);
+    expect(fds[DEVICE], 5, -200);
+    hd_hid_expect_ticks(hid, 0);
     hd_hid_step_put(hid, hd_clock_now_ns() - 1000000000, old);
     expect(fds[DEVICE], 5, 0);
     put(hid, 0.0, 3.0);
@@ -328,9 +334,9 @@ static void forces(void) {
     hd_hid_step_put(hid, hd_clock_now_ns(), up);
     expect(fds[DEVICE], 6, 0); /* nobody puts any more, and so it grows old */
     expect_silence(fds[DEVICE]);
-    while (status_of(hid).writes < 10)
+    while (status_of(hid).writes < 12)
         sched_yield();
-    CHECK(status_of(hid).writes == 10 && status_of(hid).forces >= 5 && status_of(hid).write_ns > 0);
+    CHECK(status_of(hid).writes == 12 && status_of(hid).forces >= 5 && status_of(hid).write_ns > 0);
     CHECK(hd_hid_disconnect(hid, 1) == 0);
     expect(fds[DEVICE], 5, 0);
     expect(fds[DEVICE], 6, 0);
@@ -858,6 +864,55 @@ static void with_servo(uint32_t clock) {
     hd_operator_free(path);
 }
 
+/* Reports that come soon after each of the timer's ticks lead the ticks all the same. */
+static void led_out_of_phase(void) {
+    const double rate_hz = 20.0;
+    const int64_t period_ns = 50000000;
+    const struct hd_servo_config config = {.device_timeout_s = 60.0,
+                                           .rate_hz = rate_hz,
+                                           .cpu = -1,
+                                           .slot_capacity = 1,
+                                           .sample_capacity = 64,
+                                           .resolution_m = 1e-5,
+                                           .clock = HD_CLOCK_DEVICE};
+    const struct hd_table table = {.revision = 1,
+                                   .all_changed = 1,
+                                   .period_s = 1.0 / rate_hz,
+                                   .max_force_n = 8.0,
+                                   .max_speed_m_per_s = 1000.0,
+                                   .ramp_s = 0.1,
+                                   .ramp_step = 0.5};
+    struct hd_hid *hid = hd_hid_new();
+    struct hd_servo *servo = hd_servo_new(&config, NULL, hid);
+    struct hd_sample sample;
+    struct hd_sample later;
+    struct hd_grant grant;
+    int64_t arrivals_ns[16] = {0};
+    uint64_t dropped;
+    int led = 0;
+    int fds[2];
+
+    open_pair(fds);
+    CHECK(servo != NULL && hd_servo_publish(servo, &table) == HD_OK);
+    CHECK(hd_hid_connect(hid, &plan, fds[OURS], 0) == HD_OK);
+    CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    while (hd_servo_read_samples(servo, &sample, 1, &dropped) == 0)
+        sched_yield();
+    for (uint64_t reports = 0; !led; reports++) {
+        hd_clock_sleep_until(sample.time_ns + period_ns / 5 + (int64_t)reports * period_ns);
+        tell(fds[DEVICE], 0, 0);
+        await_reports(hid, reports + 1);
+        arrivals_ns[reports % 16] = status_of(hid).last_report_ns;
+        while (hd_servo_read_samples(servo, &later, 1, &dropped) == 1)
+            for (int i = 0; i < 16; i++)
+                led = led || later.time_ns == arrivals_ns[i];
+    }
+    CHECK(hd_servo_stop(servo) == HD_OK);
+    hd_servo_free(servo);
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
 int main(void) {
     alarm(PATIENCE_S);
     positions();
@@ -877,6 +932,7 @@ int main(void) {
     stuck(O_NONBLOCK);
     with_servo(HD_CLOCK_TIMER);
     with_servo(HD_CLOCK_DEVICE);
+    led_out_of_phase();
     printf("test_hid: ok\n");
     return 0;
 }

@@ -1,15 +1,21 @@
-"""The virtual joystick itself, driven report by report from a bare client: what the other jobs rest on."""
+"""The virtual joystick itself, driven report by report from a bare client: what the other jobs rest on; then the
+commands that use a device without a daemon, and the udev rule."""
 
 from __future__ import annotations
 
+import json
+import os
 import struct
 import subprocess
-import sys
 import time
+from pathlib import Path
 
 import hidraw
 import usb_pid_joystick as usb
-from rig import check, done, scenario, until
+import yaml
+from rig import answer_of, check, done, hapticd_says, scenario, until
+
+RULES = Path(__file__).resolve().parents[2] / "systemd" / "70-hapticd.rules"
 
 
 def client(node: str) -> None:
@@ -34,9 +40,63 @@ def client(node: str) -> None:
     print(took)
 
 
-if len(sys.argv) > 1:
-    client(sys.argv[1])
-    sys.exit()
+def dump_and_calibrate(joystick: usb.Joystick) -> None:
+    """`hapticd devices` and its commands."""
+    scenario("hapticd devices: listed, dumped, calibrated")
+    name = f"{usb.VENDOR:04x}:{usb.PRODUCT:04x}"
+    answer = hapticd_says("devices", "--json")
+    listed = json.loads(answer.stdout)
+    check([item["usable"] for item in listed] == [True], "listed as one that can be driven", answer.stdout[:200])
+    joystick.motion = lambda t_s: (0.02 * t_s % 0.04, 0.0)
+    answer = hapticd_says("devices", "dump", name, "-o", "/run/dump.jsonl", "--for", "0.2s")
+    check(answer.returncode == 0, "dumped", answer.stdout.strip(), answer.stderr[-300:])
+    answer = hapticd_says("devices", "dump", "1209:0000", "-o", "/run/none.jsonl")
+    check(answer.returncode == 1 and "no HID device" in answer.stderr, "of another one, refused", answer.stderr.strip())
+    joystick.free = -0.2  # it goes against the force, as one whose motors are wired the other way round
+    joystick.clear()
+    answer = hapticd_says("devices", "calibrate", "--yes")
+    check(answer.returncode == 0, "calibrated", answer.stderr[-300:])
+    axes = yaml.safe_load(answer.stdout)["device"]["hid"]["force_axes"]
+    wrong_way = {"x": {"sign": -1}, "y": {"sign": -1}, "swap": False}
+    check(axes == wrong_way, "it is found to push the wrong way", axes)
+    check(joystick.force() == (0.0, 0.0) and not joystick.faults, "force zero at the end", joystick.faults[:3])
+    most = max(abs(x) + abs(y) for _, x, y in joystick.forces)
+    check(most <= 0.1 * usb.FULL_SCALE_N, "no more than a tenth of the full force; N", most)
+    joystick.free = None
+
+
+def rule(plug: usb.Plug) -> None:
+    """What udev makes of the joystick's nodes, of one that is named in the rule and of one that is not."""
+    scenario("the udev rule")
+    with open("/etc/group", "a") as groups:
+        groups.write("input:x:4321:\n")
+    folder = Path("/run/udev/rules.d")
+    folder.mkdir(parents=True)
+    text = RULES.read_text()
+    first = text.index('KERNELS=="')
+    line = f'KERNELS=="*:{usb.VENDOR:04X}:{usb.PRODUCT:04X}.*", ENV{{HAPTICD_DEVICE}}="1"\n'
+    for what, rules, named in (("not named", text, False), ("named", text[:first] + line + text[first:], True)):
+        (folder / RULES.name).write_text(rules)
+        os.chown(plug.node, 0, 0)
+        os.chmod(plug.node, 0o600)
+        applied(f"hidraw/{os.path.basename(plug.node)}")
+        node = os.stat(plug.node)
+        mine = (node.st_gid, node.st_mode & 0o777) == (4321, 0o660)
+        check(mine, f"hidraw, {what}: for the group input", node.st_gid, oct(node.st_mode))
+        said = applied(f"input/{os.path.basename(plug.event_node())}")
+        ours = [words for words in said.splitlines() if RULES.name in words and "Reading" not in words]
+        check(
+            any("MODE 0600" in words for words in ours) == named,
+            f"event, {what}: {'root only' if named else 'as it was'}",
+            ours,
+        )
+
+
+def applied(device: str) -> str:
+    """What udevadm says of it."""
+    words = [os.environ["VM_UDEVADM"], "test", f"/sys/class/{device}"]
+    return subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=True).stdout
+
 
 joystick = usb.Joystick(motion=lambda t_s: (0.01, -0.02))
 with usb.Plug(joystick) as plug:
@@ -45,7 +105,7 @@ with usb.Plug(joystick) as plug:
     check(bool(plug.event_node()), "hid-pidff took it, with a constant force", plug.event_node())
     check(not joystick.faults, "and said nothing wrong", joystick.faults)
     joystick.clear()
-    answer = subprocess.run([sys.executable, __file__, plug.node], capture_output=True, text=True)
+    answer = answer_of(lambda: client(plug.node))
     check(answer.returncode == 0, "the client ran", answer.stderr[-300:])
     check(abs(float(answer.stdout) - 0.4) < 0.02, "100 writes take 100 frames", answer.stdout.strip())
     until(lambda: joystick.faults, 2)
@@ -54,4 +114,6 @@ with usb.Plug(joystick) as plug:
     check(forces == [(0.0, 0.0), (4.0, 0.0), (0.0, 0.0)], "force on, and off by itself", joystick.forces)
     shown = joystick.forces[2][0] - joystick.forces[1][0]
     check(abs(shown - 0.1) < 0.01, "after the effect's duration", shown)
+    dump_and_calibrate(joystick)
+    rule(plug)
 done()

@@ -7,7 +7,6 @@ import math
 import os
 import signal
 import struct
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -140,8 +139,8 @@ def reset_by_another() -> None:
             node.write(bytes([usb.CONTROL, what]))
 
 
-def other(what: str, node: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, __file__, what, node], capture_output=True, text=True)
+def other(what: str, node: str) -> rig.Answer:
+    return rig.answer_of(main, [__file__, what, node])
 
 
 def found_and_set_up(joystick: usb.Joystick, daemon: rig.Daemon) -> None:
@@ -311,7 +310,7 @@ def killed(joystick: usb.Joystick) -> None:
         check(pressed(joystick), "a new daemon, in contact", joystick.force())
         joystick.clear()
         since = time.monotonic()
-        daemon.stop(signal.SIGKILL)
+        daemon.kill(signal.SIGKILL)
         ended = last_pushed(joystick, since)
         check(ended <= DURATION_S + 4 * FRAME_S, "SIGKILL: force zero after; s", ended)
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import signal
-import subprocess
-import sys
 import time
 from typing import Any
 
@@ -21,10 +19,6 @@ CONFIG: dict[str, Any] = {
     "materials": {"soft": {"stiffness_n_per_m": STIFFNESS}},
     "scene": {"objects": {"peg": {"kind": "box", "center_m": [0, 0], "size_m": [0.02, 0.02], "material": "soft"}}},
 }
-
-
-def hapticd(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "hapticd", *words], capture_output=True, text=True, timeout=300)
 
 
 def refused(name: str, config: dict[str, Any], *wanted: str) -> None:
@@ -43,7 +37,7 @@ def main() -> None:
     with uhid.VendorJoystick() as joystick:
         joystick.motion = lambda t_s: (0.03, 0.03)
         scenario("a vendor device is seen, and is no PID device")
-        answer = hapticd("devices", "--json")
+        answer = rig.hapticd_says("devices", "--json")
         check(answer.returncode == 0, "hapticd devices", answer.stdout[:300] + answer.stderr[-200:])
         check("uhid" in json.dumps(json.loads(answer.stdout)) or "vendor joystick" in answer.stdout, "lists it")
         refused("without a description", {"device": {"kind": "hid"}}, "cannot be driven", "Set Constant Force")

@@ -1,5 +1,6 @@
 #!/bin/bash
 # mkinitramfs.sh KERNEL_FOLDER OUT: busybox, spin.c, `init` and the modules that it loads.
+# Not compressed: to unpack takes longer in the machine than to read more.
 set -euo pipefail
 PATH=$PATH:/usr/sbin:/sbin
 folder=$1 out=$2 version=$(cat "$1/ready")
@@ -18,5 +19,5 @@ done
 cp "$folder/lib/modules/$version/modules."{order,builtin,builtin.modinfo} "$tree/lib/modules/$version/"
 depmod -b "$tree" "$version"
 install -m 755 "$(dirname "$0")/init" "$tree/init"
-(cd "$tree" && find . | cpio -o -H newc --quiet) | gzip -1 >"$out.new"
+(cd "$tree" && find . | cpio -o -H newc --quiet) >"$out.new"
 mv "$out.new" "$out"
