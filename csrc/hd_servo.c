@@ -624,7 +624,9 @@ int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
     hd_atomic_u32_store_relaxed(&servo->revision, servo->world->table.revision);
     struct hd_region regions[HD_SERVO_REGIONS];
     const size_t count = regions_of(servo, regions);
-    hd_memory_touch(regions, count);
+    /* The device is the last. The threads of a connected one write to it already, and hd_hid_new has written all of it.
+     */
+    hd_memory_touch(regions, servo->device.hid != NULL ? count - 1 : count);
     if (servo->config.realtime != HD_REALTIME_OFF) {
         grant->memory_kind = (int32_t)hd_memory_lock(regions, count, &grant->memory);
         if (grant->memory_kind == HD_MEMORY_NONE && servo->config.realtime == HD_REALTIME_REQUIRED) {
