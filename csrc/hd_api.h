@@ -517,7 +517,7 @@ void hd_hid_free(struct hd_hid *hid);
  * none. HD_ERR_INVALID (hd_invalid_reason; also while there is a connection), HD_ERR_MEMORY, HD_ERR_SYSTEM (errno);
  * HD_ERR_DENIED: threads of this priority are refused. One thread at a time connects, disconnects and frees. */
 int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, int priority);
-/* Ends both threads. `orderly`: a force of zero and the stop script are written first, within 0.2 s. A device that does
+/* Ends both threads. `orderly`: a force of zero and the stop script are written first, within 0.5 s. A device that does
  * not take what is being written in that time is given up, ETIMEDOUT; the descriptor may be closed all the same.
  * Returns 0 or the errno that writing them met, or that had ended the connection before. */
 int hd_hid_disconnect(struct hd_hid *hid, int orderly);

@@ -59,7 +59,7 @@
 #define HD_LOOK_NS 50000          /* how often the writer looks for a force that is due */
 #define HD_LOOK_MOST_NS 1000000   /* and for one that is not: it renews and ends, too */
 #define HD_FORCE_AGE_NS 100000000 /* an older force is none */
-#define HD_PARTING_NS 200000000   /* for what is written at the end */
+#define HD_PARTING_NS 500000000   /* for what is written at the end */
 #define HD_IDLE_NS 1000000        /* passes further apart say nothing about how fast the device takes them */
 #define HD_MEAN_SHIFT 5           /* running means are over 32 */
 #define HD_UNUSUAL_S 0.05         /* longer intervals between reports are pauses */

@@ -21,13 +21,14 @@ def test_updates_lose_nothing_and_step_nothing() -> None:
         wire.result("set_operator", waypoints=[[0.05, 0, 0.002], [0.3, 0, -0.004], [0.6, 0, -0.004]])
         batches: list[np.ndarray] = []
         done = threading.Event()
+        end = 0
         with hapticd.connect(daemon.directory) as client, client.samples() as samples:
 
             def listen() -> None:
                 for batch in samples:
                     assert batch.lost == 0
                     batches.append(np.array(batch))
-                    if done.is_set():
+                    if done.is_set() and batch["tick"][-1] >= end:
                         return
 
             with client.events() as events:
