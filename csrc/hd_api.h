@@ -517,14 +517,15 @@ void hd_hid_free(struct hd_hid *hid);
  * none. HD_ERR_INVALID (hd_invalid_reason; also while there is a connection), HD_ERR_MEMORY, HD_ERR_SYSTEM (errno);
  * HD_ERR_DENIED: threads of this priority are refused. One thread at a time connects, disconnects and frees. */
 int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, int priority);
-/* Ends both threads. `orderly`: a force of zero and the stop script are written first, within 0.5 s. A device that does
- * not take what is being written in that time is given up, ETIMEDOUT; the descriptor may be closed all the same.
- * Returns 0 or the errno that writing them met, or that had ended the connection before. */
+/* Ends both threads. `orderly`: a force of zero and the stop script are written first, within 0.5 s; an error that ends
+ * a connection has the same written, as far as the device takes it. A device that does not take what is being written
+ * in that time is given up, ETIMEDOUT; the descriptor may be closed all the same. Returns 0 or the errno that writing
+ * them met, or that had ended the connection before. */
 int hd_hid_disconnect(struct hd_hid *hid, int orderly);
 /* What the device plays by itself from now on, in this connection; each one begins without any. Strikes of modes that
- * name one of these effects are no voices of the tick then, but are sent to the device while the forces are fully on;
- * what plays is stopped when they no longer are. Copied. HD_ERR_INVALID (hd_invalid_reason); without a connection it
- * does nothing. Not at the same time as hd_hid_connect or hd_hid_disconnect. */
+ * name one of these effects are no voices of the tick then, but are sent to the device while forces and vibration are
+ * fully on; what plays is stopped when they no longer are. Copied. HD_ERR_INVALID (hd_invalid_reason); without a
+ * connection it does nothing. Not at the same time as hd_hid_connect or hd_hid_disconnect. */
 int hd_hid_offer(struct hd_hid *hid, const struct hd_hid_offers *effects);
 void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status);
 /* Blocks until the connection ends by itself, a reset is seen, hd_hid_wake is called or the time is over; 1: something

@@ -20,6 +20,10 @@
  * the connection becomes its own, it touches nothing else when it comes back, and frees it. What decides is one atomic,
  * `phase`: control may only take WRITING to GIVEN_UP, and the writer only WRITING to IDLE.
  *
+ * No end leaves a force on a device that still takes reports: where control ends it in an orderly way or an error does,
+ * the writer's last reports are a force of zero and the stop script; one that was given up sends a force of zero, and
+ * no more: the device may have a connection anew. Only control's other end sends nothing.
+ *
  * Who touches what:
  *   positions, arrivals, the reader's counters     the reader writes; control before the reader starts
  *   forces, orders                                 the servo writes, the writer reads while its phase is IDLE
@@ -63,10 +67,12 @@
 #define HD_IDLE_NS 1000000        /* passes further apart say nothing about how fast the device takes them */
 #define HD_MEAN_SHIFT 5           /* running means are over 32 */
 #define HD_UNUSUAL_S 0.05         /* longer intervals between reports are pauses */
+#define HD_USUAL_REPORTS 4        /* of a device that reports what changes: as many together say what is usual */
+#define HD_FRAME_S 1e-3           /* the shortest time between two reports of a full-speed device */
 #define HD_USUAL_FIRST_S 0.01     /* before there were two reports; low-speed devices have it */
 
 enum hd_phase { HD_PHASE_IDLE = 0, HD_PHASE_WRITING = 1, HD_PHASE_GIVEN_UP = 2 };
-enum hd_end { HD_END_NOT = 0, HD_END_NOW = 1, HD_END_ORDERLY = 2 };
+enum hd_end { HD_END_NOT = 0, HD_END_NOW = 1, HD_END_ORDERLY = 2, HD_END_FAILED = 3 };
 
 struct hd_position {
     double position_m[2];
@@ -105,7 +111,8 @@ struct hd_connection {
     uint32_t sent_once;                                 /* bit: that message was sent */
     double direction_rad;                               /* of the last force that had one */
     int begun;                                          /* the first pass is over: it is of no force */
-    int leaving;                                        /* the last one is */
+    int leaving;                                        /* the last one is, */
+    int64_t leaving_until_ns;                           /* until then at most */
     int64_t next_write_ns;
     int64_t written_ns;     /* when the last write was done */
     int64_t fresh_until_ns; /* until then a force newer than that is waited for */
@@ -156,13 +163,16 @@ struct hd_hid {
     uint32_t seen_connection;
     uint32_t seen_arrivals;
     uint32_t seen_on_change;
-    double usual_s; /* between two reports */
+    double usual_s;   /* between two reports */
+    int64_t usual_ns; /* with usual_number, of a device that reports what changes: learned from up to here */
+    uint64_t usual_number;
 };
 
 /* ---- Servo ------------------------------------------------------------------------------------------------------- */
 
 /* What is usual between two reports, when `count` of them took `elapsed_s`. A device that reports only what changes is
- * silent now and then, so its shorter intervals say more. */
+ * silent now and then, so its shorter intervals say more; of several reports together, since the one after a report
+ * that was held up comes too soon. */
 HD_RT static void learn_usual(struct hd_hid *hid, double elapsed_s, uint64_t count) {
     const double interval_s = elapsed_s / (double)count;
     if (!(interval_s < HD_UNUSUAL_S)) {
@@ -174,8 +184,23 @@ HD_RT static void learn_usual(struct hd_hid *hid, double elapsed_s, uint64_t cou
         hid->usual_s += (interval_s - hid->usual_s) / 16.0;
     } else if (interval_s < hid->usual_s) {
         hid->usual_s += (interval_s - hid->usual_s) / 4.0;
-    } else if (interval_s < 3.0 * hid->usual_s) {
-        hid->usual_s += (interval_s - hid->usual_s) / 64.0;
+    } else {
+        /* A long one may be a pause and counts for little; not for nothing, or a burst would be usual for good. */
+        const double most_s = 3.0 * hid->usual_s;
+        hid->usual_s += ((interval_s < most_s ? interval_s : most_s) - hid->usual_s) / 64.0;
+    }
+}
+
+HD_RT static void learn(struct hd_hid *hid, const struct hd_position *position, uint64_t count) {
+    if (!hid->seen_on_change) {
+        learn_usual(hid, (double)(position->time_ns - hid->seen_arrival_ns) * 1e-9, count);
+        return;
+    }
+    const uint64_t together = position->number - hid->usual_number;
+    if (together >= HD_USUAL_REPORTS) {
+        learn_usual(hid, (double)(position->time_ns - hid->usual_ns) * 1e-9, together);
+        hid->usual_ns = position->time_ns;
+        hid->usual_number = position->number;
     }
 }
 
@@ -186,14 +211,17 @@ HD_RT static void see(struct hd_hid *hid, const struct hd_position *position) {
         hid->seen_connection = position->connection;
         hid->seen_on_change = position->on_change;
         hid->usual_s = 0.0;
+        hid->usual_ns = position->time_ns;
+        hid->usual_number = position->number;
         hid->seen_ns = position->time_ns;
     } else {
         const uint64_t count = position->number - hid->seen_number;
-        learn_usual(hid, (double)(position->time_ns - hid->seen_arrival_ns) * 1e-9, count);
+        learn(hid, position, count);
         /* A report that was held up on its way is followed by one on time, which would make the step between them look
          * too fast by far. So reports are half of what is usual apart at least; what that adds is taken back by those
          * that follow. */
-        const double least_s = hid->seen_on_change ? 0.0 : 0.5 * hid->usual_s * (double)count;
+        const int pauses = hid->seen_on_change && hid->usual_s > HD_FRAME_S; /* may be in what is usual */
+        const double least_s = 0.5 * (pauses ? HD_FRAME_S : hid->usual_s) * (double)count;
         const double since_s = (double)(position->time_ns - hid->seen_ns) * 1e-9;
         const double interval_s = since_s > least_s ? since_s : least_s;
         hid->seen.interval_s = interval_s > 1e-6 ? interval_s : 1e-6;
@@ -217,8 +245,10 @@ HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *
             look->fresh = 1;
         }
     }
-    const int silent = !look->gone && !look->fresh && hid->seen_on_change &&
-                       hid->seen_connection == hd_atomic_u32_load_relaxed(&hid->connection_number);
+    /* No force that is of where another connection's handle was. */
+    const int known = hid->seen_connection == hd_atomic_u32_load_relaxed(&hid->connection_number);
+    look->gone |= hid->seen_connection != 0 && !known;
+    const int silent = !look->gone && !look->fresh && hid->seen_on_change && known;
     if (silent) {
         const double usual_s = hid->usual_s > 0.0 ? hid->usual_s : HD_USUAL_FIRST_S;
         const double since_s = (double)(now_ns - hid->seen_ns) * 1e-9;
@@ -291,7 +321,7 @@ static void signal_fd(int fd) {
 /* The connection is over, by the errno of what a thread met; the first one counts. */
 static void fail(struct hd_connection *connection, int error) {
     struct hd_hid *hid = connection->hid;
-    if (hd_atomic_u32_replace(&connection->end, HD_END_NOT, HD_END_NOW)) {
+    if (hd_atomic_u32_replace(&connection->end, HD_END_NOT, HD_END_FAILED)) {
         hd_atomic_u32_store_relaxed(&hid->error, (uint32_t)error);
         hd_atomic_u32_store_release(&hid->connected, 0);
         signal_fd(connection->end_fd);
@@ -456,7 +486,7 @@ static int wait_writable(struct hd_connection *connection) {
     struct pollfd polled[2] = {{.fd = connection->fd, .events = POLLOUT}, {.fd = connection->end_fd, .events = POLLIN}};
     int ready;
     if (connection->leaving) {
-        const int64_t left_ns = connection->parting_until_ns - hd_clock_now_ns();
+        const int64_t left_ns = connection->leaving_until_ns - hd_clock_now_ns();
         ready = poll(polled, 1, left_ns > 0 ? (int)(left_ns / 1000000) : 0);
     } else {
         ready = poll(polled, 2, -1);
@@ -473,7 +503,7 @@ static int write_report(struct hd_connection *connection, const uint8_t *bytes, 
     struct hd_hid *hid = connection->hid;
     for (;;) {
         const int64_t start_ns = hd_clock_now_ns();
-        if (connection->leaving ? start_ns > connection->parting_until_ns
+        if (connection->leaving ? start_ns > connection->leaving_until_ns
                                 : hd_atomic_u32_load_acquire(&connection->end) != HD_END_NOT) {
             return connection->leaving ? ETIMEDOUT : ECANCELED;
         }
@@ -724,23 +754,46 @@ static void hurry(struct hd_connection *connection) {
     connection->next_write_ns = connection->next_write_ns < latest_ns ? connection->next_write_ns : latest_ns;
 }
 
+/* Given up, and back: what the device has taken in the end was perhaps a force. */
+static void write_zero(const struct hd_connection *connection) {
+    const struct hd_hid_script *script = &connection->plan.force;
+    const double none[2] = {0.0, 0.0};
+    int taken = 1;
+    for (uint32_t i = 0; i < script->count && taken; i++) {
+        const uint32_t length = script->messages[i].length;
+        uint8_t bytes[HD_HID_REPORT_BYTES];
+        hd_report_compose(&script->messages[i], none, connection->direction_rad, bytes);
+        taken = write(connection->fd, bytes, length) == (ssize_t)length;
+    }
+}
+
 static void *writer_main(void *argument) {
     struct hd_connection *connection = argument;
     prctl(PR_SET_NAME, "hid writer", 0ul, 0ul, 0ul);
     /* Without real-time priority the kernel may round sleeps by 50 us. */
     prctl(PR_SET_TIMERSLACK, 1ul, 0ul, 0ul, 0ul);
     int error = write_on(connection);
-    if (error == ECANCELED && hd_atomic_u32_load_acquire(&connection->end) == HD_END_ORDERLY) {
-        uint32_t changed;
-        connection->leaving = 1;
-        hurry(connection);
-        error = write_forces(connection, 1, &changed);
-        error = error == 0 ? write_script(connection, &connection->plan.stop) : error;
-        connection->parting_error = error;
-    } else if (error > 0 && error != ECANCELED) {
+    if (error > 0 && error != ECANCELED) {
         fail(connection, error);
     }
+    const uint32_t end = hd_atomic_u32_load_acquire(&connection->end);
+    if (error > 0 && end != HD_END_NOW) {
+        uint32_t changed;
+        connection->leaving = 1;
+        connection->leaving_until_ns =
+            end == HD_END_ORDERLY ? connection->parting_until_ns : hd_clock_now_ns() + HD_PARTING_NS;
+        hurry(connection);
+        error = write_forces(connection, 1, &changed);
+        if (error >= 0) { /* also where the force is refused */
+            const int stopped = write_script(connection, &connection->plan.stop);
+            error = error == 0 || stopped < 0 ? stopped : error;
+        }
+        if (error >= 0) {
+            connection->parting_error = error;
+        }
+    }
     if (error < 0) {
+        write_zero(connection);
         connection_free(connection);
     } else {
         signal_fd(connection->left_fd);

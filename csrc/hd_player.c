@@ -147,7 +147,7 @@ static int take_order(struct hd_player *player, struct hd_orders *orders) {
 }
 
 /* The next message of the order under way, which its start ends. */
-static uint32_t compose(struct hd_player *player, struct hd_orders *orders, int64_t now_ns, uint8_t *bytes) {
+static uint32_t compose(struct hd_player *player, struct hd_orders *orders, uint8_t *bytes) {
     const struct hd_hid_offer *effect = player->effect;
     struct hd_played *played = &player->played[effect->place];
     for (;;) {
@@ -155,7 +155,9 @@ static uint32_t compose(struct hd_player *player, struct hd_orders *orders, int6
         const struct hd_hid_message *message = &effect->messages[i];
         hd_report_compose(message, player->order.force_n, played->direction_rad, bytes);
         if (i + 1 == effect->message_count) {
-            played->until_ns = now_ns + effect->duration_ns + HD_STOPPED_FOR_NS;
+            played->until_ns = INT64_MAX;
+            played->duration_ns = effect->duration_ns;
+            player->started = 1u << effect->place;
             played->stop_length = effect->stop.length;
             memcpy(played->stop, effect->stop.bytes, effect->stop.length);
             player->effect = NULL;
@@ -172,20 +174,28 @@ static uint32_t compose(struct hd_player *player, struct hd_orders *orders, int6
 
 uint32_t hd_player_next(struct hd_player *player, struct hd_orders *orders, int64_t now_ns, int64_t since_ns, int open,
                         uint8_t *bytes) {
-    if (since_ns != player->since_ns) {
-        player->since_ns = since_ns;
-        player->stopping = 0;
-        memset(player->played, 0, sizeof player->played);
+    const uint32_t silence = hd_atomic_u32_load_acquire(&orders->silence);
+    const int anew = since_ns != player->since_ns;
+    const int quiet = anew || !open || silence != player->silence;
+    player->since_ns = since_ns;
+    player->silence = silence;
+    if (quiet) {
         end_order(player, orders);
     }
-    const uint32_t silence = hd_atomic_u32_load_acquire(&orders->silence);
-    if (silence != player->silence) {
-        player->silence = silence;
-        end_order(player, orders);
-        for (uint32_t i = 0; i < HD_HID_OFFERS; i++) {
-            player->stopping |= player->played[i].until_ns > now_ns ? 1u << i : 0u;
+    for (uint32_t i = 0; i < HD_HID_OFFERS; i++) {
+        struct hd_played *played = &player->played[i];
+        if ((player->started & 1u << i) != 0) {
+            played->until_ns = now_ns + played->duration_ns + HD_STOPPED_FOR_NS;
+        }
+        if (quiet && played->until_ns > now_ns) {
+            player->stopping |= 1u << i;
+        }
+        if (anew) {
+            played->known = 0;
+            played->aimed = 0;
         }
     }
+    player->started = 0;
     for (uint32_t i = 0; player->stopping != 0 && i < HD_HID_OFFERS; i++) {
         if ((player->stopping & 1u << i) != 0) {
             player->stopping &= ~(1u << i);
@@ -198,7 +208,7 @@ uint32_t hd_player_next(struct hd_player *player, struct hd_orders *orders, int6
         const struct hd_order *order = &player->order;
         if (open && order->silence == silence && order->time_ns >= since_ns &&
             now_ns - order->time_ns <= HD_ORDER_AGE_NS) {
-            return compose(player, orders, now_ns, bytes);
+            return compose(player, orders, bytes);
         }
         end_order(player, orders);
     }

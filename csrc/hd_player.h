@@ -9,7 +9,8 @@
  *
  * An order ends unsent where it is older than HD_ORDER_AGE_NS, of an effect that is gone, or overtaken by a silence:
  * the servo calls for one as soon as the forces are no longer fully on. What may be playing then is stopped first of
- * all. What plays ends by itself in any case: effects are finite, and nothing renews them. */
+ * all, and so it is where the device is not whole: a pause would hold it, and play the rest of it afterwards. What
+ * plays ends by itself in any case: effects are finite, and nothing renews them. */
 #ifndef HD_PLAYER_H
 #define HD_PLAYER_H
 
@@ -52,7 +53,8 @@ struct hd_played {
     uint32_t known;       /* bit: that message was sent */
     uint32_t aimed;       /* it has a direction */
     double direction_rad; /* that was sent last */
-    int64_t until_ns;     /* it may play until then */
+    int64_t until_ns;     /* it may play until then; INT64_MAX: its start is perhaps still being written */
+    int64_t duration_ns;
     uint32_t stop_length;
     uint8_t stop[HD_HID_REPORT_BYTES];
 };
@@ -67,6 +69,7 @@ struct hd_player {
     uint32_t next;                          /* message of it */
     uint32_t silence;                       /* how many were answered */
     uint32_t stopping;                      /* bit: place that is to be stopped */
+    uint32_t started;                       /* bit: place whose start came last */
     int64_t since_ns;
 };
 
@@ -76,7 +79,7 @@ void hd_player_init(struct hd_player *player, const struct hd_orders *orders);
 int hd_player_offer(struct hd_player *player, const struct hd_hid_offers *effects);
 /* The writer: the next report, into `bytes` [HD_HID_REPORT_BYTES]; its length, 0: there is none. It counts as written.
  * `since_ns`: the device's effects are as they were made then, and older orders are of no connection. `open`: 0 while
- * the device is not whole, so that orders end unsent. */
+ * the device is not whole, so that what plays is stopped and orders end unsent. */
 uint32_t hd_player_next(struct hd_player *player, struct hd_orders *orders, int64_t now_ns, int64_t since_ns, int open,
                         uint8_t *bytes);
 

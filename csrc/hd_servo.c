@@ -273,10 +273,10 @@ HD_RT static void leave_sample(struct hd_servo *servo, const struct hd_sample *s
     hd_ring_commit(&servo->samples);
 }
 
-/* What the device plays by itself; none of it once the forces are no longer fully on. */
+/* What the device plays by itself; none of it once the forces or the vibration are no longer fully on. */
 HD_RT static void offload(struct hd_servo *servo, int64_t now_ns) {
     struct hd_state *state = servo->state;
-    const int fully = state->enabled && state->gain == 1.0;
+    const int fully = state->enabled && state->gain == 1.0 && state->show_vibration == 1.0;
     if (!fully && servo->offloading) {
         hd_hid_step_silence(servo->device.hid);
     }

@@ -91,6 +91,8 @@ class FakePid:
         while True:
             try:
                 report = self.theirs.recv(4096)
+            except ConnectionResetError:
+                continue  # it was closed with positions unread; what it wrote before is still to be read
             except OSError:
                 return
             if not report:

@@ -119,6 +119,8 @@ class ReportField:
     logical_max: int
     physical_min: int
     physical_max: int
+    is_physical_stale: bool
+    """The physical range was given for another logical one, and stands only because nothing took it back."""
     unit: int
     unit_exponent: int
     flags: FieldFlag
@@ -205,6 +207,8 @@ class _Globals:
     logical_max: _Number = dataclasses.field(default_factory=_Number)
     physical_min: _Number = dataclasses.field(default_factory=_Number)
     physical_max: _Number = dataclasses.field(default_factory=_Number)
+    physical_of: tuple[int, int] | None = None
+    """The logical range of the field that the physical one was given for; None until there is one."""
     unit_exponent: int = 0
     unit: int = 0
     report_size: int = 0
@@ -356,8 +360,10 @@ class _Parser:
                 state.logical_max = number
             case "Physical Minimum":
                 state.physical_min = number
+                state.physical_of = None
             case "Physical Maximum":
                 state.physical_max = number
+                state.physical_of = None
             case "Unit Exponent":
                 state.unit_exponent = value - 16 if 8 <= value <= 15 else number.signed
             case "Unit":
@@ -491,6 +497,8 @@ class _Parser:
         if logical[0] > logical[1] and FieldFlag.CONSTANT not in flags:
             raise _error(at, name, f"its logical minimum {logical[0]} lies above its maximum {logical[1]}")
         physical = _range(state.physical_min, state.physical_max)
+        state.physical_of = state.physical_of or logical
+        stale = physical != (0, 0) and state.physical_of != logical
         if physical == (0, 0):
             physical = logical
         self._fields.append(
@@ -505,6 +513,7 @@ class _Parser:
                 logical_max=logical[1],
                 physical_min=physical[0],
                 physical_max=physical[1],
+                is_physical_stale=stale,
                 unit=state.unit,
                 unit_exponent=state.unit_exponent,
                 flags=flags,

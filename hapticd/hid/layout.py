@@ -6,6 +6,9 @@ is taken for granted: ids, sizes, offsets, ranges, and whether commands are an a
 A report is known by the collection around its fields. What it consists of must share one report id; a report that
 stands in the descriptor twice is taken where it is complete, and first of all beside the constant force.
 
+A physical range that was given for another logical one, of an earlier field, is not taken for this one's: a duration
+would become minutes. Where that is so the logical range counts, as without a physical one.
+
 A field whose logical range is wider than its bits: refused where it carries a scale (axes, magnitudes), since the scale
 is not known then; elsewhere the range is cut to what the bits hold.
 """
@@ -427,14 +430,16 @@ class _Group:
             fault = "is empty" if low == high else f"does not fit into its {size} bits"
             self.problems.append(f"{where}: its range, {has}, {fault}")
             return None
+        physical = (field.physical_min, field.physical_max)
+        if field.is_physical_stale:
+            physical = (field.logical_min, field.logical_max)
         return Field(
             field.report_id,
             offset,
             size,
             low,
             high,
-            field.physical_min,
-            field.physical_max,
+            *physical,
             field.unit,
             field.unit_exponent,
         )

@@ -537,6 +537,11 @@ def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
         if effect is not None:
             assert angle is not None
             report.put(angle, _angle_counts(angle, effect.from_turns))
+    elif angle is not None and effect is not None:
+        # Without Direction Enable there is a direction for each axis; firmware that takes it for a factor has no
+        # force along x where it is 0.
+        for field in to.direction:
+            report.put(field, _angle_counts(field, effect.from_turns))
     if not by_angle or to.direction_enable is None:
         for name, field in to.axes_enable.items():
             # A device of one axis has it under any name.

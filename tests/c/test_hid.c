@@ -261,6 +261,34 @@ static void on_change(void) {
     close_pair(fds);
 }
 
+/* A report right behind another that was held up: a device of full speed reports no faster than its frames, also one
+ * that reports only what changes. Else every jitter of the reader would make the handle jump. */
+static void on_change_held_up(void) {
+    struct hd_hid_plan changes = plan;
+    struct hd_look look;
+    struct hd_hid *hid;
+    int fds[2];
+
+    changes.on_change = 1;
+    open_pair(fds);
+    hid = connected(fds[OURS], &changes);
+    for (int i = 1; i <= 24; i++) {
+        /* The device's own time: 2 ms, and now and then none. */
+        const int64_t until_ns = hd_clock_now_ns() + (i > 8 && i % 4 == 0 ? 0 : 2000000);
+        while (hd_clock_now_ns() < until_ns) {
+        }
+        tell(fds[DEVICE], i, 0);
+        do {
+            look = await_fresh(hid);
+        } while (!near(look.reading.position_m[0], 1e-5 * i));
+        if (i > 8 && i % 4 == 0) {
+            CHECK(look.reading.interval_s > 0.4e-3);
+        }
+    }
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
 static void states(void) {
     const uint32_t actuators = 1u << (HD_HID_ACTUATORS - 1);
     struct hd_hid_status status;
@@ -658,6 +686,46 @@ static void unplugged(void) {
     hd_hid_free(hid);
 }
 
+/* An error that leaves the device there: it is left without a force. */
+static void failed(void) {
+    struct hd_hid *hid;
+    int fds[2];
+
+    open_pair(fds);
+    hid = connected(fds[OURS], &plan);
+    expect(fds[DEVICE], 5, 0);
+    expect(fds[DEVICE], 6, 0);
+    put(hid, 5.0, 0.0);
+    expect(fds[DEVICE], 5, 500);
+    CHECK(send(fds[DEVICE], "", 0, MSG_NOSIGNAL) == 0); /* read() says that there is nothing more to come */
+    expect(fds[DEVICE], 5, 0);
+    expect(fds[DEVICE], 6, 0);
+    expect(fds[DEVICE], 8, 1);
+    expect(fds[DEVICE], 9, 2);
+    CHECK(hd_hid_disconnect(hid, 0) == ENODEV && status_of(hid).error == ENODEV);
+    expect_silence(fds[DEVICE]);
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
+/* A connection that has not said where its handle is, after one that had. */
+static void replaced(void) {
+    struct hd_hid *hid;
+    int fds[2];
+
+    open_pair(fds);
+    hid = connected(fds[OURS], &plan);
+    CHECK(!look_at(hid).gone); /* the servo counts the time until there is a position */
+    tell(fds[DEVICE], 1, 0);
+    CHECK(!await_fresh(hid).gone);
+    CHECK(hd_hid_disconnect(hid, 0) == 0 && hd_hid_connect(hid, &plan, fds[OURS], 0) == HD_OK);
+    CHECK(look_at(hid).gone && !look_at(hid).fresh && look_at(hid).connection == 1);
+    tell(fds[DEVICE], 1, 0);
+    CHECK(!await_fresh(hid).gone && look_at(hid).connection == 2);
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
 static void fill(int fd) {
     uint8_t bytes[64] = {99};
 
@@ -667,10 +735,11 @@ static void fill(int fd) {
 }
 
 /* A device that takes nothing: the servo's side goes on, the end is bounded, and what hangs in write() touches nothing
- * when it comes back. */
+ * when it comes back; but what it then leaves the device with is no force. */
 static void stuck(int flags) {
     struct hd_hid *hid = hd_hid_new();
     uint8_t bytes[64];
+    int held[2] = {0, 0}; /* counts of x and y that came last */
     ssize_t length;
     int first[2];
     int second[2];
@@ -678,16 +747,18 @@ static void stuck(int flags) {
     CHECK(hid != NULL);
     open_pair(first);
     open_pair(second);
-    fill(first[OURS]);
     CHECK(fcntl(first[OURS], F_SETFL, flags) == 0);
     CHECK(hd_hid_connect(hid, &plan, first[OURS], 0) == HD_OK);
+    expect(first[DEVICE], 5, 0);
+    expect(first[DEVICE], 6, 0);
+    fill(first[OURS]);
     for (int i = 1; i <= 1000; i++) {
         put(hid, 0.001 * i, 1.0);
         tell(first[DEVICE], i, 0);
         while (!near(await_fresh(hid).reading.position_m[0], 1e-5 * i)) {
         }
     }
-    CHECK(status_of(hid).writes == 0 && status_of(hid).connected);
+    CHECK(status_of(hid).writes == 2 && status_of(hid).connected);
     CHECK(hd_hid_disconnect(hid, 1) == ETIMEDOUT);
     close(first[OURS]);
     CHECK(hd_hid_connect(hid, &plan, second[OURS], 0) == HD_OK);
@@ -697,8 +768,12 @@ static void stuck(int flags) {
     expect(second[DEVICE], 5, 100);
     hd_hid_free(hid);
     /* The thread that was given up has the last descriptor of this end: it ends after it has left write(). */
-    while ((length = recv(first[DEVICE], bytes, sizeof bytes, 0)) > 0)
-        CHECK(bytes[0] == 99 || bytes[0] == 5);
+    while ((length = recv(first[DEVICE], bytes, sizeof bytes, 0)) > 0) {
+        CHECK(bytes[0] == 99 || bytes[0] == 5 || bytes[0] == 6);
+        if (bytes[0] != 99)
+            held[bytes[0] - 5] = (int16_t)(bytes[1] | bytes[2] << 8);
+    }
+    CHECK(held[0] == 0 && held[1] == 0);
     CHECK(length == 0 || errno == ECONNRESET);
     close(first[DEVICE]);
     close_pair(second);
@@ -918,6 +993,7 @@ int main(void) {
     positions();
     kinds_of_reports();
     on_change();
+    on_change_held_up();
     states();
     forces();
     end_of_a_slow_one();
@@ -928,6 +1004,8 @@ int main(void) {
     paused();
     safety_switch();
     unplugged();
+    failed();
+    replaced();
     stuck(0);
     stuck(O_NONBLOCK);
     with_servo(HD_CLOCK_TIMER);

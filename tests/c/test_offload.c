@@ -174,6 +174,7 @@ static void what_is_not(void) {
     expect(bench, 0, 0, 0);
     strike(bench, 101, 0.0, -1.0); /* has long ended by itself */
     expect(bench, 23, 0, -1);
+    expect(bench, 0, 0, 0);
     bench->now_ns += 1000 * MS;
     hd_orders_silence(&bench->orders);
     expect(bench, 0, 0, 0);
@@ -197,6 +198,39 @@ static void what_is_not(void) {
         strike(bench, 101, 0.0, -1.0);
     CHECK(hd_orders_put(&bench->orders, bench->now_ns, 101, (double[2]){0.0, 1.0}) == HD_ERR_FULL);
     CHECK(lost(bench) == 8);
+    free(bench);
+}
+
+/* What plays is stopped wherever it could go on unseen. */
+static void what_is_stopped(void) {
+    struct bench *bench = bench_new(2);
+
+    for (int i = 0; i < 3; i++) {
+        strike(bench, 102, 0.0, -1.0);
+        expect(bench, 20, 1, 0);
+        expect(bench, 21, 1, 10);
+        expect(bench, 22, 1, 12);
+        expect(bench, 23, 1, -1);
+        switch (i) {
+        case 0: /* its start took a second to write, so that it has only just begun */
+            bench->now_ns += 1000 * MS;
+            hd_orders_silence(&bench->orders);
+            break;
+        case 1: /* a pause, which would hold it */
+            bench->open = 0;
+            break;
+        default: /* one that was over before the writer saw it */
+            bench->now_ns += MS;
+            bench->since_ns = bench->now_ns;
+            break;
+        }
+        expect(bench, 24, 1, -1);
+        expect(bench, 0, 0, 0);
+        bench->open = 1;
+        bench->now_ns += MS;
+        bench->since_ns = bench->now_ns;
+        expect(bench, 0, 0, 0);
+    }
     free(bench);
 }
 
@@ -380,7 +414,8 @@ static void connection(void) {
     HEAR(fds[1], 24, 3);
     hd_hid_step_strike(hid, later_ns, 9, up);
     HEAR(fds[1], 23, 3);
-    CHECK(send(fds[1], (const uint8_t[]){2, 1}, 2, 0) == 2); /* reset: its effects are gone */
+    CHECK(send(fds[1], (const uint8_t[]){2, 1}, 2, 0) == 2); /* reset: its effects are gone, or they were paused */
+    HEAR(fds[1], 24, 3);
     CHECK(hd_hid_wait(hid, PATIENCE_S * 1000 * MS) == 1);
     hd_hid_step_strike(hid, later_ns, 9, up);
     do {
@@ -400,6 +435,88 @@ static void connection(void) {
     HEAR(fds[1], 23, 3);
     CHECK(hd_hid_disconnect(hid, 1) == 0 && !hd_hid_step_offers(hid));
     CHECK(hd_hid_offer(hid, &effects) == HD_OK && !hd_hid_step_offers(hid));
+    hd_hid_free(hid);
+    close(fds[0]);
+    close(fds[1]);
+}
+
+/* What plays is stopped when the vibration is switched off, as when the forces are. */
+static void without_vibration(void) {
+    const struct hd_hid_plan plan = {
+        .axes = {{.field = {0, 16, 1, 0}, .report_id = 1, .m_per_count = 1e-5},
+                 {.field = {16, 16, 1, 0}, .report_id = 1, .m_per_count = -1e-5}},
+        .on_change = 1,
+    };
+    const struct hd_servo_config config = {.device_timeout_s = PATIENCE_S,
+                                           .rate_hz = 1000.0,
+                                           .cpu = -1,
+                                           .slot_capacity = 1,
+                                           .sample_capacity = 64,
+                                           .resolution_m = 1e-5,
+                                           .forces_on = 1};
+    struct hd_table table = {.revision = 1,
+                             .display_force = 1,
+                             .display_vibration = 1,
+                             .all_changed = 1,
+                             .period_s = 1e-3,
+                             .max_force_n = 8.0,
+                             .max_speed_m_per_s = 1000.0,
+                             .ramp_s = 0.005,
+                             .ramp_step = 0.2};
+    const struct hd_command play = {.kind = HD_COMMAND_PLAY,
+                                    .revision = 1,
+                                    .direction = {0.0, 1.0},
+                                    .amplitude = 1.0,
+                                    .mode = {.rotor_re = 0.5,
+                                             .decay_rate_per_s = 700.0,
+                                             .angular_frequency_rad_per_s = 400.0,
+                                             .end_s = 0.007,
+                                             .peak = 0.2,
+                                             .peak_time_s = 1e-3,
+                                             .effect = 9,
+                                             .effect_force_per_unit = 2.0,
+                                             .effect_peak = 1.0,
+                                             .effect_s = 0.02}};
+    struct hd_hid_offers effects = {.count = 1, .effects = {effect(9, 3)}};
+    struct hd_hid *hid = hd_hid_new();
+    struct hd_servo *servo = hd_servo_new(&config, NULL, hid);
+    struct hd_hid_status status = {.strikes = 0};
+    uint8_t bytes[HD_HID_REPORT_BYTES];
+    struct hd_grant grant;
+    uint64_t sequence;
+    uint64_t tick;
+    int stopped = 0;
+    int fds[2];
+
+    effects.effects[0].duration_ns = 200 * MS;
+    CHECK(servo != NULL && hd_servo_publish(servo, &table) == HD_OK);
+    CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET, 0, fds) == 0);
+    CHECK(send(fds[1], (const uint8_t[]){1, 0, 0, 0, 0}, 5, 0) == 5);
+    CHECK(hd_hid_connect(hid, &plan, fds[0], 0) == HD_OK && hd_hid_offer(hid, &effects) == HD_OK);
+    CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    while (!stopped) { /* again, where all of this was so slow that the effect had ended */
+        struct pollfd polled = {.fd = fds[1], .events = POLLIN};
+        const uint64_t before = status.strikes;
+
+        do { /* until the forces are on and one is in time */
+            CHECK(hd_servo_send(servo, &play, 1, &sequence) == HD_OK);
+            CHECK(hd_servo_wait_command(servo, sequence, PATIENCE_S * 1000 * MS, &tick) == HD_OK);
+            hd_servo_beat(servo);
+            hd_hid_status(hid, &status);
+        } while (status.strikes == before);
+        for (int on = 0; on < 2; on++) {
+            table.revision++;
+            table.display_vibration = (uint32_t)on;
+            CHECK(hd_servo_publish(servo, &table) == HD_OK);
+            CHECK(hd_servo_wait_revision(servo, table.revision, PATIENCE_S * 1000 * MS, &tick) == HD_OK);
+        }
+        while (!stopped && poll(&polled, 1, 100) > 0) {
+            CHECK(recv(fds[1], bytes, sizeof bytes, 0) >= 2);
+            stopped = bytes[0] == 24 && bytes[1] == 3;
+        }
+    }
+    CHECK(hd_servo_stop(servo) == HD_OK);
+    hd_servo_free(servo);
     hd_hid_free(hid);
     close(fds[0]);
     close(fds[1]);
@@ -574,10 +691,12 @@ int main(void) {
     alarm(PATIENCE_S);
     what_is_sent();
     what_is_not();
+    what_is_stopped();
     range();
     refusals();
     threads();
     connection();
+    without_vibration();
     within_the_limit();
     carried_modes();
     printf("test_offload: ok\n");

@@ -116,6 +116,16 @@ class World:
 
         self.until(settled)
 
+    def arrived(self, engine: Engine, depth_m: float) -> None:
+        """Waits until the servo has seen the handle there."""
+        room = records(SAMPLE_DTYPE, 16384)
+
+        def seen() -> bool:
+            count, _ = engine.read_samples(room)
+            return bool(count) and abs(room["position_m"][count - 1, 1] + depth_m) < 1e-5
+
+        self.until(seen)
+
     def contacts(self, engine: Engine) -> npt.NDArray[np.void]:
         """The contact events since the last look."""
         room = records(EVENT_DTYPE, 4096)

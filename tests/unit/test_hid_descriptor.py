@@ -120,6 +120,24 @@ def test_physical_range_and_unit() -> None:
     assert (negative.physical_min, negative.physical_max, negative.unit_exponent) == (-10000, 10000, -3)
 
 
+def test_a_physical_range_that_stands_from_another_field() -> None:
+    """It stands, as the specification has it; that it was given for another logical range is told."""
+
+    def one(*items: bytes) -> bytes:
+        return usage(0x30) + b"".join(items) + size(8) + data(INPUT)
+
+    items = (
+        one(logical(0, 1)),  # none
+        one(physical(1, 40), logical(1, 40)),
+        one(logical(1, 40)),  # the same again
+        one(logical(0, 99)),
+        push() + one(logical(0, 50), physical(0, 500)) + pop() + one(logical(0, 50)),
+        one(physical(0, 0)),
+    )
+    told = [(field.physical_max, field.is_physical_stale) for field in stick(*items).fields]
+    assert told == [(1, False), (40, False), (40, False), (40, True), (500, False), (40, True), (50, False)]
+
+
 def test_a_logical_minimum_above_the_maximum() -> None:
     with pytest.raises(DescriptorError, match=r"byte \d+ \(Input\): its logical minimum 5 lies above its maximum 4"):
         stick(usage(0x30), logical(5, 4), size(8), data(INPUT))

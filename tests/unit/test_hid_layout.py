@@ -432,6 +432,18 @@ def test_seconds() -> None:
     assert effect.gain.seconds_per_count() is None
 
 
+def test_a_physical_range_of_an_earlier_field_is_no_scale() -> None:
+    """A duration of 1 ms a count, whatever range the effect types before it were given."""
+    whole = bytes(Joystick())
+    own = logical(0, 32767) + physical(0, 32767)
+    first = whole.index(own)  # of Duration; Effect Type before it has 1 to 11
+    stale = whole[:first] + logical(0, 32767) + whole[first + len(own) :]
+    effect, expected = layout(stale).set_effect, layout(whole).set_effect
+    assert effect is not None and expected is not None
+    assert effect.duration == expected.duration
+    assert effect.duration.seconds_per_count() == pytest.approx(1e-3)
+
+
 @pytest.mark.parametrize(
     ("items", "turn"),
     [

@@ -458,6 +458,7 @@ def test_nothing_is_played_while_forces_are_off_and_what_plays_is_stopped(ringin
     # A fade under way: a strike is no strike of the device.
     engine.play(MODE, "coefficient", (0.0, 1.0), 10.0)
     ringing.hold(0.004)
+    ringing.arrived(engine, 0.004)
     engine.set_forces(True)
     stick.wait(pressed(stick, 0.004))
     assert len(stick.strikes) == 1

@@ -382,6 +382,21 @@ def test_directions_that_are_parts_of_a_vector_are_not_taken_for_angles() -> Non
         ways_of(signless, hid())
 
 
+@pytest.mark.parametrize("directions", [1, 2, 3])
+def test_without_direction_enable_the_direction_is_told_beside_the_axis(directions: int) -> None:
+    """Common firmware takes the sine or cosine of an axis's direction, or of the first, for a factor of its force."""
+    with joystick(Joystick(without=frozenset({0x56}), directions=directions)) as stick:
+        driver(stick).set_up(stick.device)
+        to = stick.layout.set_effect
+        assert to is not None and to.direction_enable is None and len(to.direction) == directions
+        along_x, along_y = (effect.set_effect for effect in stick.effects.values())
+        for report, enabled, turns in ((along_x, "x", 0.75), (along_y, "y", 0.5)):
+            assert [name for name, field in to.axes_enable.items() if number(report, field)] == [enabled]
+            assert [number(report, field) / 255 for field in to.direction] == pytest.approx(
+                [turns] * directions, abs=2e-3
+            )
+
+
 @pytest.mark.parametrize("usage", [0x30, 0x31])
 def test_the_one_axis_that_pushes_is_enabled_whichever_it_is(usage: int) -> None:
     with joystick(Joystick(force_axes=(usage,), directions=0, direction_bits=0)) as stick:
