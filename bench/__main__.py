@@ -15,7 +15,20 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import closed_loop, command, crowd, features, lateness, link, offline, resources, telemetry, tick, velocity
+from bench import (
+    closed_loop,
+    command,
+    crowd,
+    displayed,
+    features,
+    lateness,
+    link,
+    offline,
+    resources,
+    telemetry,
+    tick,
+    velocity,
+)
 from bench.report import ROOT, Advance, Options, Section, Table, machine
 from hapticd.errors import HapticdError
 
@@ -72,6 +85,7 @@ MEASUREMENTS: dict[str, tuple[str, Callable[[Options, Advance], Section]]] = {
     "telemetry": ("ten subscribers, one dead", telemetry.run),
     "resources": ("start, memory, processor time", resources.run),
     "loop": ("closed-loop error against the cost of the tick", closed_loop.run),
+    "displayed": ("what the handle makes of a strike, compensated or not, and what a tail costs", displayed.run),
     "link": ("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run),
     "velocity": ("velocity estimators: error and cost", _velocity),
 }

@@ -27,18 +27,32 @@ enum hd_status {
 
 /* ---- What a table holds ------------------------------------------------------------------------------------ */
 
-/* A decaying sinusoid A exp(-B t) sin(w t), t >= 0, prepared for one tick period T. */
+/* A decaying sinusoid A exp(-B t) sin(w t), t >= 0, prepared for one tick period T. What is played of it is the
+ * coefficient (force per unit) times
+ *
+ *     Im(gain exp((-B + i w) t)) up to end_s  +  Im(tail exp((-B' + i w') t)) up to tail_end_s,
+ *
+ * with a gain of 1 and no tail where the device is not compensated for (docs/adr/0016). */
 struct hd_mode {
     double rotor_re; /* exp((-B + i w) T) */
     double rotor_im;
     double decay_rate_per_s;            /* B */
     double angular_frequency_rad_per_s; /* w */
     double end_s;                       /* 5/B: sounds while t_k - t_last <= end_s */
-    double peak;                        /* first maximum of exp(-B t) sin(w t) */
+    double peak;                        /* largest magnitude of all that, or more; of the bare mode its first maximum */
     double peak_time_s;                 /* where it is */
     double amplitude_per_unit;          /* m/s^2 of A per unit of what excites it (m/s for a tap, 1 for a rupture) */
     double force_per_unit;              /* N of coefficient per the same unit; 0: nothing is struck */
-    uint32_t effect;                    /* id of the hd_hid_offer that a device may play instead; 0: none */
+    double gain_re;
+    double gain_im;
+    double tail_rotor_re; /* exp((-B' + i w') T) */
+    double tail_rotor_im;
+    double tail_decay_rate_per_s;            /* B' */
+    double tail_angular_frequency_rad_per_s; /* w' */
+    double tail_end_s;                       /* 5/B'; 0: there is no tail */
+    double tail_re;
+    double tail_im;
+    uint32_t effect; /* id of the hd_hid_offer that a device may play instead; 0: none */
     uint32_t unused;
     double effect_force_per_unit; /* N of coefficient per the same unit, where the effect is played */
     double effect_peak;           /* the largest level of the effect over the coefficient */

@@ -92,6 +92,7 @@ struct hd_slot {
     struct hd_plane from_plane;
     struct hd_skin skin;
     struct hd_skin from_skin;
+    uint32_t tail[HD_MODE_USES]; /* as `voice`, of the tails; last, because few ever ring */
 };
 
 /* Two numbers, of x and of y, that are computed with as one. */
@@ -105,7 +106,7 @@ struct hd_voice {
     uint32_t left; /* ticks that it still sounds after this one */
     uint32_t slot;
     uint32_t generation;
-    uint32_t use; /* enum hd_mode_use */
+    uint32_t use; /* enum hd_mode_use; of a tail HD_MODE_USES more */
 };
 
 struct hd_strike {

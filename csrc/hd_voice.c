@@ -1,5 +1,8 @@
 /* Ringing modes, Q(t) = A exp(-B t) sin(w t) for 0 <= t <= 5/B, then exactly zero.
  *
+ * A mode that is compensated for the device begins as gain A instead of A, a complex number, and may have a tail: a
+ * second such voice, struck together with it, with a decay and an end of its own.
+ *
  * Each mode is z[k+1] = z[k] exp((-B + i w) T), heard as Im z: the closed form of the sampled signal, so that the only
  * error is rounding (about k eps after k ticks). z has a component along x and one along y; both turn with one rotor,
  * so strikes along any direction add linearly. A mode ends by a count of ticks that was computed from the closed form
@@ -16,11 +19,29 @@
 #define HD_SMALLEST_SQUARE 1e-290
 #define HD_VOICES_COMPARED 16u
 
+/* What is struck, of a mode or of its tail. */
+struct part {
+    double rotor_re;
+    double rotor_im;
+    double decay_rate_per_s;
+    double angular_frequency_rad_per_s;
+    double end_s;
+    double gain_re;
+    double gain_im;
+    uint32_t use;
+};
+
+/* Where a slot keeps the place of its voice for `use`. */
+HD_RT static uint32_t *known_place(struct hd_slot *slot, uint32_t use) {
+    return use < HD_MODE_USES ? &slot->voice[use] : &slot->tail[use - HD_MODE_USES];
+}
+
 /* The slot that knows a voice by its place learns another one. */
 HD_RT static void repoint(struct hd_state *state, uint32_t index, uint32_t place) {
     const struct hd_voice *voice = &state->voices[index];
-    if (voice->slot < state->slot_capacity && state->slots[voice->slot].voice[voice->use] == index + 1u) {
-        state->slots[voice->slot].voice[voice->use] = place;
+    if (voice->slot < state->slot_capacity) {
+        uint32_t *known = known_place(&state->slots[voice->slot], voice->use);
+        *known = *known == index + 1u ? place : *known;
     }
 }
 
@@ -118,15 +139,16 @@ HD_RT static int64_t ticks_left(double end_s, double before_s, double period_s) 
 
 /* The mode's own voice, if it rings. What is played has no slot and is known by its mode. A mode that has become
  * another one since (another material, or another patch of the surface) goes on ringing on its own. */
-HD_RT static struct hd_voice *find_voice(struct hd_state *state, const struct hd_strike *strike) {
+HD_RT static struct hd_voice *find_voice(struct hd_state *state, const struct hd_strike *strike,
+                                         const struct part *part) {
     if (strike->slot < state->slot_capacity) {
-        const uint32_t index = state->slots[strike->slot].voice[strike->use];
+        const uint32_t index = *known_place(&state->slots[strike->slot], part->use);
         if (index == 0) {
             return NULL;
         }
         struct hd_voice *voice = &state->voices[index - 1];
-        if (voice->generation == strike->generation && voice->rotor_re == strike->mode->rotor_re &&
-            voice->rotor_im == strike->mode->rotor_im) {
+        if (voice->generation == strike->generation && voice->rotor_re == part->rotor_re &&
+            voice->rotor_im == part->rotor_im) {
             return voice;
         }
         voice->slot = HD_NO_SLOT;
@@ -134,15 +156,15 @@ HD_RT static struct hd_voice *find_voice(struct hd_state *state, const struct hd
     }
     for (uint32_t i = 0; i < state->voice_count; i++) {
         struct hd_voice *voice = &state->voices[i];
-        const struct hd_mode *mode = strike->mode;
-        if (voice->slot == strike->slot && voice->rotor_re == mode->rotor_re && voice->rotor_im == mode->rotor_im) {
+        if (voice->slot == strike->slot && voice->use == part->use && voice->rotor_re == part->rotor_re &&
+            voice->rotor_im == part->rotor_im) {
             return voice;
         }
     }
     return NULL;
 }
 
-HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_strike *strike) {
+HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_strike *strike, uint32_t use) {
     if (state->voice_count == HD_VOICE_CAPACITY) {
         /* The one nearest its end among a few, so that a tick that strikes thousands stays bounded. */
         uint32_t nearest = state->strike_count % HD_VOICE_CAPACITY;
@@ -157,35 +179,67 @@ HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_
         remove_voice(state, nearest);
     }
     struct hd_voice *voice = &state->voices[state->voice_count++];
-    *voice = (struct hd_voice){.slot = strike->slot, .generation = strike->generation, .use = strike->use};
+    *voice = (struct hd_voice){.slot = strike->slot, .generation = strike->generation, .use = use};
     if (strike->slot < state->slot_capacity) {
-        state->slots[strike->slot].voice[strike->use] = state->voice_count;
+        *known_place(&state->slots[strike->slot], use) = state->voice_count;
     }
     return voice;
+}
+
+HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *strike, const struct part *part,
+                              const double force_n[2], double period_s) {
+    const int64_t left = ticks_left(part->end_s, strike->before_s, period_s);
+    const double gain = part->gain_re * part->gain_re + part->gain_im * part->gain_im;
+    const double square = gain * (force_n[0] * force_n[0] + force_n[1] * force_n[1]);
+    if (left < 0 || !(square > HD_SMALLEST_SQUARE)) {
+        return; /* over before this tick, or nothing */
+    }
+    struct hd_voice *voice = find_voice(state, strike, part);
+    if (voice == NULL) {
+        voice = new_voice(state, strike, part->use);
+    }
+    voice->rotor_re = part->rotor_re;
+    voice->rotor_im = part->rotor_im;
+    voice->left = (uint32_t)left;
+    double turned_re;
+    double turned_im;
+    polar(-part->decay_rate_per_s * strike->before_s, part->angular_frequency_rad_per_s * strike->before_s, &turned_re,
+          &turned_im);
+    const double re = part->gain_re * turned_re - part->gain_im * turned_im;
+    const double im = part->gain_re * turned_im + part->gain_im * turned_re;
+    for (int axis = 0; axis < 2; axis++) {
+        voice->re[axis] += force_n[axis] * re;
+        voice->im[axis] += force_n[axis] * im;
+        state->ringing_n[axis] += force_n[axis] * im;
+    }
 }
 
 HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
                             double period_s) {
     const struct hd_mode *mode = strike->mode;
-    const int64_t left = ticks_left(mode->end_s, strike->before_s, period_s);
-    const double square = force_n[0] * force_n[0] + force_n[1] * force_n[1];
-    if (left < 0 || !(square > HD_SMALLEST_SQUARE)) {
-        return; /* over before this tick, or nothing */
-    }
-    struct hd_voice *voice = find_voice(state, strike);
-    if (voice == NULL) {
-        voice = new_voice(state, strike);
-    }
-    voice->rotor_re = mode->rotor_re;
-    voice->rotor_im = mode->rotor_im;
-    voice->left = (uint32_t)left;
-    double re;
-    double im;
-    polar(-mode->decay_rate_per_s * strike->before_s, mode->angular_frequency_rad_per_s * strike->before_s, &re, &im);
-    for (int axis = 0; axis < 2; axis++) {
-        voice->re[axis] += force_n[axis] * re;
-        voice->im[axis] += force_n[axis] * im;
-        state->ringing_n[axis] += force_n[axis] * im;
+    const struct part own = {
+        .rotor_re = mode->rotor_re,
+        .rotor_im = mode->rotor_im,
+        .decay_rate_per_s = mode->decay_rate_per_s,
+        .angular_frequency_rad_per_s = mode->angular_frequency_rad_per_s,
+        .end_s = mode->end_s,
+        .gain_re = mode->gain_re,
+        .gain_im = mode->gain_im,
+        .use = strike->use,
+    };
+    strike_part(state, strike, &own, force_n, period_s);
+    if (mode->tail_end_s > 0.0) {
+        const struct part tail = {
+            .rotor_re = mode->tail_rotor_re,
+            .rotor_im = mode->tail_rotor_im,
+            .decay_rate_per_s = mode->tail_decay_rate_per_s,
+            .angular_frequency_rad_per_s = mode->tail_angular_frequency_rad_per_s,
+            .end_s = mode->tail_end_s,
+            .gain_re = mode->tail_re,
+            .gain_im = mode->tail_im,
+            .use = HD_MODE_USES + strike->use,
+        };
+        strike_part(state, strike, &tail, force_n, period_s);
     }
 }
 

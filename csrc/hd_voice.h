@@ -10,7 +10,7 @@
 HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods);
 /* An upper bound of what the ringing modes can add up to from now on. */
 HD_RT double hd_voices_bound(const struct hd_state *state);
-/* Adds a strike with the coefficient `force_n` (a vector) to its mode. */
+/* Adds a strike with the coefficient `force_n` (a vector) to its mode, and to the tail of that. */
 HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
                             double period_s);
 /* What is ringing goes on at `factor` of its amplitude. */

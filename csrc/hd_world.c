@@ -27,21 +27,37 @@ static int between(double value, double low, double high) {
 
 /* ---- Checks ------------------------------------------------------------------------------------------------- */
 
+/* What turns and decays, of a mode or of its tail. */
+static int ringing_check(double rotor_re, double rotor_im, double decay_rate_per_s, double angular_frequency_rad_per_s,
+                         const char *what, const char *tail) {
+    if (!between(rotor_re, -1.0, 1.0) || !between(rotor_im, -1.0, 1.0) ||
+        rotor_re * rotor_re + rotor_im * rotor_im > 1.0 + 1e-12) {
+        return hd_invalid("%s: %srotor (%g, %g) is not within the unit circle", what, tail, rotor_re, rotor_im);
+    }
+    if (!between(decay_rate_per_s, 0.0, HD_LARGEST) || !between(angular_frequency_rad_per_s, 0.0, HD_LARGEST)) {
+        return hd_invalid("%s: %sdecay rate %g and angular frequency %g must lie between 0 and %g", what, tail,
+                          decay_rate_per_s, angular_frequency_rad_per_s, HD_LARGEST);
+    }
+    return HD_OK;
+}
+
 int hd_mode_check(const struct hd_mode *mode, const char *what) {
     if (mode->force_per_unit == 0.0 && mode->end_s == 0.0 && mode->effect == 0) {
         return HD_OK; /* none */
     }
-    if (!between(mode->rotor_re, -1.0, 1.0) || !between(mode->rotor_im, -1.0, 1.0) ||
-        mode->rotor_re * mode->rotor_re + mode->rotor_im * mode->rotor_im > 1.0 + 1e-12) {
-        return hd_invalid("%s: rotor (%g, %g) is not within the unit circle", what, mode->rotor_re, mode->rotor_im);
+    if (ringing_check(mode->rotor_re, mode->rotor_im, mode->decay_rate_per_s, mode->angular_frequency_rad_per_s, what,
+                      "") < 0 ||
+        ringing_check(mode->tail_rotor_re, mode->tail_rotor_im, mode->tail_decay_rate_per_s,
+                      mode->tail_angular_frequency_rad_per_s, what, "tail's ") < 0) {
+        return HD_ERR_INVALID;
     }
-    if (!between(mode->decay_rate_per_s, 0.0, HD_LARGEST) ||
-        !between(mode->angular_frequency_rad_per_s, 0.0, HD_LARGEST)) {
-        return hd_invalid("%s: decay rate %g and angular frequency %g must lie between 0 and %g", what,
-                          mode->decay_rate_per_s, mode->angular_frequency_rad_per_s, HD_LARGEST);
+    if (!bounded(mode->gain_re) || !bounded(mode->gain_im) || !bounded(mode->tail_re) || !bounded(mode->tail_im) ||
+        !between(mode->tail_end_s, 0.0, HD_LARGEST)) {
+        return hd_invalid("%s: gain (%g, %g) or tail (%g, %g), which ends at %g s, is out of range", what,
+                          mode->gain_re, mode->gain_im, mode->tail_re, mode->tail_im, mode->tail_end_s);
     }
     if (!between(mode->end_s, 0.0, HD_LARGEST) || !between(mode->peak_time_s, 0.0, HD_LARGEST) ||
-        !between(mode->peak, 0.0, 1.0)) {
+        !between(mode->peak, 0.0, HD_LARGEST)) {
         return hd_invalid("%s: end %g s, peak %g at %g s are out of range", what, mode->end_s, mode->peak,
                           mode->peak_time_s);
     }

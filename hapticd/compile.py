@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd import noise
+from hapticd.compensation import Ringing
 from hapticd.core import (
     MATERIAL_DTYPE,
     NOISE_DTYPE,
@@ -39,7 +40,7 @@ from hapticd.core import (
     pointer,
     records,
 )
-from hapticd.displayable import Output, displayed_mode, displayed_pair
+from hapticd.displayable import Output, displayed_mode, displayed_pair, struck_shape
 from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.scene import Scene, SceneObject, Surface, Wall
@@ -99,24 +100,44 @@ def mode_record(
     decay, omega = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
     whole_force = output.effective_mass_kg * coefficient_per_unit
     force = 0.0
+    shape = None
     if shown is not None:
         omega = shown.angular_frequency_rad_per_s
         force = whole_force * factor
+        shape = struck_shape(shown, output)
     period = 1.0 / output.rate_hz
     rotor = cmath.exp(complex(-decay * period, omega * period))
     heard = mode if shown is None else shown
+    peak, peak_time_s, gain, tail = heard.peak, heard.peak_time_s, complex(1.0), _NO_TAIL
+    if shape is not None:
+        assert output.dynamics is not None
+        force = output.dynamics.mass_kg * coefficient_per_unit * factor
+        peak, peak_time_s, gain = shape.peak, shape.peak_time_s, shape.mode.gain
+        tail = _NO_TAIL if shape.tail is None else _tail_record(shape.tail, period)
     return (
         rotor.real,
         rotor.imag,
         decay,
         omega,
         5.0 / decay,
-        heard.peak,
-        heard.peak_time_s,
+        peak,
+        peak_time_s,
         amplitude_per_unit,
         force,
+        gain.real,
+        gain.imag,
+        *tail,
         *((0, 0, 0.0, 0.0, 0.0) if effect is None else (effect[0], 0, whole_force, effect[1], effect[2])),
     )
+
+
+_NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
+
+
+def _tail_record(tail: Ringing, period_s: float) -> tuple[float, ...]:
+    rotor = cmath.exp(tail.pole * period_s)
+    decay, omega = -tail.pole.real, tail.pole.imag
+    return rotor.real, rotor.imag, decay, omega, tail.end_s, tail.gain.real, tail.gain.imag
 
 
 def _struck(material: Material) -> Iterator[Mode]:

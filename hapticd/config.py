@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import Field, ValidationError, model_validator
 
+from hapticd.compensation import Compensation
 from hapticd.core import SIM_FORCES
 from hapticd.dynamics import Dynamics, Grip, Handle
 from hapticd.errors import InvalidError, Path, Problem, shown
@@ -164,6 +165,11 @@ class Device(Model):
         default=None, description="The handle, of a real joystick; by default the simulated one's."
     )
     grip: Grip | None = Field(default=None, description="The hand on it; by default the simulated one's, or none.")
+    compensation: Compensation = Field(
+        default="off",
+        description="Whether a strike makes up for what handle and hand do to it: not, for their mass and the hold of "
+        "the force, or for all of it.",
+    )
     # After those which its default is taken from.
     effective_mass_kg: float = Field(
         default_factory=_moving_mass_kg,
@@ -181,6 +187,14 @@ class Device(Model):
     def _recording_named(self) -> Self:
         if self.kind == "replay" and self.replay is None:
             raise ValueError("kind replay needs device.replay.path, a recording of `hapticd devices dump`")
+        return self
+
+    @model_validator(mode="after")
+    def _compensated_for_something(self) -> Self:
+        if self.compensation != "off" and self.dynamics is None:
+            raise ValueError(
+                f"compensation {self.compensation} needs device.handle, the mass and damping of the joystick's handle"
+            )
         return self
 
 

@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from typing import Final, Literal, TypeAlias
 
+from hapticd.compensation import LARGEST, Compensation, Shape, shape_of
+from hapticd.dynamics import Dynamics
 from hapticd.errors import Path, Problem, path_text, undisplayable_text
 from hapticd.materials import Material
 from hapticd.mode import Mode
@@ -39,6 +41,9 @@ class Output:
     undisplayable: Literal["mute", "lower"]
     link_rate_hz: float | None = None
     """Forces that the link to the device carries in a second; None: as many as there are ticks."""
+    compensation: Compensation = "off"
+    dynamics: Dynamics | None = None
+    """The device that strikes are compensated for; None: it is not known."""
 
     @property
     def carried_hz(self) -> float:
@@ -79,6 +84,14 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
     return lowered, mode.peak / lowered.peak
 
 
+def struck_shape(mode: Mode, output: Output) -> Shape | None:
+    """The force by which a mode that the rate can carry is struck; None where nothing is compensated."""
+    if output.compensation == "off":
+        return None
+    assert output.dynamics is not None
+    return shape_of(mode, output.dynamics, output.carried_hz, output.compensation)
+
+
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
     """Peak and mean (Hz) that the texture's filter is designed for; None where it is muted.
 
@@ -92,22 +105,24 @@ def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] |
     return highest, texture.mean_hz * (highest / texture.peak_hz)
 
 
+def modes_of(material: Material) -> list[tuple[Use, Mode]]:
+    """The modes of a material, and what strikes them."""
+    modes: tuple[tuple[Use, Mode | None], ...] = (
+        ("tap", None if material.tap is None else material.tap.mode),
+        ("rupture", None if material.rupture is None else material.rupture.mode),
+        ("groove", material.groove_mode),
+    )
+    return [(use, mode) for use, mode in modes if mode is not None]
+
+
 def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
     """The modes and textures of these materials that the rate cannot carry."""
     found: list[Undisplayable] = []
     for name, material in materials.items():
-        modes: tuple[tuple[Use, Mode | None], ...] = (
-            ("tap", None if material.tap is None else material.tap.mode),
-            ("rupture", None if material.rupture is None else material.rupture.mode),
-            ("groove", material.groove_mode),
-        )
-        for use, mode in modes:
-            if mode is not None:
-                shown, _ = displayed_mode(mode, output)
-                if shown is not mode:
-                    found.append(
-                        Undisplayable(name, use, mode.frequency_hz, None if shown is None else shown.frequency_hz)
-                    )
+        for use, mode in modes_of(material):
+            shown, _ = displayed_mode(mode, output)
+            if shown is not mode:
+                found.append(Undisplayable(name, use, mode.frequency_hz, None if shown is None else shown.frequency_hz))
         texture = material.texture
         if isinstance(texture, Stochastic) and texture.peak_hz > DISPLAYABLE * output.carried_hz:
             pair = displayed_pair(texture, output)
@@ -139,6 +154,7 @@ def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Materia
     """What of the scene is displayed, but not as it was meant, and how it is displayed then."""
     found: list[Problem] = []
     for name, material in _used(objects, materials):
+        found += _compensation_warnings(name, material, output)
         match material.texture:
             case Grooves() as texture:
                 found += _groove_warnings(name, texture, output)
@@ -163,6 +179,19 @@ def _texture_problem(material: str, key: str, problem: str) -> Problem:
 
 def _hz(frequency_hz: float) -> str:
     return f"{frequency_hz:.4g} Hz" if frequency_hz < 1000 else f"{frequency_hz:.15g} Hz"
+
+
+def _compensation_warnings(name: str, material: Material, output: Output) -> Iterator[Problem]:
+    for use, mode in modes_of(material):
+        shown, _ = displayed_mode(mode, output)
+        shape = None if shown is None else struck_shape(shown, output)
+        if shape is not None and shape.limited:
+            key: Path = ("texture",) if use == "groove" else (use,)
+            problem = (
+                f"needs more than {LARGEST:g} times the force that its amplitude is worth on this device, and is given "
+                f"that; its acceleration is off by {100 * shape.error:.2g} %"
+            )
+            yield Problem(path_text(("materials", name, *key)), problem)
 
 
 def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:

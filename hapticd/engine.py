@@ -82,6 +82,8 @@ def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None)
         max_speed_m_per_s=device.max_speed_m_per_s,
         undisplayable=device.undisplayable,
         link_rate_hz=link_rate_hz,
+        compensation=device.compensation,
+        dynamics=device.dynamics,
     )
 
 

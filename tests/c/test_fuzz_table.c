@@ -100,6 +100,7 @@ static void take_mode(struct source *source, double period_s, struct hd_mode *mo
         .peak_time_s = take_number(source, 0.0, 0.01),
         .amplitude_per_unit = scale * 20.0,
         .force_per_unit = scale,
+        .gain_re = 1.0,
     };
     switch (take_byte(source)) {
     case 0:
@@ -113,6 +114,17 @@ static void take_mode(struct source *source, double period_s, struct hd_mode *mo
         break;
     case 3:
         *mode = (struct hd_mode){0};
+        break;
+    case 4:
+        mode->gain_re = take_number(source, -2.0, 2.0);
+        mode->gain_im = take_number(source, -2.0, 2.0);
+        mode->tail_rotor_re = mode->rotor_re;
+        mode->tail_rotor_im = take_number(source, -1.0, 1.0);
+        mode->tail_decay_rate_per_s = b;
+        mode->tail_angular_frequency_rad_per_s = take_number(source, 0.0, 1000.0);
+        mode->tail_end_s = take_number(source, 0.0, 0.05);
+        mode->tail_re = take_number(source, -2.0, 2.0);
+        mode->tail_im = take_number(source, -2.0, 2.0);
         break;
     default:
         break;

@@ -52,7 +52,8 @@ static struct hd_mode make_mode(void) {
                             .peak = 0.5,
                             .peak_time_s = 1e-4,
                             .amplitude_per_unit = 300.0,
-                            .force_per_unit = uniform(0.0, 3.0)};
+                            .force_per_unit = uniform(0.0, 3.0),
+                            .gain_re = 1.0};
 }
 
 static void make_material(struct hd_material *material) {

@@ -537,6 +537,7 @@ static struct hd_mode mode(uint32_t id) {
                             .peak = 0.2,
                             .peak_time_s = 1e-3,
                             .amplitude_per_unit = 300.0,
+                            .gain_re = 1.0,
                             .effect = id,
                             .effect_force_per_unit = 1.0,
                             .effect_peak = 1.0 + 0.25 * id,

@@ -65,6 +65,7 @@ static struct hd_mode ringing(double frequency_hz, double decay_rate_per_s, doub
         .peak_time_s = peak_time_s,
         .amplitude_per_unit = force_per_unit / 0.05,
         .force_per_unit = force_per_unit,
+        .gain_re = 1.0,
     };
 }
 

@@ -104,6 +104,15 @@ static struct hd_mode ringing(void) {
         .peak_time_s = 0.001,
         .amplitude_per_unit = 300.0,
         .force_per_unit = 15.0,
+        .gain_re = 0.9,
+        .gain_im = -0.2,
+        .tail_rotor_re = 0.99,
+        .tail_rotor_im = 0.01,
+        .tail_decay_rate_per_s = 100.0,
+        .tail_angular_frequency_rad_per_s = 50.0,
+        .tail_end_s = 0.05,
+        .tail_re = 0.1,
+        .tail_im = -0.1,
     };
 }
 
@@ -409,13 +418,22 @@ static void refuses_modes(struct hd_world *world) {
         NOT_WITHIN(modes[i]->decay_rate_per_s, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->angular_frequency_rad_per_s, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->end_s, -1.0, 2e9, names[i]);
-        NOT_WITHIN(modes[i]->peak, -0.1, 1.1, names[i]);
+        NOT_WITHIN(modes[i]->peak, -0.1, 2e9, names[i]);
         NOT_WITHIN(modes[i]->peak_time_s, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->amplitude_per_unit, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->force_per_unit, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->effect_force_per_unit, -1.0, 2e9, names[i]);
         NOT_WITHIN(modes[i]->effect_peak, -0.1, 2e9, names[i]);
         NOT_WITHIN(modes[i]->effect_s, -0.1, 1.1, names[i]);
+        NOT_WITHIN(modes[i]->gain_re, -2e9, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->gain_im, -2e9, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->tail_rotor_re, -1.001, 1.001, names[i]);
+        NOT_WITHIN(modes[i]->tail_rotor_im, -1.001, 0.5, names[i]);
+        NOT_WITHIN(modes[i]->tail_decay_rate_per_s, -1.0, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->tail_angular_frequency_rad_per_s, -1.0, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->tail_end_s, -1.0, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->tail_re, -2e9, 2e9, names[i]);
+        NOT_WITHIN(modes[i]->tail_im, -2e9, 2e9, names[i]);
         TAKEN(*modes[i] = (struct hd_mode){0});
     }
 }

@@ -1,0 +1,227 @@
+"""What the handle does with a strike: displayed error of every material in three grips, and what a tail costs.
+
+The displayed error (hapticd/displayed.py) is the RMS of the difference between the handle's acceleration and the
+library's waveform over the RMS of the waveform, both limited to 30 Hz to 0.4 of the rate. Here it is measured on the
+motion: what `hapticd.render` gives for a tap, held from tick to tick, moves the linear device.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
+from bench.tick import FLOOR, STRETCH, Stretch
+from hapticd.compensation import Compensation, pole_gain, pole_shape, shape_of
+from hapticd.compile import Compiler
+from hapticd.config import load_config
+from hapticd.core import Flag
+from hapticd.displayed import band_error, handle_acceleration, waveform
+from hapticd.dynamics import Dynamics
+from hapticd.engine import output_of
+from hapticd.materials import shipped_materials
+from hapticd.mode import Mode
+from hapticd.offline import new_world, render
+
+RATE_HZ = 10_000.0
+RATES_HZ = (1000.0, 2000.0, 4000.0, 5000.0, 10_000.0)
+HANDLE = (0.04, 0.2)
+"""Mass and damping of the default simulated joystick."""
+GRIPS = {"light": (0.005, 2.0, 100.0), "default": (0.01, 5.0, 300.0), "firm": (0.02, 10.0, 600.0)}
+"""Mass, damping and stiffness of the hand: two fingers, the default hand, and twice the default."""
+MATERIALS = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel", "comb", "cellophane")
+AIM, GOAL = 0.13, 0.05
+FINER = 16
+PHASES = 8
+AT_TICK = 2.0**-20
+"""So much of a period an onset at a tick lies before it: an onset is a crossing."""
+LASTING_S = 0.25
+
+
+def modes() -> dict[str, Mode]:
+    """The tap of a material, the comb's groove, the membrane's rupture."""
+    found = {}
+    for name in MATERIALS:
+        material = shipped_materials()[name]
+        mode = material.tap.mode if material.tap is not None else material.groove_mode
+        if mode is None:
+            assert material.rupture is not None
+            mode = material.rupture.mode
+        found[name] = mode
+    return found
+
+
+def held(grip: str) -> Dynamics:
+    """The default handle in a grip."""
+    mass, damping, stiffness = GRIPS[grip]
+    return Dynamics(*HANDLE, 0.0, mass, damping, stiffness)
+
+
+def tapped(mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float) -> Floats:
+    """The force of a tap of A = 1 that began `part` of a period before the first of the samples."""
+    mass, damping, stiffness = GRIPS[grip]
+    hand = {"mass_kg": mass, "damping_n_s_per_m": damping, "stiffness_n_per_m": stiffness}
+    handle = {"mass_kg": HANDLE[0], "damping_n_s_per_m": HANDLE[1]}
+    speed = 1 / 64
+    tap = {
+        "attack_slope_per_s": 64,
+        "angular_frequency_rad_per_s": mode.angular_frequency_rad_per_s,
+        "decay_rate_per_s": mode.decay_rate_per_s,
+    }
+    config = {
+        "device": {"handle": handle, "grip": hand, "compensation": compensation, "max_force_n": 100},
+        "materials": {"it": {"stiffness_n_per_m": 0, "tap": tap}},
+        "scene": {"objects": {"floor": {**FLOOR, "material": "it"}}},
+    }
+    count = int(LASTING_S * rate_hz)
+    path = np.full((count + 1, 2), [0.0, -speed / rate_hz * part])
+    path[0, 1] = speed / rate_hz * (1 - part)
+    speeds = np.full((count + 1, 2), [0.0, -speed])
+    force: Floats = render(config, path, rate_hz, velocity_m_per_s=speeds)["vibration_force_n"][1:, 1]
+    return force
+
+
+def moved_error(mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float = AT_TICK) -> float:
+    """Displayed error of the motion. What the handle could not do before the first tick counts."""
+    force = tapped(mode, grip, compensation, rate_hz, part)
+    late = round(part * FINER)
+    moved = np.concatenate((np.zeros(late), handle_acceleration(force, held(grip), rate_hz, FINER)))
+    wanted = waveform(mode, len(moved), FINER * rate_hz)
+    return band_error(moved, wanted, FINER * rate_hz, 30.0, 0.4 * rate_hz)
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f}"
+
+
+def _errors(advance: Advance) -> list[str | Table]:
+    columns = ["material", "off", "mass", "C alone", "full", "tail", "largest force, m A", "any onset: off", "full"]
+    tables: list[str | Table] = []
+    worst: list[float] = []
+    phases = (np.arange(PHASES) + 0.5) / PHASES
+    for index, grip in enumerate(GRIPS):
+        rows = []
+        for name, mode in modes().items():
+            at_tick = {each: moved_error(mode, grip, each, RATE_HZ) for each in ("off", "mass", "full")}
+            alone = pole_shape(mode, held(grip), RATE_HZ, pole_gain(mode, held(grip), 1 / RATE_HZ))
+            shape = shape_of(mode, held(grip), RATE_HZ, "full")
+            largest = np.abs(tapped(mode, grip, "full", RATE_HZ, AT_TICK)).max() / held(grip).mass_kg
+            anywhere = [
+                float(np.sqrt(np.mean([moved_error(mode, grip, each, RATE_HZ, part) ** 2 for part in phases])))
+                for each in ("off", "full")
+            ]
+            worst.append(at_tick["full"])
+            tail = "none" if shape.tail is None else f"{1e3 * shape.tail.end_s:.1f} ms"
+            errors = [at_tick["off"], at_tick["mass"], alone.error, at_tick["full"]]
+            rows.append([name, *map(_percent, errors), tail, f"{largest:.2f}", *map(_percent, anywhere)])
+            advance(0.6 * (index + (len(rows) / len(MATERIALS))) / len(GRIPS), f"{grip}, {name}")
+        mass, damping, stiffness = GRIPS[grip]
+        caption = (
+            f"{grip} grip ({mass:g} kg, {damping:g} N s/m, {stiffness:g} N/m), {RATE_HZ:.0f} Hz: displayed error, %"
+        )
+        tables.append(Table(caption, columns, rows))
+    reached = sum(error <= GOAL for error in worst)
+    tables.append(
+        f"Worst with `full`: {100 * max(worst):.1f} %; at most {100 * AIM:g} %: {verdict(max(worst), AIM)}. "
+        f"{reached} of {len(worst)} are within the {100 * GOAL:g} % that were aimed for."
+    )
+    return tables
+
+
+def _rates(advance: Advance) -> Table:
+    rows = []
+    for name, mode in modes().items():
+        cells = []
+        for rate in RATES_HZ:
+            if mode.frequency_hz > 0.4 * rate:
+                cells.append("not carried")
+            else:
+                cells.append(" / ".join(_percent(moved_error(mode, "default", each, rate)) for each in ("off", "full")))
+        rows.append([name, *cells])
+        advance(0.6 + 0.3 * len(rows) / len(MATERIALS), f"rates, {name}")
+    caption = "Displayed error over rate, default grip, %: off / full"
+    return Table(caption, ["material", *(f"{rate:.0f} Hz" for rate in RATES_HZ)], rows)
+
+
+CALLS = 12
+"""Of STRETCH ticks, in which a mode of 67 Hz and 50 ms and its tail both ring."""
+
+
+def _struck(compensation: Compensation | None) -> Stretch:
+    """A wall under the probe; its tap rings, compensated or not, or (None) there is none."""
+    tap = {"attack_slope_per_s": 10, "frequency_hz": 67, "decay_time_s": 0.05}
+    objects = {"wall": {**FLOOR, "material": "it"}}
+    config = load_config(
+        {
+            "device": {"compensation": compensation or "off"},
+            "materials": {"it": {"stiffness_n_per_m": 800, **({"tap": tap} if compensation else {})}},
+            "scene": {"objects": objects},
+        }
+    )
+    compiler = Compiler(output_of(config, RATE_HZ))
+    world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+    return Stretch(objects, -0.001, world=world)
+
+
+def tail_cost(rounds: int) -> tuple[Floats, Floats]:
+    """ns more a tick than in silence of a ringing mode, [rounds], without and with its tail, in turns."""
+    silent, plain, tailed = _struck(None), _struck("off"), _struck("full")
+    without, with_tail = np.empty(rounds), np.empty(rounds)
+    for index in range(rounds):
+        taken = []
+        for case in (silent, plain, tailed):
+            case.enter()
+            case.render(2)
+            taken.append(float(np.median(case.timed(CALLS))))
+            if bool(case.flags() & Flag.RINGING) != (case is not silent):
+                raise RuntimeError("what should ring does not, or the other way round")
+        without[index], with_tail[index] = taken[1] - taken[0], taken[2] - taken[0]
+    return without, with_tail
+
+
+def compile_ms(repeats: int) -> Floats:
+    """Processor time of choosing one mode's gain and tail for the first time, ms, [repeats * materials]."""
+    taken = []
+    for _ in range(repeats):
+        for mode in modes().values():
+            shape_of.cache_clear()
+            begin = time.process_time()
+            shape_of(mode, held("default"), RATE_HZ, "full")
+            taken.append(1e3 * (time.process_time() - begin))
+    return np.array(taken)
+
+
+def _costs(options: Options) -> Table:
+    rounds = options.few(300, 20)
+    without, with_tail = tail_cost(rounds)
+    tail = with_tail - without
+    rows = [
+        ["a ringing mode", spread(without, ".1f"), "", ""],
+        ["a ringing mode and its tail", spread(with_tail, ".1f"), "", ""],
+        ["its tail, round by round", spread(tail, ".1f"), "10", verdict(float(np.median(tail)), 10.0)],
+    ]
+    caption = (
+        f"ns a tick more than in silence, {rounds} rounds in turns, each the median of {CALLS} calls of {STRETCH} "
+        "ticks (10 to 90 %)"
+    )
+    return Table(caption, ["what rings", "ns a tick", "at most", "reached"], rows)
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """All tables of it."""
+    parts: list[str | Table] = [
+        "A tap of the default simulated handle (0.04 kg, 0.2 N s/m) in three grips. `off` strikes with the mass of "
+        "handle and hand, `mass` makes up for the hold of the force too, `C alone` is the complex gain of the whole "
+        "device on the mode's own pole, and `full` chooses gain and tail together by least squares. Columns without "
+        "`any onset` are for an onset at a tick, as of `play`. A tap begins anywhere between two ticks and cannot be "
+        f"answered before the second of them: what is missing until then counts in `any onset`, the RMS over {PHASES} "
+        "places. The tail is told by how long after the onset it ends.",
+        *_errors(advance),
+        _rates(advance),
+        _costs(options),
+        f"Choosing gain and tail of a mode takes {spread(compile_ms(options.few(5, 1)), '.1f')} ms of processor time, "
+        "once.",
+    ]
+    advance(1.0, "cost")
+    return Section("Displayed acceleration", parts)

@@ -1,0 +1,133 @@
+"""What the handle's acceleration is, of a force that is held from tick to tick, and how far it is from what was wanted.
+
+The device is linear (hapticd.dynamics): (m + m_h) x'' + (b + b_h) x' + k x = F. Accelerations are means over the time
+between two samples: of a device, the difference of its velocities, which is exact; of a mode, the integral of its
+closed form.
+
+The displayed error is the RMS of the difference over the RMS of what was wanted, both limited to a band, 30 Hz to 0.4
+of the rate. It begins at the onset. A link or a report that comes late delays the force and changes none of its shape:
+who measures takes the time at which the force begins at the device as the onset.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.compensation import HIGH, LOW_HZ, Compensation, pole_of, pole_shape, shape_of
+from hapticd.dynamics import Dynamics
+from hapticd.mode import Mode
+
+Floats = npt.NDArray[np.float64]
+
+_TERMS = 20
+"""Of the exponential's series at a norm of at most 1/2: the rest is below 1e-24."""
+
+
+def _exponential(matrix: Floats) -> Floats:
+    """exp of a small matrix, by its series, scaled down and squared."""
+    norm = float(np.abs(matrix).sum(axis=1).max())
+    doublings = max(0, math.ceil(math.log2(norm)) + 1) if norm > 0 else 0
+    scaled = matrix / 2.0**doublings
+    total = term = np.eye(len(matrix))
+    for order in range(1, _TERMS):
+        term = term @ scaled / order
+        total = total + term
+    for _ in range(doublings):
+        total = total @ total
+    return total
+
+
+def discretised(dynamics: Dynamics, period_s: float) -> tuple[Floats, Floats]:
+    """Position and velocity after a period under a held force: [x, v] becomes state @ [x, v] + input F.
+
+    Zero-order hold, exact: state (2, 2) and input (2,) are parts of exp([[A, B], [0, 0]] T) of x' = A x + B F.
+    """
+    mass = dynamics.mass_kg
+    law = np.zeros((3, 3))
+    law[0, 1] = 1.0
+    law[1] = (-dynamics.grip_stiffness_n_per_m / mass, -dynamics.damping_n_s_per_m / mass, 1.0 / mass)
+    whole = _exponential(law * period_s)
+    return whole[:2, :2], whole[:2, 2]
+
+
+def handle_acceleration(force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = 16) -> Floats:
+    """Acceleration of a handle that was at rest, m/s^2, of forces (n,) held for 1/rate_hz each.
+
+    (n * finer,): means over each of `finer` equal parts of a period.
+    """
+    forces = np.asarray(force_n, dtype=np.float64)
+    whole, pushed = discretised(dynamics, 1.0 / rate_hz)
+    states = np.empty((len(forces), 2))
+    now = np.zeros(2)
+    for tick, force in enumerate(forces):
+        states[tick] = now
+        now = whole @ now + pushed * force
+    part, push = discretised(dynamics, 1.0 / rate_hz / finer)
+    velocity = np.empty((len(forces), finer + 1))
+    for index in range(finer + 1):
+        velocity[:, index] = states[:, 1]
+        states = states @ part.T + forces[:, None] * push
+    acceleration: Floats = np.diff(velocity, axis=1).ravel() * (rate_hz * finer)
+    return acceleration
+
+
+def waveform(mode: Mode, count: int, sample_rate_hz: float, since_s: float = 0.0) -> Floats:
+    """exp(-B t) sin(w t), as means over the `count` times between samples, (count,); the first begins at t = since_s.
+
+    Nothing sounds before t = 0.
+    """
+    edges = np.maximum(since_s + np.arange(count + 1) / sample_rate_hz, 0.0)
+    p = pole_of(mode)
+    integral: Floats = (np.exp(p * edges) / p).imag
+    return np.diff(integral) * sample_rate_hz
+
+
+def band_error(
+    measured: npt.ArrayLike,
+    reference: npt.ArrayLike,
+    sample_rate_hz: float,
+    low_hz: float = LOW_HZ,
+    high_hz: float | None = None,
+) -> float:
+    """RMS of (measured - reference) over RMS of reference, both limited to low_hz to high_hz.
+
+    Both are (n,), in the same unit, and begin at the onset; nothing is taken to be there before and after. `high_hz` is
+    by default 0.4 of the sample rate. The band is cut in the spectrum: what is padded with zeros, to twice its length
+    and lines 1 Hz apart at most, goes through the FFT, and by Parseval the squares of its lines from low_hz to high_hz
+    are the energy. No filter rings, none has a phase.
+
+    Raises ValueError for arrays of other shapes, a band without lines, and a reference without energy in it.
+    """
+    one, other = (np.asarray(each, dtype=np.float64) for each in (measured, reference))
+    if one.ndim != 1 or one.shape != other.shape or not len(one):
+        raise ValueError(f"measured and reference must have one shape (n,), have {one.shape} and {other.shape}")
+    high = HIGH * sample_rate_hz if high_hz is None else high_hz
+    length = 1 << math.ceil(math.log2(max(2 * len(one), sample_rate_hz)))
+    frequency = np.fft.rfftfreq(length, 1.0 / sample_rate_hz)
+    inside = (frequency >= low_hz) & (frequency <= high)
+    wanted = float(np.linalg.norm(np.fft.rfft(other, length)[inside]))
+    if not wanted > 0:
+        raise ValueError(f"the reference has no energy from {low_hz:g} to {high:g} Hz")
+    return float(np.linalg.norm(np.fft.rfft(one - other, length)[inside])) / wanted
+
+
+def displayed_error(
+    mode: Mode,
+    dynamics: Dynamics,
+    rate_hz: float,
+    compensation: Compensation,
+    effective_mass_kg: float | None = None,
+) -> float:
+    """Displayed error of a strike that begins at a tick; 0.1 is 10 %.
+
+    `mode` is one that the rate carries, as it is displayed (hapticd.displayable.displayed_mode). `rate_hz` is how often
+    the force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` counts where
+    compensation is off; by default it is that of handle and hand. The spectra are closed forms (hapticd.compensation).
+    """
+    if compensation != "off":
+        return shape_of(mode, dynamics, rate_hz, compensation).error
+    mass = dynamics.mass_kg if effective_mass_kg is None else effective_mass_kg
+    return pole_shape(mode, dynamics, rate_hz, complex(mass / dynamics.mass_kg)).error
