@@ -14,7 +14,7 @@ BIN := $(VENV)/bin
 BUILT := $(VENV)/.built
 SETUP := pyproject.toml setup.py hapticd/_version.py
 C_SOURCES := $(wildcard csrc/*.c)
-C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] tests/vm/*.[ch] bench/*.[ch])
+C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
 JOBS := $(shell nproc 2>/dev/null || echo 1)
 
 .DEFAULT_GOAL := help
@@ -82,7 +82,7 @@ test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEM
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh
 
 .PHONY: bench
-bench: build ## speed against error, as in docs/benchmarks.md
+bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
 	@$(BIN)/python -m bench
 
 .PHONY: format

@@ -1,5 +1,5 @@
-"""What is measured rather than asserted: `make bench` or `python -m bench [NAMES]`.
+"""What is measured rather than asserted: `make bench`, `hapticd bench` or `python -m bench [NAMES]`.
 
-Speed goes to docs/benchmarks.md, error against references to docs/accuracy.md. Ratios are taken within one run only,
-since machines differ and are shared.
+What each kernel costs beside how wrong it is goes to docs/accuracy.md, what is speed alone to docs/benchmarks.md.
+Ratios are taken within one run only, since machines differ and are shared.
 """

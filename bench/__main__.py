@@ -1,17 +1,16 @@
-"""`make bench`, or `python -m bench [NAMES...] [--quick]`; `--help` says more."""
+"""`hapticd bench`, `make bench` or `python -m bench`: [NAMES...] [--quick] [--out DIR]; `--help` says more."""
 
 from __future__ import annotations
 
 import argparse
-import os
-import platform
-import shutil
 import sys
-import tempfile
-from collections.abc import Callable
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -21,172 +20,211 @@ from bench import (
     crowd,
     displayed,
     features,
+    joystick,
     lateness,
     link,
+    modes,
+    noise,
     offline,
+    passivity,
     resources,
     telemetry,
     tick,
+    timing,
     velocity,
 )
-from bench.report import ROOT, Advance, Options, Section, Table, machine
+from bench.report import PICTURES, ROOT, Advance, Options, Section, machine
 from hapticd.errors import HapticdError
 
-BENCHMARKS = ROOT / "docs" / "benchmarks.md"
-ACCURACY = ROOT / "docs" / "accuracy.md"
-DEVICES = ROOT / "docs" / "devices.md"
+DOCS = ROOT / "docs"
+ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
+NEEDED = ("matplotlib", "mpmath", "scipy")
 
 
-def _velocity(options: Options, advance: Advance) -> Section:
-    """The estimators side by side: bench/velocity.py."""
-    rate_hz, step_m = 10_000.0, 20e-6
-    if shutil.which("cc") is None and shutil.which("gcc") is None:
-        return Section("Velocity estimators", ["**Not measured:** no C compiler to build the other estimators with."])
-    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
-        advance(0.02, "compiling")
-        library = velocity.Library(folder)
-        estimators = library.line_up()
-        count = 20_000
-        paths = {
-            name: velocity.quantise(path + 1.23e-6, step_m) for name, path in velocity.motions(rate_hz, count).items()
-        }
-        interval_s = np.full(count, 1.0 / rate_hz)
-        errors, costs = [], []
-        for index, (name, estimate) in enumerate(estimators.items()):
-            cells = [velocity.constant(estimate, rate_hz, step_m)]
-            cells += [velocity.contact(estimate, rate_hz, step_m, a) for a in (1.0, 3.0, 10.0)]
-            cells.append(velocity.impact(estimate, rate_hz, step_m))
-            errors.append([name, *(" / ".join(cell.split()) for cell in cells)])
-            taken = [velocity.cost_ns(estimate, step_m, interval_s, path) for path in paths.values()]
-            costs.append([name, *(f"{value:.0f}" for value in taken)])
-            advance(0.1 + 0.9 * (index + 1) / len(estimators), name)
-        width = velocity.widths(library, rate_hz, step_m)
-    heads = ["constant: median / 99 % / worst, %", *(f"{a} m/s^2: mean / rms, mm/s" for a in (1, 3, 10))]
-    return Section(
-        "Velocity estimators",
-        [
-            f"{velocity.TRIALS} seeded trials of two axes at {rate_hz:.0f} Hz, positions rounded to {1e6 * step_m:g} "
-            "um: constant speeds of 0.05 to 0.5 m/s, at contact while slowing down, and after an impact from 0.3 to "
-            "-0.15 m/s (samples until within 0.045 m/s, median and worst; rms from 1 to 10 ms after, mm/s).",
-            Table("Error against the true speed", ["estimator", *heads, "impact: samples / worst / rms"], errors),
-            f"Half the width of the set of speeds that the samples allow, at constant speed, mm/s, median: {width}.",
-            Table("ns an update of both axes, median of 7 runs, compiled with -O2", ["estimator", *paths], costs),
-        ],
-    )
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """Something that is measured: what, how, and on which page each of its sections stands."""
+
+    about: str
+    run: Callable[[Options, Advance], Section | list[Section]]
+    pages: tuple[str, ...] = (ACCURACY,)
 
 
-MEASUREMENTS: dict[str, tuple[str, Callable[[Options, Advance], Section]]] = {
-    "tick": ("work per tick, the estimator, subnormal numbers", tick.run),
-    "features": ("each feature of a surface and each ringing mode: cost and error", features.run),
-    "crowd": ("1 to 10,000 objects, and compiling them", crowd.run),
-    "offline": ("render and simulate, ticks a second", offline.run),
-    "servo": ("lateness and work of the running servo beside cyclictest", lateness.run),
-    "command": ("command round trip beside a bare echo", command.run),
-    "telemetry": ("ten subscribers, one dead", telemetry.run),
-    "resources": ("start, memory, processor time", resources.run),
-    "loop": ("closed-loop error against the cost of the tick", closed_loop.run),
-    "displayed": ("what the handle makes of a strike, compensated or not, and what a tail costs", displayed.run),
-    "link": ("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run),
-    "velocity": ("velocity estimators: error and cost", _velocity),
+MEASUREMENTS: dict[str, Measurement] = {
+    "rendered": Measurement("what is rendered against closed forms", closed_loop.rendered),
+    "modes": Measurement("ringing modes: rotor, libm, tables, recurrences", modes.run),
+    "velocity": Measurement("velocity estimators by encoder step and rate", velocity.run),
+    "onset": Measurement("time of the onset, with and without interpolation", timing.onsets),
+    "grooves": Measurement("time of groove strikes", timing.grooves),
+    "noise": Measurement("coloured noise: lattices, direct form, tables", noise.run),
+    "features": Measurement("each feature of a surface: cost and error", features.run),
+    "joystick": Measurement("integration of the simulated joystick", joystick.run),
+    "loop": Measurement("closed-loop error against the cost of the tick", closed_loop.run),
+    "loops": Measurement("closed-loop error over the rate", closed_loop.loops),
+    "displayed": Measurement("displayed acceleration: compensation off, mass, full", displayed.run),
+    "passivity": Measurement("passivity observer and controller: energy given to the hand, cost", passivity.run),
+    "tick": Measurement("work per tick, the estimator, subnormal numbers", tick.run, (SPEED,)),
+    "crowd": Measurement("1 to 10,000 objects, and compiling them", crowd.run, (SPEED,)),
+    "offline": Measurement("render and simulate, ticks a second", offline.run, (SPEED,)),
+    "servo": Measurement("lateness, work and jitter beside cyclictest", lateness.run, (SPEED, ACCURACY)),
+    "command": Measurement("command round trip beside a bare echo", command.run, (SPEED,)),
+    "telemetry": Measurement("ten subscribers, one dead", telemetry.run, (SPEED,)),
+    "resources": Measurement("start, memory, processor time", resources.run, (SPEED,)),
+    "link": Measurement("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run, (DEVICES,)),
 }
+
+
+def unknown(names: Sequence[str]) -> str | None:
+    """What is wrong with these names, as one line."""
+    for name in names:
+        if name not in MEASUREMENTS:
+            return f"there is no {name}: choose from {', '.join(MEASUREMENTS)}"
+    return None
+
+
+def listed() -> str:
+    """The names and what they measure, a line each."""
+    return "\n".join(f"  {name:10s} {each.about} ({each.pages[0]})" for name, each in MEASUREMENTS.items())
 
 
 def _parser() -> argparse.ArgumentParser:
     defaults = Options()
-    names = "\n".join(f"  {name:10s} {what}" for name, (what, _) in MEASUREMENTS.items())
     parser = argparse.ArgumentParser(
         prog="python -m bench",
-        description="Measures speed and error. A whole run writes docs/benchmarks.md and docs/accuracy.md; link writes "
-        "its tables into docs/devices.md too.",
-        epilog=f"names:\n{names}\n  accuracy   what is rendered and the closed loop, against references; writes "
-        "docs/accuracy.md",
+        description="Measures speed and error. A whole run writes docs/accuracy.md, docs/benchmarks.md, the table of "
+        f"links in docs/devices.md, and the figures in docs/{PICTURES}/.",
+        epilog=f"names, and where each is told:\n{listed()}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure [default: everything]")
-    parser.add_argument("--quick", action="store_true", help="a minute or two: shows that it runs, writes nothing")
+    parser.add_argument("--quick", action="store_true", help="a minute or two: shows that it runs, not how fast")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where the pages go [default: docs, of a whole run]")
     parser.add_argument("--pairs", type=int, default=defaults.pairs, help="paired runs beside cyclictest at each rate")
     parser.add_argument("--seconds", type=float, default=defaults.seconds, help="length of each of them")
     parser.add_argument("--minute", type=float, default=defaults.minute_s, help="seconds of the telemetry run")
     parser.add_argument("--load", type=int, default=0, help="busy processes beside the servo's runs")
-    parser.add_argument("--out", type=Path, help="where the report goes [default: docs/benchmarks.md, of a whole run]")
     return parser
 
 
-def _measure(console: Console, names: list[str], options: Options) -> tuple[list[Section], list[Section]]:
-    """Sections on speed and on accuracy, shown as they come."""
-    speed: list[Section] = []
-    exact: list[Section] = []
-    columns = (TextColumn("{task.description:40}"), BarColumn(), TimeElapsedColumn())
-    for name in names:
+@dataclass(slots=True)
+class Found:
+    """The sections of each page, and what could not be measured."""
+
+    pages: dict[str, list[Section]]
+    failed: list[str]
+    drawn: list[Path]
+    took_s: float = 0.0
+
+
+def _measure(console: Console, names: Sequence[str], options: Options, folder: Path | None) -> Found:
+    """Everything, shown as it comes, its figures into the folder. What fails says so in its place; the rest goes on."""
+    found = Found({}, [], [])
+    begin = time.monotonic()
+    columns = (TextColumn("{task.description:44}"), BarColumn(), TimeElapsedColumn())
+    for number, name in enumerate(names, 1):
+        each = MEASUREMENTS[name]
+        started = time.monotonic()
+        if not console.is_terminal:
+            console.print(f"{number}/{len(names)} {name}: {each.about}", highlight=False)
         # Redrawing is work beside what is measured.
         with Progress(*columns, console=console, transient=True, refresh_per_second=1) as progress:
             task = progress.add_task(name, total=1.0)
 
-            def advance(part: float, what: str, name: str = name, progress: Progress = progress) -> None:
-                progress.update(task, completed=part, description=f"{name}: {what}")  # noqa: B023
+            def advance(part: float, what: str, label: str = f"{number}/{len(names)} {name}") -> None:
+                progress.update(task, completed=part, description=f"{label}: {what}")  # noqa: B023
 
-            if name == "accuracy":
-                found = closed_loop.accuracy(options, advance)
-                exact += found
-            else:
-                found = [MEASUREMENTS[name][1](options, advance)]
-                speed += found
-                if name == "link" and not options.quick:
-                    link.write_into(DEVICES, found[0])
-        for section in found:
+            try:
+                given = each.run(options, advance)
+                sections = given if isinstance(given, list) else [given]
+                if folder is not None:
+                    found.drawn += [path for section in sections for path in section.draw(folder / PICTURES)]
+            except Exception as error:
+                traceback.print_exc()
+                found.failed.append(name)
+                told = " ".join(str(error).split()) or type(error).__name__
+                sections = [Section(name, [f"**Not measured:** {told}"])]
+        for index, section in enumerate(sections):
+            found.pages.setdefault(each.pages[min(index, len(each.pages) - 1)], []).append(section)
             section.show(console)
-    return speed, exact
+        console.print(f"({name}: {time.monotonic() - started:.0f} s)", highlight=False)
+    found.took_s = time.monotonic() - begin
+    return found
 
 
-def _write(path: Path, title: str, about: str, sections: list[Section]) -> None:
-    text = "\n\n".join([f"# {title}", about, *(section.markdown() for section in sections)])
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text + "\n", encoding="utf-8")
+def _write(found: Found, folder: Path, on: str) -> list[Path]:
+    """The pages, into a folder; their files."""
+    took = f"The whole run took {found.took_s / 60:.0f} minutes ({found.took_s:.0f} s)."
+    heads = {
+        ACCURACY: (
+            "Speed against error",
+            "What each kernel costs and how wrong it is, beside other ways to do the same, against arbitrary "
+            f"precision or a closed form. Written by `make bench` (`hapticd bench`). {on} {took} Ways are measured in "
+            "turns in one process, and ratios are of one run, round by round; a cost is the median over the rounds, "
+            "and in brackets the tenth to the ninetieth percentile of them. In the figures the way that hapticd takes "
+            "is ringed. What a wake-up, a command and a scene cost is in [benchmarks.md](benchmarks.md). Errors are "
+            "asserted, with margins, in `tests/unit` (`test_bench_*.py`, `test_modes.py`, `test_contacts.py`, "
+            "`test_sim.py`, `test_velocity.py`, `test_closed_loop.py`).",
+        ),
+        SPEED: (
+            "Benchmarks",
+            "What is speed alone; [accuracy.md](accuracy.md) sets speed against error. Written by `make bench`; "
+            f"ratios are of one run. {on} {took} Processors and other guests of the machine are shared, so that "
+            "medians and ratios count, not the tails; a figure is the median over repetitions, and in brackets the "
+            "tenth to the ninetieth percentile of them.",
+        ),
+    }
+    written = []
+    folder.mkdir(parents=True, exist_ok=True)
+    for page, sections in found.pages.items():
+        if page == DEVICES:
+            # A part of a page that is written by hand.
+            if folder == DOCS and not found.failed:
+                link.write_into(DOCS / DEVICES, sections[0])
+                written.append(DOCS / DEVICES)
+            continue
+        title, about = heads[page]
+        text = "\n\n".join([f"# {title}", about, *(section.markdown() for section in sections)])
+        (folder / page).write_text(text + "\n", encoding="utf-8")
+        written.append(folder / page)
+    return written
 
 
-def main() -> int:
-    """Runs what was asked for; the exit code."""
-    parser = _parser()
-    arguments = parser.parse_args()
-    known = [*MEASUREMENTS, "accuracy"]
-    for name in arguments.names:
-        if name not in known:
-            parser.error(f"there is no {name}: choose from {', '.join(known)}")
-    names = [name for name in known if name in arguments.names] or known
-    options = Options(
-        pairs=arguments.pairs,
-        seconds=arguments.seconds,
-        minute_s=arguments.minute,
-        load=arguments.load,
-        quick=arguments.quick,
-    )
+def perform(names: Sequence[str], options: Options, out: Path | None) -> int:
+    """Measures what was asked for; the exit code. Raises HapticdError."""
+    missing = [module for module in NEEDED if find_spec(module) is None]
+    if missing:
+        raise HapticdError(f"the benchmarks need {', '.join(missing)}: pip install -e '.[dev]' in the source tree")
+    chosen = [name for name in MEASUREMENTS if name in names] or list(MEASUREMENTS)
     on = machine()
     console = Console(width=None if sys.stdout.isatty() else 160)
     console.print(on, markup=False, highlight=False)
+    whole = chosen == list(MEASUREMENTS) and not options.quick
+    folder = out or (DOCS if whole else None)
+    found = _measure(console, chosen, options, folder)
+    console.print(f"\n{len(chosen)} measurements in {found.took_s:.0f} s", highlight=False)
+    if folder is not None:
+        for path in (*_write(found, folder, on), *found.drawn):
+            console.print(f"written: {path}", highlight=False)
+    if found.failed:
+        print(f"bench: not measured: {', '.join(found.failed)}", file=sys.stderr)
+    return 1 if found.failed else 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line of `python -m bench`."""
+    parser = _parser()
+    given = parser.parse_args(arguments)
+    wrong = unknown(given.names)
+    if wrong is not None:
+        parser.error(wrong)
+    options = Options(
+        pairs=given.pairs, seconds=given.seconds, minute_s=given.minute, load=given.load, quick=given.quick
+    )
     try:
-        speed, exact = _measure(console, names, options)
+        return perform(given.names, options, given.out)
     except HapticdError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 1
-    out = arguments.out or (BENCHMARKS if names == known and not options.quick else None)
-    if out is not None and speed:
-        about = (
-            f"Written by `make bench`; ratios are of one run. {on} "
-            f"Processors and other guests of the machine are shared, so that medians and ratios count, not the tails; "
-            "a figure is the median over repetitions, and in brackets the tenth to the ninetieth percentile of them."
-        )
-        _write(out, "Benchmarks", about, speed)
-        console.print(f"written: {out}", highlight=False)
-    if exact and not options.quick:
-        about = (
-            "Written by `python -m bench accuracy` (a part of `make bench`); nothing in it depends on the machine's "
-            f"speed. Computed on {platform.machine()}, {os.uname().sysname}. Asserted, with margins, in "
-            "`tests/unit/test_modes.py`, `tests/unit/test_contacts.py`, `tests/unit/test_sim.py` and "
-            "`tests/unit/test_closed_loop.py`."
-        )
-        _write(ACCURACY, "Accuracy", about, exact)
-        console.print(f"written: {ACCURACY}", highlight=False)
-    return 0
 
 
 if __name__ == "__main__":

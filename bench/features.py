@@ -435,7 +435,7 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Features",
         [
-            "`hd_render` as above, one object, velocities given. The probe strokes 41 mm to and fro at 0.1 m/s, "
+            "`hd_render` from Python, one object, velocities given. The probe strokes 41 mm to and fro at 0.1 m/s, "
             "pressed with 0.8 N; waving, it swings 20 mm to either side at up to 0.15 m/s, pressed with 0.56 to 1.04 "
             "N; short strokes are of 0.64 mm. Grooves are 2 mm apart; the ringing of those that strike is in their "
             "row. Forces are compared with the formulas at every tick of a whole stroke, of the waving one where the "

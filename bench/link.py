@@ -295,9 +295,8 @@ def run(options: Options, advance: Advance) -> Section:
 def write_into(page: Path, section: Section) -> None:
     """Puts the section's text between the marks of a page. Raises ValueError for a page without them."""
     text = page.read_text(encoding="utf-8")
-    parts = "\n\n".join(part if isinstance(part, str) else part.markdown() for part in section.parts)
     found, count = re.subn(
-        f"{re.escape(BEGIN)}.*?{re.escape(END)}", lambda _: f"{BEGIN}\n{parts}\n\n{END}", text, flags=re.DOTALL
+        f"{re.escape(BEGIN)}.*?{re.escape(END)}", lambda _: f"{BEGIN}\n{section.body()}\n\n{END}", text, flags=re.DOTALL
     )
     if count != 1:
         raise ValueError(f"{page} has no place for the tables of the link")

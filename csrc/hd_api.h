@@ -154,6 +154,11 @@ struct hd_object {
                           radius; wall: 0, 0 */
 };
 
+#define HD_PASSIVITY_AGE_MAX 512 /* the oldest reports that the passivity observer understands, in periods */
+
+/* Whether the energy that the objects give to the hand is watched: see hd_passivity.h. */
+enum hd_passivity_mode { HD_PASSIVITY_OFF = 0, HD_PASSIVITY_OBSERVE = 1, HD_PASSIVITY_CONTROL = 2 };
+
 /* All fields of a scene are one affine law: F = force - stiffness p - damping v. */
 struct hd_field {
     double force_n[2];
@@ -174,11 +179,16 @@ struct hd_table {
     uint32_t parts_version;     /* raised whenever materials, pieces, noises or numbers change */
     uint32_t changed_count;     /* slots whose record changed since the table that was published before this one, */
     uint32_t all_changed;       /* or 1: take them all as changed */
+    uint32_t passivity;         /* enum hd_passivity_mode */
+    uint32_t report_age;        /* of a position against the force that acts, in periods, where it is known */
     double period_s;
     double max_force_n;       /* magnitude of the whole command */
     double max_speed_m_per_s; /* a step between two samples that implies more is a glitch */
     double ramp_s;
-    double ramp_step; /* period_s / ramp_s: what a ramp moves on in a tick */
+    double ramp_step;                /* period_s / ramp_s: what a ramp moves on in a tick */
+    double brake_n_s_per_m;          /* the passivity controller brakes by no more */
+    double handle_damping_n_s_per_m; /* of the handle itself, as far as it is known */
+    double handle_friction_n;        /* the same, per axis */
     struct hd_field field;
     struct hd_object *objects;
     struct hd_material *materials;
@@ -191,15 +201,16 @@ struct hd_table {
 /* ---- What a tick gives --------------------------------------------------------------------------------------- */
 
 enum hd_flag {
-    HD_FLAG_SKIPPED = 1,    /* periods were missed before this tick */
-    HD_FLAG_CONTACT = 2,    /* something is touched */
-    HD_FLAG_RINGING = 4,    /* a mode sounds */
-    HD_FLAG_SATURATED = 8,  /* the force limit changed the command or scaled a strike */
-    HD_FLAG_RAMPING = 16,   /* a ramp is under way */
-    HD_FLAG_FORCES_ON = 32, /* forces are enabled */
-    HD_FLAG_FAULT = 64,     /* a fault is latched */
-    HD_FLAG_GLITCH = 128,   /* the position jumped; contacts were resynchronised */
-    HD_FLAG_REPEATED = 256  /* no new sample came from the device */
+    HD_FLAG_SKIPPED = 1,     /* periods were missed before this tick */
+    HD_FLAG_CONTACT = 2,     /* something is touched */
+    HD_FLAG_RINGING = 4,     /* a mode sounds */
+    HD_FLAG_SATURATED = 8,   /* the force limit changed the command or scaled a strike */
+    HD_FLAG_RAMPING = 16,    /* a ramp is under way */
+    HD_FLAG_FORCES_ON = 32,  /* forces are enabled */
+    HD_FLAG_FAULT = 64,      /* a fault is latched */
+    HD_FLAG_GLITCH = 128,    /* the position jumped; contacts were resynchronised */
+    HD_FLAG_REPEATED = 256,  /* no new sample came from the device */
+    HD_FLAG_RESTRAINED = 512 /* the passivity controller changed the contact force */
 };
 
 /* One tick as telemetry carries it. */
@@ -208,7 +219,7 @@ struct hd_sample {
     int64_t time_ns; /* the deadline of this tick */
     double position_m[2];
     double velocity_m_per_s[2];
-    double contact_force_n[2];   /* objects and fields, as displayed, before the limit */
+    double contact_force_n[2]; /* objects and fields, as displayed, before the limit, after the passivity controller */
     double vibration_force_n[2]; /* modes, as displayed, before the limit */
     double force_n[2];           /* the command, after every limit */
     uint32_t revision;
@@ -273,6 +284,17 @@ void hd_state_enable(struct hd_state *state, int enabled);
 uint32_t hd_state_faults(const struct hd_state *state);
 /* The latest contact state of a slot: bit 0 touched, bit 1 punctured. */
 uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot);
+
+/* What the objects gave to the hand, as far as the passivity observer saw it. */
+struct hd_energy {
+    double energy_j;     /* in this contact, or in the last one; below zero: the hand gave more than it got */
+    double largest_j;    /* that it ever was in a contact */
+    uint64_t contacts;   /* from the first touch to the last release */
+    uint64_t restrained; /* of them, those in which the controller acted */
+    uint64_t acted;      /* ticks in which it did */
+};
+
+void hd_state_energy(const struct hd_state *state, struct hd_energy *energy);
 
 /* A world is a table as C owns it: checked, copied, and with an index that finds what is near. */
 struct hd_world; /* opaque */
@@ -623,6 +645,7 @@ struct hd_counters {
     uint32_t running;
     uint32_t memory_refused; /* errno: tables have grown beyond what may be locked; 0: all is as granted */
     uint32_t unused;
+    struct hd_energy energy; /* as of the last tick that was watched */
 };
 
 struct hd_servo; /* opaque */

@@ -81,6 +81,11 @@ struct hd_servo {
     struct hd_atomic_u64 strikes;
     struct hd_atomic_u64 glitches;
     struct hd_atomic_u64 saturations;
+    struct hd_atomic_u64 energy; /* the bits of a double, as is the next */
+    struct hd_atomic_u64 largest_energy;
+    struct hd_atomic_u64 contacts;
+    struct hd_atomic_u64 restrained;
+    struct hd_atomic_u64 acted;
     struct hd_atomic_u32 revision;
     struct hd_atomic_u32 faults;
     struct hd_atomic_u32 forces_on;
@@ -287,6 +292,27 @@ HD_RT static void offload(struct hd_servo *servo, int64_t now_ns) {
     state->offload_count = 0;
 }
 
+HD_RT static uint64_t bits_of(double value) {
+    uint64_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+static double number_of(uint64_t bits) {
+    double value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+HD_RT static void publish_energy(struct hd_servo *servo) {
+    const struct hd_passivity *passivity = &servo->state->passivity;
+    hd_atomic_u64_store_relaxed(&servo->energy, bits_of(passivity->energy_j));
+    hd_atomic_u64_store_relaxed(&servo->largest_energy, bits_of(passivity->largest_j));
+    hd_atomic_u64_store_relaxed(&servo->contacts, passivity->contacts);
+    hd_atomic_u64_store_relaxed(&servo->restrained, passivity->restrained);
+    hd_atomic_u64_store_relaxed(&servo->acted, passivity->acted);
+}
+
 HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t now_ns, uint32_t periods) {
     struct hd_state *state = servo->state;
     struct hd_sample sample;
@@ -316,6 +342,9 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     hd_atomic_u64_store_relaxed(&servo->strikes, state->strikes_total);
     hd_atomic_u64_store_relaxed(&servo->glitches, state->glitches_total);
     hd_atomic_u64_store_relaxed(&servo->saturations, state->saturations_total);
+    if (servo->world->table.passivity != HD_PASSIVITY_OFF) {
+        publish_energy(servo);
+    }
     hd_atomic_u32_store_relaxed(&servo->faults, state->faults);
     hd_atomic_u32_store_relaxed(&servo->forces_on, state->enabled);
     hd_atomic_u64_store_release(&servo->ticks, state->tick);
@@ -835,6 +864,14 @@ void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counter
         .forces_on = hd_atomic_u32_load_relaxed(&servo->forces_on),
         .running = hd_atomic_u32_load_relaxed(&servo->running),
         .memory_refused = hd_atomic_u32_load_relaxed(&servo->memory_refused),
+        .energy =
+            {
+                .energy_j = number_of(hd_atomic_u64_load_relaxed(&servo->energy)),
+                .largest_j = number_of(hd_atomic_u64_load_relaxed(&servo->largest_energy)),
+                .contacts = hd_atomic_u64_load_relaxed(&servo->contacts),
+                .restrained = hd_atomic_u64_load_relaxed(&servo->restrained),
+                .acted = hd_atomic_u64_load_relaxed(&servo->acted),
+            },
     };
 }
 

@@ -118,6 +118,17 @@ uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot) {
     return (uint32_t)found->touched | (found->open == state->epoch ? 2u : 0u);
 }
 
+void hd_state_energy(const struct hd_state *state, struct hd_energy *energy) {
+    const struct hd_passivity *passivity = &state->passivity;
+    *energy = (struct hd_energy){
+        .energy_j = passivity->energy_j,
+        .largest_j = passivity->largest_j,
+        .contacts = passivity->contacts,
+        .restrained = passivity->restrained,
+        .acted = passivity->acted,
+    };
+}
+
 HD_RT void hd_state_want_forces(struct hd_state *state, int enabled) {
     state->enabled = enabled && state->faults == 0;
 }

@@ -23,6 +23,7 @@
 #include "hd_index.h"
 #include "hd_memory.h"
 #include "hd_noise.h"
+#include "hd_passivity.h"
 #include "hd_velocity.h"
 
 #define HD_VOICE_CAPACITY 4096u  /* ringing at once; beyond that, one that is near its end is given up */
@@ -196,6 +197,7 @@ struct hd_state {
     struct hd_reserve reserves[HD_RESERVE_CAPACITY];
     struct hd_mode played[HD_PLAYED_CAPACITY]; /* copies: strikes[] points to them until the tick is over */
     struct hd_velocity velocity;
+    struct hd_passivity passivity;
 };
 
 /* What one tick is told. */

@@ -180,6 +180,11 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         hd_offload_advance(state, input->periods);
     }
     hd_walk_objects(&walk);
+    double object[2] = {0.0, 0.0};
+    if (table->passivity != HD_PASSIVITY_OFF) {
+        object[0] = walk.force_n[0];
+        object[1] = walk.force_n[1];
+    }
     hd_field_walk(&walk);
 
     state->show_force = toward(state->show_force, (double)table->display_force, walk.ramp_step);
@@ -188,6 +193,13 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     if (state->residual_left > 0) {
         contact[0] += state->residual_n[0];
         contact[1] += state->residual_n[1];
+    }
+    if (table->passivity != HD_PASSIVITY_OFF) {
+        object[0] = state->show_force * object[0] + state->residual_n[0];
+        object[1] = state->show_force * object[1] + state->residual_n[1];
+        hd_passivity_tick(state, table, input, walk.resync, object, contact, &flags);
+    }
+    if (state->residual_left > 0) {
         fade_residual(state);
     }
     if (state->strike_count > 0) {
@@ -216,6 +228,9 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     }
     /* Only on its way out does the command hurry: zero is due by the clock. */
     state->gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
+    if (table->passivity != HD_PASSIVITY_OFF) {
+        hd_passivity_hold(&state->passivity, table, state->tick, state->gain, object, contact);
+    }
     flags |= (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) | (state->enabled ? HD_FLAG_FORCES_ON : 0u) |
              (state->faults != 0 ? HD_FLAG_FAULT : 0u) | ramping(state, table);
     for (int axis = 0; axis < 2; axis++) {

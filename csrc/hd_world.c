@@ -91,6 +91,15 @@ static int scalars_check(const struct hd_table *table) {
     if (table->display_force > 1 || table->display_vibration > 1) {
         return hd_invalid("table: display flags are 0 or 1");
     }
+    if (table->passivity > HD_PASSIVITY_CONTROL || table->report_age > HD_PASSIVITY_AGE_MAX) {
+        return hd_invalid("table: passivity %u, with reports %u periods old", table->passivity, table->report_age);
+    }
+    if (!between(table->brake_n_s_per_m, 0.0, HD_LARGEST) ||
+        !between(table->handle_damping_n_s_per_m, 0.0, HD_LARGEST) ||
+        !between(table->handle_friction_n, 0.0, HD_LARGEST)) {
+        return hd_invalid("table: brake %g N s/m or the handle's damping %g N s/m and friction %g N are out of range",
+                          table->brake_n_s_per_m, table->handle_damping_n_s_per_m, table->handle_friction_n);
+    }
     const struct hd_field *field = &table->field;
     if (!bounded(field->force_n[0]) || !bounded(field->force_n[1]) || !bounded(field->stiffness_n_per_m) ||
         !bounded(field->damping_n_s_per_m)) {

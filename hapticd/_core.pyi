@@ -70,6 +70,10 @@ class Lib:
     HD_SHAPE_MEMBRANE: int
     HD_SHAPE_BOX: int
     HD_SHAPE_DISC: int
+    HD_PASSIVITY_AGE_MAX: int
+    HD_PASSIVITY_OFF: int
+    HD_PASSIVITY_OBSERVE: int
+    HD_PASSIVITY_CONTROL: int
     HD_FLAG_SKIPPED: int
     HD_FLAG_CONTACT: int
     HD_FLAG_RINGING: int
@@ -79,6 +83,7 @@ class Lib:
     HD_FLAG_FAULT: int
     HD_FLAG_GLITCH: int
     HD_FLAG_REPEATED: int
+    HD_FLAG_RESTRAINED: int
     HD_EVENT_CONTACT: int
     HD_EVENT_RELEASE: int
     HD_EVENT_PUNCTURE: int
@@ -132,6 +137,7 @@ class Lib:
     def hd_state_enable(self, state: CData, enabled: int, /) -> None: ...
     def hd_state_faults(self, state: CData, /) -> int: ...
     def hd_state_slot(self, state: CData, slot: int, /) -> int: ...
+    def hd_state_energy(self, state: CData, energy: CData, /) -> None: ...
     def hd_world_new(self) -> CData: ...
     def hd_world_free(self, world: CData, /) -> None: ...
     def hd_world_load(self, world: CData, table: CData, /) -> int: ...

@@ -93,6 +93,7 @@ class Status(TypedDict):
     faults: list[str]
     lease_s: float | None
     counters: dict[str, int]
+    passivity: dict[str, Json]
     undisplayable: list[dict[str, Json]]
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]

@@ -32,8 +32,10 @@ from hapticd.core import (
     MATERIAL_DTYPE,
     NOISE_DTYPE,
     OBJECT_DTYPE,
+    PASSIVITY_AGE_MAX,
     PIECE_DTYPE,
     CData,
+    PassivityMode,
     Shape,
     Texture,
     ffi,
@@ -53,6 +55,10 @@ _RECORD = struct.Struct("=8I6d")
 if _RECORD.size != OBJECT_DTYPE.itemsize:
     raise ImportError("the records of hapticd.compile are not those of csrc/hd_api.h")
 
+PASSIVITY_BRAKE: Final = 0.1
+"""The passivity controller takes at most this part of a handle's momentum in a period."""
+
+_SAME_PERIOD: Final = 1e-6
 _LARGEST: Final = 0xFFFFFFFF
 _QUANTUM: Final = 1 << 1074
 """Every double is a whole number of 1/_QUANTUM."""
@@ -466,6 +472,7 @@ def _field_of(item: SceneObject) -> tuple[float, float, float, float] | None:
 
 # By kind: isinstance of a pydantic model costs more than the rest of its record. So does a member of an enum.
 _SURFACE_KINDS: Final = frozenset(("wall", "membrane", "box", "disc"))
+_PASSIVITY: Final = {mode.name.lower(): int(mode) for mode in PassivityMode}
 _NONE, _WALL, _MEMBRANE, _BOX, _DISC = map(int, (Shape.NONE, Shape.WALL, Shape.MEMBRANE, Shape.BOX, Shape.DISC))
 
 
@@ -515,6 +522,12 @@ class Compiler:
         self._table.period_s = 1.0 / output.rate_hz
         self._table.max_force_n = output.max_force_n
         self._table.max_speed_m_per_s = output.max_speed_m_per_s
+        self._table.report_age = min(math.ceil(output.age_s * output.rate_hz - _SAME_PERIOD), PASSIVITY_AGE_MAX)
+        known = output.dynamics
+        mass_kg = output.effective_mass_kg if known is None else known.handle_mass_kg
+        self._table.brake_n_s_per_m = PASSIVITY_BRAKE * mass_kg * output.rate_hz
+        self._table.handle_damping_n_s_per_m = 0.0 if known is None else known.handle_damping_n_s_per_m
+        self._table.handle_friction_n = 0.0 if known is None else known.friction_n
         self._table.all_changed = 1
 
     def slot_of(self, id: str) -> tuple[int, int] | None:
@@ -590,6 +603,7 @@ class Compiler:
         table.revision = revision
         table.display_force = scene.display.force
         table.display_vibration = scene.display.vibration
+        table.passivity = _PASSIVITY[scene.passivity]
         table.ramp_s = scene.ramp_s
         table.ramp_step = table.period_s / scene.ramp_s
         table.object_count = self._places.count

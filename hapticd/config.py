@@ -92,6 +92,15 @@ class Sim(Model):
             return self.report_interval_s, self.report_delay_s
         return 1.0 / self.link.rate_hz, self.link.delay_frames / self.link.rate_hz
 
+    @property
+    def age_s(self) -> float:
+        """Between a position and the moment at which the force acts that is put when it is read, s.
+
+        A force that goes by a link waits for its frame, half of one on average.
+        """
+        delay_s = self.reports_s[1]
+        return delay_s if self.link is None else 2.0 * delay_s - 0.5 / self.link.rate_hz
+
     @model_validator(mode="after")
     def _one_way_of_reports(self) -> Self:
         if self.link is not None and (self.report_interval_s or self.report_delay_s):

@@ -175,6 +175,7 @@ class Control:
                 "glitches": counters.glitches,
                 "saturations": counters.saturations,
             },
+            "passivity": {"mode": engine.scene.passivity, **counters.energy._asdict()},
             **self._find_limits(),
         }
 

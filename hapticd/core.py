@@ -28,6 +28,7 @@ __all__ = [
     "NOISE_DTYPE",
     "NO_SLOT",
     "OBJECT_DTYPE",
+    "PASSIVITY_AGE_MAX",
     "PIECE_DTYPE",
     "PLAY_SLOT",
     "SAMPLE_DTYPE",
@@ -42,6 +43,7 @@ __all__ = [
     "HidMeaning",
     "HidQuantity",
     "Interpolation",
+    "PassivityMode",
     "Realtime",
     "Shape",
     "Status",
@@ -111,6 +113,8 @@ NO_SLOT = lib.HD_NO_SLOT
 """`slot` of an event or a reset that means no object in particular."""
 PLAY_SLOT = lib.HD_PLAY_SLOT
 """`slot` of what a `play` command struck."""
+PASSIVITY_AGE_MAX: int = lib.HD_PASSIVITY_AGE_MAX
+"""The oldest reports that the passivity observer understands, in periods."""
 SIM_FORCES: int = lib.HD_SIM_FORCES
 """So many frames a force may be under way to the simulated joystick."""
 
@@ -147,6 +151,14 @@ class Shape(IntEnum):
     DISC = lib.HD_SHAPE_DISC
 
 
+class PassivityMode(IntEnum):
+    """Whether the energy that objects give to the hand is watched: enum hd_passivity_mode."""
+
+    OFF = lib.HD_PASSIVITY_OFF
+    OBSERVE = lib.HD_PASSIVITY_OBSERVE
+    CONTROL = lib.HD_PASSIVITY_CONTROL
+
+
 class Flag(IntFlag):
     """Bits of a sample's `flags`: enum hd_flag."""
 
@@ -159,6 +171,7 @@ class Flag(IntFlag):
     FAULT = lib.HD_FLAG_FAULT
     GLITCH = lib.HD_FLAG_GLITCH
     REPEATED = lib.HD_FLAG_REPEATED
+    RESTRAINED = lib.HD_FLAG_RESTRAINED
 
 
 class EventKind(IntEnum):

@@ -84,6 +84,7 @@ def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None)
         link_rate_hz=link_rate_hz,
         compensation=device.compensation,
         dynamics=device.dynamics,
+        age_s=device.sim.age_s if device.kind == "sim" else 0.0,
     )
 
 
@@ -109,6 +110,21 @@ class Granted:
         }
 
 
+class Energy(NamedTuple):
+    """What the touched objects gave to the hand, as far as the passivity observer saw it."""
+
+    energy_j: float
+    """In this contact, or in the last one; below zero: the hand gave more than it got."""
+    largest_j: float
+    """That it ever was in a contact."""
+    contacts: int
+    """From the first touch to the last release."""
+    restrained: int
+    """Of them, those in which the controller acted."""
+    acted: int
+    """Ticks in which it did."""
+
+
 class Counters(NamedTuple):
     """What the servo has counted since it started."""
 
@@ -126,6 +142,8 @@ class Counters(NamedTuple):
     running: bool
     memory_refused: int
     """errno: the scene has grown beyond what may be locked; 0: memory is as granted."""
+    energy: Energy
+    """As of the last tick that was watched."""
 
 
 class Engine:
@@ -449,6 +467,7 @@ class Engine:
             bool(raw.forces_on),
             bool(raw.running),
             raw.memory_refused,
+            energy_of(raw.energy),
         )
 
     def faults(self) -> Fault:
@@ -476,6 +495,11 @@ class Engine:
             raise ValueError(f"room for records of {dtype}, not {room.dtype}")
         count = read(self._servo, pointer(ctype, room), len(room), self._dropped)
         return int(count), int(self._dropped[0])
+
+
+def energy_of(raw: CData) -> Energy:
+    """A `struct hd_energy`."""
+    return Energy(raw.energy_j, raw.largest_j, raw.contacts, raw.restrained, raw.acted)
 
 
 def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:

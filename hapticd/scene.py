@@ -171,6 +171,7 @@ class Constant(Model):
 
 Surface: TypeAlias = Wall | Membrane | Box | Disc
 """What can be touched."""
+Passivity: TypeAlias = Literal["off", "observe", "control"]
 SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
 SURFACES: Final = (Wall, Membrane, Box, Disc)
 
@@ -204,6 +205,10 @@ class Scene(Model):
     ramp_s: float = Field(
         default=0.02, ge=0.001, le=1, description="Time in which a force comes in that would otherwise step."
     )
+    passivity: Passivity = Field(
+        default="off",
+        description="The energy that touched objects give to the hand: not looked at, observed, or held down.",
+    )
     objects: dict[Name, Annotated[SceneObject, Field(discriminator="kind")]] = Field(
         default={}, max_length=MAX_OBJECTS, description="What is in the workspace, by id."
     )
@@ -224,7 +229,9 @@ class Scene(Model):
             problem = f"must hold at most {MAX_OBJECTS} entries, holds {len(objects)}"
             raise InvalidError([Problem("objects", problem)])
         # All three are valid already; copying the model would cost more than the rest of an update.
-        return Scene.model_construct(display=self.display, ramp_s=self.ramp_s, objects=objects)
+        return Scene.model_construct(
+            display=self.display, ramp_s=self.ramp_s, passivity=self.passivity, objects=objects
+        )
 
 
 SceneSource: TypeAlias = "Scene | Mapping[str, object] | str | os.PathLike[str]"

@@ -31,6 +31,7 @@ _HOMES: Final = {
     "simulate": "offline",
     "schema": "offline",
     "devices": "devices",
+    "bench": "bench",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 

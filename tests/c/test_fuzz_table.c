@@ -257,6 +257,8 @@ static void take_scene(struct source *source, double period_s, uint32_t run, str
         .number_count = NUMBERS,
         .display_force = (choice & 16) == 0,
         .display_vibration = (choice & 32) == 0,
+        .passivity = choice % 3,
+        .report_age = choice % 7,
         .field_version = choice >> 6,
         .parts_version = (choice & 1) != 0 ? run : 0,
         .period_s = take_number(source, period_s, period_s),
@@ -270,6 +272,9 @@ static void take_scene(struct source *source, double period_s, uint32_t run, str
         .numbers = scene->numbers,
     };
     table->ramp_step = take_byte(source) != 0 ? table->period_s / table->ramp_s : take_number(source, 0.0, 1.0);
+    table->brake_n_s_per_m = take_number(source, 0.0, 100.0);
+    table->handle_damping_n_s_per_m = take_number(source, 0.0, 1.0);
+    table->handle_friction_n = take_number(source, 0.0, 0.1);
     table->field.force_n[0] = take_number(source, -1.0, 1.0);
     table->field.force_n[1] = take_number(source, -1.0, 1.0);
     table->field.stiffness_n_per_m = take_number(source, 0.0, 100.0);
@@ -313,6 +318,12 @@ static void take_scene(struct source *source, double period_s, uint32_t run, str
         break;
     case 10:
         table->number_count = take_byte(source) % NUMBERS;
+        break;
+    case 11:
+        table->passivity = take_byte(source);
+        break;
+    case 12:
+        table->report_age = take_count(source, UINT32_MAX);
         break;
     default:
         break;

@@ -298,6 +298,8 @@ static void run(void) {
         }
         scene.table.display_vibration = below(10) != 0;
         scene.table.display_force = below(10) != 0;
+        scene.table.passivity = below(3);
+        scene.table.report_age = below(4);
         scene.table.revision++;
         CHECK(hd_world_load(world, &scene.table) == HD_OK);
         for (uint32_t left = 1 + below(200), first = 1; left > 0; left--, first = 0) {

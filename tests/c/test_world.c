@@ -299,6 +299,11 @@ static void refuses_scalars(struct hd_world *world) {
     REFUSED((bad.table.ramp_s = 5e-4, bad.table.ramp_step = 2.0), "shorter than a period");
     REFUSED(bad.table.display_force = 2, "display");
     REFUSED(bad.table.display_vibration = 2, "display");
+    REFUSED(bad.table.passivity = 3, "passivity");
+    REFUSED(bad.table.report_age = HD_PASSIVITY_AGE_MAX + 1, "periods old");
+    NOT_WITHIN(bad.table.brake_n_s_per_m, -1.0, 2e9, "brake");
+    NOT_WITHIN(bad.table.handle_damping_n_s_per_m, -1.0, 2e9, "handle's damping");
+    NOT_WITHIN(bad.table.handle_friction_n, -1.0, 2e9, "friction");
     NOT_WITHIN(bad.table.field.force_n[0], -2e9, 2e9, "field");
     NOT_WITHIN(bad.table.field.force_n[1], -2e9, 2e9, "field");
     NOT_WITHIN(bad.table.field.stiffness_n_per_m, -2e9, 2e9, "field");

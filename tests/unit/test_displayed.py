@@ -154,10 +154,11 @@ def struck(mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Compens
     """The force for A = 1, tick by tick until well after its end, from the record that C gets."""
     output = Output(rate_hz, dynamics.mass_kg, 100, 5, "mute", None, compensation, dynamics)
     record = mode_record(mode, 1.0, 1.0, output)
-    _, _, decay, omega, end, _, _, _, per_unit, gain_re, gain_im, _, _, tail_decay, tail_omega, tail_end, *tail = record
+    decay, omega, end, per_unit = record[2], record[3], record[4], record[8]
+    gain_re, gain_im, _, _, tail_decay, tail_omega, tail_end, tail_re, tail_im = record[9:18]
     time = since_s + np.arange(int(0.25 * rate_hz)) / rate_hz
     one = complex(gain_re, gain_im) * np.exp(complex(-decay, omega) * time) * (time <= end)
-    other = complex(*tail) * np.exp(complex(-tail_decay, tail_omega) * time) * (time <= tail_end)
+    other = complex(tail_re, tail_im) * np.exp(complex(-tail_decay, tail_omega) * time) * (time <= tail_end)
     force: Floats = per_unit * (one + other).imag
     return force
 
@@ -355,7 +356,7 @@ def test_off_is_one_pole_and_the_effective_mass() -> None:
     assert material.tap is not None
     record = mode_record(material.tap.mode, 1.0, 1.0, output_of(config, RATE))
     assert record[8] == 0.08
-    assert record[9:] == (1.0, 0.0, *(0.0,) * 7)
+    assert record[9:18] == (1.0, 0.0, *(0.0,) * 7)
 
 
 @pytest.mark.parametrize("compensation", ["mass", "full"])

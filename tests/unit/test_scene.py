@@ -62,6 +62,7 @@ def test_every_kind() -> None:
     assert scene.to_dict() == {
         "display": {"force": True, "vibration": True},
         "ramp_s": 0.02,
+        "passivity": "off",
         "objects": {
             **ALL,
             "a": {**WALL, **NO_PATCHES},

@@ -1,0 +1,301 @@
+"""Random walls and corners, most of them far from stable, with the passivity controller off and on.
+
+Each case is the closed loop of tick and simulated joystick. What the hand is given in one contact is the sum of
+f.(x' - x) over its ticks, f the force as it was commanded and x the handle's own position; what is told is the largest
+value that the sum reaches, over F_max v_max T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from bench.report import Advance, Floats, Options, Section, Table, spread
+from bench.tick import MATERIALS, RATE_HZ, STRETCH, Stretch, walls
+from hapticd.compile import Compiler
+from hapticd.config import load_config
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.engine import Energy, energy_of, output_of
+from hapticd.joystick import new_operator, new_sim
+from hapticd.offline import new_world
+
+MAX_FORCE_N: Final = 8.9
+MAX_SPEED_M_PER_S: Final = 5.0
+LASTING_S: Final = 0.6
+HANDLE_DAMPING: Final = 0.2
+
+Group: TypeAlias = Literal["exact", "encoder", "delay"]
+Mode: TypeAlias = Literal["off", "observe", "control"]
+GROUPS: Final[Mapping[Group, str]] = {
+    "exact": "exact positions",
+    "encoder": "steps of 1 to 100 um",
+    "delay": "0.2 to 3 periods old, half of them in steps",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One wall, or two that meet, and who presses on it. SI units."""
+
+    rate_hz: float
+    stiffness: float
+    damping: float
+    friction: float
+    corner_rad: float
+    """The angle between two walls; pi: there is one."""
+    encoder_step_m: float
+    delay_s: float
+    coulomb_n: float
+    light: bool
+    """A light handle that nobody holds, drawn by a weak spring, in place of the default hand."""
+    depth_m: float
+    slide_m: float
+
+    @property
+    def bound_j(self) -> float:
+        """F_max v_max T."""
+        return MAX_FORCE_N * MAX_SPEED_M_PER_S / self.rate_hz
+
+    @property
+    def age(self) -> int:
+        """How old a position is when it is read, in whole periods."""
+        return int(np.ceil(self.delay_s * self.rate_hz))
+
+    def config(self, passivity: Mode) -> dict[str, object]:
+        """The case as a configuration."""
+        material: dict[str, object] = {"stiffness_n_per_m": self.stiffness, "damping_n_s_per_m": self.damping}
+        if self.friction:
+            material["friction"] = {"coefficient": self.friction}
+        half = 0.5 * self.corner_rad
+        # Two faces that leave corner_rad between them, open upwards.
+        normals = {"left": [np.cos(half), np.sin(half)], "right": [-np.cos(half), np.sin(half)]}
+        objects = {
+            name: {"kind": "wall", "point_m": [0, 0], "normal": normal, "material": "it"}
+            for name, normal in normals.items()
+            if name == "left" or self.corner_rad < np.pi
+        }
+        hand = {"mass_kg": 0.0, "stiffness_n_per_m": 30, "damping_n_s_per_m": 0.0} if self.light else {}
+        return {
+            "device": {
+                "max_force_n": MAX_FORCE_N,
+                "max_speed_m_per_s": MAX_SPEED_M_PER_S,
+                "sim": {
+                    "handle_mass_kg": 0.02 if self.light else 0.04,
+                    "handle_damping_n_s_per_m": HANDLE_DAMPING,
+                    "coulomb_friction_n": self.coulomb_n,
+                    "encoder_step_m": self.encoder_step_m,
+                    "report_delay_s": self.delay_s,
+                    "max_force_n": 20,
+                    "force_step_n": 0,
+                    "hand": hand,
+                },
+            },
+            "materials": {"it": material},
+            "scene": {"objects": objects, "passivity": passivity},
+        }
+
+    def waypoints(self) -> list[list[float]]:
+        """The hand's wish: in, along, half out, in again and out."""
+        deep, along = -self.depth_m, self.slide_m
+        reach = 10.0 if self.light else 1.0
+        return [
+            [0.0, 0.0, 0.004],
+            [0.1, 0.0, reach * deep],
+            [0.25, along, reach * deep],
+            [0.35, along, 0.3 * reach * deep],
+            [0.45, 0.0, reach * deep],
+            [LASTING_S, 0.0, 0.004],
+        ]
+
+
+def draw(seed: int, group: Group) -> Case:
+    """A random case; `group` says what lies between the handle and what the servo knows of it."""
+    random = np.random.default_rng([seed, list(GROUPS).index(group)])
+    rate_hz = 1000.0 * 10.0 ** random.uniform(0, 1)
+    limit = 2.0 * HANDLE_DAMPING * rate_hz
+    stiffness = min(1e5, limit * 10.0 ** random.uniform(-0.3, 2))
+    encoder = group == "encoder" or (group == "delay" and random.random() < 0.5)
+    return Case(
+        rate_hz=rate_hz,
+        stiffness=stiffness,
+        damping=float(random.choice([0.0, 0.0, 10.0 ** random.uniform(-1, 2.5)])),
+        friction=float(random.choice([0.0, 0.0, random.uniform(0.1, 0.9)])),
+        corner_rad=float(random.choice([np.pi, np.deg2rad(random.uniform(10, 170))])),
+        encoder_step_m=1e-6 * 10.0 ** random.uniform(0, 2) if encoder else 0.0,
+        delay_s=random.uniform(0.2, 3.0) / rate_hz if group == "delay" else 0.0,
+        coulomb_n=float(random.choice([0.0, 0.05])),
+        light=bool(random.integers(2)),
+        depth_m=random.uniform(0.001, 0.01),
+        slide_m=float(random.choice([0.0, random.uniform(-0.02, 0.02)])),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What a run gave to the hand."""
+
+    seen_j: float
+    """The largest sum over one contact, over the positions reported."""
+    true_j: float
+    """The same over the handle's own positions."""
+    energy: Energy
+    """What the observer says."""
+    speed_m_per_s: float
+    """The handle's largest."""
+    ticks: int
+
+
+def work(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], together: int = 0) -> float:
+    """The largest sum of f.(x' - x) over one contact, the way after its last tick with it; 0 where it never is above.
+
+    `force_n`, `position_m` [n][2], `touched` [n]. Contacts that are no more than `together` ticks apart are one.
+    """
+    steps = np.zeros(len(force_n))
+    steps[1:] = (force_n[:-1] * np.diff(position_m, axis=0)).sum(1)
+    largest = 0.0
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], touched.astype(np.int8), [0]))))
+    apart = np.flatnonzero(edges[2::2] - edges[1:-1:2] > together) if len(edges) else edges
+    edges = np.concatenate((edges[:1], np.stack((edges[1 + 2 * apart], edges[2 + 2 * apart]), 1).ravel(), edges[-1:]))
+    for begin, end in edges.reshape(-1, 2):
+        sums = np.cumsum(steps[begin + 1 : end + 1])
+        if len(sums):
+            largest = max(largest, float(sums.max()))
+    return largest
+
+
+def simulated(case: Case, passivity: Mode) -> Given:
+    """The case, closed loop."""
+    config = load_config(case.config(passivity))
+    compiler = Compiler(output_of(config, case.rate_hz))
+    world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+    sim = new_sim(config.device.sim, case.rate_hz)
+    hand = new_operator(case.waypoints(), "linear")
+    lib.hd_sim_operate(sim, hand)
+    lib.hd_sim_settle(sim)
+    state = ffi.gc(lib.hd_state_new(2), lib.hd_state_free)
+    lib.hd_state_set_resolution(state, case.encoder_step_m)
+    count = round(LASTING_S * case.rate_hz)
+    samples, truth = records(SAMPLE_DTYPE, count), np.empty((count, 4))
+    events, found = records(EVENT_DTYPE, 4 * count), ffi.new("size_t *")
+    status = lib.hd_simulate(
+        world,
+        state,
+        sim,
+        count,
+        pointer("struct hd_sample[]", samples),
+        pointer("double[]", truth),
+        pointer("struct hd_event[]", events),
+        len(events),
+        found,
+    )
+    if status != Status.OK:
+        raise RuntimeError(invalid_reason())
+    raw = ffi.new("struct hd_energy *")
+    lib.hd_state_energy(state, raw)
+    force = samples["force_n"]  # nothing rings
+    touched = (samples["flags"] & Flag.CONTACT) != 0
+    return Given(
+        work(force, samples["position_m"], touched),
+        work(force, truth[:, :2], touched, case.age),
+        energy_of(raw),
+        float(np.hypot(*truth[:, 2:].T).max()),
+        count,
+    )
+
+
+def _counts(options: Options, advance: Advance) -> list[str | Table]:
+    many = options.few(1000, 40)
+    rows, contacts = [], 0
+    for index, (group, name) in enumerate(GROUPS.items()):
+        cases = [draw(seed, group) for seed in range(many)]
+        bounds = np.array([case.bound_j for case in cases])
+        older = bounds * [1 + case.age for case in cases]
+        modes: tuple[Mode, Mode] = ("observe", "control")
+        for turn, mode in enumerate(modes):
+            runs = [simulated(case, mode) for case in cases]
+            given = np.array([run.true_j for run in runs])
+            contacts += sum(run.energy.contacts for run in runs)
+            rows.append(
+                [
+                    f"{name}, {'off' if mode == 'observe' else 'control'}",
+                    f"{many}",
+                    f"{np.sum(given > bounds)}",
+                    f"{(given / bounds).max():.3g}",
+                    f"{np.sum(given > older)}",
+                    f"{(given / older).max():.3g}",
+                    spread(given / bounds, ".2g"),
+                    spread([run.speed_m_per_s for run in runs], ".2g"),
+                    f"{sum(run.energy.restrained > 0 for run in runs)}",
+                ]
+            )
+            advance((2 * index + turn + 1) / (2 * len(GROUPS)), name)
+    text = (
+        f"{len(GROUPS) * many} seeded cases (`bench/passivity.py`, `draw`), each of {LASTING_S:g} s with the "
+        f"controller off and on, {contacts} contacts: one wall or a corner of 10 to 170 degrees, 1 to 10 kHz, "
+        "stiffness of 0.5 to 100 times what is passive, a third with wall damping of 0.1 to 300 N s/m, a third with "
+        "friction, the default hand or a handle of 20 g that nobody holds. "
+        f"F_max {MAX_FORCE_N:g} N, v_max {MAX_SPEED_M_PER_S:g} m/s, T one period; a the age of a position, in whole "
+        "periods. Energy is that of the handle's own motion."
+    )
+    return [
+        text,
+        Table(
+            "Energy given to the hand in a contact, largest of each case",
+            [
+                "positions",
+                "cases",
+                "above F v T",
+                "worst / F v T",
+                "above F v (T + a)",
+                "worst / F v (T + a)",
+                "median / F v T (10 to 90 %)",
+                "fastest, m/s (10 to 90 %)",
+                "acted in",
+            ],
+            rows,
+        ),
+    ]
+
+
+def _stretch(mode: str, pressed: bool) -> Stretch:
+    objects = walls(1, "plain")
+    config = load_config({"materials": MATERIALS, "scene": {"objects": objects, "passivity": mode}})
+    compiler = Compiler(output_of(config, RATE_HZ))
+    world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+    return Stretch(objects, -0.001 if pressed else 0.01, world=world)
+
+
+def _cost(options: Options, advance: Advance) -> Table:
+    rounds, calls = options.few(40, 6), options.few(200, 50)
+    rows = []
+    for place, (name, pressed) in enumerate({"wall out of reach": False, "wall in contact": True}.items()):
+        scenes = {mode: _stretch(mode, pressed) for mode in ("off", "observe", "control")}
+        taken: dict[str, list[float]] = {mode: [] for mode in scenes}
+        for index in range(rounds):
+            for mode, scene in scenes.items():
+                scene.enter()
+                scene.render(20)
+                taken[mode].append(float(np.median(scene.timed(calls))))
+                if scene.flags() & Flag.CONTACT != (Flag.CONTACT if pressed else Flag(0)):
+                    raise RuntimeError(f"{name}: the scene is not what it is said to be ({scene.flags()!r})")
+            advance((place + (index + 1) / rounds) / 2, "cost")
+        more = [np.subtract(taken[mode], taken["off"]) for mode in ("observe", "control")]
+        rows.append(
+            [name, *(spread(values, ".1f") for values in taken.values()), *(spread(each, ".1f") for each in more)]
+        )
+    return Table(
+        f"ns a tick, {rounds} rounds in turns, each the median of {calls} calls of {STRETCH} ticks (10 to 90 %)",
+        ["scene", "off", "observe", "control", "observe - off", "control - off"],
+        rows,
+    )
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """Counts over random walls and corners, and what a tick pays."""
+    counts = _counts(options, lambda part, what: advance(0.7 * part, what))
+    cost = _cost(options, lambda part, what: advance(0.7 + 0.3 * part, what))
+    return Section("Passivity observer and controller", [*counts, cost])

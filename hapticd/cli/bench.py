@@ -1,0 +1,57 @@
+"""`hapticd bench`: the benchmarks, which lie beside the package in the source tree and are not installed with it."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import click
+
+from hapticd.errors import HapticdError
+
+TREE = Path(__file__).resolve().parent.parent.parent
+"""The source tree, where this is one."""
+
+
+def _bench(tree: Path) -> ModuleType:
+    """The benchmarks' main module. Raises HapticdError where they are not, or what they need is not."""
+    if not (tree / "bench" / "peers.py").is_file() or not (tree / "csrc" / "hd_api.h").is_file():
+        raise HapticdError(
+            "the benchmarks are not installed with hapticd: run this in a source tree, after pip install -e '.[dev]'"
+        )
+    if str(tree) not in sys.path:
+        sys.path.insert(0, str(tree))
+    try:
+        return importlib.import_module("bench.__main__")
+    except ModuleNotFoundError as error:
+        raise HapticdError(
+            f"the benchmarks need {error.name}, which is not installed: pip install -e '.[dev]' in {tree}"
+        ) from None
+
+
+@click.command("bench", short_help="Measure speed and error on this machine.")
+@click.argument("names", nargs=-1)
+@click.option("--list", "list_names", is_flag=True, help="Say what can be measured, and stop.")
+@click.option("--quick", is_flag=True, help="A minute or two: shows that it runs, not how fast.")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Where the report and its figures go [default: docs of the source tree, of a whole run].",
+)
+@click.pass_context
+def bench_command(ctx: click.Context, names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None) -> None:
+    """Measure NAMES, or everything: what each part costs, and how wrong it is, beside other ways to do the same.
+
+    Everything takes about 15 minutes. Works in a source tree, where the benchmarks are.
+    """
+    bench = _bench(TREE)
+    if list_names:
+        click.echo(bench.listed())
+        return
+    wrong = bench.unknown(names)
+    if wrong is not None:
+        raise click.UsageError(wrong, ctx)
+    ctx.exit(bench.perform(names, bench.Options(quick=quick), out))
