@@ -384,12 +384,21 @@ void hd_sim_advance(struct hd_sim *sim, uint32_t periods);
 void hd_sim_read(struct hd_sim *sim, struct hd_reading *reading);
 /* The handle itself: position [2], velocity [2], force of the actuator [2]. */
 void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
+/* The handle is there now and moves so; hand, force and reports stay as they are. HD_ERR_INVALID: not finite, or beyond
+ * the stops. */
+int hd_sim_place(struct hd_sim *sim, const double position[2], const double velocity[2]);
+/* `count` periods, each under its force of `force` [count][2]; `motion` [count][4] is position and velocity at the
+ * beginning of each, before its force is put. */
+void hd_sim_drive(struct hd_sim *sim, const double *force, size_t count, double *motion);
 
 /* Closed loop without clock: `count` ticks of table, state and sim. `truth` [count][4] (true position, velocity) or
  * NULL. */
 int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_sim *sim, size_t count,
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count);
+/* Strikes a mode at the next tick of a run, as the command `play` does. HD_ERR_INVALID (hd_invalid_reason);
+ * HD_ERR_FULL: enough for this tick. */
+int hd_play(struct hd_state *state, const struct hd_mode *mode, const double direction[2], double amplitude);
 
 /* ---- HID devices ------------------------------------------------------------------------------------------------ */
 

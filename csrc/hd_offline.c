@@ -105,3 +105,8 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
     *event_count = sink.count;
     return HD_OK;
 }
+
+int hd_play(struct hd_state *state, const struct hd_mode *mode, const double direction[2], double amplitude) {
+    const int status = hd_play_check(mode, direction, amplitude);
+    return status != HD_OK ? status : hd_tick_play(state, mode, direction, amplitude);
+}

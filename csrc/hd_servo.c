@@ -755,16 +755,8 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
 
 static int command_check(const struct hd_servo *servo, const struct hd_command *command) {
     switch (command->kind) {
-    case HD_COMMAND_PLAY: {
-        const double *direction = command->direction;
-        const double square = direction[0] * direction[0] + direction[1] * direction[1];
-        if (!(square > 1.0 - 1e-9 && square < 1.0 + 1e-9) ||
-            !(command->amplitude >= 0.0 && command->amplitude <= 1e9)) {
-            return hd_invalid("play: direction (%g, %g) or amplitude %g", direction[0], direction[1],
-                              command->amplitude);
-        }
-        return hd_mode_check(&command->mode, "play");
-    }
+    case HD_COMMAND_PLAY:
+        return hd_play_check(&command->mode, command->direction, command->amplitude);
     case HD_COMMAND_OPERATOR:
         return command->path != NULL && servo->device.sim != NULL ? HD_OK
                                                                   : hd_invalid("operator: no path or no simulation");

@@ -977,6 +977,30 @@ void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[
     hd_sim_step_truth(sim, position, velocity, force);
 }
 
+int hd_sim_place(struct hd_sim *sim, const double position[2], const double velocity[2]) {
+    for (int which = 0; which < 2; which++) {
+        if (!(fabs(position[which]) <= sim->workspace_m) || !isfinite(velocity[which])) {
+            return hd_invalid("position[%d]: %g with a velocity of %g is not within %g either way", which,
+                              position[which], velocity[which], sim->workspace_m);
+        }
+    }
+    for (int which = 0; which < 2; which++) {
+        sim->axes[which] = (struct hd_axis){position[which], velocity[which]};
+    }
+    return HD_OK;
+}
+
+void hd_sim_drive(struct hd_sim *sim, const double *force, size_t count, double *motion) {
+    for (size_t i = 0; i < count; i++) {
+        for (int which = 0; which < 2; which++) {
+            motion[4 * i + (size_t)which] = sim->axes[which].x;
+            motion[4 * i + 2u + (size_t)which] = sim->axes[which].v;
+        }
+        hd_sim_step_put(sim, &force[2 * i]);
+        hd_sim_step_advance(sim, 1);
+    }
+}
+
 size_t hd_sim_size(void) {
     return sizeof(struct hd_sim);
 }

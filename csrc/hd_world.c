@@ -73,6 +73,14 @@ int hd_mode_check(const struct hd_mode *mode, const char *what) {
     return HD_OK;
 }
 
+int hd_play_check(const struct hd_mode *mode, const double direction[2], double amplitude) {
+    const double square = direction[0] * direction[0] + direction[1] * direction[1];
+    if (!(square > 1.0 - 1e-9 && square < 1.0 + 1e-9) || !(amplitude >= 0.0 && amplitude <= 1e9)) {
+        return hd_invalid("play: direction (%g, %g) or amplitude %g", direction[0], direction[1], amplitude);
+    }
+    return hd_mode_check(mode, "play");
+}
+
 static int scalars_check(const struct hd_table *table) {
     if (!between(table->period_s, 1e-6, 1.0)) {
         return hd_invalid("table: period %g s is not between 1e-6 and 1", table->period_s);

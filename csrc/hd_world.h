@@ -32,6 +32,8 @@ void hd_world_release(struct hd_world *world);
 size_t hd_world_regions(const struct hd_world *world, struct hd_region regions[HD_WORLD_REGIONS]);
 /* Checks one mode, as a table's or a command's. */
 int hd_mode_check(const struct hd_mode *mode, const char *what);
+/* Checks what is played by hand: a mode, a unit vector, an amplitude in units of the mode. */
+int hd_play_check(const struct hd_mode *mode, const double direction[2], double amplitude);
 /* Checks one noise against the numbers it refers to. */
 int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t number_count, const char *what);
 

@@ -183,8 +183,10 @@ class Engine:
         config, servo = self.config, self.config.servo
         sim = config.device.sim
         resolution_m, report_age_s, link_hz = sim.encoder_step_m, sum(sim.reports_s), None
+        self.force_steps_n = (sim.force_step_n, sim.force_step_n)
         if self.connection is not None:
             plan, link = self.connection.open()
+            self.force_steps_n = plan.force_steps_n
             resolution_m, report_age_s, link_hz = plan.resolution_m, 0.0, link.rate_hz
         carried_hz = None if link_hz is None or link_hz >= servo.rate_hz else link_hz
         self.output = output_of(config, servo.rate_hz, carried_hz)

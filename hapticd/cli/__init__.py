@@ -32,6 +32,8 @@ _HOMES: Final = {
     "schema": "offline",
     "devices": "devices",
     "bench": "bench",
+    "calibrate": "calibrate",
+    "verify": "verify",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 

@@ -230,6 +230,16 @@ class Plan:
         """The step of positions, the coarser axis's."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
 
+    @property
+    def force_steps_n(self) -> tuple[float, float]:
+        """Steps of a force along x and along y; 0 where no message carries it."""
+        values = [value for message in self.force for value in message.values]
+        x, y = (
+            max((1.0 / abs(value.counts_per_unit) for value in values if value.quantity in quantities), default=0.0)
+            for quantities in ((HidQuantity.X, HidQuantity.MAGNITUDE), (HidQuantity.Y, HidQuantity.MAGNITUDE))
+        )
+        return x, y
+
     def to_c(self) -> CData:
         """A `struct hd_hid_plan *`. Raises DeviceError for what has no room in it."""
         plan = ffi.new("struct hd_hid_plan *")

@@ -39,6 +39,8 @@ COMMANDS = [
     "simulate",
     "schema",
     "devices",
+    "calibrate",
+    "verify",
 ]
 
 

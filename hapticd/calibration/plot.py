@@ -1,0 +1,62 @@
+"""The picture of a calibration: the response as measured and as fitted, magnitude above phase."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hapticd.calibration.fit import Fit, Point
+from hapticd.errors import HapticdError
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One drive: free or held."""
+
+    name: str
+    fit: Fit
+    accelerometer: tuple[Point, ...] = ()
+
+
+def require() -> None:
+    """Raises HapticdError (one line) where a picture cannot be drawn."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise HapticdError("a plot needs matplotlib: pip install 'hapticd[plots]'") from None
+
+
+def save(path: str | os.PathLike[str], curves: Sequence[Curve]) -> None:
+    """Draws the curves into a file whose ending says the kind."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (above, below) = plt.subplots(2, 1, figsize=(8, 7), sharex=True, constrained_layout=True)
+    highest = max(point.frequency_hz for curve in curves for point in (*curve.fit.points, *curve.accelerometer))
+    lowest = min(point.frequency_hz for curve in curves for point in curve.fit.points)
+    fine = np.geomspace(lowest, highest, 500)
+    for color, curve in zip(("C0", "C1"), curves, strict=False):
+        response = curve.fit.response(fine)
+        above.loglog(fine, np.abs(response), lw=1, color=color, label=f"{curve.name}, fit")
+        below.semilogx(fine, np.degrees(np.angle(response)), lw=1, color=color)
+        for points, marker, by in ((curve.fit.points, "o", "encoder"), (curve.accelerometer, "x", "accelerometer")):
+            if points:
+                frequency = np.array([point.frequency_hz for point in points])
+                measured = curve.fit.response(frequency) * np.array([point.ratio for point in points])
+                above.loglog(frequency, np.abs(measured), marker, ms=4, color=color, label=f"{curve.name}, {by}")
+                below.semilogx(frequency, np.degrees(np.angle(measured)), marker, ms=4, color=color)
+    above.set_ylabel("position over force, m/N")
+    above.legend(fontsize=8)
+    below.set_ylabel("phase, degrees")
+    below.set_xlabel("Hz")
+    try:
+        figure.savefig(path, dpi=120)
+    except (OSError, ValueError) as error:
+        raise HapticdError(f"{os.fspath(path)}: cannot be drawn: {error}") from None
+    finally:
+        plt.close(figure)

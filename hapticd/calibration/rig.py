@@ -1,0 +1,174 @@
+"""A device that strikes a mode and tells what happened: the simulated joystick without clock, or a device at its servo.
+
+Both run the servo's own tick over a configuration's scene.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.compile import Compiler, mode_record
+from hapticd.config import Config
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.displayable import Output
+from hapticd.engine import SAMPLE_CAPACITY, Engine, output_of
+from hapticd.errors import HapticdError
+from hapticd.events import fault_names
+from hapticd.joystick import new_sim
+from hapticd.mode import Mode
+from hapticd.offline import Samples, new_world
+
+POLL_S: Final = 0.005
+STALLED_S: Final = 1.0
+"""A servo that gives no sample for so long does not run."""
+
+
+class Rig(ABC):
+    """What is struck, and goes on for a while. Use as a context: at its end the force is zero."""
+
+    rate_hz: float
+    output: Output
+    hold_s: float
+    """How long the actuator holds a force: a period of the servo or of its link."""
+    force_steps_n: tuple[float, float]
+    """Steps of the actuator's force along x and y; 0: none are known."""
+
+    @abstractmethod
+    def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
+        """Strikes a mode, amplitude its coefficient; the tick that renders it first. Raises HapticdError."""
+
+    @abstractmethod
+    def run(self, duration_s: float) -> Samples:
+        """Lets so much time pass; what was rendered in it, (n,) records of SAMPLE_DTYPE. Raises HapticdError."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Takes the force away."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class SimRig(Rig):
+    """The simulated joystick; the same on every run."""
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.rate_hz = config.servo.rate_hz
+        self.output = output_of(config, self.rate_hz)
+        self.hold_s = 1.0 / self.output.carried_hz
+        compiler = Compiler(self.output)
+        self._world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+        sim = config.device.sim
+        self.force_steps_n = (sim.force_step_n, sim.force_step_n)
+        self._sim = new_sim(sim, self.rate_hz)
+        state = lib.hd_state_new(max(1, len(config.scene.objects)))
+        if state == ffi.NULL:
+            raise MemoryError("no memory for the state of a run")
+        self._state = ffi.gc(state, lib.hd_state_free)
+        lib.hd_state_set_resolution(self._state, sim.encoder_step_m)
+        self._events = records(EVENT_DTYPE, 1024)
+        self._event_count = ffi.new("size_t *")
+        self.ticks = 0
+        self.truth: list[npt.NDArray[np.float64]] = []
+        """Of each stretch that ran: (n, 4), true position and velocity at the ticks."""
+
+    def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
+        played = ffi.new("struct hd_mode *", mode_record(mode, 1.0, 1.0, self.output))
+        length = math.hypot(*direction)
+        unit = ffi.new("double[2]", [direction[0] / length, direction[1] / length])
+        status = lib.hd_play(self._state, played, unit, amplitude_m_per_s2)
+        if status != Status.OK:
+            raise HapticdError(f"a mode cannot be struck: {invalid_reason()}")
+        return self.ticks
+
+    def run(self, duration_s: float) -> Samples:
+        count = max(1, round(duration_s * self.rate_hz))
+        samples = np.empty(count, SAMPLE_DTYPE)
+        truth = np.empty((count, 4))
+        status = lib.hd_simulate(
+            self._world,
+            self._state,
+            self._sim,
+            count,
+            pointer("struct hd_sample[]", samples),
+            pointer("double[]", truth),
+            pointer("struct hd_event[]", self._events),
+            len(self._events),
+            self._event_count,
+        )
+        if status == Status.ERR_MEMORY:
+            raise MemoryError("no memory for a run")
+        if status != Status.OK:
+            raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
+        self.truth.append(truth)
+        self.ticks += count
+        return samples
+
+    def close(self) -> None:
+        """Nothing moves without `run`."""
+
+
+class ServoRig(Rig):
+    """A device at a servo of its own, as the daemon makes it. Forces are on from the start."""
+
+    def __init__(self, config: Config) -> None:
+        """Raises HapticdError where the device or the servo is not there."""
+        self._engine = Engine(config)
+        self.rate_hz = config.servo.rate_hz
+        self.output = self._engine.output
+        self.hold_s = 1.0 / self.output.carried_hz
+        self.force_steps_n = self._engine.force_steps_n
+        self._room = np.empty(SAMPLE_CAPACITY, SAMPLE_DTYPE)
+        self._events = np.empty(1024, EVENT_DTYPE)
+        self._begun = False
+        try:
+            self._engine.start()
+            self._begun = True
+            self._engine.set_forces(True)
+            self.run(2 * config.scene.ramp_s)
+        except BaseException:
+            self.close()
+            raise
+
+    def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
+        tick, _ = self._engine.play(mode, "coefficient", direction, amplitude_m_per_s2)
+        return tick
+
+    def run(self, duration_s: float) -> Samples:
+        taken: list[Samples] = []
+        wanted_ns = round(duration_s * 1e9)
+        heard = time.monotonic()
+        while True:
+            self._engine.beat()
+            count, dropped = self._engine.read_samples(self._room)
+            self._engine.read_events(self._events)
+            faults = self._engine.faults()
+            if faults:
+                raise HapticdError(f"stopped, the force is zero: fault {', '.join(fault_names(faults))}")
+            if dropped:
+                raise HapticdError("stopped: this machine does not keep up with the servo; try a lower servo.rate_hz")
+            if count:
+                heard = time.monotonic()
+                taken.append(self._room[:count].copy())
+                begun_ns, now_ns = int(taken[0]["time_ns"][0]), int(taken[-1]["time_ns"][-1])
+                if now_ns - begun_ns >= wanted_ns:
+                    return np.concatenate(taken)
+            elif time.monotonic() - heard > STALLED_S:
+                raise HapticdError("stopped: the servo gives no samples")
+            time.sleep(POLL_S)
+
+    def close(self) -> None:
+        """Fades the force out, puts zero, and lets the device go."""
+        if self._begun:
+            self._begun = False
+            self._engine.stop()

@@ -1,0 +1,240 @@
+"""What `hapticd verify` does: strikes each mode of the library, and lays the handle's acceleration beside it.
+
+Of the simulated joystick the acceleration is that of the handle itself: it is driven once more by the forces that were
+commanded, at sixteen times the rate, and the differences of its exact velocities are means of its acceleration. The
+library's waveform is taken as means over the same times. A link delays the force and changes none of its shape: the
+onset is when the force begins at the actuator.
+
+Of a recording the acceleration is what it holds; the whole sequence is found in it by cross-correlation, and each onset
+where the error is least, within `SEARCH_S` of that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.calibration.accelerometer import Recording, offset_of
+from hapticd.calibration.rig import Rig, ServoRig, SimRig
+from hapticd.calibration.sweep import Axis, Floats
+from hapticd.config import Config
+from hapticd.core import lib, pointer
+from hapticd.displayable import DISPLAYABLE, Output, displayed_mode
+from hapticd.displayed import band_error
+from hapticd.engine import output_of
+from hapticd.errors import HapticdError
+from hapticd.joystick import new_sim
+from hapticd.materials import Material
+from hapticd.mode import Mode
+from hapticd.offline import Samples
+from hapticd.scene import Scene
+from hapticd.texture import Grooves
+
+SPEED_M_PER_S: Final = 0.1
+PRESS_N: Final = 1.0
+LOW_HZ: Final = 30.0
+FINER: Final = 16
+REST_S: Final = 0.3
+"""Between two strikes, once five decay times are over."""
+AFTER_S: Final = 0.06
+"""Looked at beyond five decay times: what compensation may still do there, and what the hand makes of it."""
+SEARCH_S: Final = 0.003
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """What is struck: a use of a material, and the coefficient that the library gives it."""
+
+    material: str
+    use: str
+    mode: Mode
+    coefficient_m_per_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a strike was displayed."""
+
+    strike: Strike
+    displayed_hz: float | None
+    """None: silent, the rate cannot carry it."""
+    force_n: float
+    """The largest that was commanded."""
+    error: float
+    """RMS of the difference over RMS of the library's waveform, in the band; 1 where nothing is displayed."""
+    strength: float
+    """The part of the library's waveform in what was displayed: 1 where all is well, less where it was held back."""
+
+    def to_dict(self) -> dict[str, object]:
+        return {
+            "material": self.strike.material,
+            "use": self.strike.use,
+            "frequency_hz": self.strike.mode.frequency_hz,
+            "amplitude_m_per_s2": self.strike.coefficient_m_per_s2,
+            "displayed_hz": self.displayed_hz,
+            "force_n": self.force_n,
+            "error": self.error,
+            "strength": self.strength,
+        }
+
+
+def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M_PER_S) -> list[Strike]:
+    """What the materials ring with: taps and grooves at this speed, grooves pressed with 1 N, ruptures."""
+    found = []
+    for name, material in materials.items():
+        tap, rupture, texture = material.tap, material.rupture, material.texture
+        if tap is not None and tap.attack_slope_per_s > 0:
+            mode = tap.mode
+            amplitude = tap.attack_slope_per_s * speed_m_per_s
+            found.append(Strike(name, "tap", mode, mode.coefficient(amplitude, tap.attack)))
+        if isinstance(texture, Grooves) and (groove := material.groove_mode) is not None:
+            amplitude = texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * PRESS_N
+            found.append(Strike(name, "groove", groove, amplitude))
+        if rupture is not None and rupture.amplitude_m_per_s2 > 0:
+            found.append(Strike(name, "rupture", rupture.mode, rupture.amplitude_m_per_s2))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A sequence of strikes: what the servo rendered."""
+
+    rate_hz: float
+    output: Output
+    strikes: tuple[Strike, ...]
+    begins: tuple[int, ...]
+    """Of each strike, the period of its first tick since the first sample; -1 where it is silent."""
+    force_n: Floats
+    """(n, 2) the command at each period."""
+    along: int
+
+
+def play(
+    config: Config, strikes: list[Strike], axis: Axis, progress: Callable[[str], None], *, real: bool | None = None
+) -> Played:
+    """Strikes them one after the other, alone in an empty scene. Raises HapticdError."""
+    alone = config.model_copy(update={"scene": Scene()})
+    along = 0 if axis == "x" else 1
+    output = output_of(alone, alone.servo.rate_hz)
+    simulated = config.device.kind == "sim" if real is None else not real
+    taken: list[Samples] = []
+    ticks: list[int | None] = []
+    with SimRig(alone) if simulated else ServoRig(alone) as rig:
+        output = rig.output
+        taken.append(rig.run(REST_S))
+        for strike in strikes:
+            progress(f"{strike.material}, {strike.use}")
+            ticks.append(_strike(rig, output, strike, along))
+            if ticks[-1] is not None:
+                taken.append(rig.run(5.0 / strike.mode.decay_rate_per_s + AFTER_S + REST_S))
+    samples = np.concatenate(taken)
+    since_ns = samples["time_ns"] - samples["time_ns"][0]
+    place = np.rint(since_ns * 1e-9 * rig.rate_hz).astype(np.int64)
+    latest = np.zeros(int(place[-1]) + 1, np.int64)
+    latest[place] = np.arange(len(samples))
+    force = np.ascontiguousarray(samples["force_n"][np.maximum.accumulate(latest)], dtype=np.float64)
+    first = int(samples["tick"][0])
+    begins = [-1 if tick is None else int(place[tick - first]) for tick in ticks]
+    return Played(rig.rate_hz, output, tuple(strikes), tuple(begins), force, along)
+
+
+def _strike(rig: Rig, output: Output, strike: Strike, along: int) -> int | None:
+    if displayed_mode(strike.mode, output)[0] is None:
+        return None
+    return rig.strike(strike.mode, strike.coefficient_m_per_s2, (1.0, 0.0) if along == 0 else (0.0, 1.0))
+
+
+def from_simulation(config: Config, played: Played) -> list[Verdict]:
+    """Of the simulated handle."""
+    rate_hz = played.rate_hz * FINER
+    sim = new_sim(config.device.sim, rate_hz)
+    force = np.repeat(played.force_n, FINER, axis=0)
+    motion = np.empty((len(force), 4))
+    lib.hd_sim_drive(sim, pointer("double[]", force), len(force), pointer("double[]", motion))
+    acceleration = np.diff(motion[:, 2 + played.along]) * rate_hz
+    link = config.device.sim.link
+
+    def measured(strike: Strike, begin: int) -> tuple[float, float]:
+        onset = begin * FINER
+        if link is not None:
+            # It waits for its frame.
+            frame = played.rate_hz * FINER / link.rate_hz
+            onset = round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
+        count = round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * rate_hz)
+        return _compared(acceleration[onset : onset + count], strike, rate_hz, played)
+
+    return _verdicts(played, measured)
+
+
+def from_recording(played: Played, recording: Recording) -> list[Verdict]:
+    """Of what an accelerometer heard. Raises HapticdError where the sequence is not in it."""
+    rate_hz = recording.rate_hz
+    expected = np.zeros(len(played.force_n))
+    for strike, begin in zip(played.strikes, played.begins, strict=True):
+        if begin >= 0:
+            shown, factor = displayed_mode(strike.mode, played.output)
+            assert shown is not None
+            count = min(round(5.0 / shown.decay_rate_per_s * played.rate_hz), len(expected) - begin)
+            ringing = waveform(shown, count, played.rate_hz)
+            expected[begin : begin + count] += strike.coefficient_m_per_s2 * factor * ringing
+    if not expected.any():
+        raise HapticdError("nothing of the library is displayed at this rate, so there is nothing to verify")
+    begin_s = offset_of(recording, expected, played.rate_hz)
+
+    def measured(strike: Strike, begin: int) -> tuple[float, float]:
+        count = round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * rate_hz)
+        times = begin_s + begin / played.rate_hz + (np.arange(count) + 0.5) / rate_hz
+
+        def error_at(shift_s: float) -> float:
+            return _compared(recording.at(times + shift_s), strike, rate_hz, played)[0]
+
+        period_s = 1.0 / strike.mode.frequency_hz
+        step = min(period_s / 12, SEARCH_S / 10)
+        best = min(np.arange(-SEARCH_S, SEARCH_S + step / 2, step).tolist(), key=error_at)
+        while step > 1e-3 * period_s:
+            step /= 3
+            best = min((best - 2 * step, best - step, best, best + step, best + 2 * step), key=error_at)
+        return _compared(recording.at(times + best), strike, rate_hz, played)
+
+    return _verdicts(played, measured)
+
+
+def waveform(mode: Mode, count: int, rate_hz: float) -> Floats:
+    """exp(-B t) sin(w t) from its onset on, as means over `count` times of 1/rate_hz."""
+    pole = complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
+    return np.asarray(np.diff((np.exp(pole * np.arange(count + 1) / rate_hz) / pole).imag) * rate_hz)
+
+
+def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) -> tuple[float, float]:
+    """Error and strength."""
+    reference = strike.coefficient_m_per_s2 * waveform(strike.mode, len(measured), rate_hz)
+    high_hz = DISPLAYABLE * min(played.output.rate_hz, rate_hz)
+    error = band_error(measured, reference, rate_hz, LOW_HZ, high_hz)
+    return error, _strength(measured, reference, rate_hz, high_hz)
+
+
+def _strength(measured: Floats, reference: Floats, rate_hz: float, high_hz: float) -> float:
+    length = 1 << math.ceil(math.log2(max(2 * len(measured), rate_hz)))
+    frequency = np.fft.rfftfreq(length, 1.0 / rate_hz)
+    inside = (frequency >= LOW_HZ) & (frequency <= high_hz)
+    one, other = np.fft.rfft(measured, length)[inside], np.fft.rfft(reference, length)[inside]
+    return float(np.vdot(other, one).real / np.vdot(other, other).real)
+
+
+def _verdicts(played: Played, measured: Callable[[Strike, int], tuple[float, float]]) -> list[Verdict]:
+    found = []
+    for strike, begin in zip(played.strikes, played.begins, strict=True):
+        if begin < 0:
+            found.append(Verdict(strike, None, 0.0, 1.0, 0.0))
+            continue
+        shown, _ = displayed_mode(strike.mode, played.output)
+        assert shown is not None
+        last = begin + round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * played.rate_hz)
+        force = float(np.abs(played.force_n[begin:last, played.along]).max())
+        error, strength = measured(strike, begin)
+        found.append(Verdict(strike, shown.frequency_hz, force, error, strength))
+    return found

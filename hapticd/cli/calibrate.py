@@ -1,0 +1,150 @@
+"""`hapticd calibrate`: what handle and grip are."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from hapticd.cli.common import json_option, print_json, yaml_text
+from hapticd.errors import HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.calibration.handle import Calibration
+
+DEFAULT_FORCE_N = 1.0
+
+
+@click.command("calibrate", short_help="Measure handle and grip.")
+@click.option(
+    "-c",
+    "--config",
+    "configs",
+    multiple=True,
+    metavar="FILE",
+    help="Configuration that names the device [default: the simulated joystick].",
+)
+@click.option("-o", "--output", metavar="FILE", help="Write the device section there, too.")
+@click.option("--overwrite", is_flag=True, help="Replace what is there.")
+@click.option("--plot", metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
+@click.option(
+    "--accelerometer",
+    metavar="FILE",
+    help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2).",
+)
+@click.option("--axis", type=click.Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
+@click.option(
+    "--force-n",
+    type=click.FloatRange(min=0.05),
+    default=DEFAULT_FORCE_N,
+    show_default=True,
+    metavar="N",
+    help="Largest force; never more than the device's max_force_n.",
+)
+@click.option("--yes", is_flag=True, help="Do not ask: first the handle is free, then, 5 s later, it is held.")
+@json_option
+def calibrate_command(
+    configs: tuple[str, ...],
+    output: str | None,
+    overwrite: bool,
+    plot: str | None,
+    accelerometer: str | None,
+    axis: Literal["x", "y"],
+    force_n: float,
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """Measure mass, damping and dry friction of the handle, and mass, damping and stiffness of the hand on it.
+
+    The handle is driven along one axis by weak bursts from a few hertz up to where they move it by less than a step of
+    its encoder: half a minute alone, then half a minute held as it will be used. The difference of the two is the hand.
+    A handle that leaves the middle third of its travel ends it. Ctrl-C takes the force away.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from hapticd.calibration import handle
+    from hapticd.calibration import plot as drawing
+    from hapticd.config import default_config, load_config
+
+    for target in (output, plot):
+        if target is not None and Path(target).exists() and not overwrite:
+            raise HapticdError(f"{target}: is there already; give another name, or --overwrite")
+    if plot is not None:
+        drawing.require()
+    config = load_config(configs) if configs else default_config()
+    simulated = config.device.kind == "sim"
+
+    def ask(held: bool) -> None:
+        if simulated:
+            return
+        if yes:
+            handle.pause(held)
+            return
+        what = "Hold the handle in the middle as it will be used." if held else "Let go of the handle, in the middle."
+        click.confirm(f"{what} It will move for half a minute with up to {force_n:g} N. Ready?", abort=True, err=True)
+
+    def recorded() -> None:
+        if not simulated and not yes:
+            click.confirm(f"Stop the accelerometer. Is its recording in {accelerometer}?", abort=True, err=True)
+
+    try:
+        with _progress() as progress:
+            found = handle.calibrate(config, axis, force_n, ask, progress, wide=accelerometer is not None)
+    except KeyboardInterrupt:
+        click.echo("hapticd: interrupted; the force is zero, nothing was written", err=True)
+        raise
+    if accelerometer is not None:
+        recorded()
+        found = handle.with_accelerometer(found, accelerometer)
+    section = found.section()
+    if plot is not None:
+        drawing.save(plot, found.curves())
+    if output is not None:
+        Path(output).write_text(yaml_text(section) + "\n", encoding="utf-8")
+    if as_json:
+        print_json({**found.to_dict(), **section})
+    else:
+        _table(found)
+        click.echo(yaml_text(section))
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """What is being done, in one line on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.spinner import Spinner
+
+    spinner = Spinner("dots", text="calibrating")
+    with Live(spinner, console=Console(stderr=True), transient=True) as live:
+        # A question needs the line for itself.
+        def show(text: str) -> None:
+            if text:
+                live.start()
+                spinner.update(text=text)
+            else:
+                live.stop()
+
+        yield show
+
+
+def _table(found: Calibration) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{found.kind}, axis {found.axis}")
+    for head in ("", "value", "95 % bounds", "unit"):
+        table.add_column(head, justify="left" if head in ("", "unit") else "right")
+    for name, estimate, unit in found.rows():
+        table.add_row(name, f"{estimate.value:.4g}", f"{estimate.low:.4g} to {estimate.high:.4g}", unit)
+    console = Console()
+    console.print(table)
+    for line in found.notes():
+        click.echo(line)

@@ -1,0 +1,102 @@
+"""`hapticd verify`: how far what a device displays is from the library."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Literal
+
+import click
+
+from hapticd.cli.common import json_option, print_json
+from hapticd.errors import HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.calibration.verify import Verdict
+
+
+@click.command("verify", short_help="Measure how materials are displayed.")
+@click.option(
+    "-c",
+    "--config",
+    "configs",
+    multiple=True,
+    metavar="FILE",
+    help="Configuration with device and materials [default: the simulated joystick].",
+)
+@click.option(
+    "--recording",
+    metavar="FILE",
+    help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2); a real "
+    "device needs one.",
+)
+@click.option("--scale", type=float, default=1.0, metavar="FACTOR", help="On the recording's numbers.")
+@click.option("--speed", type=click.FloatRange(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S")
+@click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
+@click.option("--yes", is_flag=True, help="Do not ask.")
+@json_option
+def verify_command(
+    configs: tuple[str, ...],
+    recording: str | None,
+    scale: float,
+    speed: float,
+    axis: Literal["x", "y"],
+    yes: bool,
+    as_json: bool,
+) -> None:
+    """Strike each material's tap (at the speed), groove (there with 1 N) and rupture, and say how far the handle's
+    acceleration is from the library: RMS of the difference over RMS, from 30 Hz to 0.4 of the rate.
+
+    The simulated handle is known as it is. On a real one an accelerometer must record while they are struck, half a
+    second apart, the handle held as it will be used.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from hapticd.calibration import verify
+    from hapticd.calibration.accelerometer import load_recording
+    from hapticd.config import default_config, load_config
+
+    config = load_config(configs) if configs else default_config()
+    simulated = config.device.kind == "sim"
+    if not simulated:
+        if recording is None:
+            raise HapticdError("a real device is verified by an accelerometer on its handle: give --recording FILE")
+        if not yes:
+            click.confirm("Hold the handle, and start the accelerometer. Ready?", abort=True, err=True)
+    strikes = verify.strikes_of(config.materials, speed)
+    try:
+        played = verify.play(config, strikes, axis, lambda text: None)
+    except KeyboardInterrupt:
+        click.echo("hapticd: interrupted; the force is zero", err=True)
+        raise
+    if recording is None:
+        verdicts = verify.from_simulation(config, played)
+    else:
+        if not simulated and not yes:
+            click.confirm(f"Stop the accelerometer. Is its recording in {recording}?", abort=True, err=True)
+        verdicts = verify.from_recording(played, load_recording(recording, scale))
+    if as_json:
+        print_json([verdict.to_dict() for verdict in verdicts])
+    else:
+        _table(verdicts)
+
+
+def _table(verdicts: list[Verdict]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=box.SIMPLE)
+    for head in ("material", "use", "Hz", "shown Hz", "m/s²", "N", "strength", "error"):
+        table.add_column(head, justify="left" if head in ("material", "use") else "right", no_wrap=True)
+    for each in verdicts:
+        strike = each.strike
+        table.add_row(
+            strike.material,
+            strike.use,
+            f"{strike.mode.frequency_hz:.4g}",
+            "silent" if each.displayed_hz is None else f"{each.displayed_hz:.4g}",
+            f"{strike.coefficient_m_per_s2:.3g}",
+            f"{each.force_n:.2f}",
+            f"{each.strength:.3f}",
+            f"{100 * each.error:.1f} %",
+        )
+    Console().print(table)

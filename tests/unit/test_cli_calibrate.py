@@ -1,0 +1,180 @@
+"""`hapticd calibrate` and `hapticd verify` as a user runs them, the simulated joystick and a device that stands in."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hapticd.calibration import handle
+from hapticd.cli import main
+from hapticd.config import load_config
+from hapticd.hid import sources
+from hapticd.hid.connection import Opened
+from hapticd.hid.pid import PidDriver
+from tests.hid_descriptors import Joystick
+from tests.hid_device import FakePid
+
+SIM = "servo: {rate_hz: 1000}\n"
+HID = "servo: {rate_hz: 1000, realtime: 'off'}\ndevice: {kind: hid, hid: {travel_m: 0.04}}\n"
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("sim.yaml").write_text(SIM)
+    Path("hid.yaml").write_text(HID)
+
+
+def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
+    assert main(arguments) == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1, captured.err
+    return captured.err
+
+
+def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["calibrate", "-c", "sim.yaml", "-o", "found.yaml", "--plot", "response.png"]
+    assert main(arguments) == 0
+    out = capsys.readouterr().out
+    assert "handle mass" in out and "grip stiffness" in out and "95 % bounds" in out
+    assert Path("found.yaml").read_text().strip() in out
+    assert Path("response.png").read_bytes().startswith(b"\x89PNG")
+    device = load_config(["sim.yaml", "found.yaml"]).device
+    assert device.handle is not None and device.grip is not None
+    assert device.handle.mass_kg == pytest.approx(0.04, rel=0.02)
+    assert device.handle.friction_n == pytest.approx(0.05, rel=0.02)
+    assert device.grip.stiffness_n_per_m == pytest.approx(300, rel=0.05)
+    # Nothing is replaced unless that is said.
+    error = said(capsys, 1, "calibrate", "-c", "sim.yaml", "-o", "found.yaml")
+    assert error == "hapticd: found.yaml: is there already; give another name, or --overwrite\n"
+    assert "response.png: is there already" in said(capsys, 1, "calibrate", "--plot", "response.png")
+
+
+def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("old.yaml").write_text("old")
+    assert main(["calibrate", "-c", "sim.yaml", "--json", "-o", "old.yaml", "--overwrite", "--axis", "y"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    mass = told["estimates"]["handle_mass"]
+    assert mass["low"] <= mass["value"] <= mass["high"]
+    assert told["axis"] == "y"
+    assert told["device"]["handle"]["mass_kg"] == pytest.approx(mass["value"], rel=1e-3)
+    assert {point["by"] for point in told["response"]["held"]} == {"encoder"}
+    assert load_config("old.yaml").device.handle is not None
+
+
+def test_calibrate_without_matplotlib(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    error = said(capsys, 1, "calibrate", "-c", "sim.yaml", "--plot", "response.png")
+    assert error == "hapticd: a plot needs matplotlib: pip install 'hapticd[plots]'\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (None, "cannot be read: No such file or directory"),
+        ("time_s,acceleration_m_per_s2\n0,1\n1\n", "is no recording: line 3 has not 2 columns"),
+        ("time_s,a\n" + "0,1\n" * 20, "has no acceleration_m_per_s2; it has time_s, a"),
+        ("time_s,acceleration_m_per_s2\n" + "0,1\n" * 20, "time_s must rise, and every number be finite"),
+        ("time_s,acceleration_m_per_s2\n0,x\n", "is no recording: could not convert string to float: 'x'"),
+    ],
+)
+def test_recordings_that_are_none(capsys: pytest.CaptureFixture[str], content: str | None, problem: str) -> None:
+    if content is not None:
+        Path("felt.csv").write_text(content)
+    assert said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.csv") == f"hapticd: felt.csv: {problem}\n"
+
+
+def test_verify(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["verify", "-c", "sim.yaml"]) == 0
+    table = capsys.readouterr().out
+    assert "wood" in table and "silent" in table
+    assert main(["verify", "-c", "sim.yaml", "--json"]) == 0
+    told = {(each["material"], each["use"]): each for each in json.loads(capsys.readouterr().out)}
+    assert told["steel", "tap"]["displayed_hz"] is None
+    assert 0 < told["cellophane", "rupture"]["error"] < 1
+    np.savez("felt.npz", time_s=np.arange(100.0), acceleration_m_per_s2=np.random.default_rng(1).normal(size=100))
+    assert "what was driven is not in it" in said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz")
+
+
+def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> None:
+    error = said(capsys, 1, "verify", "-c", "hid.yaml")
+    assert error == "hapticd: a real device is verified by an accelerometer on its handle: give --recording FILE\n"
+
+
+# ---- A device at its servo ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stick(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakePid]:
+    """A joystick whose handle is stuck in the middle."""
+    fake = FakePid(bytes(Joystick()))
+    monkeypatch.setattr(
+        sources,
+        "open_hid",
+        lambda hid: Opened(fake.device, PidDriver(fake.layout, hid), "Lab stick", None, True, measure=False),
+    )
+    middle = {name: (axis.field.logical_min + axis.field.logical_max) // 2 for name, axis in fake.layout.input.items()}
+    fake.report(middle["x"], middle["y"])
+    yield fake
+    fake.close()
+
+
+def pushed(stick: FakePid) -> list[str]:
+    return [entry for entry in stick.log if entry.startswith("constant_force")]
+
+
+def test_a_stuck_handle_is_pushed_told_and_let_go(capsys: pytest.CaptureFixture[str], stick: FakePid) -> None:
+    error = said(capsys, 1, "calibrate", "-c", "hid.yaml", "--yes", "-o", "found.yaml")
+    assert "the handle does not move under 0.8 N at 60 Hz" in error
+    stick.wait(lambda: not stick.enabled)
+    assert len(pushed(stick)) > 10
+    assert stick.force() == (0.0, 0.0)
+    assert not Path("found.yaml").exists()
+
+
+def test_ctrl_c_takes_the_force_away(
+    capsys: pytest.CaptureFixture[str], stick: FakePid, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calibrate = handle.calibrate
+    seen: list[float] = []
+
+    def interrupted(*arguments: object, **more: object) -> object:
+        progress = arguments[4]
+        assert callable(progress)
+
+        def until(text: str) -> None:
+            progress(text)
+            if "60 Hz, 0.8 N" in text:
+                stick.wait(lambda: stick.force() != (0.0, 0.0))
+                seen.append(stick.force()[0])
+                raise KeyboardInterrupt
+
+        return calibrate(*arguments[:4], until, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(handle, "calibrate", interrupted)
+    assert main(["calibrate", "-c", "hid.yaml", "--yes"]) == 130
+    assert capsys.readouterr().err == "hapticd: interrupted; the force is zero, nothing was written\n"
+    assert seen and seen[0] != 0.0
+    stick.wait(lambda: not stick.enabled)
+    assert stick.force() == (0.0, 0.0)
+
+
+def test_nothing_moves_before_it_is_said(
+    capsys: pytest.CaptureFixture[str], stick: FakePid, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("click.confirm", _refuse)
+    assert main(["calibrate", "-c", "hid.yaml"]) == 130
+    assert stick.log == []
+
+
+def _refuse(text: str, **_: object) -> Callable[[], None]:
+    import click
+
+    assert "Let go of the handle" in text
+    raise click.Abort
