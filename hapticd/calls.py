@@ -97,6 +97,7 @@ class Status(TypedDict):
     undisplayable: list[dict[str, Json]]
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]
+    stability: dict[str, Json]
 
 
 class SceneResult(TypedDict):

@@ -47,6 +47,7 @@ from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.scene import Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
+from hapticd.together import Parts
 
 HISTORY: Final = 65536
 """Objects that are gone and still known by name: events speak of them a moment later."""
@@ -389,6 +390,10 @@ class _Materials:
             self._noise_places.give(place)
             self._noises_changed = True
 
+    def rows(self) -> npt.NDArray[np.void]:
+        """The records, at their indices."""
+        return self._rows.array[: self._places.count]
+
     def write(self, table: CData) -> None:
         """Puts materials, noises and numbers into a table."""
         if self._noises_changed:
@@ -536,12 +541,26 @@ class Compiler:
         owner = None if slot is None else self._owners[slot]
         return None if slot is None or owner is None else (slot, owner[0])
 
+    def names(self) -> list[str]:
+        """Ids by slot; empty where the slot is free. Not while another thread updates it."""
+        return ["" if owner is None else owner[1] for owner in self._owners]
+
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that has, or had, a slot; None where it is too long ago. For any thread."""
         owner = self._owners[slot] if slot < len(self._owners) else None
         if owner is not None and owner[0] == generation:
             return owner[1]
         return self._gone.get((slot, generation))
+
+    def parts(self) -> Parts:
+        """A copy of what of the table says how surfaces and fields push. Not while another thread updates it."""
+        return Parts(
+            self._objects.array[: self._places.count].copy(),
+            self._materials.rows().copy(),
+            self._pieces.copy(),
+            float(self._table.field.stiffness_n_per_m),
+            float(self._table.field.damping_n_s_per_m),
+        )
 
     def update(
         self,

@@ -177,6 +177,7 @@ class Control:
             },
             "passivity": {"mode": engine.scene.passivity, **counters.energy._asdict()},
             **self._find_limits(),
+            "stability": engine.stability().to_dict(),
         }
 
     def _find_limits(self) -> dict[str, object]:

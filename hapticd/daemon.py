@@ -75,7 +75,7 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
     undisplayable, warnings = engine.limits()
-    for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS]):
+    for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
     stack.callback(router.close)

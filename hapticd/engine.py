@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
@@ -44,7 +45,9 @@ from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim
 from hapticd.materials import Materials
 from hapticd.mode import Attack, Mode
-from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, materials_of
+from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, materials_of
+from hapticd.stability import Loop, timing
+from hapticd.together import Stability, judge
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -86,6 +89,49 @@ def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None)
         dynamics=device.dynamics,
         age_s=device.sim.age_s if device.kind == "sim" else 0.0,
     )
+
+
+def loop_of(
+    config: Config,
+    rate_hz: float,
+    *,
+    resolution_m: float = 0.0,
+    force_step_n: float = 0.0,
+    link_rate_hz: float | None = None,
+) -> Loop | None:
+    """What closes the loop of a configuration's device at a rate; None where `device.handle` is needed and missing.
+
+    Resolution, force step and link are those of a real device (0 and None: not known); the simulated one has its own.
+    Of a real link it is assumed, as of the simulated one, that positions are a frame old and forces act a frame later.
+    """
+    device, sim = config.device, config.device.sim
+    dynamics = device.dynamics
+    if dynamics is None:
+        return None
+    if device.kind == "sim":
+        interval_s, age_s = sim.reports_s
+        frame_s, frames = (0.0, 1) if sim.link is None else (1.0 / sim.link.rate_hz, sim.link.delay_frames)
+        return Loop(
+            timing(rate_hz, interval_s, age_s, frame_s, frames),
+            dynamics,
+            sim.encoder_step_m,
+            sim.force_step_n,
+            min(device.max_force_n, sim.max_force_n),
+            sim.workspace_m,
+        )
+    frame_s = 1.0 / min(rate_hz, rate_hz if link_rate_hz is None else link_rate_hz)
+    return Loop(
+        timing(rate_hz, frame_s, frame_s, frame_s, 1),
+        dynamics,
+        resolution_m,
+        force_step_n,
+        device.max_force_n,
+        device.hid.travel_m,
+    )
+
+
+UNKNOWN_HANDLE: Final = "device.handle is not given: mass_kg, damping_n_s_per_m and friction_n of the handle decide it"
+"""Why the stability of a real joystick is not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +236,15 @@ class Engine:
             resolution_m, report_age_s, link_hz = plan.resolution_m, 0.0, link.rate_hz
         carried_hz = None if link_hz is None or link_hz >= servo.rate_hz else link_hz
         self.output = output_of(config, servo.rate_hz, carried_hz)
+        self._loop = loop_of(
+            config,
+            servo.rate_hz,
+            resolution_m=resolution_m,
+            force_step_n=max(self.force_steps_n),
+            link_rate_hz=carried_hz,
+        )
+        self._compiling = threading.Lock()
+        self._judged: tuple[int, Stability] | None = None
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
@@ -338,14 +393,38 @@ class Engine:
         materials = self.materials
         return self._offload.told({name: material for name, material in materials.items() if name in used})
 
+    def stability(self) -> Stability:
+        """Which sets of objects that act together are not safe, of the scene in force. For any thread.
+
+        Found anew only where the scene changed. While another thread changes it, that of the scene before.
+        """
+        if self._loop is None:
+            return Stability(UNKNOWN_HANDLE, None)
+        known = self._judged
+        # Nobody waits here for the filters of many textures; but the first one is always told.
+        if not self._compiling.acquire(blocking=known is None):
+            assert known is not None
+            return known[1]
+        try:
+            if known is not None and known[0] == self.revision:
+                return known[1]
+            revision, scene, parts = self.revision, self.scene, self._compiler.parts()
+            names = self._compiler.names()
+        finally:
+            self._compiling.release()
+        found = judge(parts, names.__getitem__, lambda: field_ids(scene.objects), self._loop)
+        self._judged = revision, found
+        return found
+
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that an event speaks of; None where no object is meant."""
         return self._compiler.name_of(slot, generation)
 
     def _take(self, scene: Scene, changed: Iterable[str], materials: Materials) -> int:
         revision = (self.revision + 1) & 0xFFFFFFFF
-        self._publish(scene, changed, materials, revision)
-        self.scene, self.materials, self.revision = scene, materials, revision
+        with self._compiling:
+            self._publish(scene, changed, materials, revision)
+            self.scene, self.materials, self.revision = scene, materials, revision
         return revision
 
     def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:

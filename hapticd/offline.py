@@ -29,12 +29,13 @@ from hapticd.core import (
     records,
 )
 from hapticd.displayable import Undisplayable, rate_faults, undisplayable, warnings
-from hapticd.engine import output_of
+from hapticd.engine import loop_of, output_of
 from hapticd.errors import HapticdError, InvalidError, Problem, shown
 from hapticd.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.model import problems_of
 from hapticd.operator import Operator, load_operator, parse_operator
-from hapticd.scene import used_materials
+from hapticd.scene import field_ids, used_materials
+from hapticd.together import Stability, judge
 
 Samples: TypeAlias = npt.NDArray[np.void]
 """Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""
@@ -57,7 +58,8 @@ class Run:
     undisplayable: tuple[Undisplayable, ...]
     """Modes and peaks of textures of the scene that this rate cannot carry."""
     warnings: tuple[Problem, ...]
-    """What of the scene is displayed otherwise than it was meant, at this rate."""
+    """What of the scene is displayed otherwise than it was meant, at this rate; in the closed loop also what may
+    oscillate."""
     rate_hz: float
     """Ticks per second."""
 
@@ -80,6 +82,15 @@ class _Scene:
         compiler = Compiler(output)
         self.world = new_world(compiler.update(scene, scene.objects, materials, 1))
         self.objects = {place: id for id in scene.objects if (place := compiler.slot_of(id)) is not None}
+        self._compiler = compiler
+
+    def stability(self) -> Stability:
+        """Which sets of objects are not safe with the simulated joystick, whatever the configuration's device is."""
+        device = self.config.device.model_copy(update={"kind": "sim"})
+        loop = loop_of(self.config.model_copy(update={"device": device}), self.rate_hz)
+        assert loop is not None
+        objects = self.config.scene.objects
+        return judge(self._compiler.parts(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
 
     def new_state(self, resolution_m: float) -> CData:
         state = lib.hd_state_new(max(1, len(self.objects)))
@@ -270,6 +281,7 @@ def simulate_run(
         device.start_m,
     )
     count = _ticks(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
+    stability = scene.stability()
     sim = new_sim(device, scene.rate_hz)
     hand = new_operator(path.tolist(), operator.interpolation)
     lib.hd_sim_operate(sim, hand)
@@ -291,7 +303,8 @@ def simulate_run(
             found,
         ),
     )
-    return Run(samples, events, scene.objects, truth, scene.undisplayable, scene.warnings, scene.rate_hz)
+    told = (*scene.warnings, *stability.problems())
+    return Run(samples, events, scene.objects, truth, scene.undisplayable, told, scene.rate_hz)
 
 
 def _operator(

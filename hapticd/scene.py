@@ -186,6 +186,11 @@ def materials_of(item: SceneObject) -> tuple[str, ...]:
     return (item.material,)
 
 
+def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
+    """Ids of the fields that follow position or speed."""
+    return [id for id, item in objects.items() if item.kind == "spring" or item.kind == "viscous"]
+
+
 def used_materials(objects: Iterable[SceneObject]) -> set[str]:
     """Names of all materials that these objects are made of."""
     return {name for item in objects for name in materials_of(item)}

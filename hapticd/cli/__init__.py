@@ -29,6 +29,7 @@ _HOMES: Final = {
     "watch": "telemetry",
     "record": "telemetry",
     "simulate": "offline",
+    "check": "check",
     "schema": "offline",
     "devices": "devices",
     "bench": "bench",

@@ -10,6 +10,8 @@ import click
 from hapticd.cli.common import daemon, json_option, print_json
 from hapticd.errors import offload_text, undisplayable_text
 
+_SHOWN_MARGINS = 5
+
 
 @click.command("run")
 @click.option(
@@ -57,6 +59,7 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
         lines.append(("undisplayable", undisplayable_text(mode)))
     lines += [("offload", offload_text(told)) for told in status["offload"]]
     lines += [("warning", f"{warning['where']}: {warning['problem']}") for warning in status["warnings"]]
+    lines += _stability(status.get("stability"))
     width = max(len(name) for name, _ in lines)
     for name, value in lines:
         click.echo(f"{name:<{width}}  {value}")
@@ -82,6 +85,23 @@ def _connection(told: object) -> list[tuple[str, str]]:
         lines.append(("states", ", ".join(f"{name} {_word(value)}" for name, value in told["states"].items())))
     if told["resets"]:
         lines.append(("resets", str(told["resets"])))
+    return lines
+
+
+def _stability(told: object) -> list[tuple[str, str]]:
+    if not isinstance(told, dict):
+        return []
+    if told["unknown"] is not None:
+        return [("stability", f"not known: {told['unknown']}")]
+    lines = [("stability", f"{told['sets'] - told['unsafe']} of {told['sets']} sets of objects safe in any hand")]
+    for margin in told["worst"][:_SHOWN_MARGINS]:
+        lines.append(
+            (
+                margin["verdict"],
+                f"{', '.join(margin['objects'][:4])}: {margin['stiffness_n_per_m']:.4g} N/m, at most "
+                f"{margin['limit_n_per_m']:.4g} ({margin['limited_by']})",
+            )
+        )
     return lines
 
 

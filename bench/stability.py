@@ -1,0 +1,564 @@
+"""Walls and corners drawn at random, simulated against their margins; and maps of the stiffness that holds.
+
+A trial is a device, a hand, one wall or two that make a corner, and a motion onto them. What the margin says of it is
+what `get_status` would say; what becomes of it is found with the servo's own tick and the simulated joystick. The
+linear loop, bilateral and without friction, rounding and limit, is simulated beside it from its closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, Literal
+
+import numpy as np
+
+from bench.report import ROOT, Advance, Floats, Options, Section, Table
+from hapticd.compile import Compiler
+from hapticd.config import Config, load_config
+from hapticd.core import SAMPLE_DTYPE, CData, ffi, lib, pointer
+from hapticd.engine import loop_of, output_of
+from hapticd.joystick import new_operator, new_sim
+from hapticd.offline import new_world
+from hapticd.stability import Loop, spectral_radius
+from hapticd.together import Sets
+
+SEED = 20
+TRIALS = 10_000
+FIRST_S = 1.0
+LONGEST_S = 128.0
+UNSAFE_S = 8.0
+"""How long those are looked at that nobody calls safe: what dies away more slowly counts as a limit cycle."""
+NOTHING_M_PER_S = 1e-7
+"""Slower than this everywhere is at rest."""
+DECAYS = 0.9
+"""A peak speed that falls below this part of what it was in the half of the time before is dying away."""
+FALLS = 0.999
+GROWS = 1.1
+
+Fate = Literal["stops", "cycles", "grows"]
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One device and scene, the hand's way, and what the margin says."""
+
+    config: Config
+    waypoints: list[list[float]]
+    loop: Loop
+    factor: float
+    """The stiffnesses may be so many times as large."""
+    safe: bool
+    stiffness: Floats
+    """(2, 2)."""
+    damping: Floats
+    """(2, 2)."""
+    walls: int
+
+    @property
+    def radius(self) -> float:
+        """The spectral radius of the linear loop."""
+        return float(spectral_radius(self.stiffness, self.damping, self.loop))
+
+    @property
+    def plainly_safe(self) -> bool:
+        """What the conditions that the margin grew from say: b > K (T/2 + t_d) + |D|, K step/2 + |D| step/T <= c."""
+        timing, dynamics = self.loop.timing, self.loop.dynamics
+        stiffness, damping = (float(np.linalg.norm(each, 2)) for each in (self.stiffness, self.damping))
+        delay_s = 0.5 * timing.period_s + timing.delay_s
+        step_m = self.loop.encoder_step_m
+        noise_n = stiffness * step_m / 2.0 + damping * step_m / timing.reading_s
+        return dynamics.handle_damping_n_s_per_m > stiffness * delay_s + damping and noise_n <= dynamics.friction_n
+
+
+def _log(random: np.random.Generator, low: float, high: float) -> float:
+    return float(math.exp(random.uniform(math.log(low), math.log(high))))
+
+
+def _maybe(random: np.random.Generator, never: float, low: float, high: float) -> float:
+    return 0.0 if random.random() < never else _log(random, low, high)
+
+
+def draw(random: np.random.Generator) -> Trial:
+    """A trial: rate, delay, encoder, friction, handle, hand and walls; the stiffness from 1/20 to 4 of its limit.
+
+    A quarter of the handles are free, and are pushed onto the walls by a constant force.
+    """
+    rate_hz = _log(random, 1000.0, 10_000.0)
+    sim: dict[str, Any] = {
+        "handle_mass_kg": _log(random, 0.01, 0.3),
+        "handle_damping_n_s_per_m": _log(random, 0.05, 20.0),
+        "coulomb_friction_n": _maybe(random, 0.2, 0.005, 0.5),
+        "encoder_step_m": _maybe(random, 0.25, 1e-6, 1e-4),
+        "force_step_n": _maybe(random, 0.5, 1e-4, 1e-2),
+        "max_force_n": 100.0,
+        "workspace_m": 1.0,
+    }
+    match int(random.integers(6)):
+        case 0 | 1:
+            pass
+        case 2 | 3:
+            sim["report_delay_s"] = int(random.integers(1, 6)) / rate_hz
+        case 4:
+            sim["report_interval_s"] = random.uniform(1.0, 5.0) / rate_hz
+            sim["report_delay_s"] = random.uniform(0.0, 3.0) / rate_hz
+        case _:
+            frames = int(random.integers(1, 3))
+            sim["link"] = {"rate_hz": min(8000.0, rate_hz / random.integers(1, 11)), "delay_frames": frames}
+    free = random.random() < 0.25
+    sim["hand"] = {
+        "mass_kg": 0.0 if free else random.uniform(0.0, 0.1),
+        "stiffness_n_per_m": 0.0 if free else _log(random, 30.0, 1500.0),
+        "damping_n_s_per_m": 0.0 if free else _maybe(random, 0.3, 0.1, 10.0),
+    }
+    # Out of the solid, to both sides of where the hand comes from; the corner lies in the middle.
+    towards = random.uniform(0.0, 2.0 * math.pi)
+    corner = random.random() < 0.5
+    half = random.uniform(math.radians(2.5), math.radians(85.0))
+    turns = (0.5 * math.pi - half, half - 0.5 * math.pi) if corner else (0.0,)
+    normals = [[math.cos(towards + turn), math.sin(towards + turn)] for turn in turns]
+    back = np.array([math.cos(towards), math.sin(towards)])
+    ratio = [1.0, _log(random, 0.1, 10.0)]
+    rubs = random.random() < 0.3
+    materials: dict[str, Any] = {}
+    share = _maybe(random, 0.6, 0.01, 1.5)
+    for index in range(len(normals)):
+        friction = {"coefficient": random.uniform(0.05, 1.0), "stiffness_n_per_m": _log(random, 0.1, 10.0)}
+        materials[f"m{index}"] = {"stiffness_n_per_m": ratio[index]} | ({"friction": friction} if rubs else {})
+    objects: dict[str, Any] = {
+        f"w{index}": {"kind": "wall", "point_m": [0.0, 0.0], "normal": normal, "material": f"m{index}"}
+        for index, normal in enumerate(normals)
+    }
+    start = 0.02 * back
+    if free:
+        objects["push"] = {"kind": "constant", "force_n": (-_log(random, 0.05, 2.0) * back).tolist()}
+        deep = start
+    else:
+        deep = -random.uniform(0.001, 0.01) * back
+    speed = _log(random, 0.05, 0.4)
+    sideways = random.uniform(-0.01, 0.01) * np.array([-back[1], back[0]])
+    reached_s = float(np.hypot(*(deep - start))) / speed + 1e-3
+    waypoints = [[0.0, *start], [reached_s, *(deep + (0.0 if free else 1.0) * sideways)]]
+    sim["start_m"] = start.tolist()
+    damped = share * sim["handle_damping_n_s_per_m"]
+    source: dict[str, Any] = {
+        "servo": {"rate_hz": rate_hz},
+        "device": {"max_force_n": 100.0, "max_speed_m_per_s": 1000.0, "sim": sim},
+        "materials": materials,
+        "scene": {"objects": objects, "display": {"force": True, "vibration": False}},
+    }
+    # The damping first, then the stiffnesses: all are so many times what is just safe.
+    first = load_config(source)
+    echo = _loop(first).damping_echo
+    for material in materials.values():
+        material["damping_n_s_per_m"] = damped / echo / len(normals)
+    sets = judged(load_config(source))
+    # The hard ones are those at the limit.
+    part = float(random.choice((0.5, 0.999, 2.0))) if random.random() < 0.4 else _log(random, 0.05, 4.0)
+    scale = part * float(sets.factor.min())
+    if not scale > 0.0 or not math.isfinite(scale):
+        scale = _log(random, 50.0, 20_000.0)
+    scale = min(scale, 9e4 / max(ratio))
+    for material in materials.values():
+        material["stiffness_n_per_m"] *= scale
+        if rubs:
+            stiffness = material["friction"]["stiffness_n_per_m"] * scale
+            material["friction"]["stiffness_n_per_m"] = min(1e5, max(1e-3, stiffness))
+    config = load_config(source)
+    sets = judged(config)
+    worst = int(sets.factor.argmin())
+    matrices = sets.matrices(worst)
+    return Trial(
+        config, waypoints, _loop(config), float(sets.factor.min()), bool(sets.safe.all()), *matrices, len(normals)
+    )
+
+
+def _loop(config: Config) -> Loop:
+    loop = loop_of(config, config.servo.rate_hz)
+    assert loop is not None
+    return loop
+
+
+def judged(config: Config) -> Sets:
+    """What the margins of a configuration's scene are."""
+    compiler = Compiler(output_of(config, config.servo.rate_hz))
+    compiler.update(config.scene, config.scene.objects, config.materials, 1)
+    return Sets(compiler.parts(), _loop(config))
+
+
+class Simulation:
+    """The servo's own tick on the simulated joystick, for as long as anybody wants to know."""
+
+    def __init__(self, config: Config, waypoints: list[list[float]]) -> None:
+        rate_hz = config.servo.rate_hz
+        compiler = Compiler(output_of(config, rate_hz))
+        self._world = new_world(compiler.update(config.scene, config.scene.objects, config.materials, 1))
+        self._state: CData = ffi.gc(lib.hd_state_new(8), lib.hd_state_free)
+        lib.hd_state_set_resolution(self._state, config.device.sim.encoder_step_m)
+        self._sim = new_sim(config.device.sim, rate_hz)
+        self._hand = new_operator(waypoints, "linear")
+        lib.hd_sim_operate(self._sim, self._hand)
+        lib.hd_sim_settle(self._sim)
+        self._rate_hz = rate_hz
+        self._samples = np.empty(4096, SAMPLE_DTYPE)
+        self._found = ffi.new("size_t *")
+
+    def go_on(self, duration_s: float) -> Floats:
+        """The handle's position and velocity at the ticks to come, (n, 4)."""
+        count = max(1, round(duration_s * self._rate_hz))
+        truth = np.empty((count, 4))
+        for begin in range(0, count, len(self._samples)):
+            part = truth[begin : begin + len(self._samples)]
+            lib.hd_simulate(
+                self._world,
+                self._state,
+                self._sim,
+                len(part),
+                pointer("struct hd_sample[]", self._samples),
+                pointer("double[]", part),
+                ffi.NULL,
+                0,
+                self._found,
+            )
+        return truth
+
+
+def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> tuple[Fate, float]:
+    """What becomes of the handle once the hand's wish rests, and its peak speed in the end, m/s.
+
+    The time since then is doubled until the peak speed of a half of it tells: nothing, or less than in the half before,
+    or more. What falls three times running, by more each time, dies away, however slowly: on its way to a limit cycle
+    it would fall by less each time. What is the same for `longest_s` is a limit cycle. A handle that slides along a
+    wall at a constant speed is at rest.
+    """
+    simulation = Simulation(config, waypoints)
+    simulation.go_on(waypoints[-1][0] + 0.2)
+    span_s = FIRST_S / 2.0
+    peaks: list[float] = []
+    while span_s < longest_s:
+        peaks.append(_peak(simulation.go_on(span_s)))
+        if _peak(simulation.go_on(0.02)) <= NOTHING_M_PER_S:
+            return "stops", 0.0
+        if span_s >= 2.0 and peaks[-1] < 0.7 * peaks[-2]:
+            return "stops", peaks[-1]
+        span_s *= 2.0
+    falls = [before - after for before, after in pairwise(peaks[-4:])]
+    dies = len(falls) == 3 and (1.0 - FALLS) * peaks[-1] < falls[0] < falls[1] < falls[2]
+    if peaks[-1] < DECAYS * peaks[-2] or dies:
+        return "stops", peaks[-1]
+    return ("grows" if peaks[-1] > GROWS * peaks[-2] else "cycles"), peaks[-1]
+
+
+def _peak(truth: Floats) -> float:
+    speeds = truth[:, 2:]
+    return float(np.abs(speeds - speeds.mean(axis=0)).max())
+
+
+def linear_grows(trial: Trial) -> bool:
+    """Whether the bilateral loop without friction, rounding and limit grows after a push.
+
+    The simulated joystick moves the handle (its steps are closed forms) and keeps the times of reports and frames; the
+    walls hold it both ways, F = -K p - D v, v the difference of the last two reports. It grows if the peak of 1/3 of
+    the time is more than that of the third before, or is 1e4 times the first.
+    """
+    sim = trial.config.device.sim
+    plain = sim.model_copy(
+        update={"coulomb_friction_n": 0.0, "encoder_step_m": 0.0, "force_step_n": 0.0, "start_m": (0.0, 0.0)}
+    )
+    period_s = 1.0 / trial.config.servo.rate_hz
+    joystick = new_sim(plain, trial.config.servo.rate_hz)
+    reading = ffi.new("struct hd_reading *")
+    force = ffi.new("double[2]")
+    (k_xx, k_xy), (_, k_yy) = trial.stiffness.tolist()
+    (d_xx, d_xy), (_, d_yy) = trial.damping.tolist()
+    third = math.ceil(3000 * trial.loop.timing.period_s / period_s)
+    peaks = [0.0, 0.0, 0.0]
+    x = y = v_x = v_y = 0.0
+    push = 1e-9 * (1.0 + float(np.linalg.norm(trial.stiffness, 2)))
+    # Some way that is no axis of the walls.
+    kick = (0.6 * push, 0.8 * push)
+    kicked = math.ceil(4 * trial.loop.timing.period_s / period_s)
+    first = 0.0
+    for tick in range(3 * third):
+        lib.hd_sim_read(joystick, reading)
+        new_x, new_y = reading.position_m[0], reading.position_m[1]
+        if reading.interval_s > 0.0:
+            v_x, v_y = (new_x - x) / reading.interval_s, (new_y - y) / reading.interval_s
+        x, y = new_x, new_y
+        force[0] = -(k_xx * x + k_xy * y + d_xx * v_x + d_xy * v_y)
+        force[1] = -(k_xy * x + k_yy * y + d_xy * v_x + d_yy * v_y)
+        if tick < kicked:
+            force[0] += kick[0]
+            force[1] += kick[1]
+        lib.hd_sim_put(joystick, force)
+        lib.hd_sim_advance(joystick, 1)
+        size = max(abs(x), abs(y))
+        peaks[tick // third] = max(peaks[tick // third], size)
+        if tick < 2 * kicked:
+            first = max(first, size)
+        elif size > 1e4 * first:
+            return True
+    return peaks[2] > peaks[1]
+
+
+# ---- Counts --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class Counts:
+    """What became of trials, by what the margin says of them."""
+
+    fates: Counter[tuple[str, Fate]] = field(default_factory=Counter)
+    broken: list[int] = field(default_factory=list)
+    """Trials that were called safe and did not stop."""
+    plain: Counter[Fate] = field(default_factory=Counter)
+    """What became of those that the plain conditions call safe."""
+    linear: int = 0
+    """Trials whose spectral radius is more than 1.001."""
+    grew: int = 0
+    """How many of them grew in the linear simulation."""
+    held: list[int] = field(default_factory=list)
+    """Those that did not."""
+
+    def add(self, other: Counts) -> None:
+        """Adds what became of other trials."""
+        self.fates += other.fates
+        self.plain += other.plain
+        self.broken += other.broken
+        self.held += other.held
+        self.linear += other.linear
+        self.grew += other.grew
+
+
+SAFE, STABLE, GROWING = "safe", "not safe, stable in this hand", "not safe, spectral radius above 1.001"
+
+
+def counted(seed: int, indices: range) -> Counts:
+    """Draws trials and simulates them; the same on every run."""
+    found = Counts()
+    for index in indices:
+        trial = draw(np.random.default_rng((seed, index)))
+        fate, _ = fate_of(trial.config, trial.waypoints, LONGEST_S if trial.safe else UNSAFE_S)
+        radius = trial.radius
+        found.fates[SAFE if trial.safe else GROWING if radius > 1.001 else STABLE, fate] += 1
+        if trial.safe and fate != "stops":
+            found.broken.append(index)
+        if trial.plainly_safe:
+            found.plain[fate if fate == "stops" else fate_of(trial.config, trial.waypoints)[0]] += 1
+        if radius > 1.001:
+            grows = linear_grows(trial)
+            found.linear += 1
+            found.grew += grows
+            if not grows:
+                found.held.append(index)
+    return found
+
+
+def counts(trials: int, advance: Callable[[float], None]) -> Counts:
+    """As counted, on all processors."""
+    chunk = 50
+    chunks = [range(begin, min(begin + chunk, trials)) for begin in range(0, trials, chunk)]
+    found = Counts()
+    with ProcessPoolExecutor() as pool:
+        for done, part in enumerate(pool.map(counted, [SEED] * len(chunks), chunks), 1):
+            found.add(part)
+            advance(done / len(chunks))
+    return found
+
+
+# ---- Maps ----------------------------------------------------------------------------------------------------------
+
+WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}
+HELD = {"mass_kg": 0.01, "stiffness_n_per_m": 300.0, "damping_n_s_per_m": 5.0}
+"""The default hand."""
+LIGHT = {"mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0}
+"""None: a constant force of PUSH_N lays the handle onto the wall."""
+PUSH_N = 0.5
+LOWEST, HIGHEST = 10.0, 1e5
+AXES: dict[str, tuple[str, tuple[float, ...]]] = {
+    "rate": ("rate, Hz", (1000.0, 1600.0, 2500.0, 4000.0, 6300.0, 10_000.0)),
+    "delay": ("delay, ms", (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)),
+    "step": ("encoder step, um", (1.0, 3.0, 10.0, 30.0, 100.0)),
+    "friction": ("dry friction, N", (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One place of a map: stiffnesses in N/m."""
+
+    at: float
+    passive: float
+    quiet: float
+    held: float
+    """Limits: of passivity, of quantisation, of the linear loop in the default hand."""
+    simulated_light: float
+    simulated_held: float
+    """The least stiffness at which the handle does not come to rest; HIGHEST: none found."""
+
+
+def _configuration(axis: str, at: float, hand: dict[str, float], stiffness: float) -> Config:
+    sim: dict[str, Any] = {"hand": hand, "start_m": [0.0, 0.005], "force_step_n": 0.0, "max_force_n": 100.0}
+    # Without a step or friction of its own each map shows its own axis; friction without a step shows nothing.
+    sim |= (
+        {"encoder_step_m": 20e-6, "coulomb_friction_n": 0.05}
+        if axis in ("step", "friction")
+        else {
+            "encoder_step_m": 0.0,
+            "coulomb_friction_n": 0.0,
+        }
+    )
+    rate_hz = at if axis == "rate" else 10_000.0
+    if axis == "delay":
+        sim["report_delay_s"] = 1e-3 * at
+    elif axis == "step":
+        sim["encoder_step_m"] = 1e-6 * at
+    elif axis == "friction":
+        sim["coulomb_friction_n"] = at
+    if axis in ("step", "friction"):
+        # So heavy a damper that passivity does not come first.
+        sim["handle_damping_n_s_per_m"] = 10.0
+    push = {} if hand is HELD else {"push": {"kind": "constant", "force_n": [0.0, -PUSH_N]}}
+    return load_config(
+        {
+            "servo": {"rate_hz": rate_hz},
+            "device": {"max_force_n": 100.0, "max_speed_m_per_s": 1000.0, "sim": sim},
+            "materials": {"m": {"stiffness_n_per_m": stiffness}},
+            "scene": {"objects": {"wall": WALL, **push}, "display": {"force": True, "vibration": False}},
+        }
+    )
+
+
+def _rests(axis: str, at: float, hand: dict[str, float], stiffness: float) -> bool:
+    config = _configuration(axis, at, hand, stiffness)
+    deep = -0.003 if hand is HELD else 0.005
+    # Just below the limit of passivity a free handle takes its time.
+    longest_s = LONGEST_S if hand is LIGHT else UNSAFE_S
+    return fate_of(config, [[0.0, 0.0, 0.005], [0.08, 0.0, deep]], longest_s)[0] == "stops"
+
+
+def simulated_limit(axis: str, at: float, hand: dict[str, float]) -> float:
+    """The least stiffness at which a handle on a wall does not come to rest: upwards by 1.5, then to 2 %."""
+    low, high = LOWEST, LOWEST
+    while _rests(axis, at, hand, high):
+        low, high = high, 1.5 * high
+        if high > HIGHEST:
+            return HIGHEST
+    while high / low > 1.02:
+        middle = math.sqrt(low * high)
+        low, high = (middle, high) if _rests(axis, at, hand, middle) else (low, middle)
+    return high
+
+
+def mapped(axis: str, at: float) -> Point:
+    """One place of a map."""
+    stiffness = 100.0
+    config = _configuration(axis, at, HELD, stiffness)
+    sets = judged(config)
+    factors = sets.factors(0)
+    (margin,) = sets.margins([(("wall",), 0)])
+    return Point(
+        at=at,
+        passive=stiffness * factors["passivity"],
+        quiet=stiffness * factors["quantisation"],
+        held=margin.held_limit_n_per_m,
+        simulated_light=simulated_limit(axis, at, LIGHT),
+        simulated_held=simulated_limit(axis, at, HELD),
+    )
+
+
+PLOT = ROOT / "docs" / "stability.png"
+
+
+def draw_maps(maps: dict[str, list[Point]]) -> None:
+    """Writes docs/stability.png."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panels = pyplot.subplots(2, 2, figsize=(11, 8.5), sharey=True, layout="constrained")
+    for panel, (axis, points) in zip(panels.ravel(), maps.items(), strict=True):
+        at = np.array([point.at for point in points])
+        # Nothing is at a place of its own, left of the rest.
+        shown = np.where(at > 0.0, at, at[at > 0.0].min() / 3.0)
+
+        def line(name: str, style: str, label: str, points: list[Point] = points, shown: Floats = shown) -> None:
+            values = np.array([getattr(point, name) for point in points])
+            values = np.where((values > 0.0) & (values <= 2.0 * HIGHEST), values, np.nan)
+            panel.plot(shown, values, style, label=label)  # noqa: B023
+
+        line("passive", "-", "passive (any hand)")
+        line("quiet", "--", "encoder's step held by friction")
+        line("held", ":", "linear loop, default hand")
+        line("simulated_light", "v", "simulated, free handle: first that does not rest")
+        line("simulated_held", "o", "simulated, default hand: first that does not rest")
+        panel.set_xscale("log")
+        panel.set_yscale("log")
+        panel.set_ylim(LOWEST / 2.0, 1.6 * HIGHEST)
+        panel.set_xlabel(AXES[axis][0])
+        panel.grid(visible=True, which="major", alpha=0.4)
+        panel.set_xticks(shown, [f"{value:g}" for value in at])
+        panel.minorticks_off()
+    for panel in panels[:, 0]:
+        panel.set_ylabel("stiffness, N/m")
+    panels[0, 0].set_title("exact positions, no friction, b = 0.2 N s/m", fontsize=10)
+    panels[0, 1].set_title("the same at 10 kHz, positions late", fontsize=10)
+    panels[1, 0].set_title("10 kHz, friction 0.05 N, b = 10 N s/m", fontsize=10)
+    panels[1, 1].set_title("10 kHz, step 20 um, b = 10 N s/m", fontsize=10)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9)
+    figure.savefig(PLOT, dpi=110)
+    pyplot.close(figure)
+
+
+def _of(points: list[Point]) -> list[list[str]]:
+    def cell(value: float) -> str:
+        return "any" if value >= HIGHEST else f"{value:.3g}"
+
+    return [
+        [f"{p.at:g}", *(cell(v) for v in (p.passive, p.quiet, p.held, p.simulated_light, p.simulated_held))]
+        for p in points
+    ]
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """The counts of the trials, and the maps; draws docs/stability.png unless it is quick."""
+    trials = options.few(TRIALS, 200)
+    found = counts(trials, lambda part: advance(0.6 * part, f"{trials} trials"))
+    fates: tuple[Fate, ...] = ("stops", "cycles", "grows")
+    rows = []
+    for what in (SAFE, STABLE, GROWING):
+        numbers = [found.fates[what, fate] for fate in fates]
+        rows.append([what, str(sum(numbers)), *map(str, numbers)])
+    numbers = [found.plain[fate] for fate in fates]
+    rows.append(["the plain conditions call it safe", str(sum(numbers)), *map(str, numbers)])
+    jobs = [(axis, at) for axis, (_, places) in AXES.items() for at in (places[::3] if options.quick else places)]
+    maps: dict[str, list[Point]] = {axis: [] for axis in AXES}
+    with ProcessPoolExecutor() as pool:
+        for done, (job, point) in enumerate(zip(jobs, pool.map(mapped, *zip(*jobs, strict=True)), strict=True), 1):
+            maps[job[0]].append(point)
+            advance(0.6 + 0.4 * done / len(jobs), f"map of {job[0]}")
+    if not options.quick:
+        draw_maps(maps)
+    heads = ["passive", "step held", "linear, default hand", "simulated, free", "simulated, default hand"]
+    return Section(
+        "Stability",
+        [
+            f"{trials} seeded trials: walls and corners, devices and hands drawn at random, a quarter of the handles "
+            "free and pushed, two fifths of the stiffnesses at 0.5, 0.999 or 2 times the limit; "
+            "what becomes of them once the hand rests, "
+            f"with the servo's tick and the simulated joystick. Called safe and not at rest: {len(found.broken)}. "
+            f"Spectral radius above 1.001: {found.linear}, of which {found.grew} grow in the bilateral loop without "
+            "friction, rounding and limit.",
+            Table("Trials by what the margin says", ["", "trials", "stop", "cycle", "grow"], rows),
+            *(
+                Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
+                for axis, (label, _) in AXES.items()
+            ),
+        ],
+    )

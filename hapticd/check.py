@@ -1,0 +1,172 @@
+"""What of a configuration its device, rate and grip can carry, found before anything moves.
+
+The scene is compiled as the daemon would, nothing is sent to a device and no force is made. Of a HID joystick that is
+connected the report descriptor and the endpoint's interval are read, which the system knows without asking it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Final
+
+from hapticd.compile import Compiler
+from hapticd.config import Config
+from hapticd.displayable import (
+    Output,
+    Use,
+    displayed_mode,
+    displayed_pair,
+    modes_of,
+    rate_faults,
+    undisplayable,
+    warnings,
+)
+from hapticd.displayed import displayed_error
+from hapticd.engine import UNKNOWN_HANDLE, loop_of, output_of
+from hapticd.errors import HapticdError, Problem
+from hapticd.hid.discover import choose, find
+from hapticd.hid.pid import axes_of
+from hapticd.materials import Material
+from hapticd.scene import field_ids, used_materials
+from hapticd.stability import Loop
+from hapticd.texture import Stochastic
+from hapticd.together import Stability, judge
+
+_UNPLUGGED: Final = "the encoder's step is not known"
+
+
+@dataclass(frozen=True, slots=True)
+class Sound:
+    """A mode of a material, or the peak of its noise, and what becomes of it."""
+
+    use: Use
+    frequency_hz: float
+    shown_hz: float | None
+    """None: silent."""
+    error: float | None
+    """How far the handle's acceleration is from the library's waveform (hapticd.displayed.displayed_error); None where
+    nobody knows the handle, or where something else sounds."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A material, whether the scene uses it, and what becomes of its sounds."""
+
+    name: str
+    used: bool
+    stiffness_n_per_m: float
+    sounds: tuple[Sound, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was found."""
+
+    output: Output
+    device: str
+    """What is known of it, in words."""
+    materials: tuple[Checked, ...]
+    stability: Stability
+    refused: tuple[Problem, ...]
+    """What the daemon would not start with."""
+    undisplayable: tuple[Problem, ...]
+    warnings: tuple[Problem, ...]
+
+    @property
+    def faults(self) -> int:
+        """How much of the scene cannot be carried as it is meant; what is not known or not proved is not among it."""
+        return len(self.refused) + len(self.undisplayable) + len(self.warnings) + len(self.stability.harmful)
+
+    def to_dict(self) -> dict[str, object]:
+        """As JSON."""
+        output = self.output
+        return {
+            "can_be_shown": self.faults == 0,
+            "device": self.device,
+            "rate_hz": output.rate_hz,
+            "link_hz": output.link_rate_hz,
+            "refused": [asdict(problem) for problem in self.refused],
+            "undisplayable": [asdict(problem) for problem in self.undisplayable],
+            "warnings": [asdict(problem) for problem in self.warnings],
+            "materials": [asdict(material) for material in self.materials],
+            "stability": self.stability.to_dict(),
+        }
+
+
+def check(config: Config) -> Report:
+    """Checks a configuration. Raises nothing for what cannot be shown: that is what is reported."""
+    rate_hz = config.servo.rate_hz
+    scene, materials = config.scene, config.materials
+    device, loop, link_hz, unknown = _device(config)
+    output = output_of(config, rate_hz, link_hz)
+    used = used_materials(scene.objects.values())
+    shown = {name: material for name, material in materials.items() if name in used}
+    refused = rate_faults(scene.objects, materials, output)
+    return Report(
+        output=output,
+        device=device,
+        materials=tuple(_checked(name, material, name in used, output) for name, material in materials.items()),
+        stability=Stability(unknown, None) if loop is None else _stability(config, output, loop),
+        refused=tuple(refused),
+        undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
+        warnings=() if refused else tuple(warnings(scene.objects, materials, output)),
+    )
+
+
+def _stability(config: Config, output: Output, loop: Loop) -> Stability:
+    compiler = Compiler(output)
+    # What pushes is the same whatever sounds, and a sound that is refused cannot be compiled.
+    silent = {
+        name: material.model_copy(update={"texture": None}) if isinstance(material.texture, Stochastic) else material
+        for name, material in config.materials.items()
+    }
+    objects = config.scene.objects
+    compiler.update(config.scene, objects, silent, 1)
+    return judge(compiler.parts(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
+
+
+def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None]:
+    """The device in words, what closes its loop, the forces a second that its link carries, and what is not known."""
+    device, rate_hz = config.device, config.servo.rate_hz
+    if device.kind == "sim":
+        return "the simulated joystick", loop_of(config, rate_hz), None, None
+    if device.kind == "replay":
+        return "a recording, which nothing pushes", None, None, "a recording has no loop"
+    hid = device.hid
+    limit_hz = hid.max_rate_hz
+    handle = "" if device.handle is not None else "; what its handle is, is not given"
+    try:
+        found = choose(hid, find())
+    except HapticdError as error:
+        return f"not there: {error}{handle}", None, limit_hz, UNKNOWN_HANDLE if handle else _UNPLUGGED
+    endpoint_hz = None if not found.out_interval_s else 1.0 / found.out_interval_s
+    link_hz = min((rate for rate in (endpoint_hz, limit_hz) if rate is not None and rate < rate_hz), default=None)
+    told = f"{found.name} at {found.path}{handle}"
+    if hid.report is not None:
+        axes = [axis for axis in (hid.report.input.x, hid.report.input.y) if axis is not None]
+        resolution_m = max(1.0 / abs(axis.counts_per_m) for axis in axes)
+    elif found.layout is not None:
+        try:
+            resolution_m = max(abs(axis.m_per_count) for axis in axes_of(found.layout, hid))
+        except HapticdError as error:
+            return f"{told}: {error}", None, link_hz, _UNPLUGGED
+    else:
+        return f"{told}: {found.problem}", None, link_hz, _UNPLUGGED
+    loop = loop_of(config, rate_hz, resolution_m=resolution_m, link_rate_hz=link_hz)
+    return told, loop, link_hz, None if loop is not None else UNKNOWN_HANDLE
+
+
+def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
+    sounds: list[Sound] = []
+    for use, mode in modes_of(material):
+        shown, _ = displayed_mode(mode, output)
+        error = None
+        if shown is mode and output.dynamics is not None:
+            error = displayed_error(
+                mode, output.dynamics, output.carried_hz, output.compensation, output.effective_mass_kg
+            )
+        sounds.append(Sound(use, mode.frequency_hz, None if shown is None else shown.frequency_hz, error))
+    if isinstance(material.texture, Stochastic):
+        pair = displayed_pair(material.texture, output)
+        sounds.append(Sound("texture", material.texture.peak_hz, None if pair is None else pair[0], None))
+    return Checked(name, used, material.stiffness_n_per_m, tuple(sounds))

@@ -1,0 +1,118 @@
+"""`hapticd check`: what of a configuration can be shown, before anything moves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from hapticd.cli.common import json_option, print_json
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hapticd.check import Report
+
+
+@click.command("check", short_help="Say what of a configuration can be shown.")
+@click.option(
+    "-c",
+    "--config",
+    "configs",
+    multiple=True,
+    metavar="FILE",
+    help="Configuration; later files override earlier ones [default: the simulated joystick].",
+)
+@json_option
+def check_command(configs: tuple[str, ...], as_json: bool) -> int:
+    """Say which materials and surfaces device, rate and grip can carry. Nothing moves, and no daemon is needed.
+
+    The exit code is 0 if all of the scene can be shown as it is meant and nothing of it oscillates, otherwise 1. What
+    is not known, as of a joystick without device.handle, or not proved, is said and does not count.
+    """
+    from hapticd.check import check
+    from hapticd.config import default_config, load_config
+
+    report = check(load_config(configs) if configs else default_config())
+    if as_json:
+        print_json(report.to_dict())
+    else:
+        from rich.console import Console
+
+        _print(report, Console(highlight=False, soft_wrap=True))
+    if report.faults == 0:
+        return 0
+    things = "one thing" if report.faults == 1 else f"{report.faults} things"
+    click.echo(f"hapticd: {things} of the scene cannot be shown as meant, or may oscillate", err=True)
+    return 1
+
+
+def _print(report: Report, console: Console) -> None:
+    from rich.table import Table
+
+    output, stability = report.output, report.stability
+    link = "" if output.link_rate_hz is None else f", forces carried at {output.link_rate_hz:g} Hz"
+    console.print(f"device: {report.device}; servo at {output.rate_hz:g} Hz{link}", markup=False)
+    if stability.assumed is not None:
+        told, timing = stability.assumed.dynamics, stability.assumed.timing
+        console.print(
+            f"handle: {told.handle_mass_kg:g} kg, {told.handle_damping_n_s_per_m:g} N s/m, {told.friction_n:g} N dry; "
+            f"hand: {told.grip_mass_kg:g} kg, {told.grip_damping_n_s_per_m:g} N s/m, "
+            f"{told.grip_stiffness_n_per_m:g} N/m; positions {1e3 * timing.delay_s:.4g} ms old, forces held for "
+            f"{1e3 * timing.period_s:.4g} ms, encoder step {1e6 * stability.assumed.encoder_step_m:g} um",
+            markup=False,
+        )
+    table = Table(title="Materials", title_justify="left")
+    columns = ("", "left"), ("in the scene", "left"), ("N/m", "right"), ("sounds", "left"), ("felt wrong by", "right")
+    for name, justify in columns:
+        table.add_column(name, justify="right" if justify == "right" else "left")
+    for material in sorted(report.materials, key=lambda material: not material.used):
+        sounds = []
+        for sound in material.sounds:
+            shown = "silent" if sound.shown_hz is None else f"lowered to {sound.shown_hz:.4g} Hz"
+            as_it_is = sound.shown_hz == sound.frequency_hz
+            sounds.append(f"{sound.use} {sound.frequency_hz:.4g} Hz" + ("" if as_it_is else f": {shown}"))
+        used = "yes" if material.used else ""
+        errors = ["" if sound.error is None else f"{100 * sound.error:.0f} %" for sound in material.sounds]
+        stiffness = f"{material.stiffness_n_per_m:g}"
+        table.add_row(material.name, used, stiffness, ", ".join(sounds) or "none", ", ".join(filter(None, errors)))
+    console.print(table)
+    if output.dynamics is not None:
+        console.print(
+            "felt wrong by: the handle's acceleration against the library's, 30 Hz to 0.4 of the rate, with "
+            f"compensation: {output.compensation}"
+        )
+    if stability.unknown is not None:
+        console.print(f"stability: not known: {stability.unknown}", markup=False)
+    elif stability.sets:
+        console.print(_sets(report))
+        left = stability.sets - len(stability.worst)
+        if left > 0:
+            console.print(
+                f"shown are those with the least margin of {stability.sets} sets, {stability.unsafe} of them not safe"
+            )
+    for problem in (*report.refused, *report.undisplayable, *report.warnings, *stability.problems()):
+        console.print(str(problem), markup=False)
+    if report.faults == 0:
+        console.print("all of the scene can be shown", markup=False)
+
+
+def _sets(report: Report) -> object:
+    from rich.table import Table
+
+    table = Table(title="What can be touched together", title_justify="left")
+    for name in ("objects", "N/m", "safe in any hand up to", "stable in this hand up to", "margin", "verdict", "by"):
+        table.add_column(name, justify="right" if name not in ("objects", "verdict", "by") else "left")
+    for margin in report.stability.worst:
+        more = f" and {len(margin.objects) - 4} more" if len(margin.objects) > 4 else ""
+        held = margin.held_limit_n_per_m
+        table.add_row(
+            ", ".join(margin.objects[:4]) + more,
+            f"{margin.stiffness_n_per_m:.4g}",
+            f"{margin.limit_n_per_m:.4g}",
+            "any" if held == float("inf") else f"{held:.4g}",
+            "" if margin.margin == float("inf") else f"{margin.margin:.3g}",
+            margin.verdict,
+            margin.limited_by,
+        )
+    return table
