@@ -176,7 +176,6 @@ def _write(found: Found, folder: Path, on: str) -> list[Path]:
         ),
     }
     written = []
-    folder.mkdir(parents=True, exist_ok=True)
     for page, sections in found.pages.items():
         if page == DEVICES:
             # A part of a page that is written by hand.
@@ -202,6 +201,11 @@ def perform(names: Sequence[str], options: Options, out: Path | None) -> int:
     console.print(on, markup=False, highlight=False)
     whole = chosen == list(MEASUREMENTS) and not options.quick
     folder = out or (DOCS if whole else None)
+    if folder is not None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise HapticdError(f"{folder}: cannot be made: {error.strerror}") from None
     found = _measure(console, chosen, options, folder)
     console.print(f"\n{len(chosen)} measurements in {found.took_s:.0f} s", highlight=False)
     if folder is not None:

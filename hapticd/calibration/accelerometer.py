@@ -47,14 +47,18 @@ class Recording:
         return np.asarray(np.interp(time_s, self.time_s, self.acceleration_m_per_s2, left=0.0, right=0.0))
 
 
+def check_name(name: str) -> None:
+    """Raises HapticdError (one line) for what is no recording by its name; it may be there only later."""
+    if os.path.splitext(name)[1].lower() not in (".npz", ".csv"):
+        raise HapticdError(f"{name}: a recording ends in .npz or .csv")
+
+
 def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recording:
     """A recording, its numbers times `scale`. Raises HapticdError (one line) for what cannot be read."""
     name = os.fspath(path)
-    ending = os.path.splitext(name)[1].lower()
-    if ending not in (".npz", ".csv"):
-        raise HapticdError(f"{name}: a recording ends in .npz or .csv")
+    check_name(name)
     try:
-        columns = _from_npz(name) if ending == ".npz" else _from_csv(name)
+        columns = _from_csv(name) if name.lower().endswith(".csv") else _from_npz(name)
     except OSError as error:
         raise HapticdError(f"{name}: cannot be read: {error.strerror or error}") from None
     except (ValueError, csv.Error) as error:
@@ -73,18 +77,30 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
 def _from_npz(name: str) -> dict[str, Floats]:
     import zipfile
 
+    # What is no archive numpy takes for an array alone, for the end of the input or for a pickle.
+    with open(name, "rb") as stream:
+        if not zipfile.is_zipfile(stream):
+            raise ValueError("not an archive as numpy.savez writes it")
+    columns: dict[str, Floats] = {}
     try:
         with np.load(name) as archive:
-            return {
-                key: np.asarray(archive[key], dtype=np.float64) for key in archive.files if key in (TIME, ACCELERATION)
-            }
+            for key in archive.files:
+                if key not in (TIME, ACCELERATION):
+                    continue
+                numbers = archive[key]
+                if numbers.dtype.kind not in "iuf":
+                    raise ValueError(f"{key} has {numbers.dtype}, not real numbers")
+                columns[key] = np.asarray(numbers, dtype=np.float64)
     except zipfile.BadZipFile as error:
         raise ValueError(str(error)) from None
+    return columns
 
 
 def _from_csv(name: str) -> dict[str, Floats]:
-    with open(name, newline="", encoding="utf-8") as stream:
+    with open(name, newline="", encoding="utf-8-sig") as stream:
         rows = list(csv.reader(stream))
+    while rows and not rows[-1]:
+        rows.pop()
     if not rows:
         return {}
     heads = [head.strip() for head in rows[0]]

@@ -21,12 +21,17 @@ class Curve:
     accelerometer: tuple[Point, ...] = ()
 
 
-def require() -> None:
-    """Raises HapticdError (one line) where a picture cannot be drawn."""
+def require(path: str) -> None:
+    """Raises HapticdError (one line) where a picture cannot be drawn, or not one with that ending."""
     try:
         import matplotlib  # noqa: F401
+        from matplotlib.backend_bases import FigureCanvasBase
     except ImportError:
         raise HapticdError("a plot needs matplotlib: pip install 'hapticd[plots]'") from None
+    known = sorted(FigureCanvasBase.get_supported_filetypes())
+    ending = os.path.splitext(path)[1].lower().lstrip(".")
+    if ending and ending not in known:
+        raise HapticdError(f"{path}: cannot be drawn: must end in .png or another of {', '.join(known)}")
 
 
 def save(path: str | os.PathLike[str], curves: Sequence[Curve]) -> None:

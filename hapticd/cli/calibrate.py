@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import json_option, print_json, yaml_text
+from hapticd.cli.common import Finite, json_option, print_json, write_whole, yaml_text
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ DEFAULT_FORCE_N = 1.0
 @click.option("--axis", type=click.Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
 @click.option(
     "--force-n",
-    type=click.FloatRange(min=0.05),
+    type=Finite(min=0.05),
     default=DEFAULT_FORCE_N,
     show_default=True,
     metavar="N",
@@ -68,13 +68,21 @@ def calibrate_command(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.calibration import handle
     from hapticd.calibration import plot as drawing
+    from hapticd.calibration.accelerometer import check_name
     from hapticd.config import default_config, load_config
 
+    # Nobody holds a handle for a minute to hear then that the result has no place to go.
     for target in (output, plot):
-        if target is not None and Path(target).exists() and not overwrite:
+        if target is None:
+            continue
+        if Path(target).exists() and not overwrite:
             raise HapticdError(f"{target}: is there already; give another name, or --overwrite")
+        if not Path(target).parent.is_dir():
+            raise HapticdError(f"{target}: cannot be written: there is no folder {Path(target).parent}")
     if plot is not None:
-        drawing.require()
+        drawing.require(plot)
+    if accelerometer is not None:
+        check_name(accelerometer)
     config = load_config(configs) if configs else default_config()
     simulated = config.device.kind == "sim"
 
@@ -101,15 +109,15 @@ def calibrate_command(
         recorded()
         found = handle.with_accelerometer(found, accelerometer)
     section = found.section()
-    if plot is not None:
-        drawing.save(plot, found.curves())
-    if output is not None:
-        Path(output).write_text(yaml_text(section) + "\n", encoding="utf-8")
     if as_json:
         print_json({**found.to_dict(), **section})
     else:
         _table(found)
         click.echo(yaml_text(section))
+    if output is not None:
+        write_whole(output, yaml_text(section) + "\n")
+    if plot is not None:
+        drawing.save(plot, found.curves())
 
 
 @contextmanager

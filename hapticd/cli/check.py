@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -10,8 +10,12 @@ from hapticd.cli.common import json_option, print_json
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from hapticd.check import Report
+
+_NUMBER: Final = 9
+"""As wide as 1.234e+05."""
 
 
 @click.command("check", short_help="Say what of a configuration can be shown.")
@@ -48,8 +52,6 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _print(report: Report, console: Console) -> None:
-    from rich.table import Table
-
     output, stability = report.output, report.stability
     link = "" if output.link_rate_hz is None else f", forces carried at {output.link_rate_hz:g} Hz"
     console.print(f"device: {report.device}; servo at {output.rate_hz:g} Hz{link}", markup=False)
@@ -62,7 +64,7 @@ def _print(report: Report, console: Console) -> None:
             f"{1e3 * timing.period_s:.4g} ms, encoder step {1e6 * stability.assumed.encoder_step_m:g} um",
             markup=False,
         )
-    table = Table(title="Materials", title_justify="left")
+    table = _table("Materials")
     columns = ("", "left"), ("in the scene", "left"), ("N/m", "right"), ("sounds", "left"), ("felt wrong by", "right")
     for name, justify in columns:
         table.add_column(name, justify="right" if justify == "right" else "left")
@@ -97,12 +99,21 @@ def _print(report: Report, console: Console) -> None:
         console.print("all of the scene can be shown", markup=False)
 
 
-def _sets(report: Report) -> object:
+def _table(title: str) -> Table:
+    """As narrow as it can be: on 80 columns lists give way, and no number or word is cut off."""
+    from rich import box
     from rich.table import Table
 
-    table = Table(title="What can be touched together", title_justify="left")
-    for name in ("objects", "N/m", "safe in any hand up to", "stable in this hand up to", "margin", "verdict", "by"):
-        table.add_column(name, justify="right" if name not in ("objects", "verdict", "by") else "left")
+    return Table(title=title, title_justify="left", box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
+
+
+def _sets(report: Report) -> Table:
+    table = _table("What can be touched together")
+    table.add_column("objects", overflow="fold")
+    for name in ("N/m", "safe in any hand up to", "stable in this hand up to", "margin"):
+        table.add_column(name, justify="right", min_width=_NUMBER)
+    table.add_column("verdict", no_wrap=True)
+    table.add_column("by", no_wrap=True)
     for margin in report.stability.worst:
         more = f" and {len(margin.objects) - 4} more" if len(margin.objects) > 4 else ""
         held = margin.held_limit_n_per_m

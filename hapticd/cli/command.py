@@ -6,7 +6,7 @@ import re
 
 import click
 
-from hapticd.cli.common import daemon, json_option, print_result, yaml_file
+from hapticd.cli.common import Finite, daemon, json_option, print_result, yaml_file
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")
@@ -19,7 +19,7 @@ from hapticd.cli.common import daemon, json_option, print_result, yaml_file
 )
 @click.option(
     "--amplitude",
-    type=click.FloatRange(min=0),
+    type=Finite(min=0),
     required=True,
     metavar="A",
     help="Acceleration amplitude, m/s^2.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections.abc import Callable, Mapping
@@ -21,6 +22,16 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 # Strings that need no quotes in YAML, whatever stands around them.
 _PLAIN = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
 _UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+class Finite(click.FloatRange):
+    """A range of numbers of which not-a-number and infinity are none: click's own takes the first for one of them."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = float(super().convert(value, param, ctx))
+        if not math.isfinite(number):
+            self.fail(f"{number} is not a finite number", param, ctx)
+        return number
 
 
 def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:

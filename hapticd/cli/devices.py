@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import duration, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.common import Finite, duration, json_option, print_json, write_whole, yaml_text
 from hapticd.errors import HapticdError, quoted
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ def _named(device: str, found: Sequence[Found]) -> Found:
 @click.option(
     "--force",
     "force_n",
-    type=click.FloatRange(min=0, min_open=True),
+    type=Finite(min=0, min_open=True),
     metavar="N",
     help="Force to push with [default: 5 % of full].",
 )

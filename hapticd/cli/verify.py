@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import json_option, print_json
+from hapticd.cli.common import Finite, json_option, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2); a real "
     "device needs one.",
 )
-@click.option("--scale", type=float, default=1.0, metavar="FACTOR", help="On the recording's numbers.")
-@click.option("--speed", type=click.FloatRange(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S")
+@click.option("--scale", type=Finite(), default=1.0, metavar="FACTOR", help="On the recording's numbers.")
+@click.option("--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S")
 @click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @json_option
@@ -84,7 +84,8 @@ def _table(verdicts: list[Verdict]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE)
+    # As narrow as it can be: on 80 columns no number may be cut off.
+    table = Table(box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
     for head in ("material", "use", "Hz", "shown Hz", "m/s²", "N", "strength", "error"):
         table.add_column(head, justify="left" if head in ("material", "use") else "right", no_wrap=True)
     for each in verdicts:

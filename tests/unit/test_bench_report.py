@@ -119,3 +119,13 @@ def test_what_is_missing_is_told_before_anything_is_measured(monkeypatch: pytest
     monkeypatch.setattr(bench, "NEEDED", ("no_such_module",))
     with pytest.raises(HapticdError, match="need no_such_module: pip install"):
         bench.perform([], Options(quick=True), None)
+
+
+@pytest.mark.usefixtures("measurements")
+def test_a_folder_that_cannot_be_is_told_before_anything_is_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(HapticdError, match="file/report: cannot be made: Not a directory"):
+        bench.perform([], Options(quick=True), tmp_path / "file" / "report")
+    assert "not measured" not in capsys.readouterr().err

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hapticd.calibration import handle
+from hapticd.calibration.accelerometer import load_recording
 from hapticd.cli import main
 from hapticd.config import load_config
 from hapticd.hid import sources
@@ -88,6 +89,92 @@ def test_recordings_that_are_none(capsys: pytest.CaptureFixture[str], content: s
     if content is not None:
         Path("felt.csv").write_text(content)
     assert said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.csv") == f"hapticd: felt.csv: {problem}\n"
+
+
+def _array_alone(path: Path) -> None:
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("write", "problem"),
+    [
+        (lambda path: path.write_bytes(b""), "not an archive as numpy.savez writes it"),
+        (lambda path: path.write_bytes(bytes(50)), "not an archive as numpy.savez writes it"),
+        (_array_alone, "not an archive as numpy.savez writes it"),
+        (
+            lambda path: np.savez(path, time_s=np.arange(20) * 1j, acceleration_m_per_s2=np.zeros(20)),
+            "time_s has complex128, not real numbers",
+        ),
+        (
+            lambda path: np.savez(path, time_s=np.array(["a"] * 20), acceleration_m_per_s2=np.zeros(20)),
+            "time_s has <U1, not real numbers",
+        ),
+    ],
+)
+def test_archives_that_are_none(
+    capsys: pytest.CaptureFixture[str], write: Callable[[Path], object], problem: str
+) -> None:
+    write(Path("felt.npz"))
+    error = said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz")
+    assert error == f"hapticd: felt.npz: is no recording: {problem}\n"
+
+
+def test_a_table_of_a_spreadsheet_is_read() -> None:
+    """With a byte order mark, and empty lines at its end."""
+    lines = "".join(f"{time / 8},{time % 3}\r\n" for time in range(24))
+    Path("felt.csv").write_bytes(b"\xef\xbb\xbf" + b"time_s,acceleration_m_per_s2\r\n" + lines.encode() + b"\r\n\r\n")
+    recording = load_recording("felt.csv")
+    assert recording.time_s.tolist() == [time / 8 for time in range(24)]
+    assert recording.acceleration_m_per_s2.tolist() == [time % 3 - 1 for time in range(24)]
+
+
+@pytest.mark.parametrize("number", ["nan", "inf"])
+@pytest.mark.parametrize(
+    "arguments",
+    [("verify", "--speed"), ("verify", "--scale"), ("calibrate", "--force-n"), ("play", "wood", "--amplitude")],
+)
+def test_numbers_that_are_none_are_refused(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], number: str
+) -> None:
+    assert f"Invalid value for '{arguments[-1]}': {number} is not " in said(capsys, 2, *arguments, number)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        (("-o", "none/found.yaml"), "none/found.yaml: cannot be written: there is no folder none"),
+        (("--plot", "none/response.png"), "none/response.png: cannot be written: there is no folder none"),
+        (("--plot", "response.foo"), "response.foo: cannot be drawn: must end in .png or another of "),
+        (("--accelerometer", "felt.wav"), "felt.wav: a recording ends in .npz or .csv"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_anything_moves(
+    capsys: pytest.CaptureFixture[str], stick: FakePid, arguments: tuple[str, str], problem: str
+) -> None:
+    error = said(capsys, 1, "calibrate", "-c", "hid.yaml", "--yes", *arguments)
+    assert error.startswith(f"hapticd: {problem}")
+    assert not pushed(stick)
+
+
+def test_no_number_is_cut_off_on_80_columns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["verify", "-c", "sim.yaml"]) == 0
+    table = capsys.readouterr().out
+    assert "cellophane" in table and "…" not in table
+    normals = [[0.0, 1.0], [0.6, 0.8], [-0.6, 0.8]]
+    walls = {
+        f"a_rather_long_name_{index}": {"kind": "wall", "point_m": [0, 0], "normal": normal, "material": "it"}
+        for index, normal in enumerate(normals)
+    }
+    scene = {"materials": {"it": {"stiffness_n_per_m": 99_990}}, "scene": {"objects": walls}}
+    Path("stiff.yaml").write_text(json.dumps(scene))
+    assert main(["check", "-c", "stiff.yaml"]) == 1
+    table = capsys.readouterr().out
+    assert "eigenvalues" in table and "unsafe" in table and "…" not in table
 
 
 def test_verify(capsys: pytest.CaptureFixture[str]) -> None:
