@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.common import Finite, config_option, json_option, print_json, write_whole, yaml_text
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -21,14 +21,7 @@ DEFAULT_FORCE_N = 1.0
 
 
 @click.command("calibrate", short_help="Measure handle and grip.")
-@click.option(
-    "-c",
-    "--config",
-    "configs",
-    multiple=True,
-    metavar="FILE",
-    help="Configuration that names the device [default: the simulated joystick].",
-)
+@config_option
 @click.option("-o", "--output", metavar="FILE", help="Write the device section there, too.")
 @click.option("--overwrite", is_flag=True, help="Replace what is there.")
 @click.option("--plot", metavar="FILE.png", help="Draw response and fit (needs matplotlib).")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import json_option, print_json
+from hapticd.cli.common import config_option, json_option, print_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,14 +19,7 @@ _NUMBER: Final = 9
 
 
 @click.command("check", short_help="Say what of a configuration can be shown.")
-@click.option(
-    "-c",
-    "--config",
-    "configs",
-    multiple=True,
-    metavar="FILE",
-    help="Configuration; later files override earlier ones [default: the simulated joystick].",
-)
+@config_option
 @json_option
 def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     """Say which materials and surfaces device, rate and grip can carry. Nothing moves, and no daemon is needed.

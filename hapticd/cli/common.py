@@ -42,6 +42,18 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     return connect(directory) if timeout_s is None else connect(directory, timeout_s)
 
 
+def config_option(command: _F) -> _F:
+    """The option `-c`, for the configuration files of a command."""
+    return click.option(
+        "-c",
+        "--config",
+        "configs",
+        multiple=True,
+        metavar="FILE",
+        help="Configuration; later files override earlier ones [default: the simulated joystick].",
+    )(command)
+
+
 def json_option(command: _F) -> _F:
     """The option `--json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")(command)

@@ -7,21 +7,14 @@ import os
 
 import click
 
-from hapticd.cli.common import daemon, json_option, print_json
+from hapticd.cli.common import config_option, daemon, json_option, print_json
 from hapticd.errors import offload_text, undisplayable_text
 
 _SHOWN_MARGINS = 5
 
 
 @click.command("run")
-@click.option(
-    "-c",
-    "--config",
-    "configs",
-    multiple=True,
-    metavar="FILE",
-    help="Configuration; later files override earlier ones [default: the simulated joystick].",
-)
+@config_option
 @click.pass_context
 def run_command(ctx: click.Context, configs: tuple[str, ...]) -> int:
     """Run the daemon in the foreground."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, json_option, print_json
+from hapticd.cli.common import Finite, config_option, json_option, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -15,14 +15,7 @@ if TYPE_CHECKING:
 
 
 @click.command("verify", short_help="Measure how materials are displayed.")
-@click.option(
-    "-c",
-    "--config",
-    "configs",
-    multiple=True,
-    metavar="FILE",
-    help="Configuration with device and materials [default: the simulated joystick].",
-)
+@config_option
 @click.option(
     "--recording",
     metavar="FILE",
