@@ -100,7 +100,14 @@ clean: ## remove everything that was built, .venv too
 # ---- What CI runs ------------------------------------------------------------------------------------------------
 
 .PHONY: check
-check: lint warnings test test-vm ## lint, types, layout, warnings as errors, C tests, pytest, test-vm
+check: lint warnings ## lint, types, layout, warnings as errors, C tests, pytest, and beside them test-vm
+	@mkdir -p build
+	@$(MAKE) --no-print-directory test-vm >build/test-vm.log 2>&1 & beside=$$!; \
+		failed=0; \
+		$(MAKE) --no-print-directory test || failed=1; \
+		wait $$beside || failed=1; \
+		cat build/test-vm.log; \
+		exit $$failed
 
 .PHONY: lint
 lint: build
