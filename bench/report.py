@@ -32,7 +32,7 @@ class Options:
     """Paired runs beside cyclictest, at each rate."""
     seconds: float = 3.0
     """Length of each of them, and of the runs with spin."""
-    minute_s: float = 40.0
+    minute_s: float = 20.0
     """Length of the telemetry run."""
     load: int = 0
     """Busy processes beside the lateness runs."""
