@@ -16,6 +16,7 @@ from hapticd.displayable import (
     Use,
     displayed_mode,
     displayed_pair,
+    materials_in,
     modes_of,
     rate_faults,
     undisplayable,
@@ -24,10 +25,11 @@ from hapticd.displayable import (
 from hapticd.displayed import displayed_error
 from hapticd.engine import UNKNOWN_HANDLE, loop_of, output_of
 from hapticd.errors import HapticdError, Problem
+from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
-from hapticd.hid.pid import axes_of
+from hapticd.hid.sources import expected_plan
 from hapticd.materials import Material
-from hapticd.scene import field_ids, used_materials
+from hapticd.scene import field_ids
 from hapticd.stability import Loop
 from hapticd.texture import Stochastic
 from hapticd.together import Stability, judge
@@ -99,13 +101,12 @@ def check(config: Config) -> Report:
     scene, materials = config.scene, config.materials
     device, loop, link_hz, unknown = _device(config)
     output = output_of(config, rate_hz, link_hz)
-    used = used_materials(scene.objects.values())
-    shown = {name: material for name, material in materials.items() if name in used}
+    shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
     return Report(
         output=output,
         device=device,
-        materials=tuple(_checked(name, material, name in used, output) for name, material in materials.items()),
+        materials=tuple(_checked(name, material, name in shown, output) for name, material in materials.items()),
         stability=Stability(unknown, None) if loop is None else _stability(config, output, loop),
         refused=tuple(refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
@@ -133,26 +134,25 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None]
     if device.kind == "replay":
         return "a recording, which nothing pushes", None, None, "a recording has no loop"
     hid = device.hid
-    limit_hz = hid.max_rate_hz
+    limit_hz = Link(None, None, hid.max_rate_hz).carried_hz(rate_hz)
     handle = "" if device.handle is not None else "; what its handle is, is not given"
     try:
         found = choose(hid, find())
     except HapticdError as error:
         return f"not there: {error}{handle}", None, limit_hz, UNKNOWN_HANDLE if handle else _UNPLUGGED
-    endpoint_hz = None if not found.out_interval_s else 1.0 / found.out_interval_s
-    link_hz = min((rate for rate in (endpoint_hz, limit_hz) if rate is not None and rate < rate_hz), default=None)
     told = f"{found.name} at {found.path}{handle}"
-    if hid.report is not None:
-        axes = [axis for axis in (hid.report.input.x, hid.report.input.y) if axis is not None]
-        resolution_m = max(1.0 / abs(axis.counts_per_m) for axis in axes)
-    elif found.layout is not None:
-        try:
-            resolution_m = max(abs(axis.m_per_count) for axis in axes_of(found.layout, hid))
-        except HapticdError as error:
-            return f"{told}: {error}", None, link_hz, _UNPLUGGED
-    else:
-        return f"{told}: {found.problem}", None, link_hz, _UNPLUGGED
-    loop = loop_of(config, rate_hz, resolution_m=resolution_m, link_rate_hz=link_hz)
+    try:
+        plan = expected_plan(hid, found.descriptor)
+    except HapticdError as error:
+        return f"{told}: {error}", None, limit_hz, _UNPLUGGED
+    link_hz = link_of(plan, found.out_interval_s).carried_hz(rate_hz)
+    loop = loop_of(
+        config,
+        rate_hz,
+        resolution_m=plan.resolution_m,
+        force_step_n=max(plan.force_steps_n),
+        link_rate_hz=link_hz,
+    )
     return told, loop, link_hz, None if loop is not None else UNKNOWN_HANDLE
 
 

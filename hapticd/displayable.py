@@ -135,7 +135,9 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
 def rate_faults(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
     """What of the materials in use has to be refused, because no sampled signal of this rate has it."""
     return [
-        fault for name, material in _used(objects, materials) for fault in material_rate_faults(name, material, output)
+        fault
+        for name, material in materials_in(objects, materials).items()
+        for fault in material_rate_faults(name, material, output)
     ]
 
 
@@ -155,7 +157,7 @@ def material_rate_faults(name: str, material: Material, output: Output) -> list[
 def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Material], output: Output) -> list[Problem]:
     """What of the scene is displayed, but not as it was meant, and how it is displayed then."""
     found: list[Problem] = []
-    for name, material in _used(objects, materials):
+    for name, material in materials_in(objects, materials).items():
         found += _compensation_warnings(name, material, output)
         match material.texture:
             case Grooves() as texture:
@@ -170,9 +172,10 @@ def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Materia
     return found
 
 
-def _used(objects: Mapping[str, SceneObject], materials: Mapping[str, Material]) -> Iterator[tuple[str, Material]]:
+def materials_in(objects: Mapping[str, SceneObject], materials: Mapping[str, Material]) -> dict[str, Material]:
+    """Those of the materials that these objects are made of, in their order."""
     used = used_materials(objects.values())
-    return ((name, material) for name, material in materials.items() if name in used)
+    return {name: material for name, material in materials.items() if name in used}
 
 
 def _texture_problem(material: str, key: str, problem: str) -> Problem:

@@ -37,7 +37,15 @@ from hapticd.core import (
     lib,
     pointer,
 )
-from hapticd.displayable import Output, Undisplayable, displayed_mode, rate_faults, undisplayable, warnings
+from hapticd.displayable import (
+    Output,
+    Undisplayable,
+    displayed_mode,
+    materials_in,
+    rate_faults,
+    undisplayable,
+    warnings,
+)
 from hapticd.errors import HapticdError, InvalidError, Problem
 from hapticd.hid.connection import Connection
 from hapticd.hid.offload import Offload, Offloaded
@@ -228,13 +236,12 @@ class Engine:
         """Opens the device, and makes the servo for it."""
         config, servo = self.config, self.config.servo
         sim = config.device.sim
-        resolution_m, report_age_s, link_hz = sim.encoder_step_m, sum(sim.reports_s), None
+        resolution_m, report_age_s, carried_hz = sim.encoder_step_m, sum(sim.reports_s), None
         self.force_steps_n = (sim.force_step_n, sim.force_step_n)
         if self.connection is not None:
             plan, link = self.connection.open()
             self.force_steps_n = plan.force_steps_n
-            resolution_m, report_age_s, link_hz = plan.resolution_m, 0.0, link.rate_hz
-        carried_hz = None if link_hz is None or link_hz >= servo.rate_hz else link_hz
+            resolution_m, report_age_s, carried_hz = plan.resolution_m, 0.0, link.carried_hz(servo.rate_hz)
         self.output = output_of(config, servo.rate_hz, carried_hz)
         self._loop = loop_of(
             config,
@@ -373,9 +380,8 @@ class Engine:
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
         """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
-        objects, materials = _of_all_materials(self.scene.objects), self.materials
-        used = {name for item in objects.values() for name in materials_of(item)}
-        shown = {name: material for name, material in materials.items() if name in used}
+        objects = _of_all_materials(self.scene.objects)
+        shown = materials_in(objects, self.materials)
         lacking = undisplayable(shown, self.output)
         played = {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
         return [one for one in lacking if (one.material, one.mode) not in played], warnings(objects, shown, self.output)
@@ -389,9 +395,7 @@ class Engine:
         """What became of the scene's taps and ruptures, where the device was to play them by itself. For any thread."""
         if self._offload is None:
             return []
-        used = {name for item in _of_all_materials(self.scene.objects).values() for name in materials_of(item)}
-        materials = self.materials
-        return self._offload.told({name: material for name, material in materials.items() if name in used})
+        return self._offload.told(materials_in(self.scene.objects, self.materials))
 
     def stability(self) -> Stability:
         """Which sets of objects that act together are not safe, of the scene in force. For any thread.

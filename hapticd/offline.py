@@ -28,13 +28,13 @@ from hapticd.core import (
     pointer,
     records,
 )
-from hapticd.displayable import Undisplayable, rate_faults, undisplayable, warnings
+from hapticd.displayable import Undisplayable, materials_in, rate_faults, undisplayable, warnings
 from hapticd.engine import loop_of, output_of
 from hapticd.errors import HapticdError, InvalidError, Problem, shown
 from hapticd.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.model import problems_of
 from hapticd.operator import Operator, load_operator, parse_operator
-from hapticd.scene import field_ids, used_materials
+from hapticd.scene import field_ids
 from hapticd.together import Stability, judge
 
 Samples: TypeAlias = npt.NDArray[np.void]
@@ -75,9 +75,7 @@ class _Scene:
         refused = rate_faults(scene.objects, materials, output)
         if refused:
             raise InvalidError(refused)
-        used = used_materials(scene.objects.values())
-        shown = {name: material for name, material in materials.items() if name in used}
-        self.undisplayable = tuple(undisplayable(shown, output))
+        self.undisplayable = tuple(undisplayable(materials_in(scene.objects, materials), output))
         self.warnings = tuple(warnings(scene.objects, materials, output))
         compiler = Compiler(output)
         self.world = new_world(compiler.update(scene, scene.objects, materials, 1))

@@ -76,6 +76,11 @@ class Link:
             (rate for rate in (self.endpoint_hz, self.measured_hz, self.limit_hz) if rate is not None), default=None
         )
 
+    def carried_hz(self, servo_hz: float) -> float | None:
+        """Forces a second that reach the device of a servo at this rate; None: all of them."""
+        rate_hz = self.rate_hz
+        return None if rate_hz is None or rate_hz >= servo_hz else rate_hz
+
 
 @dataclass(frozen=True, slots=True)
 class _Live:
@@ -226,7 +231,8 @@ class Connection:
         opened = self._source()
         try:
             plan = opened.driver.set_up(opened.device)
-            link = _link(opened, plan)
+            measured_hz = _measured_hz(opened.device, plan) if opened.measure else None
+            link = link_of(plan, opened.out_interval_s, measured_hz)
             on_change = opened.on_change
             if on_change is None:
                 on_change = not _reports_steadily(opened.device, plan.x.report_id != 0, self._stop)
@@ -306,12 +312,12 @@ class Connection:
             self._counted = (now, raw.reports, raw.forces)
 
 
-def _link(opened: Opened, plan: Plan) -> Link:
-    """How often a whole force, all of its reports, can be sent."""
+def link_of(plan: Plan, out_interval_s: float | None, measured_hz: float | None = None) -> Link:
+    """How often a whole force, all of its reports, can be sent through an endpoint of this interval (None: unknown)."""
     count = max(1, len(plan.force))
-    endpoint = None if not opened.out_interval_s else 1.0 / (opened.out_interval_s * count)
+    endpoint = None if not out_interval_s else 1.0 / (out_interval_s * count)
     limit = None if plan.write_interval_s <= 0.0 else 1.0 / (plan.write_interval_s * count)
-    return Link(endpoint, _measured_hz(opened.device, plan) if opened.measure else None, limit)
+    return Link(endpoint, measured_hz, limit)
 
 
 def _measured_hz(device: Device, plan: Plan) -> float | None:

@@ -45,6 +45,18 @@ def driver_of(hid: Hid, descriptor: bytes) -> Driver:
     return PidDriver(layout, hid)
 
 
+def expected_plan(hid: Hid, descriptor: bytes) -> Plan:
+    """The plan for a device with this report descriptor that is not set up: as if it had room for what is wanted, its
+    effects numbered as a device would do it. Raises DeviceError."""
+    driver_of(hid, descriptor)
+    if hid.report is not None:
+        return vendor_plan_of(hid, hid.report)
+    layout = layout_of(parse(descriptor))
+    way = ways_of(layout, hid)[0]
+    first, last = layout.effect_indices or (1, 1)
+    return plan_of(layout, hid, way, range(first, last + 1)[: 1 if way in ("one", "polar") else 2])
+
+
 def replay_source(replay: Replay, hid: Hid) -> Source:
     """What plays a recording, once or for ever. Raises HapticdError for one that cannot be read."""
     recording = load(replay.path)
@@ -62,18 +74,10 @@ def replay_source(replay: Replay, hid: Hid) -> Source:
 
 
 class _ReplayDriver:
-    """A recording is not set up: its effects are numbered as a device would do it."""
+    """A recording is not set up."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
-        if hid.report is not None:
-            VendorDriver(hid, descriptor)
-            self._plan = vendor_plan_of(hid, hid.report)
-        else:
-            driver_of(hid, descriptor)
-            layout = layout_of(parse(descriptor))
-            way = ways_of(layout, hid)[0]
-            first, last = layout.effect_indices or (1, 1)
-            self._plan = plan_of(layout, hid, way, range(first, last + 1)[: 1 if way in ("one", "polar") else 2])
+        self._plan = expected_plan(hid, descriptor)
 
     def set_up(self, device: Device) -> Plan:
         """Nothing but the plan."""

@@ -1,0 +1,87 @@
+"""What `hapticd check` takes a joystick for: the same as the daemon that drives it, as far as that can be known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from hapticd.check import check
+from hapticd.config import load_config
+from hapticd.engine import Engine
+from hapticd.hid.connection import Opened
+from hapticd.hid.descriptor import parse
+from hapticd.hid.discover import Found
+from hapticd.hid.layout import layout_of
+from hapticd.hid.sources import driver_of
+from tests.hid_descriptors import Joystick
+from tests.hid_device import FakePid
+
+TRAVEL_M = 0.04
+FULL_N = 8.0
+HANDLE = {"mass_kg": 0.1, "damping_n_s_per_m": 1.0, "friction_n": 0.05}
+FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+
+
+def source(**hid: Any) -> dict[str, Any]:
+    device = {"handle": HANDLE, "hid": {"travel_m": TRAVEL_M, "full_scale_force_n": FULL_N, **hid}}
+    return {
+        "servo": {"rate_hz": 2000, "realtime": "off"},
+        "device": {"kind": "hid", **device},
+        "scene": {"objects": {"floor": FLOOR}},
+    }
+
+
+def plugged(monkeypatch: pytest.MonkeyPatch, descriptor: bytes, interval_s: float | None) -> None:
+    """The only device of this machine, as sysfs tells of it."""
+    layout = layout_of(parse(descriptor))
+    found = Found("stick", "stick", 1, 2, "", "USB", "", descriptor, interval_s, interval_s, "ok", layout, None)
+    monkeypatch.setattr("hapticd.check.find", lambda: [found])
+
+
+@pytest.mark.parametrize(
+    ("stick", "hid", "interval_s", "link_hz"),
+    [
+        (Joystick(), {}, 1e-3, 500),  # a report for each of two effects
+        (Joystick(), {"max_rate_hz": 200}, 1e-3, 200),
+        (Joystick(), {"max_rate_hz": 5000}, None, None),  # as fast as the servo
+        (Joystick(), {"max_rate_hz": 5000}, 125e-6, None),
+        (Joystick(is_magnitude_signed=False), {}, 2e-3, 250),  # magnitude and direction of one
+        (Joystick(axes=(0x30,), force_axes=(0x30,)), {}, 1e-3, 1000),
+    ],
+)
+def test_link_and_steps_are_the_daemons(
+    monkeypatch: pytest.MonkeyPatch,
+    stick: Joystick,
+    hid: dict[str, Any],
+    interval_s: float | None,
+    link_hz: float | None,
+) -> None:
+    config = load_config(source(**hid))
+    plugged(monkeypatch, bytes(stick), interval_s)
+    report = check(config)
+    fake = FakePid(bytes(stick))
+    driver = driver_of(config.device.hid, bytes(stick))
+    opened = Opened(fake.device, driver, "stick", interval_s, on_change=False, measure=False)
+    monkeypatch.setattr("hapticd.engine.source_of", lambda device: lambda: opened)
+    engine = Engine(config)
+    try:
+        assumed = report.stability.assumed
+        assert report.output == engine.output
+        assert assumed == engine.stability().assumed
+    finally:
+        engine.stop()
+        fake.close()
+    assert report.output.link_rate_hz == (None if link_hz is None else pytest.approx(link_hz))
+    assert assumed is not None
+    assert assumed.force_step_n == pytest.approx(FULL_N / stick.magnitude)
+    assert assumed.encoder_step_m == pytest.approx(TRAVEL_M / stick.axis_range[1])
+
+
+def test_a_joystick_that_cannot_be_driven_has_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = load_config(source(max_rate_hz=500, axes={"x": {"usage": "Rx"}}))
+    plugged(monkeypatch, bytes(Joystick()), 1e-3)
+    report = check(config)
+    assert report.device.startswith("stick at stick: device.hid.axes.x.usage: the device has no axis Rx; it has ")
+    assert report.stability.unknown == "the encoder's step is not known"
+    assert report.output.link_rate_hz == 500
