@@ -17,7 +17,7 @@ from hapticd.compensation import Compensation, pole_gain, pole_shape, shape_of
 from hapticd.compile import Compiler
 from hapticd.config import load_config
 from hapticd.core import Flag
-from hapticd.displayed import band_error, handle_acceleration, waveform
+from hapticd.displayed import FINER, band_error, handle_acceleration, waveform
 from hapticd.dynamics import Dynamics
 from hapticd.engine import output_of
 from hapticd.materials import shipped_materials
@@ -32,7 +32,6 @@ GRIPS = {"light": (0.005, 2.0, 100.0), "default": (0.01, 5.0, 300.0), "firm": (0
 """Mass, damping and stiffness of the hand: two fingers, the default hand, and twice the default."""
 MATERIALS = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel", "comb", "cellophane")
 AIM, GOAL = 0.13, 0.05
-FINER = 16
 PHASES = 8
 AT_TICK = 2.0**-20
 """So much of a period an onset at a tick lies before it: an onset is a crossing."""

@@ -210,7 +210,7 @@ def run(options: Options, advance: Advance) -> Section:
                     Point(name, cost.tolist(), errors[case, rate, name], name == OURS)
                     for name, cost in costs[case].items()
                 ]
-                trade(axes, points, hollow=hollow, named=not hollow)
+                trade(axes, points, hollow=hollow)
             axes.set_xlabel("ns a period, both axes")
             axes.set_title(case, fontsize=10)
         plots[0].set_ylabel("worst error at ticks, of the way")

@@ -245,7 +245,7 @@ def run(options: Options, advance: Advance) -> Section:
                 points = [
                     Point(name, found[0].tolist(), found[1], name == OURS) if found else None for name, found in here
                 ]
-                trade(axes, points, hollow=hollow, named=not hollow)
+                trade(axes, points, hollow=hollow)
             axes.set_xlabel("ns a sample")
             axes.set_ylabel(label)
         plots[0].set_title("the filter stays", fontsize=10)

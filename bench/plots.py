@@ -59,9 +59,9 @@ class Point:
     chosen: bool = False
 
 
-def trade(axes: Axes, points: Sequence[Point | None], *, hollow: bool = False, named: bool = True) -> None:
+def trade(axes: Axes, points: Sequence[Point | None], *, hollow: bool = False) -> None:
     """Points with the tenth to the ninetieth percentile of their cost. Marker and colour go by the place in the row, of
-    which a None is only left out."""
+    which a None is only left out. Hollow ones are drawn beside filled ones, and bear no name of their own."""
     import numpy as np
 
     for index, point in enumerate(points):
@@ -81,7 +81,7 @@ def trade(axes: Axes, points: Sequence[Point | None], *, hollow: bool = False, n
             markerfacecolor="none" if hollow else colour,
             markersize=7,
             elinewidth=1,
-            label=name if named else None,
+            label=None if hollow else name,
         )
         if point.chosen:
             axes.plot([middle], [error], "o", markersize=15, markerfacecolor="none", markeredgecolor="black")

@@ -168,7 +168,7 @@ def onsets(options: Options, advance: Advance) -> Section:
                     Point(name, costs[name].tolist(), 1e6 * _rms(errors[rate, step][name]), name == OURS)
                     for name in ways
                 ]
-                trade(axes, points, hollow=hollow, named=not hollow)
+                trade(axes, points, hollow=hollow)
             axes.set_xlabel("ns an onset")
             axes.set_title("exact positions" if step == 0 else f"steps of {1e6 * step:g} um", fontsize=10)
         plots[0].set_ylabel("rms error of the onset, us")
@@ -314,7 +314,7 @@ def grooves(options: Options, advance: Advance) -> Section:
                 points = [
                     Point(name, costs[name].tolist(), 1e6 * kept[rate, case, name], name == CROSSING) for name in ways
                 ]
-                trade(axes, points, hollow=hollow, named=not hollow)
+                trade(axes, points, hollow=hollow)
             axes.set_xlabel("ns a tick")
             axes.set_title(case, fontsize=10)
         plots[0].set_ylabel("rms error of a strike's time, us")

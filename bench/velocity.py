@@ -362,7 +362,7 @@ def _default_figure(setting: Setting) -> Figure:
                     for name, costs in setting.costs.items()
                 ]
                 chosen = [Point(p.name, p.costs, p.error, p.name == OURS) for p in points]
-                trade(axes, chosen, hollow=hollow, named=not hollow)
+                trade(axes, chosen, hollow=hollow)
             allowed = 100 * float(np.median(setting.best[a]))
             axes.axhline(allowed, color="black", linestyle="--", linewidth=1, label="what the samples allow, median")
             axes.set_title(_said(a), fontsize=10)
@@ -385,7 +385,7 @@ def _grid_figure(settings: Sequence[Setting]) -> Figure:
                     Point(name, costs.tolist(), 100 * float(np.median(np.abs(setting.errors[a][name]))), name == OURS)
                     for name, costs in setting.costs.items()
                 ]
-                trade(axes, points, hollow=hollow, named=not hollow)
+                trade(axes, points, hollow=hollow)
             for a, style in ((0.0, "-"), (3.0, "--")):
                 allowed = 100 * float(np.median(setting.best[a]))
                 axes.axhline(

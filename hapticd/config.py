@@ -256,6 +256,11 @@ def default_config() -> Config:
     return _load([shipped_document(DEFAULT)])
 
 
+def config_of(paths: Sequence[str | os.PathLike[str]]) -> Config:
+    """These files merged in order, as load_config; without one, default_config."""
+    return load_config(tuple(paths)) if paths else default_config()
+
+
 def _load(documents: Sequence[Document]) -> Config:
     merged = _Merged()
     for document in documents:

@@ -27,7 +27,7 @@ from typing import TypeVar
 import zmq
 
 from hapticd import server
-from hapticd.config import Config, default_config, load_config
+from hapticd.config import Config, config_of
 from hapticd.control import Control
 from hapticd.engine import Engine
 from hapticd.errors import HapticdError
@@ -47,7 +47,7 @@ def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | 
     it cannot start: bad configuration, another daemon on the directory, real time required and refused.
     """
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="hapticd: %(message)s")
-    config = load_config(tuple(config_paths)) if config_paths else default_config()
+    config = config_of(config_paths)
     os.umask(0o117)
     with ExitStack() as stack:
         signals = stack.enter_context(_signals())

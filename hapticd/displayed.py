@@ -12,60 +12,34 @@ who measures takes the time at which the force begins at the device as the onset
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.compensation import HIGH, LOW_HZ, Compensation, pole_of, pole_shape, shape_of
-from hapticd.dynamics import Dynamics
+from hapticd.dynamics import Dynamics, held_motion
 from hapticd.mode import Mode
 
 Floats = npt.NDArray[np.float64]
 
-_TERMS = 20
-"""Of the exponential's series at a norm of at most 1/2: the rest is below 1e-24."""
+FINER: Final = 16
+"""A period is cut into so many parts, to see what a held force does within it."""
 
 
-def _exponential(matrix: Floats) -> Floats:
-    """exp of a small matrix, by its series, scaled down and squared."""
-    norm = float(np.abs(matrix).sum(axis=1).max())
-    doublings = max(0, math.ceil(math.log2(norm)) + 1) if norm > 0 else 0
-    scaled = matrix / 2.0**doublings
-    total = term = np.eye(len(matrix))
-    for order in range(1, _TERMS):
-        term = term @ scaled / order
-        total = total + term
-    for _ in range(doublings):
-        total = total @ total
-    return total
-
-
-def discretised(dynamics: Dynamics, period_s: float) -> tuple[Floats, Floats]:
-    """Position and velocity after a period under a held force: [x, v] becomes state @ [x, v] + input F.
-
-    Zero-order hold, exact: state (2, 2) and input (2,) are parts of exp([[A, B], [0, 0]] T) of x' = A x + B F.
-    """
-    mass = dynamics.mass_kg
-    law = np.zeros((3, 3))
-    law[0, 1] = 1.0
-    law[1] = (-dynamics.grip_stiffness_n_per_m / mass, -dynamics.damping_n_s_per_m / mass, 1.0 / mass)
-    whole = _exponential(law * period_s)
-    return whole[:2, :2], whole[:2, 2]
-
-
-def handle_acceleration(force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = 16) -> Floats:
+def handle_acceleration(force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = FINER) -> Floats:
     """Acceleration of a handle that was at rest, m/s^2, of forces (n,) held for 1/rate_hz each.
 
     (n * finer,): means over each of `finer` equal parts of a period.
     """
     forces = np.asarray(force_n, dtype=np.float64)
-    whole, pushed = discretised(dynamics, 1.0 / rate_hz)
+    whole, pushed = held_motion(dynamics, 1.0 / rate_hz)
     states = np.empty((len(forces), 2))
     now = np.zeros(2)
     for tick, force in enumerate(forces):
         states[tick] = now
         now = whole @ now + pushed * force
-    part, push = discretised(dynamics, 1.0 / rate_hz / finer)
+    part, push = held_motion(dynamics, 1.0 / rate_hz / finer)
     velocity = np.empty((len(forces), finer + 1))
     for index in range(finer + 1):
         velocity[:, index] = states[:, 1]
@@ -85,6 +59,18 @@ def waveform(mode: Mode, count: int, sample_rate_hz: float, since_s: float = 0.0
     return np.diff(integral) * sample_rate_hz
 
 
+def band_lines(
+    signal: npt.ArrayLike, sample_rate_hz: float, low_hz: float, high_hz: float
+) -> npt.NDArray[np.complex128]:
+    """The lines of a signal (n,) from low_hz to high_hz, (lines,): padded with zeros to twice its length, and until the
+    lines are 1 Hz apart at most, it goes through the FFT."""
+    one = np.asarray(signal, dtype=np.float64)
+    length = 1 << math.ceil(math.log2(max(2 * len(one), sample_rate_hz)))
+    frequency = np.fft.rfftfreq(length, 1.0 / sample_rate_hz)
+    lines: npt.NDArray[np.complex128] = np.fft.rfft(one, length)[(frequency >= low_hz) & (frequency <= high_hz)]
+    return lines
+
+
 def band_error(
     measured: npt.ArrayLike,
     reference: npt.ArrayLike,
@@ -95,9 +81,8 @@ def band_error(
     """RMS of (measured - reference) over RMS of reference, both limited to low_hz to high_hz.
 
     Both are (n,), in the same unit, and begin at the onset; nothing is taken to be there before and after. `high_hz` is
-    by default 0.4 of the sample rate. The band is cut in the spectrum: what is padded with zeros, to twice its length
-    and lines 1 Hz apart at most, goes through the FFT, and by Parseval the squares of its lines from low_hz to high_hz
-    are the energy. No filter rings, none has a phase.
+    by default 0.4 of the sample rate. The band is cut in the spectrum: by Parseval the squares of its lines
+    (band_lines) are the energy. No filter rings, none has a phase.
 
     Raises ValueError for arrays of other shapes, a band without lines, and a reference without energy in it.
     """
@@ -105,13 +90,10 @@ def band_error(
     if one.ndim != 1 or one.shape != other.shape or not len(one):
         raise ValueError(f"measured and reference must have one shape (n,), have {one.shape} and {other.shape}")
     high = HIGH * sample_rate_hz if high_hz is None else high_hz
-    length = 1 << math.ceil(math.log2(max(2 * len(one), sample_rate_hz)))
-    frequency = np.fft.rfftfreq(length, 1.0 / sample_rate_hz)
-    inside = (frequency >= low_hz) & (frequency <= high)
-    wanted = float(np.linalg.norm(np.fft.rfft(other, length)[inside]))
+    wanted = float(np.linalg.norm(band_lines(other, sample_rate_hz, low_hz, high)))
     if not wanted > 0:
         raise ValueError(f"the reference has no energy from {low_hz:g} to {high:g} Hz")
-    return float(np.linalg.norm(np.fft.rfft(one - other, length)[inside])) / wanted
+    return float(np.linalg.norm(band_lines(one - other, sample_rate_hz, low_hz, high))) / wanted
 
 
 def displayed_error(

@@ -24,7 +24,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.dynamics import Dynamics
+from hapticd.dynamics import Dynamics, held_motion
 
 Floats: TypeAlias = npt.NDArray[np.float64]
 Limit: TypeAlias = Literal["passivity", "quantisation", "eigenvalues"]
@@ -304,29 +304,6 @@ def limits(
 
 
 # ---- Eigenvalues ---------------------------------------------------------------------------------------------------
-
-
-@lru_cache(maxsize=64)
-def held_motion(dynamics: Dynamics, span_s: float) -> tuple[Floats, Floats]:
-    """How position and velocity go on for `span_s` under a held force: (2, 2) transition and (2,) input.
-
-    exp of the augmented matrix, by its series of a scaled step and squaring.
-    """
-    mass = dynamics.mass_kg
-    a = np.zeros((3, 3))
-    a[0, 1] = 1.0
-    a[1] = -dynamics.grip_stiffness_n_per_m / mass, -dynamics.damping_n_s_per_m / mass, 1.0 / mass
-    fastest = max(dynamics.damping_n_s_per_m / mass, math.sqrt(dynamics.grip_stiffness_n_per_m / mass)) * span_s
-    halvings = max(0, math.ceil(math.log2(fastest / 0.25))) if fastest > 0.25 else 0
-    step = a * (span_s / 2**halvings)
-    # The series of exp(A) - 1, so that squaring keeps what is small.
-    term = grown = step.copy()
-    for order in range(2, 20):
-        term = term @ step / order
-        grown = grown + term
-    for _ in range(halvings):
-        grown = 2.0 * grown + grown @ grown
-    return grown[:2, :2] + np.eye(2), grown[:2, 2]
 
 
 def loop_matrix(stiffness: Floats, damping: Floats, loop: Loop) -> Floats:

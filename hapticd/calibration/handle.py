@@ -12,7 +12,7 @@ import numpy as np
 from hapticd.calibration.accelerometer import Heard, compare, load_recording
 from hapticd.calibration.fit import Estimate, Fit, difference, fit
 from hapticd.calibration.plot import Curve
-from hapticd.calibration.rig import Rig, ServoRig, SimRig
+from hapticd.calibration.rig import rig_of
 from hapticd.calibration.sweep import HIGHEST_HZ, Axis, Record, Sweep, sweep_config, travel_m
 from hapticd.config import Config
 
@@ -166,16 +166,11 @@ def calibrate(
         ask(held)
         progress("held" if held else "free")
         sweep = Sweep(axis, held, limit_n, travel_m(config), HIGHEST_HZ if wide else None)
-        with _rig(sweep_config(config, held=held, force_n=limit_n), real) as rig:
+        with rig_of(sweep_config(config, held=held, force_n=limit_n), real) as rig:
             records.append(sweep.run(rig, progress))
         progress("fitting")
         fits.append(fit(records[-1], fits[0] if held else None))
     return Calibration(device.kind, axis, (records[0], records[1]), fits[0], fits[1])
-
-
-def _rig(config: Config, real: bool | None) -> Rig:
-    simulated = config.device.kind == "sim" if real is None else not real
-    return SimRig(config) if simulated else ServoRig(config)
 
 
 def with_accelerometer(found: Calibration, path: str) -> Calibration:

@@ -172,3 +172,22 @@ class ServoRig(Rig):
         if self._begun:
             self._begun = False
             self._engine.stop()
+
+
+def rig_of(config: Config, real: bool | None = None) -> Rig:
+    """What strikes the device of a configuration. `real`: at a servo with its clock; None: unless it is simulated.
+
+    Raises HapticdError where the device or the servo is not there.
+    """
+    simulated = config.device.kind == "sim" if real is None else not real
+    return SimRig(config) if simulated else ServoRig(config)
+
+
+def on_grid(samples: Samples, rate_hz: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """The period of each sample since the first, (n,), and the sample whose force each period has, (periods,): one that
+    the servo missed has that of the period before."""
+    since_ns = samples["time_ns"] - samples["time_ns"][0]
+    place = np.rint(since_ns * 1e-9 * rate_hz).astype(np.int64)
+    latest = np.zeros(int(place[-1]) + 1, np.int64)
+    latest[place] = np.arange(len(samples))
+    return place, np.maximum.accumulate(latest)

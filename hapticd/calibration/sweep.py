@@ -16,7 +16,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.calibration.rig import Rig
+from hapticd.calibration.rig import Rig, on_grid
 from hapticd.config import Config, Hand
 from hapticd.core import Flag
 from hapticd.errors import HapticdError
@@ -238,15 +238,12 @@ class _Drive:
         """On the grid of periods: those that the servo missed hold the force before them, and no position."""
         samples = np.concatenate(self._taken)
         rate_hz = self._rig.rate_hz
-        since_ns = samples["time_ns"] - samples["time_ns"][0]
-        place = np.rint(since_ns * 1e-9 * rate_hz).astype(np.int64)
-        count = int(place[-1]) + 1
+        place, holding = on_grid(samples, rate_hz)
+        count = len(holding)
         position = np.full(count, np.nan)
         new = (samples["flags"] & Flag.REPEATED) == 0
         position[place[new]] = samples["position_m"][new, self._along]
-        latest = np.zeros(count, np.int64)
-        latest[place] = np.arange(len(samples))
-        force = samples["force_n"][np.maximum.accumulate(latest), self._along]
+        force = samples["force_n"][holding, self._along]
         step_n = self._rig.force_steps_n[self._along]
         if step_n > 0:
             force = np.rint(force / step_n) * step_n

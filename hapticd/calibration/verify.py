@@ -19,12 +19,13 @@ from typing import Final
 import numpy as np
 
 from hapticd.calibration.accelerometer import Recording, offset_of
-from hapticd.calibration.rig import Rig, ServoRig, SimRig
+from hapticd.calibration.rig import Rig, on_grid, rig_of
 from hapticd.calibration.sweep import Axis, Floats
+from hapticd.compensation import HIGH, LOW_HZ
 from hapticd.config import Config
 from hapticd.core import lib, pointer
-from hapticd.displayable import DISPLAYABLE, Output, displayed_mode
-from hapticd.displayed import band_error
+from hapticd.displayable import Output, displayed_mode
+from hapticd.displayed import FINER, band_error, band_lines, waveform
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError
 from hapticd.joystick import new_sim
@@ -36,8 +37,6 @@ from hapticd.texture import Grooves
 
 SPEED_M_PER_S: Final = 0.1
 PRESS_N: Final = 1.0
-LOW_HZ: Final = 30.0
-FINER: Final = 16
 REST_S: Final = 0.3
 """Between two strikes, once five decay times are over."""
 AFTER_S: Final = 0.06
@@ -120,10 +119,9 @@ def play(
     alone = config.model_copy(update={"scene": Scene()})
     along = 0 if axis == "x" else 1
     output = output_of(alone, alone.servo.rate_hz)
-    simulated = config.device.kind == "sim" if real is None else not real
     taken: list[Samples] = []
     ticks: list[int | None] = []
-    with SimRig(alone) if simulated else ServoRig(alone) as rig:
+    with rig_of(alone, real) as rig:
         output = rig.output
         taken.append(rig.run(REST_S))
         for strike in strikes:
@@ -132,11 +130,8 @@ def play(
             if ticks[-1] is not None:
                 taken.append(rig.run(5.0 / strike.mode.decay_rate_per_s + AFTER_S + REST_S))
     samples = np.concatenate(taken)
-    since_ns = samples["time_ns"] - samples["time_ns"][0]
-    place = np.rint(since_ns * 1e-9 * rig.rate_hz).astype(np.int64)
-    latest = np.zeros(int(place[-1]) + 1, np.int64)
-    latest[place] = np.arange(len(samples))
-    force = np.ascontiguousarray(samples["force_n"][np.maximum.accumulate(latest)], dtype=np.float64)
+    place, holding = on_grid(samples, rig.rate_hz)
+    force = np.ascontiguousarray(samples["force_n"][holding], dtype=np.float64)
     first = int(samples["tick"][0])
     begins = [-1 if tick is None else int(place[tick - first]) for tick in ticks]
     return Played(rig.rate_hz, output, tuple(strikes), tuple(begins), force, along)
@@ -203,26 +198,13 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
     return _verdicts(played, measured)
 
 
-def waveform(mode: Mode, count: int, rate_hz: float) -> Floats:
-    """exp(-B t) sin(w t) from its onset on, as means over `count` times of 1/rate_hz."""
-    pole = complex(-mode.decay_rate_per_s, mode.angular_frequency_rad_per_s)
-    return np.asarray(np.diff((np.exp(pole * np.arange(count + 1) / rate_hz) / pole).imag) * rate_hz)
-
-
 def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) -> tuple[float, float]:
     """Error and strength."""
     reference = strike.coefficient_m_per_s2 * waveform(strike.mode, len(measured), rate_hz)
-    high_hz = DISPLAYABLE * min(played.output.rate_hz, rate_hz)
+    high_hz = HIGH * min(played.output.rate_hz, rate_hz)
     error = band_error(measured, reference, rate_hz, LOW_HZ, high_hz)
-    return error, _strength(measured, reference, rate_hz, high_hz)
-
-
-def _strength(measured: Floats, reference: Floats, rate_hz: float, high_hz: float) -> float:
-    length = 1 << math.ceil(math.log2(max(2 * len(measured), rate_hz)))
-    frequency = np.fft.rfftfreq(length, 1.0 / rate_hz)
-    inside = (frequency >= LOW_HZ) & (frequency <= high_hz)
-    one, other = np.fft.rfft(measured, length)[inside], np.fft.rfft(reference, length)[inside]
-    return float(np.vdot(other, one).real / np.vdot(other, other).real)
+    one, other = (band_lines(each, rate_hz, LOW_HZ, high_hz) for each in (measured, reference))
+    return error, float(np.vdot(other, one).real / np.vdot(other, other).real)
 
 
 def _verdicts(played: Played, measured: Callable[[Strike, int], tuple[float, float]]) -> list[Verdict]:

@@ -62,7 +62,7 @@ def calibrate_command(
     from hapticd.calibration import handle
     from hapticd.calibration import plot as drawing
     from hapticd.calibration.accelerometer import check_name
-    from hapticd.config import default_config, load_config
+    from hapticd.config import config_of
 
     # Nobody holds a handle for a minute to hear then that the result has no place to go.
     for target in (output, plot):
@@ -76,7 +76,7 @@ def calibrate_command(
         drawing.require(plot)
     if accelerometer is not None:
         check_name(accelerometer)
-    config = load_config(configs) if configs else default_config()
+    config = config_of(configs)
     simulated = config.device.kind == "sim"
 
     def ask(held: bool) -> None:

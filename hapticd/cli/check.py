@@ -28,9 +28,9 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     is not known, as of a joystick without device.handle, or not proved, is said and does not count.
     """
     from hapticd.check import check
-    from hapticd.config import default_config, load_config
+    from hapticd.config import config_of
 
-    report = check(load_config(configs) if configs else default_config())
+    report = check(config_of(configs))
     if as_json:
         print_json(report.to_dict())
     else:

@@ -99,14 +99,14 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
 
     The handle is pushed gently along each axis, both ways; nobody may hold it.
     """
-    from hapticd.config import default_config, load_config
+    from hapticd.config import config_of
     from hapticd.hid.calibrate import MOST_OF_FULL, calibrate
     from hapticd.hid.config import ForceAxes
     from hapticd.hid.sources import open_hid
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
         raise click.UsageError(f"-o {output}: would take the place of the configuration; name another file")
-    config = load_config(configs) if configs else default_config()
+    config = config_of(configs)
     hid = config.device.hid
     most_n = MOST_OF_FULL * hid.full_scale_force_n
     force_n = 0.5 * most_n if force_n is None else force_n

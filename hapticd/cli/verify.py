@@ -45,9 +45,9 @@ def verify_command(
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.calibration import verify
     from hapticd.calibration.accelerometer import load_recording
-    from hapticd.config import default_config, load_config
+    from hapticd.config import config_of
 
-    config = load_config(configs) if configs else default_config()
+    config = config_of(configs)
     simulated = config.device.kind == "sim"
     if not simulated:
         if recording is None:

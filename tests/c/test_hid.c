@@ -97,6 +97,18 @@ static void expect(int fd, uint8_t id, int value) {
     CHECK(message.id == id && message.value == value);
 }
 
+/* A force of zero, both messages. */
+static void expect_rest(int fd) {
+    expect(fd, 5, 0);
+    expect(fd, 6, 0);
+}
+
+static void expect_end(int fd) {
+    expect_rest(fd);
+    expect(fd, 8, 1);
+    expect(fd, 9, 2);
+}
+
 static void expect_silence(int fd) {
     uint8_t byte;
 
@@ -336,8 +348,7 @@ static void forces(void) {
     hd_hid_step_put(hid, hd_clock_now_ns(), old); /* before the connection: not of it */
     open_pair(fds);
     CHECK(hd_hid_connect(hid, &plan, fds[OURS], 0) == HD_OK);
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
+    expect_rest(fds[DEVICE]);
     put(hid, 1.5, 0.0); /* what does not change is left out */
     expect(fds[DEVICE], 5, 150);
     put(hid, 1.5, -100.0);
@@ -345,8 +356,7 @@ static void forces(void) {
     for (int i = 0; i < 1000; i++)
         put(hid, 1.5001, -100.0);
     hd_hid_step_put(hid, hd_clock_now_ns() + PATIENCE_NS, none);
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
+    expect_rest(fds[DEVICE]);
     put(hid, -2.0, 0.0);
     expect(fds[DEVICE], 5, -200);
     hd_hid_expect_ticks(hid, (int64_t)PATIENCE_NS * 1000); /* it is looked for a newer one all the same */
@@ -366,10 +376,7 @@ static void forces(void) {
         sched_yield();
     CHECK(status_of(hid).writes == 12 && status_of(hid).forces >= 5 && status_of(hid).write_ns > 0);
     CHECK(hd_hid_disconnect(hid, 1) == 0);
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
-    expect(fds[DEVICE], 8, 1);
-    expect(fds[DEVICE], 9, 2);
+    expect_end(fds[DEVICE]);
     expect_silence(fds[DEVICE]);
     CHECK(hd_hid_disconnect(hid, 1) == 0);
     hd_hid_free(hid);
@@ -385,15 +392,11 @@ static void end_of_a_slow_one(void) {
     slow.write_interval_ns = 100000000;
     open_pair(fds);
     hid = connected(fds[OURS], &slow);
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
+    expect_rest(fds[DEVICE]);
     put(hid, 1.0, 0.0);
     expect(fds[DEVICE], 5, 100);
     CHECK(hd_hid_disconnect(hid, 1) == 0);
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
-    expect(fds[DEVICE], 8, 1);
-    expect(fds[DEVICE], 9, 2);
+    expect_end(fds[DEVICE]);
     expect_silence(fds[DEVICE]);
     hd_hid_free(hid);
     close_pair(fds);
@@ -407,8 +410,7 @@ static void force_after_a_reset(void) {
 
     open_pair(fds);
     hid = connected(fds[OURS], &plan);
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
+    expect_rest(fds[DEVICE]);
     put(hid, 9.0, 0.0);
     expect(fds[DEVICE], 5, 900);
     tell_states(fds[DEVICE], 1);
@@ -693,15 +695,11 @@ static void failed(void) {
 
     open_pair(fds);
     hid = connected(fds[OURS], &plan);
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
+    expect_rest(fds[DEVICE]);
     put(hid, 5.0, 0.0);
     expect(fds[DEVICE], 5, 500);
     CHECK(send(fds[DEVICE], "", 0, MSG_NOSIGNAL) == 0); /* read() says that there is nothing more to come */
-    expect(fds[DEVICE], 5, 0);
-    expect(fds[DEVICE], 6, 0);
-    expect(fds[DEVICE], 8, 1);
-    expect(fds[DEVICE], 9, 2);
+    expect_end(fds[DEVICE]);
     CHECK(hd_hid_disconnect(hid, 0) == ENODEV && status_of(hid).error == ENODEV);
     expect_silence(fds[DEVICE]);
     hd_hid_free(hid);

@@ -440,6 +440,21 @@ static void connection(void) {
     close(fds[1]);
 }
 
+#define PERIOD_S 1e-3
+#define MAX_N 6.0
+
+static struct hd_table empty_table(void) {
+    return (struct hd_table){.revision = 1,
+                             .display_force = 1,
+                             .display_vibration = 1,
+                             .all_changed = 1,
+                             .period_s = PERIOD_S,
+                             .max_force_n = MAX_N,
+                             .max_speed_m_per_s = 1000.0,
+                             .ramp_s = 0.005,
+                             .ramp_step = PERIOD_S / 0.005};
+}
+
 /* What plays is stopped when the vibration is switched off, as when the forces are. */
 static void without_vibration(void) {
     const struct hd_hid_plan plan = {
@@ -448,21 +463,13 @@ static void without_vibration(void) {
         .on_change = 1,
     };
     const struct hd_servo_config config = {.device_timeout_s = PATIENCE_S,
-                                           .rate_hz = 1000.0,
+                                           .rate_hz = 1.0 / PERIOD_S,
                                            .cpu = -1,
                                            .slot_capacity = 1,
                                            .sample_capacity = 64,
                                            .resolution_m = 1e-5,
                                            .forces_on = 1};
-    struct hd_table table = {.revision = 1,
-                             .display_force = 1,
-                             .display_vibration = 1,
-                             .all_changed = 1,
-                             .period_s = 1e-3,
-                             .max_force_n = 8.0,
-                             .max_speed_m_per_s = 1000.0,
-                             .ramp_s = 0.005,
-                             .ramp_step = 0.2};
+    struct hd_table table = empty_table();
     const struct hd_command play = {.kind = HD_COMMAND_PLAY,
                                     .revision = 1,
                                     .direction = {0.0, 1.0},
@@ -524,8 +531,6 @@ static void without_vibration(void) {
 
 /* ---- The tick ---------------------------------------------------------------------------------------------------- */
 
-#define PERIOD_S 1e-3
-#define MAX_N 6.0
 #define TICKS 200000
 #define MODES 3u
 
@@ -564,19 +569,7 @@ struct playing {
 static void within_the_limit(void) {
     struct hd_material material = {.stiffness_n_per_m = 1000.0};
     struct hd_object wall = {.shape = HD_SHAPE_WALL, .normal = {0.0, 1.0}};
-    struct hd_table table = {.revision = 1,
-                             .object_count = 1,
-                             .material_count = 1,
-                             .display_force = 1,
-                             .display_vibration = 1,
-                             .all_changed = 1,
-                             .period_s = PERIOD_S,
-                             .max_force_n = MAX_N,
-                             .max_speed_m_per_s = 1000.0,
-                             .ramp_s = 0.005,
-                             .ramp_step = PERIOD_S / 0.005,
-                             .objects = &wall,
-                             .materials = &material};
+    struct hd_table table = empty_table();
     static struct playing playing[MODES + 1][256]; /* strikes of each effect, the newest last */
     int counts[MODES + 1] = {0};
     struct hd_world *world = hd_world_new();
@@ -586,6 +579,9 @@ static void within_the_limit(void) {
     uint64_t full = 0;
     uint64_t quiet = 0;
 
+    table.objects = &wall;
+    table.materials = &material;
+    table.object_count = table.material_count = 1;
     CHECK(world != NULL && state != NULL && hd_world_load(world, &table) == HD_OK);
     CHECK(hd_state_reserve(state, 1) == HD_OK);
     for (int i = 0; i < TICKS; i++) {
@@ -648,18 +644,7 @@ static void within_the_limit(void) {
 
 /* A mode that is carried, too, is a voice wherever the device does not play it. */
 static void carried_modes(void) {
-    struct hd_material material = {.stiffness_n_per_m = 1000.0};
-    struct hd_table table = {.revision = 1,
-                             .material_count = 1,
-                             .display_force = 1,
-                             .display_vibration = 1,
-                             .all_changed = 1,
-                             .period_s = PERIOD_S,
-                             .max_force_n = MAX_N,
-                             .max_speed_m_per_s = 1000.0,
-                             .ramp_s = 0.005,
-                             .ramp_step = PERIOD_S / 0.005,
-                             .materials = &material};
+    const struct hd_table table = empty_table();
     struct hd_world *world = hd_world_new();
     struct hd_state *state = hd_state_new(1);
     struct hd_mode both = mode(1);

@@ -21,6 +21,7 @@ from hapticd.cli.common import duration, print_yaml
 from hapticd.cli.daemon import _realtime
 from hapticd.engine import Granted
 from hapticd.yaml_source import load_text
+from tests.cli import said
 
 ROOT = Path(__file__).parents[2]
 SCENE = "objects:\n  floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
@@ -49,15 +50,6 @@ def _nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-
-
-def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
-    """The one line on stderr of a command that fails with `code`."""
-    assert main(arguments) == code
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1, captured.err
-    return captured.err
 
 
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,6 +17,7 @@ from hapticd.config import load_config
 from hapticd.hid import sources
 from hapticd.hid.connection import Opened
 from hapticd.hid.pid import PidDriver
+from tests.cli import said
 from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid
 
@@ -29,14 +30,6 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("sim.yaml").write_text(SIM)
     Path("hid.yaml").write_text(HID)
-
-
-def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
-    assert main(arguments) == code
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1, captured.err
-    return captured.err
 
 
 def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,8 +18,8 @@ from hapticd.compile import mode_record
 from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE, EventKind, ffi, lib, pointer, records
 from hapticd.displayable import Output
-from hapticd.displayed import band_error, discretised, displayed_error, handle_acceleration, waveform
-from hapticd.dynamics import Dynamics
+from hapticd.displayed import band_error, displayed_error, handle_acceleration, waveform
+from hapticd.dynamics import Dynamics, held_motion
 from hapticd.engine import Engine, output_of
 from hapticd.errors import InvalidError
 from hapticd.joystick import new_sim
@@ -79,7 +79,7 @@ def law(dynamics: Dynamics) -> tuple[Floats, Floats]:
 def test_held_force_against_scipy(dynamics: Dynamics, period_s: float) -> None:
     a, b = law(dynamics)
     state, pushed, *_ = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), period_s)
-    found = discretised(dynamics, period_s)
+    found = held_motion(dynamics, period_s)
     assert np.allclose(found[0], state, rtol=1e-12, atol=1e-14)
     assert np.allclose(found[1], pushed[:, 0], rtol=1e-11, atol=0)
 

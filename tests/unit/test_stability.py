@@ -19,12 +19,12 @@ from hapticd.cli import main
 from hapticd.config import load_config
 from hapticd.control import Control
 from hapticd.core import HidQuantity, ffi, lib
-from hapticd.dynamics import Dynamics
+from hapticd.dynamics import Dynamics, held_motion
 from hapticd.engine import Engine, loop_of
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.joystick import new_operator, new_sim
 from hapticd.offline import render, simulate_run
-from hapticd.stability import GROWS, PRESS_N, Loop, Timing, held_factor, held_motion, spectral_radius, timing
+from hapticd.stability import GROWS, PRESS_N, Loop, Timing, held_factor, spectral_radius, timing
 from hapticd.together import Sets
 
 HANDLE = Dynamics(0.04, 0.2, 0.05, 0.01, 5.0, 300.0)
