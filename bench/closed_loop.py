@@ -370,7 +370,7 @@ def approach_error(rate_hz: float) -> Floats:
         sounds = (since >= 0) & (since <= 5 / mode.decay_rate_per_s)
         decayed = np.exp(-mode.decay_rate_per_s * since, where=sounds, out=np.zeros(count))
         form = decayed * np.sin(mode.angular_frequency_rad_per_s * since)
-        coefficient = mass * mode.coefficient(material.tap.attack_slope_per_s * speed, material.tap.attack)
+        coefficient = mass * mode.coefficient(material.tap.amplitude_m_per_s2(speed), material.tap.attack)
         # The last tick may fall on either side of the cut within rounding.
         judged = np.abs(since - 5 / mode.decay_rate_per_s) > 1e-9
         peak = coefficient * np.abs(form).max()

@@ -161,10 +161,10 @@ def struck_error(name: str, material: Material, link_hz: float | None) -> tuple[
     ruptures = material.rupture is not None
     mode: Mode
     if material.rupture is not None:
-        mode, depth, attack = material.rupture.mode, material.rupture.rupture_depth_m, 0.0
+        mode, depth = material.rupture.mode, material.rupture.rupture_depth_m
     else:
         assert material.tap is not None
-        mode, depth, attack = material.tap.mode, 0.0, material.tap.attack_slope_per_s
+        mode, depth = material.tap.mode, 0.0
     frame_s = 1.0 / (RATE_HZ if link_hz is None else link_hz)
     delays, errors = [], []
     for phase in range(PHASES):
@@ -182,7 +182,12 @@ def struck_error(name: str, material: Material, link_hz: float | None) -> tuple[
         after = int(np.argmax(y <= -depth))
         part = (y[after - 1] + depth) / (y[after - 1] - y[after])
         onset_s = (after - 1 + part) / RATE_HZ
-        acceleration = material.rupture.amplitude_m_per_s2 if material.rupture else attack * -run.truth[after, 3]
+        if material.rupture is not None:
+            acceleration = material.rupture.amplitude_m_per_s2
+        else:
+            assert material.tap is not None
+            speed = -float(run.truth[after, 3])
+            acceleration = mode.coefficient(material.tap.amplitude_m_per_s2(speed), material.tap.attack)
         middle_s = (np.arange(len(shown)) + 0.5) / RATE_HZ - onset_s
 
         def wave(delay_s: float, middle_s: Floats = middle_s, acceleration: float = acceleration) -> Floats:

@@ -14,8 +14,8 @@
 #include "hd_skin.h"
 #include "hd_voice.h"
 
-HD_RT static double later(double time_s) {
-    return time_s > 0.0 ? time_s : 0.0;
+HD_RT static double at_least_0(double value) {
+    return value > 0.0 ? value : 0.0;
 }
 
 HD_RT void hd_contact_silence(struct hd_state *state, struct hd_slot *slot) {
@@ -53,6 +53,29 @@ HD_RT static const struct hd_material *material_at(const struct hd_walk *walk, c
                                   ? object->material
                                   : table->pieces[object->piece_first + hd_skin_piece(table, object, along_m)].material;
     return &table->materials[material];
+}
+
+/* What strikes the tap of a material, in the unit of its mode. */
+HD_RT static double tap_units(const struct hd_table *table, const struct hd_material *material, double approach) {
+    const uint32_t count = material->tap_count;
+    if (count == 0) {
+        return approach;
+    }
+    const double *speeds = table->numbers + material->tap_first;
+    const double *amplitudes = speeds + count;
+    /* The first point that is not slower, or the last one. */
+    uint32_t end = 0;
+    for (uint32_t last = count - 1u; end < last;) {
+        const uint32_t middle = end + (last - end) / 2u;
+        if (speeds[middle] < approach) {
+            end = middle + 1u;
+        } else {
+            last = middle;
+        }
+    }
+    const double from = end > 0 ? speeds[end - 1u] : 0.0;
+    const double low = end > 0 ? amplitudes[end - 1u] : 0.0;
+    return at_least_0(low + (amplitudes[end] - low) * ((approach - from) / (speeds[end] - from)));
 }
 
 HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
@@ -98,21 +121,36 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         return;
     }
     const struct hd_material *material = material_at(walk, object, onset->place.along_m);
+    const double units = tap_units(walk->table, material, approach);
     if (report != NULL) {
-        report->amplitude_m_per_s2 = material->tap.amplitude_per_unit * approach;
+        report->amplitude_m_per_s2 = material->tap.amplitude_per_unit * units;
     }
-    const struct hd_strike strike = {
+    if (!(units > 0.0)) {
+        return; /* nothing; not even an effect of the device, which would end the one that plays */
+    }
+    const double peak_s = at_least_0(material->tap.peak_time_s - before);
+    const uint32_t struck = state->strike_count;
+    struct hd_strike strike = {
         .mode = &material->tap,
         .slot = index,
         .generation = slot->generation,
         .use = HD_MODE_TAP,
         .event = event,
-        .units = approach,
+        .units = units,
         .before_s = before,
-        .growth_n = material->stiffness_n_per_m * approach * later(material->tap.peak_time_s - before),
+        .growth_n = material->stiffness_n_per_m * approach * peak_s,
         .direction = {direction[0], direction[1]},
     };
     hd_strike_add(state, &strike);
+    if (material->second.force_per_unit > 0.0) {
+        /* The force grows once, to the later of the peaks. Of a first mode that is silent it was not counted. */
+        const double counted_s = state->strike_count > struck ? peak_s : 0.0;
+        const double longer_s = at_least_0(material->second.peak_time_s - before) - counted_s;
+        strike.mode = &material->second;
+        strike.use = HD_MODE_SECOND;
+        strike.growth_n = material->stiffness_n_per_m * approach * at_least_0(longer_s);
+        hd_strike_add(state, &strike);
+    }
 }
 
 HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_ns) {

@@ -35,7 +35,7 @@
 #define HD_RESERVE_CAPACITY 16u  /* effects that may play at once */
 #define HD_STATE_REGIONS 16u
 
-enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_GROOVE = 2, HD_MODE_USES = 3 };
+enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_GROOVE = 2, HD_MODE_SECOND = 3, HD_MODE_USES = 4 };
 
 /* Where the probe is on a surface: how deep below it, where along it, and which way the surface faces there. */
 struct hd_place {

@@ -12,6 +12,7 @@
 /* Far beyond anything felt; what keeps products and quotients of a few of them finite. */
 #define HD_LARGEST 1e9
 #define HD_SMALLEST_M 1e-9
+#define HD_SMALLEST_M_PER_S 1e-9
 /* Slots are counted in 32 bits, and the highest numbers are names (HD_NO_SLOT). */
 #define HD_MOST_OBJECTS 0x7fffffffu
 /* Ends of ramps that meet are sums of what was rounded on its own. */
@@ -155,6 +156,31 @@ static int texture_check(const struct hd_material *material, uint32_t noise_coun
     }
 }
 
+static int tap_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const uint32_t count = material->tap_count;
+    if (count == 0) {
+        return HD_OK;
+    }
+    if (count > HD_TAP_POINTS) {
+        return hd_invalid("material %u: a tap of %u points, at most %u", index, count, HD_TAP_POINTS);
+    }
+    if (material->tap_first > table->number_count || 2u * count > table->number_count - material->tap_first) {
+        return hd_invalid("material %u: %u points of a tap, from number %u on, do not fit into %u", index, count,
+                          material->tap_first, table->number_count);
+    }
+    const double *speeds = table->numbers + material->tap_first;
+    for (uint32_t i = 0; i < count; i++) {
+        const double before = i > 0 ? speeds[i - 1u] : 0.0;
+        if (!between(speeds[i], before + HD_SMALLEST_M_PER_S, HD_LARGEST) ||
+            !between(speeds[count + i], 0.0, HD_LARGEST)) {
+            return hd_invalid(
+                "material %u: point %u of its tap, %g m/s^2 at %g m/s, is out of range or not above %g m/s", index, i,
+                speeds[count + i], speeds[i], before);
+        }
+    }
+    return HD_OK;
+}
+
 static int material_check(const struct hd_material *material, uint32_t noise_count, uint32_t index) {
     const struct {
         const char *name;
@@ -185,6 +211,7 @@ static int material_check(const struct hd_material *material, uint32_t noise_cou
         return hd_invalid("material %u: friction needs a stiffness of more than 0", index);
     }
     if (texture_check(material, noise_count, index) < 0 || material_mode_check(&material->tap, "tap", index) < 0 ||
+        material_mode_check(&material->second, "second mode", index) < 0 ||
         material_mode_check(&material->rupture, "rupture", index) < 0 ||
         material_mode_check(&material->groove, "groove", index) < 0) {
         return HD_ERR_INVALID;
@@ -195,7 +222,8 @@ static int material_check(const struct hd_material *material, uint32_t noise_cou
 /* Materials, noises and numbers; pieces are checked with the walls that refer to them. */
 static int parts_check(const struct hd_table *table) {
     for (uint32_t i = 0; i < table->material_count; i++) {
-        if (material_check(&table->materials[i], table->noise_count, i) < 0) {
+        if (material_check(&table->materials[i], table->noise_count, i) < 0 ||
+            tap_check(&table->materials[i], table, i) < 0) {
             return HD_ERR_INVALID;
         }
     }

@@ -65,6 +65,7 @@ class Lib:
     HD_TEXTURE_DRAG: int
     HD_TEXTURE_NOISE: int
     HD_NOISE_ORDER: int
+    HD_TAP_POINTS: int
     HD_SHAPE_NONE: int
     HD_SHAPE_WALL: int
     HD_SHAPE_MEMBRANE: int

@@ -43,7 +43,7 @@ from hapticd.core import (
     records,
 )
 from hapticd.displayable import Output, displayed_mode, displayed_pair, struck_shape
-from hapticd.materials import Material
+from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
 from hapticd.scene import Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
@@ -164,8 +164,17 @@ def material_record(
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m
     if material.tap is not None:
-        slope, mode = material.tap.attack_slope_per_s, material.tap.mode
-        record.tap = mode_record(mode, slope, mode.coefficient(slope, material.tap.attack), output, effects.get(mode))
+        mode, slope = material.tap.mode, material.tap.attack_slope_per_s
+        if slope is None:  # the points give A itself
+            slope = 1.0
+        coefficient = mode.coefficient(slope, material.tap.attack)
+        record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode))
+        if material.tap.second is not None:
+            ratio = material.tap.second.ratio
+            record.second = mode_record(material.tap.second.mode, 0.0, abs(ratio) * coefficient, output)
+            if ratio < 0:
+                for key in ("gain_re", "gain_im", "tail_re", "tail_im"):
+                    setattr(record.second, key, -getattr(record.second, key))
     if material.rupture is not None:
         amplitude, mode = material.rupture.amplitude_m_per_s2, material.rupture.mode
         record.rupture = mode_record(mode, amplitude, amplitude, output, effects.get(mode))
@@ -302,10 +311,12 @@ class _Materials:
         """Material to noise."""
         self._heard: dict[int, tuple[Stochastic | Autoregressive, int, _Design]] = {}
         """Material to what its noise is made of, the version of that, and its filters."""
+        self._points: dict[int, tuple[TapPoint, ...]] = {}
+        """Material to the amplitudes of its tap over speed, where they are given so."""
         self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
         self._numbers = np.zeros(0)
-        self._noises_changed = False
+        self._numbers_changed = False
         self.changed = False
         """Since `write` was called."""
 
@@ -360,10 +371,13 @@ class _Materials:
                 design = self._designed(material.texture)
                 self._versions = self._versions % _LARGEST + 1
                 self._heard[index] = material.texture, self._versions, design
-                self._noises_changed = True
+                self._numbers_changed = True
         else:
             self._silence(index)
         self._let_go(index)
+        if material.tap is not None and material.tap.amplitudes is not None:
+            self._points[index] = material.tap.amplitudes
+            self._numbers_changed = True
         self._working()
         effects = {mode: self._effects.take(mode) for mode in _struck(material)}
         self._struck[index] = tuple(effects)
@@ -371,6 +385,7 @@ class _Materials:
         self.changed = True
 
     def _let_go(self, index: int) -> None:
+        self._numbers_changed |= self._points.pop(index, None) is not None
         for mode in self._struck.pop(index, ()):
             self._effects.give(mode)
 
@@ -388,7 +403,7 @@ class _Materials:
         if place is not None:
             del self._heard[index]
             self._noise_places.give(place)
-            self._noises_changed = True
+            self._numbers_changed = True
 
     def rows(self) -> npt.NDArray[np.void]:
         """The records, at their indices."""
@@ -396,21 +411,21 @@ class _Materials:
 
     def write(self, table: CData) -> None:
         """Puts materials, noises and numbers into a table."""
-        if self._noises_changed:
-            self._rebuild_noises()
+        if self._numbers_changed:
+            self._rebuild_numbers()
         table.material_count = self._places.count
         table.materials = self._rows.pointer
         table.noise_count = len(self._noises)
         table.noises = pointer("struct hd_noise[]", self._noises)
         table.number_count = len(self._numbers)
         table.numbers = pointer("double[]", self._numbers)
-        self.changed = self._noises_changed = False
+        self.changed = self._numbers_changed = False
 
-    def _rebuild_noises(self) -> None:
-        """All noises and their numbers. At a place that is free there is silence."""
+    def _rebuild_numbers(self) -> None:
+        """All noises, the points of all taps, and their numbers. At a place that is free there is silence."""
         self._noises = records(NOISE_DTYPE, self._noise_places.count)
         used = {place: index for index, place in self._noise_of.items()}
-        numbers = []
+        numbers: list[npt.NDArray[np.float64]] = []
         first = 0
         for place, record in enumerate(pointer("struct hd_noise[]", self._noises)):
             design = _SILENCE
@@ -428,7 +443,12 @@ class _Materials:
             record.force_per_unit = 0.0 if design.muted else self._output.effective_mass_kg
             numbers.append(design.numbers())
             first += len(numbers[-1])
-        self._numbers = np.concatenate(numbers)
+        for index, points in self._points.items():
+            material = self._rows.pointer[index]
+            material.tap_count, material.tap_first = len(points), first
+            numbers.append(np.array(points).T.ravel())
+            first += len(numbers[-1])
+        self._numbers = np.concatenate(numbers) if numbers else np.zeros(0)
 
 
 class _Fields:

@@ -53,7 +53,7 @@ class Output:
         return self.rate_hz if self.link_rate_hz is None else min(self.rate_hz, self.link_rate_hz)
 
 
-Use: TypeAlias = Literal["tap", "rupture", "groove", "texture"]
+Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +111,7 @@ def modes_of(material: Material) -> list[tuple[Use, Mode]]:
     """The modes of a material, and what strikes them."""
     modes: tuple[tuple[Use, Mode | None], ...] = (
         ("tap", None if material.tap is None else material.tap.mode),
+        ("second", None if material.tap is None or material.tap.second is None else material.tap.second.mode),
         ("rupture", None if material.rupture is None else material.rupture.mode),
         ("groove", material.groove_mode),
     )
@@ -191,7 +192,8 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
         shown, _ = displayed_mode(mode, output)
         shape = None if shown is None else struck_shape(shown, output)
         if shape is not None and shape.limited:
-            key: Path = ("texture",) if use == "groove" else (use,)
+            keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
+            key = keys.get(use, (use,))
             problem = (
                 f"needs more than {LARGEST:g} times the force that its amplitude is worth on this device, and is given "
                 f"that; its acceleration is off by {100 * shape.error:.2g} %"

@@ -4,16 +4,27 @@ A ringing mode is Q(t) = A exp(-B t) sin(w t) (Okamura, Dennerlein and Howe, "Vi
 Virtual Environments", ICRA 1998, eq. 1 and 3), B the decay rate in 1/s, w the angular frequency in rad/s.
 """
 
+import datetime
 import math
 from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import resources
+from itertools import pairwise
 from types import MappingProxyType
 from typing import Annotated, Final, TypeAlias
 
-from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    Strict,
+    StringConstraints,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
-from hapticd.errors import InvalidError, Path, Problem
+from hapticd.errors import InvalidError, Path, Problem, quoted
 from hapticd.mode import Attack as Attack
 from hapticd.mode import Mode as Mode
 from hapticd.mode import ModeKeys as ModeKeys
@@ -26,16 +37,95 @@ MAX_MATERIALS: Final = 2**20
 """Room for addresses; memory follows what is used."""
 LIBRARY: Final = "materials"
 _FIRST: Final = "okamura1998.yaml"
+MAX_TAP_POINTS: Final = 256
+"""HD_TAP_POINTS."""
+MIN_TAP_STEP_M_PER_S: Final = 1e-6
+MAX_PROVENANCE_FILES: Final = 1000
+
+TapPoint: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(ge=1e-4, le=100)], Annotated[float, Field(ge=0, le=1e5)]], Strict(False)
+]
+"""[approach speed in m/s, amplitude in m/s^2]."""
+
+
+def _rising(interval: tuple[float, float]) -> tuple[float, float]:
+    if interval[0] > interval[1]:
+        raise ValueError(f"must not end below its beginning, is {list(interval)}")
+    return interval
+
+
+def _a_day(text: str) -> str:
+    try:
+        datetime.date.fromisoformat(text)
+    except ValueError:
+        raise ValueError(f"must be a day, year-month-day, is {quoted(text)}") from None
+    return text
+
+
+Interval: TypeAlias = Annotated[
+    tuple[Annotated[float, Field(ge=-1e12, le=1e12)], Annotated[float, Field(ge=-1e12, le=1e12)]],
+    Strict(False),
+    AfterValidator(_rising),
+]
+"""[low, high] in the unit of what it bounds."""
+Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
+
+
+class SecondMode(ModeKeys):
+    """A second ringing that begins with the tap's."""
+
+    ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
 
 
 class Tap(ModeKeys):
-    """The ringing that begins when the surface is touched: A is the slope times the approach speed."""
+    """The ringing that begins when the surface is touched: its amplitude A follows the approach speed."""
 
-    attack_slope_per_s: float = Field(ge=0, le=1e5, description="Amplitude per approach speed.")
+    model_config = ConfigDict(
+        json_schema_extra={
+            "allOf": [
+                one_of("frequency_hz", "angular_frequency_rad_per_s"),
+                one_of("decay_time_s", "decay_rate_per_s"),
+                one_of("attack_slope_per_s", "amplitudes"),
+            ]
+        }
+    )
+
+    attack_slope_per_s: Annotated[float, Field(ge=0, le=1e5)] | None = Field(
+        default=None, description="Amplitude per approach speed."
+    )
+    amplitudes: (
+        Annotated[tuple[TapPoint, ...], Strict(False), Field(min_length=1, max_length=MAX_TAP_POINTS)] | None
+    ) = Field(default=None, description="Instead of the slope: [approach speed in m/s, amplitude in m/s^2], rising.")
     attack: Attack = Field(
         default="coefficient",
         description="What the amplitude means: A of eq. 1, or the largest acceleration of the first cycle.",
     )
+    second: SecondMode | None = Field(default=None, description="A mode that is struck together with this one.")
+
+    def cross_faults(self) -> list[str]:
+        faults = super().cross_faults()
+        if (self.attack_slope_per_s is None) == (self.amplitudes is None):
+            has = "neither" if self.amplitudes is None else "both"
+            faults.append(f"needs exactly one of attack_slope_per_s and amplitudes, has {has}")
+        for index, ((before, _), (speed, _)) in enumerate(pairwise(self.amplitudes or ())):
+            if speed < before + MIN_TAP_STEP_M_PER_S:
+                faults.append(
+                    f"amplitudes[{index + 1}] must be at a speed at least {MIN_TAP_STEP_M_PER_S:g} m/s above the one "
+                    f"before, {before:g}, is at {speed:g}"
+                )
+                break
+        return faults
+
+    def amplitude_m_per_s2(self, speed_m_per_s: float) -> float:
+        """The amplitude at an approach speed of at least 0. Straight lines between the points, from rest (0) to the
+        first, and on as the last one beyond, never below 0."""
+        if self.attack_slope_per_s is not None:
+            return self.attack_slope_per_s * speed_m_per_s
+        assert self.amplitudes is not None
+        points = ((0.0, 0.0), *self.amplitudes)
+        end = next((i for i in range(1, len(points)) if points[i][0] >= speed_m_per_s), len(points) - 1)
+        (from_speed, low), (to_speed, high) = points[end - 1], points[end]
+        return max(0.0, low + (high - low) * (speed_m_per_s - from_speed) / (to_speed - from_speed))
 
 
 class Rupture(ModeKeys):
@@ -90,6 +180,30 @@ class Friction(Model):
     )
 
 
+class ProvenanceFile(Model):
+    """A recording that a material was fitted to."""
+
+    path: Annotated[str, StringConstraints(min_length=1, max_length=4096)] = Field(description="Where it was.")
+    sha256: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{64}$")] | None = Field(
+        default=None, description="Hash of its bytes, in hex digits; none of what was never a file."
+    )
+
+
+class Provenance(Model):
+    """Where the figures of a material come from; nothing that is rendered."""
+
+    files: Annotated[tuple[ProvenanceFile, ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_PROVENANCE_FILES, description="The recordings."
+    )
+    date: Annotated[str, StringConstraints(pattern=r"^[0-9]{4}-[0-9]{2}-[0-9]{2}$"), AfterValidator(_a_day)] = Field(
+        description="Day of the fit, year-month-day."
+    )
+    version: Annotated[str, StringConstraints(min_length=1, max_length=64)] = Field(description="Of hapticd.")
+    intervals: Annotated[dict[Words, Interval], Field(max_length=256)] | None = Field(
+        default=None, description="95 % intervals, [low, high], by the name of the figure."
+    )
+
+
 class Material(Model):
     """What a surface is made of."""
 
@@ -102,6 +216,7 @@ class Material(Model):
     friction: Friction | None = Field(default=None, description="What holds against stroking; without it, nothing.")
     # After `tap`, which grooves may ring with.
     texture: Texture | None = Field(default=None, description="What stroking feels like; without it, smooth.")
+    provenance: Provenance | None = Field(default=None, description="Where the figures come from, if it was fitted.")
 
     @field_validator("texture", mode="after")
     @classmethod

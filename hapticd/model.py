@@ -204,7 +204,14 @@ def _number(limit: float) -> str:
 
 
 def _pair(path: Path) -> str:
-    return "two numbers " + ("[width, height]" if path and path[-1] == "size_m" else "[x, y]")
+    if path[-1:] == ("size_m",):
+        return "two numbers [width, height]"
+    match path[-2:]:
+        case ("amplitudes", int()):
+            return "two numbers [speed, amplitude]"
+        case ("intervals", _):
+            return "two numbers [low, high]"
+    return "two numbers [x, y]"
 
 
 def _is_list(kind: object) -> bool:

@@ -10,10 +10,12 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 # Endings of keys, the longest first: `_n_s_per_m` ends in `_m` too.
 _UNITS = {
     "_m_per_s2_per_n": "m/s^2/N",
+    "_hz_s_per_m": "Hz s/m",
     "_m2_per_s4": "m^2/s^4",
     "_n_s_per_m": "N s/m",
     "_rad_per_s": "rad/s",
     "_m_per_s2": "m/s^2",
+    "_hz_per_n": "Hz/N",
     "_m_per_s": "m/s",
     "_n_per_m": "N/m",
     "_per_m": "1/m",

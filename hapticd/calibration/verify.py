@@ -86,10 +86,12 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M
     found = []
     for name, material in materials.items():
         tap, rupture, texture = material.tap, material.rupture, material.texture
-        if tap is not None and tap.attack_slope_per_s > 0:
+        if tap is not None and (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
             mode = tap.mode
-            amplitude = tap.attack_slope_per_s * speed_m_per_s
-            found.append(Strike(name, "tap", mode, mode.coefficient(amplitude, tap.attack)))
+            coefficient = mode.coefficient(amplitude, tap.attack)
+            found.append(Strike(name, "tap", mode, coefficient))
+            if tap.second is not None and tap.second.ratio != 0:
+                found.append(Strike(name, "second", tap.second.mode, abs(tap.second.ratio) * coefficient))
         if isinstance(texture, Grooves) and (groove := material.groove_mode) is not None:
             amplitude = texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * PRESS_N
             found.append(Strike(name, "groove", groove, amplitude))

@@ -71,7 +71,7 @@ def _tap(panel: Axes, name: str, recorded: Recorded, found: Fitted, material: Ma
     rendered = recorded.samples["vibration_force_n"][window, 1] / MASS_KG
     panel.plot(1e3 * since[window], rendered, ".", ms=4, label="rendered")
     fine = np.linspace(0, 5 / mode.decay_rate_per_s, 800)
-    closed = material.tap.attack_slope_per_s * chosen.speed * _ringing(fine, mode)
+    closed = material.tap.amplitude_m_per_s2(chosen.speed) * _ringing(fine, mode)
     panel.plot(1e3 * fine, closed, lw=1, label="library")
     title = f"{name}: {found.frequency_hz:.0f} Hz, {1e3 * found.decay_time_s:.2f} ms"
     _dress(panel, title, "ms after contact", "m/s²")
@@ -85,7 +85,7 @@ def _slopes(panel: Axes, fits: Mapping[str, Fitted], library: Materials) -> None
         speeds = np.array([each.true_speed for each in found.taps])
         (line,) = panel.plot(speeds[whole], np.abs(found.amplitudes[whole]), "o", ms=3, label=name)
         ends = np.array([0, 1.02 * speeds.max()])
-        panel.plot(ends, tap.attack_slope_per_s * ends, lw=0.8, color=line.get_color())
+        panel.plot(ends, [tap.amplitude_m_per_s2(end) for end in ends], lw=0.8, color=line.get_color())
     _dress(panel, "taps over the handle's true speed; lines: library", "m/s", "m/s²")
 
 

@@ -136,7 +136,7 @@ def table(recorded: Mapping[str, Recorded], fits: Mapping[str, Fitted], library:
     for name in recorded:
         tap, found = library[name].tap, fits[name]
         assert tap is not None
-        mode, slope = tap.mode, tap.attack_slope_per_s
+        mode, slope = tap.mode, tap.amplitude_m_per_s2(1.0)
 
         def cell(what: str, measured: float, wanted: float, digits: int, limit: float, name: str = name) -> str:
             difference = marks.off(f"{name}: {what}", measured, wanted, limit)

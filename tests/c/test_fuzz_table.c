@@ -17,6 +17,8 @@
 #define PIECES 8u
 #define NOISES 2u
 #define NUMBERS 96u
+#define POINTS 3u
+#define ALL_NUMBERS (NUMBERS + 2u * POINTS) /* of the noises, then of a tap */
 #define TICKS 48
 #define EVENTS 64
 
@@ -137,7 +139,7 @@ struct scene {
     struct hd_material materials[MATERIALS];
     struct hd_piece pieces[PIECES];
     struct hd_noise noises[NOISES];
-    double numbers[NUMBERS];
+    double numbers[ALL_NUMBERS];
     uint32_t changed[OBJECTS];
 };
 
@@ -148,6 +150,8 @@ static void take_material(struct source *source, double period_s, struct hd_mate
         .texture = choice % 64 < 63 ? choice % 5 : take_count(source, 6),
         .noise = take_count(source, NOISES),
         .heals = choice >> 7,
+        .tap_count = choice % 8 < 3 ? take_count(source, POINTS + 1) : 0,
+        .tap_first = choice % 16 != 2 ? NUMBERS : take_count(source, ALL_NUMBERS),
         .stiffness_n_per_m = take_number(source, 0.0, 3000.0),
         .damping_n_s_per_m = take_number(source, 0.0, 20.0),
         .rupture_depth_m = take_number(source, 0.0, 0.01),
@@ -163,6 +167,8 @@ static void take_material(struct source *source, double period_s, struct hd_mate
     take_mode(source, period_s, &material->tap);
     take_mode(source, period_s, &material->rupture);
     take_mode(source, period_s, &material->groove);
+    if ((choice & 32) != 0)
+        take_mode(source, period_s, &material->second);
 }
 
 /* Rising, with ramps that fit, unless a number is hostile. */
@@ -254,7 +260,7 @@ static void take_scene(struct source *source, double period_s, uint32_t run, str
         .material_count = MATERIALS,
         .piece_count = PIECES,
         .noise_count = NOISES,
-        .number_count = NUMBERS,
+        .number_count = ALL_NUMBERS,
         .display_force = (choice & 16) == 0,
         .display_vibration = (choice & 32) == 0,
         .passivity = choice % 3,
@@ -286,6 +292,8 @@ static void take_scene(struct source *source, double period_s, uint32_t run, str
     take_pieces(source, scene->pieces);
     for (uint32_t i = 0; i < NOISES; i++)
         take_noise(source, i * (NUMBERS / NOISES), scene->numbers, &scene->noises[i]);
+    for (uint32_t i = 0; i < 2u * POINTS; i++)
+        scene->numbers[NUMBERS + i] = take_number(source, 0.0, 0.5) + i;
     for (uint32_t i = 0; i < OBJECTS; i++)
         scene->changed[i] = take_count(source, OBJECTS + 1);
     switch (take_byte(source)) {

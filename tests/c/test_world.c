@@ -77,6 +77,8 @@ size_t hd_world_near(const struct hd_world *world, const double point_m[2], doub
 #define PIECES 12u
 #define NOISES 2u
 #define NUMBERS 16u
+#define TAP_FIRST 10u /* of three points */
+#define WITH_TAP (bad.table.number_count = NUMBERS, material->tap_count = 3, material->tap_first = TAP_FIRST)
 #define SEQUENCES 40
 #define STEPS 60
 #define LOOKS 12
@@ -154,6 +156,7 @@ static void make_scene(struct scene *scene) {
             .velocity_gain_per_s = 1200.0,
             .force_gain_m_per_s2_per_n = 63.0,
             .tap = ringing(),
+            .second = ringing(),
             .rupture = ringing(),
             .groove = ringing(),
         };
@@ -162,6 +165,7 @@ static void make_scene(struct scene *scene) {
     scene->noises[0] =
         (struct hd_noise){.order = 1, .taps = 1, .speed_count = 1, .force_count = 1, .force_per_unit = 0.05};
     memcpy(scene->numbers, (const double[]){0.0, 0.0, 3.0, -0.5, 0.6, 0.8}, 6 * sizeof(double));
+    memcpy(scene->numbers + TAP_FIRST, (const double[]){0.1, 0.2, 0.4, 30.0, 0.0, 90.0}, 6 * sizeof(double));
     scene->pieces[0] = (struct hd_piece){.material = 4, .half_ramp_m = (double)NAN, .from_m = (double)NAN};
     scene->pieces[1] = (struct hd_piece){.material = 0};
     scene->pieces[2] = (struct hd_piece){.from_m = 0.01, .half_ramp_m = 0.002, .material = 1};
@@ -405,6 +409,16 @@ static void refuses_materials(struct hd_world *world) {
     }
     REFUSED(bad.materials[4].noise = 1, "material 4: noise 1 of 1");
     REFUSED(bad.table.noise_count = 0, "material 4: noise 0 of 0");
+    REFUSED((material->tap_count = HD_TAP_POINTS + 1), "points, at most");
+    REFUSED((WITH_TAP, material->tap_first++), "do not fit");
+    REFUSED((WITH_TAP, material->tap_first = UINT32_MAX), "do not fit");
+    REFUSED((WITH_TAP, bad.numbers[TAP_FIRST] = 0.0), "point 0");
+    REFUSED((WITH_TAP, bad.numbers[TAP_FIRST + 2] = 0.2), "point 2");
+    REFUSED((WITH_TAP, bad.numbers[TAP_FIRST + 1] = (double)NAN), "point 1");
+    REFUSED((WITH_TAP, bad.numbers[TAP_FIRST + 4] = -1.0), "point 1");
+    REFUSED((WITH_TAP, bad.numbers[TAP_FIRST + 5] = (double)INFINITY), "point 2");
+    TAKEN(WITH_TAP);
+    TAKEN((material->tap_count = 0, material->tap_first = UINT32_MAX));
     TAKEN((material->friction_coefficient = 0.0, material->friction_stiffness_n_per_m = 0.0));
     TAKEN(bad.materials[0].spacing_m = bad.materials[4].width_m = 0.0);
     TAKEN(material->width_m = material->spacing_m);
@@ -414,11 +428,13 @@ static void refuses_materials(struct hd_world *world) {
 static void refuses_modes(struct hd_world *world) {
     struct scene good;
     struct scene bad;
-    struct hd_mode *const modes[] = {&bad.materials[2].tap, &bad.materials[2].rupture, &bad.materials[2].groove};
-    const char *const names[] = {"material 2: tap", "material 2: rupture", "material 2: groove"};
+    struct hd_mode *const modes[] = {&bad.materials[2].tap, &bad.materials[2].rupture, &bad.materials[2].groove,
+                                     &bad.materials[2].second};
+    const char *const names[] = {"material 2: tap", "material 2: rupture", "material 2: groove",
+                                 "material 2: second mode"};
 
     make_scene(&good);
-    for (size_t i = 0; i < 3; i++) {
+    for (size_t i = 0; i < 4; i++) {
         NOT_WITHIN(modes[i]->rotor_re, -1.001, 1.001, names[i]);
         NOT_WITHIN(modes[i]->rotor_im, -1.001, 0.5, names[i]);
         NOT_WITHIN(modes[i]->decay_rate_per_s, -1.0, 2e9, names[i]);

@@ -145,6 +145,31 @@ BAD_PARAMS: dict[str, tuple[str, dict[str, Any], str]] = {
         {"materials": {"wood": {"tap": {"angular_frequency_rad_per_s": 5.0}}}},
         "materials.wood.tap",
     ),
+    "a slope and a table": (
+        "update_materials",
+        {"materials": {"rubber": {"stiffness_n_per_m": 1}, "wood": {"tap": {"amplitudes": [[0.1, 2.0]]}}}},
+        "materials.wood.tap",
+    ),
+    "a table that falls back": (
+        "update_materials",
+        {"materials": {"wood": {"tap": {"attack_slope_per_s": None, "amplitudes": [[0.2, 2.0], [0.1, 3.0]]}}}},
+        "materials.wood.tap",
+    ),
+    "NaN in a table": (
+        "update_materials",
+        {"materials": {"wood": {"tap": {"attack_slope_per_s": None, "amplitudes": [[0.2, math.nan]]}}}},
+        "materials.wood.tap.amplitudes[0][1]",
+    ),
+    "second mode without a ratio": (
+        "update_materials",
+        {"materials": {"wood": {"tap": {"second": {"frequency_hz": 500.0, "decay_time_s": 0.003}}}}},
+        "materials.wood.tap.second.ratio",
+    ),
+    "provenance without files": (
+        "update_materials",
+        {"materials": {"wood": {"provenance": {"files": [], "date": "2026-01-31", "version": "1"}}}},
+        "materials.wood.provenance.files",
+    ),
     "revision a string": ("update_scene", {"objects": {}, "expect_revision": "1"}, "expect_revision"),
     "wait a number": ("update_scene", {"objects": {}, "wait": 1}, "wait"),
     "play without a mode": ("play", {"direction": [0, 1], "amplitude_m_per_s2": 1}, ""),
@@ -240,6 +265,34 @@ def test_materials_can_be_changed_added_and_removed_but_not_from_under_an_object
     materials = wire.result("get_materials")["materials"]
     assert "rubber" not in materials
     assert materials["wood"]["stiffness_n_per_m"] == 800
+
+
+def test_a_table_a_second_mode_and_a_provenance_come_back_as_they_went(wire: Wire) -> None:
+    tap = {
+        "frequency_hz": 210.0,
+        "decay_time_s": 0.008,
+        "amplitudes": [[0.1, 40.0], [0.2, 50.0]],
+        "attack": "first_peak",
+        "second": {"frequency_hz": 530.0, "decay_time_s": 0.003, "ratio": -0.5},
+    }
+    origin = {
+        "files": [{"path": "taps.csv", "sha256": "ab" * 32}],
+        "date": "2026-01-31",
+        "version": "1.0",
+        "intervals": {"frequency_hz": [209.0, 211.0]},
+    }
+    wire.result("update_materials", materials={"pine": {"stiffness_n_per_m": 800.0, "tap": tap, "provenance": origin}})
+    wire.result("update_scene", objects={"p": {**FLOOR, "material": "pine"}}, wait=True)
+    pine = wire.result("get_materials")["materials"]["pine"]
+    assert pine["tap"] == tap
+    assert pine["provenance"] == origin
+    # A merge: from the table to a slope, and without the second mode.
+    slope = {"amplitudes": None, "second": None, "attack_slope_per_s": 300.0}
+    wire.result("update_materials", materials={"pine": {"tap": slope}})
+    found = wire.result("get_materials")["materials"]["pine"]["tap"]
+    assert found["attack_slope_per_s"] == 300.0 and "amplitudes" not in found and "second" not in found
+    wire.result("update_scene", objects={"p": None})
+    wire.result("update_materials", materials={"pine": None})
 
 
 def test_wait_gives_the_first_tick_with_the_revision(daemon: Daemon, wire: Wire) -> None:

@@ -570,7 +570,10 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
     def material(index: int) -> object:
         copy = ffi.new("struct hd_material *")
         copy[0] = table.materials[index]
-        copy.noise = 0
+        copy.noise = copy.tap_first = 0
+        if copy.tap_count:
+            first = table.materials[index].tap_first
+            return bytes(ffi.buffer(copy)), bytes(ffi.buffer(table.numbers + first, 16 * copy.tap_count))
         if copy.texture != Texture.NOISE:
             return bytes(ffi.buffer(copy))
         noise = ffi.new("struct hd_noise *")
@@ -598,11 +601,14 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
 
 def test_any_sequence_of_updates_ends_where_a_fresh_start_does() -> None:
     rng = random.Random(11)
+    curves = [[[0.1, 5]], [[0.1, 5], [0.2, 7], [0.5, 8]]]
     textures: list[object] = [None, GRIT, {**GRIT, "seed": 9}, {**COMB, "display": "geometry", "depth_m": 0.0002}]
 
     def material() -> dict[str, object]:
         texture = rng.choice(textures)
-        return {"stiffness_n_per_m": rng.choice([500, 600]), **({} if texture is None else {"texture": texture})}
+        tap: dict[str, object] = {"frequency_hz": 100, "decay_time_s": 0.01, "amplitudes": rng.choice(curves)}
+        made = {"stiffness_n_per_m": rng.choice([500, 600]), **({} if texture is None else {"texture": texture})}
+        return made if texture is not None or rng.random() < 0.5 else {**made, "tap": tap}
 
     def thing() -> dict[str, object]:
         name = rng.choice(["m0", "m1", "m2", "m3", "wood", "steel"])

@@ -539,6 +539,8 @@ def test_schema_is_plain_json_with_words_and_units() -> None:
         ("rate_hz", "Hz"),
         ("spin_us", "us"),
         ("counts_per_n", "1/N"),
+        ("frequency_per_force_hz_per_n", "Hz/N"),
+        ("frequency_per_speed_hz_s_per_m", "Hz s/m"),
         ("max_strain", None),
         ("heals", None),
     ],
@@ -551,7 +553,8 @@ def limits_of(schema: Schema) -> str:
     items = schema.get("prefixItems")
     options = schema.get("enum", [schema["const"]] if "const" in schema else None)
     if isinstance(items, list):
-        return f"two numbers, {limits_of(mapping(items[0]))}"
+        first, second = (limits_of(mapping(item)) for item in items)
+        return f"two numbers, {first}" if first == second else f"two numbers, {first} and {second}"
     if isinstance(options, list):
         return ", ".join(f"`{option}`" for option in options)
     match schema:
@@ -559,6 +562,12 @@ def limits_of(schema: Schema) -> str:
             return "`true`, `false`"
         case {"minimum": int() | float() as low, "maximum": int() | float() as high}:
             return f"{shown_number(low)} to {shown_number(high)}" + (", whole" if schema["type"] == "integer" else "")
+        case {"items": {"prefixItems": list()} as item, "minItems": int() as least, "maxItems": int() as most}:
+            return f"{least} to {most} times {limits_of(mapping(item))}"
+        case {"pattern": "^[0-9a-f]{64}$"}:
+            return "64 hex digits"
+        case {"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}:
+            return "a day, such as 2026-01-31"
         case {"items": {"$ref": str()} as item, "maxItems": int() as most}:
             return f"a list, {limits_of(mapping(item))}, at most {most}"
         case {"items": {"type": "number"} as item, "minItems": int() as least, "maxItems": int() as most}:
