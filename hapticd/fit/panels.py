@@ -1,0 +1,309 @@
+"""What the report of each kind of fit draws."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.fit.provenance import Fit, estimates, plain_figures
+from hapticd.fit.recording import Recording
+from hapticd.fit.regression import Estimate, FitError
+from hapticd.fit.report import Curve, Page, Panel
+from hapticd.fit.ringing import fit_ringing
+from hapticd.materials import Material, validate_materials
+from hapticd.noise import power_spectrum, reflection_of, stochastic_filter
+from hapticd.texture import Autoregressive, AutoregressiveModel, Stochastic
+
+if TYPE_CHECKING:
+    from hapticd.fit.grooves import GroovesFit
+    from hapticd.fit.puncture import PunctureFit
+    from hapticd.fit.tap import TapFit
+    from hapticd.fit.texture import TextureFit
+
+Floats = npt.NDArray[np.float64]
+
+Row: TypeAlias = tuple[Panel, ...]
+
+DRAWN: Final = 3
+"""Of recordings that are alike, so many are drawn."""
+LOOK_S: Final = 0.15
+LEAST_STRETCH: Final = 16
+"""Samples of which a spectrum is drawn."""
+ACCELERATION: Final = "m/s²"
+DENSITY: Final = "(m/s²)²/Hz"
+SEEN: Final = 1e-3
+"""Of the largest density; spectra are compared above it."""
+
+
+def page_of(kind: str, title: str, fit: Fit, recordings: Sequence[Recording]) -> Page:
+    """The report of a fit of this kind."""
+    sources = {recording.source.path: recording.source.sha256 for recording in recordings}
+    rows = tuple(row for row in _ROWS[kind](fit, recordings) if row)
+    return Page(title, fit.verdict, fit.warnings, estimates(fit), plain_figures(fit), tuple(sources.items()), rows)
+
+
+def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats, Floats]:
+    """Power spectral density, one-sided, without its line at 0: Welch's mean over Hann's windows that overlap by half.
+
+    Frequencies in Hz and the values' squares per Hz.
+    """
+    from scipy.signal import welch
+
+    frequency, power = welch(values, rate_hz, nperseg=min(segment, len(values)))
+    return np.asarray(frequency[1:], dtype=np.float64), np.asarray(power[1:], dtype=np.float64)
+
+
+def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
+    """Recording and model over time, what is left, and the spectra of all three.
+
+    `model` is NaN where it says nothing. The spectra are of the longest stretch of which it says something, and the
+    time is LOOK_S about that.
+    """
+    told = np.flatnonzero(np.isfinite(model))
+    if len(told) == 0:
+        return ()
+    stretch = max(np.split(told, np.flatnonzero(np.diff(told) > 1) + 1), key=len)
+    around = max(0, round(LOOK_S * rate_hz) - len(stretch)) // 2
+    first, last = max(int(told[0]), int(stretch[0]) - around), min(int(told[-1]), int(stretch[-1]) + around)
+    here = slice(first, last + 1)
+    ms: Floats = np.asarray(1e3 * np.arange(first, last + 1) / rate_hz, dtype=np.float64)
+    lines = (Curve("recording", ms, recorded[here]), Curve("model", ms, model[here]))
+    left = (Curve("recording less model", ms, recorded[here] - model[here]),)
+    panels = (Panel(name, "ms", ACCELERATION, lines), Panel("recording less model", "ms", ACCELERATION, left))
+    if len(stretch) < LEAST_STRETCH:
+        return panels
+    parts = {
+        "recording": recorded[stretch],
+        "model": model[stretch],
+        "residual": recorded[stretch] - model[stretch],
+    }
+    spectra = tuple(Curve(label, *density(values, rate_hz)) for label, values in parts.items())
+    return (*panels, Panel("spectrum", "Hz", DENSITY, spectra, logarithmic=True))
+
+
+def law(title: str, x_label: str, x: Floats, y: Floats, gain: Estimate) -> Panel:
+    """Amplitudes over what they follow, and the line through the origin with its interval."""
+    ends = np.linspace(0.0, 1.05 * float(np.max(x)), 50)
+    dots = Curve("recorded", x, y, points=True)
+    line = Curve("model", ends, gain.value * ends, low=gain.low * ends, high=gain.high * ends)
+    return Panel(title, x_label, ACCELERATION, (dots, line))
+
+
+def level(title: str, x_label: str, y_label: str, x: Floats, y: Floats, value: Estimate) -> Panel:
+    """What should be the same everywhere, and the value with its interval."""
+    ends = np.array([0.0, 1.05 * float(np.max(x))])
+    flat = np.ones(2)
+    line = Curve("model", ends, value.value * flat, low=value.low * flat, high=value.high * flat)
+    return Panel(title, x_label, y_label, (Curve("recorded", x, y, points=True), line))
+
+
+def compared(title: str, unit: str, modelled: Floats, recorded: Floats) -> Panel:
+    """Recorded over modelled, and the line on which both are the same."""
+    ends = np.array([0.0, 1.05 * max(float(modelled.max()), float(recorded.max()))])
+    curves = (Curve("recorded", modelled, recorded, points=True), Curve("as the model says", ends, ends))
+    return Panel(title, f"model, {unit}", f"recording, {unit}", curves)
+
+
+def _tap(fit: TapFit, recordings: Sequence[Recording]) -> Iterator[Row]:
+    speed = np.array([tap.speed_m_per_s for tap in fit.taps])
+    amplitude = np.array([tap.coefficient_m_per_s2 for tap in fit.taps])
+    lines = law("amplitude of each tap", "m/s", speed, amplitude, fit.slope_per_s)
+    dots, line = lines.curves
+    ends = line.x
+    offset = Curve("offset", ends, fit.offset_m_per_s2.value + fit.offset_slope_per_s.value * ends, dashed=True)
+    more: tuple[Curve, ...] = (offset,)
+    if not fit.linear:
+        points, heights = np.array([(0.0, 0.0), *((place, _number(height)) for place, height in fit.amplitudes)]).T
+        more = (offset, Curve("table", points, heights, dashed=True))
+    hertz = np.array([tap.angular_frequency_rad_per_s for tap in fit.taps]) / (2 * np.pi)
+
+    def less(curve: Curve) -> Curve:
+        """What there is besides the line through the origin."""
+        there = fit.slope_per_s.value * curve.x
+        low, high = (None if end is None else end - there for end in (curve.low, curve.high))
+        return dataclasses.replace(curve, y=curve.y - there, low=low, high=high)
+
+    yield (
+        dataclasses.replace(lines, curves=(dots, line, *more)),
+        Panel("amplitude less the line", "m/s", ACCELERATION, tuple(less(curve) for curve in (dots, line, *more))),
+        level("frequency of each tap", "m/s", "Hz", speed, hertz, fit.frequency_hz),
+    )
+    for tap in sorted(fit.taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
+        name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
+        yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
+        if fit.second is None:
+            continue
+        # Not every tap has both by itself: then there is nothing to draw.
+        with suppress(FitError):
+            pair = fit_ringing(tap.measured, tap.rate_hz, modes=2)
+            yield overlay(f"{name}, two modes", tap.rate_hz, tap.measured, tap.measured - pair.residual)
+
+
+def _number(figure: float | Estimate) -> float:
+    return figure.value if isinstance(figure, Estimate) else figure
+
+
+def _grooves(fit: GroovesFit, recordings: Sequence[Recording]) -> Iterator[Row]:
+    speed, force, amplitude = (
+        np.array([abs(getattr(strike, name)) for strike in fit.strikes])
+        for name in ("speed_m_per_s", "force_n", "amplitude_m_per_s2")
+    )
+    by_speed, by_force = fit.velocity_gain_per_s, fit.force_gain_m_per_s2_per_n
+    yield (
+        law("amplitude less the force's part", "m/s", speed, amplitude - by_force.value * force, by_speed),
+        law("amplitude less the speed's part", "N", force, amplitude - by_speed.value * speed, by_force),
+        compared("amplitude", ACCELERATION, by_speed.value * speed + by_force.value * force, amplitude),
+    )
+    for stroke in islice(fit.strokes, DRAWN):
+        name = os.path.basename(stroke.name)
+        yield overlay(name, stroke.rate_hz, stroke.acceleration_m_per_s2, stroke.model_m_per_s2)
+
+
+def _texture(fit: TextureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
+    """Noise is compared by its power: over speed and force, and over frequency."""
+    texture = _material(fit).texture
+    assert isinstance(texture, Stochastic | Autoregressive)
+    speed, force, rms, mean = (
+        np.array([getattr(block, name) for block in fit.blocks])
+        for name in ("speed_m_per_s", "force_n", "rms_m_per_s2", "mean_hz")
+    )
+    modelled = np.array([_level(texture, *place) for place in zip(speed, force, strict=True)])
+    yield (
+        compared("RMS of each half second", ACCELERATION, modelled, rms),
+        level("mean frequency", "m/s", "Hz", speed, mean, fit.mean_hz),
+        level("mean frequency", "N", "Hz", force, mean, fit.mean_hz),
+    )
+    whole = (recording for recording in recordings if _is_whole(recording))
+    for stroke in islice((_Stroke.of(recording, texture) for recording in whole), DRAWN):
+        spectra = (
+            Curve("recording", stroke.frequency_hz, stroke.recorded),
+            Curve("model", stroke.frequency_hz, stroke.modelled),
+        )
+        decibels = 10 * np.log10(np.maximum(stroke.recorded, 1e-300) / np.maximum(stroke.modelled, 1e-300))
+        heard = stroke.modelled > SEEN * np.nanmax(stroke.modelled)
+        ratio = (Curve("recording over model", stroke.frequency_hz[heard], decibels[heard]),)
+        yield (
+            Panel(stroke.name, "Hz", DENSITY, spectra, logarithmic=True),
+            Panel("recording over model, where its power is", "Hz", "dB", ratio),
+        )
+
+
+def _level(texture: Stochastic | Autoregressive, speed_m_per_s: float, force_n: float) -> float:
+    """RMS of the model at a speed and force, m/s^2; of autoregressive models the one nearest to them."""
+    if isinstance(texture, Autoregressive):
+        model = _nearest(texture, speed_m_per_s, force_n)
+        return model.level(reflection_of(model.coefficients))
+    gains = texture.velocity_gain_per_s, texture.force_gain_m_per_s2_per_n
+    return max(0.0, gains[0] * speed_m_per_s + gains[1] * force_n) * min(1.0, speed_m_per_s / texture.threshold_m_per_s)
+
+
+def _nearest(texture: Autoregressive, speed_m_per_s: float, force_n: float) -> AutoregressiveModel:
+    places = np.array([(model.speed_m_per_s, model.force_n) for model in texture.models])
+    apart = np.abs(places - (speed_m_per_s, force_n)) / np.maximum(places.max(axis=0), 1e-9)
+    return texture.models[int(np.argmin(apart.sum(axis=1)))]
+
+
+@dataclass(frozen=True, slots=True)
+class _Stroke:
+    """Power of a recording and of the model at its speed and force: densities over frequency."""
+
+    name: str
+    frequency_hz: Floats
+    recorded: Floats
+    modelled: Floats
+
+    @classmethod
+    def of(cls, recording: Recording, texture: Stochastic | Autoregressive) -> _Stroke:
+        acceleration = recording.acceleration_m_per_s2
+        assert acceleration is not None
+        assert recording.force_n is not None
+        speed = _speed(recording)
+        force_n = float(np.mean(recording.force_n))
+        frequency, recorded = density(acceleration, recording.rate_hz, 2048)
+        if isinstance(texture, Stochastic):
+            shape = stochastic_filter(texture.peak_hz, texture.mean_hz, recording.rate_hz)
+            unit = power_spectrum(shape, frequency, recording.rate_hz)
+        else:
+            reflection = reflection_of(_nearest(texture, speed, force_n).coefficients)
+            unit = power_spectrum((reflection, None), np.minimum(frequency, texture.rate_hz / 2), texture.rate_hz)
+            unit = np.where(frequency <= texture.rate_hz / 2, unit, np.nan)  # says nothing beyond
+        name = f"{os.path.basename(recording.name)}, {speed:.3g} m/s, {force_n:.3g} N"
+        return cls(name, frequency, recorded, _level(texture, speed, force_n) ** 2 * unit)
+
+
+def _is_whole(recording: Recording) -> bool:
+    """Whether a stroke's acceleration, force and speed are all known."""
+    moves = recording.tangential_position_m is not None or recording.speed_m_per_s is not None
+    return recording.acceleration_m_per_s2 is not None and recording.force_n is not None and moves
+
+
+def _speed(recording: Recording) -> float:
+    """The mean speed along the surface, m/s."""
+    place = recording.tangential_position_m
+    if place is not None:
+        return abs(float(place[-1] - place[0])) * recording.rate_hz / (len(place) - 1)
+    assert recording.speed_m_per_s is not None
+    return float(np.mean(np.abs(recording.speed_m_per_s)))
+
+
+def _puncture(fit: PunctureFit, recordings: Sequence[Recording]) -> Iterator[Row]:
+    """Each recording as of its rupture."""
+    material = _material(fit)
+    rupture = material.rupture
+    assert rupture is not None
+    depth_m, mode = rupture.rupture_depth_m, rupture.mode
+    speed, depth, force_n, amplitude = (
+        np.array([getattr(each, name) for each in fit.ruptures])
+        for name in ("speed_m_per_s", "depth_m", "force_n", "amplitude_m_per_s2")
+    )
+    mm = fit.depth_m.mapped(lambda metres: 1e3 * metres)
+    yield (
+        level("depth of each rupture", "m/s", "mm", speed, 1e3 * depth, mm),
+        level("force of each rupture", "m/s", "N", speed, force_n, fit.force_n),
+        level("amplitude of each rupture", "m/s", ACCELERATION, speed, amplitude, fit.amplitude_m_per_s2),
+    )
+    broken = {each.recording: each for each in fit.ruptures}
+    for recording in islice((each for each in recordings if each.name in broken), DRAWN):
+        force, place, acceleration = recording.force_n, recording.position_m, recording.acceleration_m_per_s2
+        assert force is not None and place is not None and acceleration is not None
+        rate_hz = recording.rate_hz
+        struck_s = broken[recording.name].time_s
+        at = min(max(1, round(struck_s * rate_hz)), len(force) - 1)
+        sign = 1.0 if place[at] >= place[0] else -1.0
+        deflection = sign * (place - place[at]) + depth_m
+        line = np.array([0.0, depth_m])
+        forces = (
+            Curve("recording", 1e3 * deflection, force),
+            Curve("model", 1e3 * line, material.stiffness_n_per_m * line),
+        )
+        first = max(0, at - round(mode.decay_time_s * rate_hz))
+        last = min(len(acceleration), at + round(5 * mode.decay_time_s * rate_hz))
+        heard = acceleration[first:last] - np.median(acceleration[:at])
+        since = np.arange(first, last) / rate_hz - struck_s
+        later = np.maximum(since, 0.0)
+        ringing = np.exp(-mode.decay_rate_per_s * later) * np.sin(mode.angular_frequency_rad_per_s * later)
+        # A stylus may be mounted either way round.
+        turned = 1.0 if float(heard @ ringing) >= 0 else -1.0
+        spring = Panel(os.path.basename(recording.name), "deflection, mm", "N", forces)
+        yield (spring, *overlay("ringing", rate_hz, heard, turned * rupture.amplitude_m_per_s2 * ringing))
+
+
+def _material(fit: Fit) -> Material:
+    figures = {"stiffness_n_per_m": 0.0, **fit.material()}
+    return validate_materials({"fitted": figures}, ("materials",))["fitted"]
+
+
+_ROWS: Final[Mapping[str, Callable[[Any, Sequence[Recording]], Iterator[Row]]]] = {
+    "tap": _tap,
+    "grooves": _grooves,
+    "texture": _texture,
+    "puncture": _puncture,
+}

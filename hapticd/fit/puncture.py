@@ -1,0 +1,352 @@
+"""Punctures of a membrane: stiffness, depth and force of the rupture, and the mode that it strikes.
+
+Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environments", ICRA 1998: F = K d until the
+rupture, then no force, and a ringing whose amplitude does not depend on speed. The rupture is where force falls most
+within a few milliseconds; K and the place of the surface come from a line through force over position before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.fit.recording import Recording
+from hapticd.fit.regression import Estimate, FitError, Floats, common, with_offset
+from hapticd.fit.ringing import fit_ringing
+from hapticd.fit.strokes import (
+    acceleration_of,
+    excludes_zero,
+    force_of,
+    gravity_of,
+    plain,
+    running_mean,
+    slope_of,
+    tell_few_samples,
+)
+
+DROP_S: Final = 0.002
+"""A rupture takes less than this."""
+FALLEN: Final = 0.5
+"""Part of the force that a rupture takes away at least."""
+LOADED: Final = (0.25, 0.98)
+"""Parts of the rupture force between which stiffness is fitted."""
+BENT: Final = 0.1
+"""A change of stiffness from the lower half of these to the upper that is told."""
+STRAIGHT: Final = 0.7
+"""r^2 of force over position, at least."""
+AGAIN: Final = 0.3
+"""Another fall, from so much of the force of the first, is another puncture."""
+SOFT: Final = (0.02, 0.03)
+"""Where force is this part of the rupture's, a position that is this part of the depth before the line is told;"""
+SEEN: Final = 6.0
+"""but where force is so many standard errors at least."""
+LATE_S: Final = (0.0, 0.002, 0.005)
+"""How much later than the ringing begins the force may have fallen, to begin with."""
+BEFORE_S: Final = 0.01
+RINGING_S: Final = 0.08
+LEAST_RATE: Final = 2.5
+AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
+"""Of a rupture; less is not felt."""
+ACCOUNTED: Final = 0.7
+"""A ringing of which one mode explains less is none."""
+ASTRAY: Final = (3.0, 0.25)
+"""A ringing that is off the median of all by this factor is left out, and told; this part of them at most."""
+HELD: Final = 0.1
+"""Part of the force that is left after the rupture and told."""
+FARTHEST_M: Final = 1.0
+STIFFNESS_N_PER_M: Final = (1.0, 1e5)
+
+
+@dataclass(frozen=True, slots=True)
+class Rupture:
+    """One puncture as fitted; `time_s` from the first sample."""
+
+    recording: str
+    time_s: float
+    speed_m_per_s: float
+    stiffness_n_per_m: float
+    depth_m: float
+    force_n: float
+    amplitude_m_per_s2: float
+    frequency_hz: float
+    decay_rate_per_s: float
+    variance_accounted_for: float
+
+
+@dataclass(frozen=True, slots=True)
+class PunctureFit:
+    """What punctures of one membrane say. All intervals are of 95 %."""
+
+    stiffness_n_per_m: Estimate
+    depth_m: Estimate
+    force_n: Estimate
+    amplitude_m_per_s2: Estimate
+    frequency_hz: Estimate
+    decay_rate_per_s: Estimate
+    amplitude_per_speed_per_s: Estimate | None
+    """Slope of the amplitude over speed; None for fewer than four punctures, or all at one speed."""
+    ruptures: tuple[Rupture, ...]
+    warnings: tuple[str, ...]
+    verdict: str
+
+    def material(self) -> dict[str, object]:
+        """The keys of a material."""
+        return {
+            "stiffness_n_per_m": self.stiffness_n_per_m.value,
+            "rupture": {
+                "depth_m": self.depth_m.value,
+                "amplitude_m_per_s2": self.amplitude_m_per_s2.value,
+                "frequency_hz": self.frequency_hz.value,
+                "decay_rate_per_s": self.decay_rate_per_s.value,
+            },
+        }
+
+    def to_dict(self) -> dict[str, object]:
+        found = plain(self)
+        assert isinstance(found, dict)
+        return found
+
+
+def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
+    """Of one puncture to a recording, at least two. FitError where there are fewer, or they cannot be fitted.
+
+    Recordings without a puncture beside others with one are told in `warnings`.
+    """
+    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
+    ruptures: list[Rupture] = []
+    without: list[str] = []
+    for recording in recordings:
+        found = _rupture(recording, warnings)
+        if isinstance(found, str):
+            without.append(found)
+        else:
+            ruptures.append(found)
+    if not ruptures:
+        raise FitError("; ".join(without) if without else "no recordings")
+    ruptures, astray = _together(ruptures)
+    without += astray
+    if len(ruptures) < 2:
+        raise FitError("one puncture has no interval: needs two recordings of a puncture at least")
+    warnings = without + warnings
+
+    def over(values: Sequence[float]) -> Estimate:
+        return common(np.array(values))
+
+    least, most = AMPLITUDES_M_PER_S2
+    usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
+    if not least <= usual <= most:
+        raise FitError(
+            f"a rupture of {usual:.3g} m/s^2 is no membrane's ({least:g} to {most:g}): is the acceleration's unit "
+            "another one?"
+        )
+    stiffness = over([each.stiffness_n_per_m for each in ruptures])
+    depth = over([each.depth_m for each in ruptures])
+    amplitude = over([each.amplitude_m_per_s2 for each in ruptures])
+    frequency = over([each.frequency_hz for each in ruptures])
+    tell_few_samples(recordings, frequency.value, warnings)
+    speed = np.array([each.speed_m_per_s for each in ruptures])
+    by_speed: Estimate | None = None
+    if len(ruptures) >= 4 and np.ptp(speed) > 0.2 * speed.mean():
+        by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
+        change = by_speed.value * float(np.ptp(speed))
+        if excludes_zero(by_speed) and abs(change) > 0.1 * amplitude.value:
+            warnings.append(
+                f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to "
+                f"{speed.max():.3g} m/s; "
+                "the material has the mean"
+            )
+    decay = over([each.decay_rate_per_s for each in ruptures])
+    for what, figure in (("stiffness", stiffness), ("amplitude", amplitude), ("decay rate", decay)):
+        if figure.low <= 0:
+            raise FitError(
+                f"the punctures do not agree on the {what}: {figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
+            )
+    if depth.low <= 0 or depth.high - depth.low > depth.value:
+        warnings.append(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
+    verdict = (
+        f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
+        f"{frequency.value:.4g} Hz" + (f"; {len(warnings)} to note" if warnings else "; sound")
+    )
+    return PunctureFit(
+        stiffness_n_per_m=stiffness,
+        depth_m=depth,
+        force_n=over([each.force_n for each in ruptures]),
+        amplitude_m_per_s2=amplitude,
+        frequency_hz=frequency,
+        decay_rate_per_s=decay,
+        amplitude_per_speed_per_s=by_speed,
+        ruptures=tuple(ruptures),
+        warnings=tuple(warnings),
+        verdict=verdict,
+    )
+
+
+def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
+    """The puncture of a recording; where there is none, a line that says so."""
+    name, rate_hz = recording.name, recording.rate_hz
+    force = force_of(recording)
+    place = recording.position_m
+    if place is None:
+        raise FitError(f"{name}: has no position along the normal, which this fit needs")
+    if np.ptp(place) > FARTHEST_M:
+        raise FitError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
+    if not np.ptp(place) > 0:
+        raise FitError(f"{name}: the position never moves: is it the wrong column?")
+    if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
+        raise FitError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
+    at = _drop(force, rate_hz)
+    none = f"{name}: no puncture here: the force never falls at once while the stylus goes on"
+    if at is None:
+        return none
+    seen = acceleration_of(recording)
+    half = max(1, round(DROP_S * rate_hz / 2))
+    smooth = running_mean(force, half)
+    least = max(0, at - 2 * half)
+    highest = float(np.median(force[least : max(at - half, least + 1)]))
+    early = np.flatnonzero(smooth[: at - half] < LOADED[0] * highest)
+    begin = int(early[-1]) + 1 if len(early) else 0
+    loaded = np.arange(begin, at - half)
+    loaded = loaded[smooth[loaded] < LOADED[1] * highest]
+    if len(loaded) < 20:
+        raise FitError(f"{name}: force rises within {len(loaded)} samples: too few for a stiffness")
+    way, pressed = place[loaded], force[loaded]
+    line = np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1)
+    stiffness = float(line[1])
+    low, high = STIFFNESS_N_PER_M
+    if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < STRAIGHT:
+        raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
+    if stiffness < 0:
+        raise FitError(f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)")
+    if not low <= stiffness <= high:
+        raise FitError(f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?")
+    near = way < np.median(way)
+    below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
+    if abs(above - below) > BENT * stiffness:
+        warnings.append(f"{name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in")
+    # Before the touch the sensor may read other than 0.
+    rest, surface, quiet = 0.0, 0.0, np.zeros(0)
+    for _ in range(3):
+        surface = float(way.mean()) - (float(line[0]) - rest) / stiffness
+        free = np.flatnonzero(place[:begin] < surface)
+        quiet = force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
+        rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
+    if len(quiet) < 20:
+        warnings.append(f"{name}: begins in contact: what the sensor reads without force is taken to be 0")
+    soft = max(SOFT[0] * (highest - rest), SEEN * _noise(force) / math.sqrt(2 * half + 1))
+    touched = np.flatnonzero(smooth[: at - half] - rest > soft)
+    if len(touched):
+        # The line meets this force at `due`; where the touch is soft, it was met earlier.
+        due = surface + soft / stiffness
+        early_m = due - float(np.mean(place[max(0, touched[0] - half) : touched[0] + half + 1]))
+        if early_m > SOFT[1] * (highest - rest) / stiffness:
+            warnings.append(
+                f"{name}: it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more "
+                "behind the touch, and depth is counted from there"
+            )
+    last = slice(max(0, at - 4 * half), at + 1)
+    index = np.arange(last.start, last.stop)
+    fitted = np.polynomial.polynomial.polyfit(index - at, place[last], 1)
+    # The force is gone between this sample and the next.
+    ruptured = float(fitted[0] + 0.5 * fitted[1])
+    speed = float(slope_of(place, rate_hz, 8 * DROP_S)[at])
+    if speed <= 0:
+        # Let go, or bounced off.
+        return none
+
+    first = max(0, at - round(BEFORE_S * rate_hz))
+    end = min(len(seen), at + round(RINGING_S * rate_hz))
+    try:
+        # A slow sensor of force tells the rupture late.
+        ringing = min(
+            (
+                fit_ringing(seen[first:end], rate_hz, onset_s=max(0.0, (at + 0.5 - first) / rate_hz - late_s))
+                for late_s in LATE_S
+            ),
+            key=lambda each: each.noise_m_per_s2,
+        )
+    except FitError as error:
+        raise FitError(f"{name}: the rupture has no ringing: {error}") from None
+    frequency = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
+    if rate_hz < LEAST_RATE * frequency:
+        raise FitError(f"{name}: rings at {frequency:.4g} Hz, sampled at {rate_hz:g} Hz: too low")
+    if ringing.variance_accounted_for < ACCOUNTED:
+        return f"{name}: left out: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing"
+    kept = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
+    if kept > HELD * (highest - rest):
+        warnings.append(
+            f"{name}: {100 * kept / (highest - rest):.0f} % of the force is left after the rupture: something holds "
+            "what went in; the model has none of it"
+        )
+    for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
+        other = _drop(part, rate_hz)
+        if (
+            other is not None
+            and part[other] - rest > AGAIN * (highest - rest)
+            and slope_of(place, rate_hz, 8 * DROP_S)[start + other] > 0
+        ):
+            raise FitError(
+                f"{name}: ruptures at {min(at, start + other) / rate_hz:.4g} s and at "
+                f"{max(at, start + other) / rate_hz:.4g} s: give each puncture its own file"
+            )
+    if ringing.variance_accounted_for < 0.8:
+        warnings.append(f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
+    return Rupture(
+        recording=name,
+        time_s=(at + 0.5) / rate_hz,
+        speed_m_per_s=abs(speed),
+        stiffness_n_per_m=stiffness,
+        depth_m=ruptured - surface,
+        force_n=stiffness * (ruptured - surface),
+        amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
+        frequency_hz=frequency,
+        decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
+        variance_accounted_for=float(ringing.variance_accounted_for),
+    )
+
+
+def _together(ruptures: list[Rupture]) -> tuple[list[Rupture], list[str]]:
+    """Without the few whose ringing is far off the others', and a line for each of those."""
+    ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
+    usual = np.median(ringing, axis=0)
+    factor, most = ASTRAY
+    off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > factor
+    if np.count_nonzero(off) > most * len(ruptures):
+        return ruptures, []
+    kept = [each for each, far in zip(ruptures, off, strict=True) if not far]
+    told = [
+        f"{each.recording}: left out: rings with {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a "
+        f"decay rate of {each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and "
+        f"{usual[2]:.3g}"
+        for each, far in zip(ruptures, off, strict=True)
+        if far
+    ]
+    return kept, told
+
+
+def _drop(force: Floats, rate_hz: float) -> int | None:
+    """The last sample before the force falls to nothing."""
+    half = max(1, round(DROP_S * rate_hz / 2))
+    if len(force) < 20 * half:
+        return None
+    mean = running_mean(force, half)
+    fall = mean[: -4 * half] - mean[4 * half :]
+    middle = int(np.argmax(fall)) + 2 * half
+    before, after = float(mean[middle - 2 * half]), float(mean[middle + 2 * half])
+    noise = _noise(force)
+    rest = float(np.median(force[: len(force) // 20]))
+    if before - rest < 5 * noise or before - after < FALLEN * (before - min(rest, 0.0)):
+        return None
+    window = force[middle - 2 * half : middle + 2 * half]
+    held = np.flatnonzero(window > (before + after) / 2)
+    if len(held) == 0:
+        return None
+    return middle - 2 * half + int(held[-1])
+
+
+def _noise(force: Floats) -> float:
+    """Standard deviation from sample to sample."""
+    return 1.4826 * float(np.median(np.abs(np.diff(force)))) / math.sqrt(2)

@@ -1,0 +1,259 @@
+"""The report of a fit: pictures of recording and model, the figures with their intervals, and the verdict.
+
+One file: a page whose pictures stand in it, or a picture. matplotlib is imported when something is drawn.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import math
+import os
+import textwrap
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd._version import __version__
+from hapticd.errors import HapticdError
+from hapticd.fit.regression import Estimate
+from hapticd.schema import unit_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = npt.NDArray[np.float64]
+
+ENDINGS: Final = (".html", ".png")
+MOST_POINTS: Final = 4000
+"""Of a line; a longer one is drawn by the least and the largest value of each stretch."""
+_DPI: Final = 90
+_CELL: Final = (5.2, 3.6)
+"""Inches of a picture with what is written about it, and below the share of that."""
+_GAP: Final = (0.85, 1.05)
+_MARGINS: Final = (0.3, 0.2)
+_LINE: Final = 0.27
+_LONGEST: Final = 56
+"""Of a title."""
+_MANY: Final = 50
+_DEEPEST: Final = 1e-8
+"""Of a logarithmic picture, under its highest."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A line, or points; `low` and `high` are a band about the line, or bars at the points. All are (n,)."""
+
+    label: str
+    x: Floats
+    y: Floats
+    points: bool = False
+    dashed: bool = False
+    low: Floats | None = None
+    high: Floats | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Panel:
+    """One picture."""
+
+    title: str
+    x_label: str
+    y_label: str
+    curves: tuple[Curve, ...]
+    logarithmic: bool = False
+    """Both axes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """What is told of a fit."""
+
+    title: str
+    verdict: str
+    warnings: tuple[str, ...]
+    figures: Mapping[str, Estimate]
+    plain: Mapping[str, float]
+    """Figures that have no interval."""
+    sources: Sequence[tuple[str, str]]
+    """Path and SHA-256."""
+    rows: Sequence[Sequence[Panel]]
+    """Of pictures."""
+
+
+def require(path: str) -> None:
+    """Raises HapticdError (one line) where a report cannot be drawn, or not one with that ending."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise HapticdError("a report needs matplotlib: pip install 'hapticd[plots]'") from None
+    if os.path.splitext(path)[1].lower() not in ENDINGS:
+        raise HapticdError(f"{path}: is no kind of report: must end in {' or '.join(ENDINGS)}")
+
+
+def drawn(path: str, page: Page) -> bytes:
+    """The report that is to stand at this path, whose ending says which kind."""
+    if path.lower().endswith(".html"):
+        return _html(page).encode(errors="backslashreplace")
+    return _picture(page.rows, "\n".join((page.title, *textwrap.wrap(page.verdict, 110))))
+
+
+def thinned(x: Floats, y: Floats, most: int = MOST_POINTS) -> tuple[Floats, Floats]:
+    """At most about `most` points of a line, with the least and the largest value of each stretch among them. Of a
+    stretch with a gap (NaN) in it the gap is kept."""
+    if len(x) <= most:
+        return x, y
+    stretch = math.ceil(2 * len(x) / most)
+    starts = np.arange(0, len(x), stretch)
+    kept: list[int] = []
+    for start in starts:
+        piece = y[start : start + stretch]
+        kept += sorted({int(start + np.argmin(piece)), int(start + np.argmax(piece))})
+    return x[kept], y[kept]
+
+
+def _picture(rows: Sequence[Sequence[Panel]], title: str = "") -> bytes:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    columns, count = max((len(row) for row in rows), default=1), max(1, len(rows))
+    lines = title.count("\n") + 1 if title else 0
+    width, height = _MARGINS[0] + columns * _CELL[0], _MARGINS[1] + lines * _LINE + count * _CELL[1]
+    figure: Figure
+    # Laid out in inches, by hand: to measure every letter takes longer than to draw it all.
+    figure, axes = plt.subplots(count, columns, figsize=(width, height), squeeze=False)
+    figure.subplots_adjust(
+        left=(_GAP[0] + _MARGINS[0] / 2) / width,
+        right=1 - _MARGINS[0] / 2 / width,
+        bottom=(_GAP[1] / 2 + _MARGINS[1] / 2) / height,
+        top=1 - (_GAP[1] / 2 + _MARGINS[1] / 2 + lines * _LINE) / height,
+        wspace=_GAP[0] / (_CELL[0] - _GAP[0]),
+        hspace=_GAP[1] / (_CELL[1] - _GAP[1]),
+    )
+    try:
+        for axes_row, row in zip(axes, rows, strict=False):
+            for place, panel in zip(axes_row, row, strict=False):
+                _draw(place, panel)
+            for place in axes_row[len(row) :]:
+                place.set_axis_off()
+        if title:
+            figure.suptitle(_literal(title), y=1 - _MARGINS[1] / 2 / height, va="top")
+        content = io.BytesIO()
+        with warnings.catch_warnings():
+            # The font has not every letter that a file's name may have.
+            warnings.filterwarnings("ignore", "Glyph .* missing from", UserWarning)
+            figure.savefig(content, format="png", dpi=_DPI)
+    finally:
+        plt.close(figure)
+    return content.getvalue()
+
+
+def _literal(text: str) -> str:
+    """Text that matplotlib takes for no formula."""
+    return text.replace("$", r"\$")
+
+
+def _short(text: str) -> str:
+    return _literal(text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]}…{text[-_LONGEST // 2 :]}")
+
+
+def _draw(axes: Axes, panel: Panel) -> None:
+    from matplotlib.ticker import NullLocator
+
+    if panel.logarithmic:
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+    for place, curve in enumerate(panel.curves):
+        color = f"C{place}"
+        if curve.points:
+            size = 4 if len(curve.x) <= _MANY else 2
+            if curve.low is not None and curve.high is not None:
+                bars = np.maximum(0.0, [curve.y - curve.low, curve.high - curve.y])
+                axes.errorbar(
+                    curve.x, curve.y, bars, fmt="o", ms=size, lw=1, capsize=2, color=color, label=curve.label, zorder=3
+                )
+            else:
+                axes.plot(curve.x, curve.y, "o", ms=size, color=color, label=curve.label, zorder=3)
+            continue
+        style = "--" if curve.dashed else "-"
+        axes.plot(*thinned(curve.x, curve.y), style, lw=1, color=color, label=curve.label, zorder=4 + place)
+        if curve.low is not None and curve.high is not None:
+            axes.fill_between(curve.x, curve.low, curve.high, color=color, alpha=0.25, lw=0, label="95 %")
+    if panel.logarithmic and panel.curves:
+        largest = max(float(np.nanmax(curve.y)) for curve in panel.curves)
+        if largest > 0:
+            axes.set_ylim(largest * _DEEPEST, largest * 3)
+        axes.yaxis.set_minor_locator(NullLocator())  # hundreds of them, and each takes its time
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    axes.grid(alpha=0.3)
+    told = len(panel.curves) > 1
+    # Beside the curves there may be no room: what they are stands between them and the title.
+    axes.set_title(_short(panel.title), fontsize=10, pad=22 if told else 6)
+    if told:
+        axes.legend(
+            loc="lower center",
+            bbox_to_anchor=(0.5, 1.0),
+            ncols=5,
+            fontsize=8,
+            frameon=False,
+            borderpad=0.2,
+            columnspacing=1.2,
+            handlelength=1.6,
+        )
+
+
+def figure_rows(
+    figures: Mapping[str, Estimate], plain: Mapping[str, float] = MappingProxyType({})
+) -> list[tuple[str, str, str, str]]:
+    """Name, value, interval and unit of each figure, as text; `plain` have no interval."""
+    rows = [
+        (name, f"{each.value:.6g}", f"{each.low:.6g} to {each.high:.6g}", unit_of(name) or "")
+        for name, each in figures.items()
+    ]
+    return rows + [(name, f"{value:.6g}", "", unit_of(name) or "") for name, value in plain.items()]
+
+
+_STYLE: Final = (
+    "body{font:15px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em}"
+    "table{border-collapse:collapse}td,th{padding:.2em .8em;border-bottom:1px solid #ccc;text-align:left}"
+    "img{max-width:100%}.warning{color:#a40}code{font-size:12px}"
+)
+
+
+def _html(page: Page) -> str:
+    def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+        head = "".join(f"<th>{html.escape(text)}</th>" for text in heads)
+        body = "".join("<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in row) + "</tr>\n" for row in rows)
+        return f"<table>\n<tr>{head}</tr>\n{body}</table>"
+
+    pictures = "\n".join(
+        f'<p><img alt="{html.escape("; ".join(panel.title for panel in row))}" src="data:image/png;base64,'
+        f'{base64.b64encode(_picture([row])).decode()}"></p>'
+        for row in page.rows
+    )
+    told = "\n".join(f'<p class="warning">{html.escape(text)}</p>' for text in page.warnings)
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head><meta charset="utf-8"><title>{html.escape(page.title)}</title><style>{_STYLE}</style></head>
+<body>
+<h1>{html.escape(page.title)}</h1>
+<p><b>{html.escape(page.verdict)}</b></p>
+{told}
+{table(("figure", "value", "95 % interval", "unit"), figure_rows(page.figures, page.plain))}
+{pictures}
+<h2>Recordings</h2>
+{table(("file", "SHA-256"), page.sources)}
+<p>hapticd {html.escape(__version__)}</p>
+</body>
+</html>
+"""

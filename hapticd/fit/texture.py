@@ -1,0 +1,632 @@
+"""Textures from recorded strokes: peak and mean frequency, and how loud they are over speed and force.
+
+A stroke is cut into blocks of half a second, each with its own periodograms, speed and force. What the sensor hisses is
+read off the top of the spectrum and taken away; below LOW_HZ, where a hand trembles, the density goes on as it is just
+above, and where it sinks into the hiss it goes on falling as it does in the octave before. The mean frequency is the
+power's centroid. The peak is that of a parabola in 1/density over the squared
+frequency within the half-power band, by Whittle's likelihood: a single resonance has just this shape. Intervals of both
+are jackknifed over groups of blocks. The RMS law is fitted to the blocks' power, of which it is the square, with errors
+that are a part of it (quasi-likelihood of a gamma distribution; Wedderburn, 1974).
+
+Autoregressive models (`autoregressive`) come from the autocorrelation of the mean spectrum at each pair of speed and
+force (Levinson and Durbin), which makes them stable for any spectrum; the order is that of the least corrected
+information criterion of Akaike (Hurvich and Tsai, 1989).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from hapticd.fit.recording import Recording
+from hapticd.fit.regression import Estimate, FitError, Floats, least_squares
+from hapticd.fit.strokes import (
+    about,
+    acceleration_of,
+    excludes_zero,
+    gravity_of,
+    motion_of,
+    plain,
+    pressed,
+    told_apart,
+    varied_force,
+)
+from hapticd.noise import coefficients_of, power_spectrum
+
+BLOCK_S: Final = 0.5
+LOW_HZ: Final = 20.0
+LEAST_BLOCKS: Final = 8
+GROUPS: Final = 20
+"""Of blocks, at most, that the jackknife leaves out one at a time."""
+LEAST_RATE: Final = 2.5
+"""Samples in a cycle of the mean frequency."""
+MOVES: Final = 0.05
+"""A change of the mean frequency over the speeds or forces that is worth telling, as a part of it."""
+ROUNDS: Final = 30
+"""Of the RMS law at most."""
+APART: Final = (0.15, 0.4)
+"""Steps in the logarithms of mean frequency and of loudness within a recording that are two textures,"""
+SURE: Final = 6.0
+"""where they are so many standard errors."""
+SAME_PLACE: Final = 0.1
+"""Strokes whose speeds and forces differ by less than this part are at one place of the autoregressive models."""
+STEADY: Final = 0.5
+"""A stroke whose speed and force vary by less than this part is at one place."""
+CUT_OFF: Final = 0.05
+"""Of the highest density, between 0.4 and 0.49 of the rate: more than that is a spectrum that goes on beyond it."""
+FALLS: Final = 1.78
+"""From 0.325 to 0.445 of the rate, the density of noise with two poles at low frequency, filtered at this very rate;
+the samples of a continuous one fall by more."""
+TONE_BINS: Final = 3
+"""That hold half of the power are a tone."""
+UNSTEADY: Final = 0.3
+"""Standard deviation of the logarithm of the mean frequency over the blocks of a recording that is no one texture."""
+MAINS_HZ: Final = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
+"""Lines of hum, that may be off by"""
+MAINS_OFF_HZ: Final = 0.5
+HUM: Final = (0.005, 5.0)
+"""A line with this part of the power is told if it is so many times what the spectrum about it has there."""
+SUNK: Final = 0.3
+"""Of the hiss: a density below is not seen."""
+RMS_M_PER_S2: Final = (0.03, 300.0)
+"""Of a usual block; less is not felt."""
+MAX_ORDER: Final = 32
+KEPT: Final = 0.995
+"""Of the power lies below 0.4 of the rate of the autoregressive models."""
+COMPARED_DB: Final = 20.0
+"""Spectra are compared where they are within this of their peak."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArModel:
+    """At one speed and force: the model, and how far its spectrum is from the recorded one."""
+
+    speed_m_per_s: float
+    force_n: float
+    coefficients: tuple[float, ...]
+    rms_m_per_s2: float
+    rms_error_db: float
+    """RMS difference of the spectra, in bands, where the recorded one is within COMPARED_DB of its peak."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Half a second of a stroke: means of speed and force, RMS and centroid of the acceleration."""
+
+    recording: str
+    speed_m_per_s: float
+    force_n: float
+    rms_m_per_s2: float
+    mean_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class TextureFit:
+    """What strokes over one texture say. All intervals are of 95 %."""
+
+    peak_hz: Estimate
+    mean_hz: Estimate
+    velocity_gain_per_s: Estimate | None
+    """None, as the next: speed and force do not vary apart from one another, as `warnings` say."""
+    force_gain_m_per_s2_per_n: Estimate | None
+    correlation: float
+    mean_per_speed_hz_s_per_m: Estimate | None
+    mean_per_force_hz_per_n: Estimate | None
+    ar_rate_hz: float | None
+    ar_models: tuple[ArModel, ...]
+    """Empty unless they were asked for."""
+    blocks: tuple[Block, ...]
+    warnings: tuple[str, ...]
+    verdict: str
+
+    def material(self) -> dict[str, object]:
+        """The keys of a material: its texture. Stiffness is not measured by strokes."""
+        if self.ar_models:
+            models = [
+                {
+                    "speed_m_per_s": model.speed_m_per_s,
+                    "force_n": model.force_n,
+                    "coefficients": list(model.coefficients),
+                    "rms_m_per_s2": model.rms_m_per_s2,
+                }
+                for model in self.ar_models
+            ]
+            return {"texture": {"kind": "autoregressive", "rate_hz": self.ar_rate_hz, "models": models}}
+        assert self.velocity_gain_per_s is not None
+        assert self.force_gain_m_per_s2_per_n is not None
+        return {
+            "texture": {
+                "kind": "stochastic",
+                "peak_hz": self.peak_hz.value,
+                "mean_hz": self.mean_hz.value,
+                "velocity_gain_per_s": self.velocity_gain_per_s.value,
+                "force_gain_m_per_s2_per_n": self.force_gain_m_per_s2_per_n.value,
+            }
+        }
+
+    def to_dict(self) -> dict[str, object]:
+        found = plain(self)
+        assert isinstance(found, dict)
+        return found
+
+
+def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -> TextureFit:
+    """Of strokes at several speeds and forces. FitError where they do not say it."""
+    if not recordings:
+        raise FitError("no recordings")
+    rate_hz = recordings[0].rate_hz
+    for recording in recordings:
+        if recording.rate_hz != rate_hz:
+            raise FitError(
+                f"{recording.name}: sampled at {recording.rate_hz:g} Hz, {recordings[0].name} at {rate_hz:g} Hz: "
+                "strokes of one texture need one rate"
+            )
+    cut = [_cut(recording) for recording in recordings]
+    density = np.concatenate([each.density for each in cut])
+    if len(density) < LEAST_BLOCKS:
+        raise FitError(
+            f"{len(density) * BLOCK_S:g} s of strokes are too few: at least {LEAST_BLOCKS * BLOCK_S:g} s are needed"
+        )
+    names = [each.name for each in cut for _ in each.density]
+    frequency = cut[0].frequency_hz
+    speed = np.concatenate([each.speed for each in cut])
+    force = np.concatenate([each.force for each in cut])
+    moments = np.concatenate([each.moments for each in cut])
+    power = density.sum(axis=1) * frequency[1]
+    rough = (density / power[:, None]).mean(axis=0)
+    top, tail = _top(frequency, rough, float(np.mean([each.floor for each in cut]) / np.median(power)))
+    heard = frequency <= top
+    frequency, density = frequency[heard], density[:, heard]
+    power = density.sum(axis=1) * frequency[1]
+    if power.min() <= 0:
+        raise FitError(f"{names[int(np.argmin(power))]}: what is there is no more than the sensor's hiss")
+    rms = np.sqrt(power)
+    usual = float(np.median(rms))
+    least, most = RMS_M_PER_S2
+    if not least <= usual <= most:
+        raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
+    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
+    warnings += _hum(recordings)
+    varied_force(recordings, force, warnings)
+    gains: tuple[Estimate | None, Estimate | None] = (None, None)
+    correlation = math.nan
+    law = np.concatenate([np.full(len(each.density), float(np.mean(rms[here]))) for each, here in _slices(cut)])
+    if told_apart(np.column_stack((speed, force)), 20):
+        law, gains, correlation = _law(moments, rms, warnings)
+    elif autoregressive:
+        warnings.append("speed and force vary too little, or together: no gains")
+    else:
+        raise FitError(
+            f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
+            "rise and fall together or not at all, so that their gains cannot be told apart: vary them on their own"
+        )
+    # Not by each block's own power, which goes with its peak.
+    shape = density / (law**2)[:, None]
+    centroid = np.array([_centroid(frequency, each, tail) for each in shape])
+    peak, mean = _jackknifed(frequency, shape, tail)
+    if rate_hz < LEAST_RATE * mean.value:
+        raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
+    members = []
+    for each, here in _slices(cut):
+        members.append(list(range(here.start, here.stop)))
+        _refuse_two(each.name, np.log(np.maximum(centroid[here], 1.0)), np.log(rms[here] / law[here]))
+    by_speed, by_force = _moved(speed, force, centroid, mean.value, warnings)
+    ar_rate: float | None = None
+    models: tuple[ArModel, ...] = ()
+    if autoregressive:
+        ar_rate = _ar_rate(frequency, shape.mean(axis=0), rate_hz)
+        models = _ar_models(frequency, density, speed, force, members, ar_rate)
+    blocks = tuple(
+        Block(name, float(v), float(f), float(r), float(c))
+        for name, v, f, r, c in zip(names, speed, force, rms, centroid, strict=True)
+    )
+    verdict = (
+        f"{len(blocks) * BLOCK_S:g} s of noise with its peak at {peak.value:.4g} Hz and its mean at {mean.value:.4g} Hz"
+        + (f", {len(models)} autoregressive models" if models else "")
+        + (f"; {len(warnings)} to note" if warnings else "; sound")
+    )
+    return TextureFit(
+        peak_hz=peak,
+        mean_hz=mean,
+        velocity_gain_per_s=gains[0],
+        force_gain_m_per_s2_per_n=gains[1],
+        correlation=correlation,
+        mean_per_speed_hz_s_per_m=by_speed,
+        mean_per_force_hz_per_n=by_force,
+        ar_rate_hz=ar_rate,
+        ar_models=models,
+        blocks=blocks,
+        warnings=tuple(warnings),
+        verdict=verdict,
+    )
+
+
+# ---- Spectra --------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Cut:
+    """A recording in blocks: density (blocks, frequencies) in (m/s^2)^2/Hz, one-sided, without the sensor's."""
+
+    name: str
+    frequency_hz: Floats
+    density: Floats
+    speed: Floats
+    force: Floats
+    moments: Floats
+    """(blocks, 3) means of the squares of speed and of force, and between them of their product."""
+    floor: float
+
+
+def _slices(cut: Sequence[_Cut]) -> Iterator[tuple[_Cut, slice]]:
+    """Each with its blocks among all."""
+    start = 0
+    for each in cut:
+        yield each, slice(start, start + len(each.density))
+        start += len(each.density)
+
+
+def _cut(recording: Recording) -> _Cut:
+    seen, force = acceleration_of(recording), pressed(recording)
+    motion = motion_of(recording, len(seen))
+    rate_hz = recording.rate_hz
+    block, length = round(BLOCK_S * rate_hz), round(BLOCK_S * rate_hz / 2)
+    window = np.hanning(length + 1)[:-1]
+    scale = 2 / (rate_hz * float(window @ window))
+    usual = float(np.median(np.abs(motion.speed_m_per_s)))
+    found, speeds, forces, moments = [], [], [], []
+    # Of speed and force the mean is taken as the power's is.
+    weights = np.zeros(block)
+    for first in (0, length // 2, block - length):
+        weights[first : first + length] += window**2
+    weights /= weights.sum()
+    for start in range(0, len(seen) - block + 1, block):
+        here = slice(start, start + block)
+        speed = motion.speed_m_per_s[here]
+        if np.abs(speed).min() < 0.2 * usual or force[here].mean() <= 0:
+            continue
+        part = seen[here]
+        power = np.zeros(length // 2 + 1)
+        for first in (0, length // 2, block - length):
+            piece = part[first : first + length]
+            power += np.abs(np.fft.rfft(window * (piece - piece.mean()))) ** 2 * scale / 3
+        found.append(power)
+        moved, press = np.abs(speed), np.maximum(force[here], 0.0)
+        speeds.append(float(weights @ moved))
+        forces.append(float(weights @ press))
+        moments.append([float(weights @ each) for each in (moved**2, moved * press, press**2)])
+    if not found:
+        raise FitError(f"{recording.name}: holds no half second of one stroke")
+    density: Floats = np.array(found, dtype=np.float64)
+    frequency: Floats = np.asarray(np.fft.rfftfreq(length, 1 / rate_hz), dtype=np.float64)
+    hiss = (frequency > 0.4 * rate_hz) & (frequency < 0.49 * rate_hz)
+    floor = float(np.mean(density[:, hiss]))
+    if floor > CUT_OFF * float(density[:, (frequency >= LOW_HZ) & ~hiss].mean(axis=0).max(initial=0.0)):
+        raise FitError(
+            f"{recording.name}: the spectrum goes on beyond half the rate of {rate_hz:g} Hz, or is the sensor's hiss "
+            "alone: record at a higher rate, or with less noise"
+        )
+    # A texture's own density falls there, by FALLS at least; only what does not is the sensor's.
+    nearer = float(np.mean(density[:, (frequency > 0.3 * rate_hz) & (frequency < 0.35 * rate_hz)]))
+    floor = min(max(0.0, (FALLS * floor - nearer) / (FALLS - 1)), floor)
+    density = density - floor
+    _refuse_motion(recording.name, frequency, density.mean(axis=0))
+    just = (frequency >= LOW_HZ) & (frequency < 2 * LOW_HZ)
+    density[:, frequency < LOW_HZ] = density[:, just].mean(axis=1)[:, None]
+    # A sum over the bins is then the integral from 0 on.
+    density[:, 0] /= 2
+    return _Cut(recording.name, frequency, density, np.array(speeds), np.array(forces), np.array(moments), floor)
+
+
+def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
+    """FitError where most of the power is the hand's, or tones."""
+    low, whole = frequency < LOW_HZ, frequency >= LOW_HZ
+    smooth = _smoothed(density, 2)
+    lowest = float(frequency[whole][np.argmax(smooth[whole])])
+    if density[low].sum() > density[whole].sum() and lowest < 2 * LOW_HZ:
+        raise FitError(
+            f"{name}: most of it is below {LOW_HZ:g} Hz, and above it falls: a hand that moves, and no texture"
+        )
+    loudest = np.sort(density[whole])[-TONE_BINS:]
+    if loudest.sum() > 0.5 * density[whole].sum():
+        raise FitError(
+            f"{name}: a tone at {frequency[whole][np.argmax(density[whole])]:.4g} Hz holds most of the power: hum, or "
+            "something that rings, and no texture"
+        )
+
+
+def _hum(recordings: Sequence[Recording]) -> list[str]:
+    """Lines at MAINS_HZ that the spectrum about them does not explain, as parts of the power."""
+    found = []
+    for line in MAINS_HZ:
+        if line + 10 > min(recording.rate_hz for recording in recordings) / 2:
+            break
+        held, due = [], []
+        for recording in recordings:
+            seen = acceleration_of(recording)
+            width = recording.rate_hz / len(seen)
+            frequency = np.fft.rfftfreq(len(seen), 1 / recording.rate_hz)
+            power = np.abs(np.fft.rfft(np.hanning(len(seen)) * (seen - seen.mean()))) ** 2
+            power /= power[frequency >= LOW_HZ].sum()
+            off = np.abs(frequency - line)
+            middle = int(np.argmax(np.where(off < max(MAINS_OFF_HZ, width), power, 0.0)))
+            # Hann's window spreads a line over four bins.
+            here = slice(max(0, middle - 2), middle + 3)
+            beside = power[(off > MAINS_OFF_HZ + 3 * width) & (off < MAINS_OFF_HZ + 3 * width + 8)]
+            held.append(float(power[here].sum()))
+            # The mean of an exponential distribution from its median, which other lines do not move.
+            due.append(len(power[here]) * float(np.median(beside)) / math.log(2))
+        part = float(np.mean(held)) - float(np.mean(due))
+        if part > HUM[0] and part > HUM[1] * float(np.mean(due)):
+            found.append(f"a line at {line:g} Hz holds {100 * part:.2g} % of the power: hum, which the figures take in")
+    return found
+
+
+def _top(frequency: Floats, shape: Floats, floor: float) -> tuple[float, _Tail | None]:
+    """Where the mean spectrum sinks into what was taken away as the sensor's, and how it goes on from there."""
+    smooth = _smoothed(shape, max(1, round(25 / frequency[1])))
+    peak = int(np.argmax(smooth))
+    below = np.flatnonzero(smooth[peak:] < SUNK * floor)
+    if floor <= 0 or len(below) == 0:
+        return float(frequency[-1]), None
+    top = float(frequency[peak + below[0]])
+    last = (frequency > max(top / 2, float(frequency[peak]))) & (frequency <= top) & (smooth > 0)
+    if np.count_nonzero(last) < 8:
+        return top, None
+    fall = -float(np.polyfit(np.log(frequency[last]), np.log(smooth[last]), 1)[0])
+    # The power of what falls more slowly has no mean frequency.
+    return top, _Tail(top, max(fall, 2.5), float(frequency[-1])) if fall > 2 else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Tail:
+    """Density beyond `top_hz`, up to half the rate: it falls as frequency^-fall, as in the octave before."""
+
+    top_hz: float
+    fall: float
+    end_hz: float
+
+    def moments(self, frequency: Floats, shape: Floats) -> tuple[float, float]:
+        """Its power, and that times its mean frequency, in units of sums over `shape`."""
+        last = frequency > self.top_hz / 2
+        level = float(shape[last].sum() / np.sum((frequency[last] / self.top_hz) ** -self.fall)) / float(frequency[1])
+        ratio = self.end_hz / self.top_hz
+        power = self.top_hz * (1 - ratio ** (1 - self.fall)) / (self.fall - 1)
+        first = self.top_hz**2 * (1 - ratio ** (2 - self.fall)) / (self.fall - 2)
+        return level * power, level * first
+
+
+def _centroid(frequency: Floats, shape: Floats, tail: _Tail | None) -> float:
+    beyond, first = (0.0, 0.0) if tail is None else tail.moments(frequency, shape)
+    return float((frequency @ shape + first) / (shape.sum() + beyond))
+
+
+def _smoothed(values: Floats, half: int) -> Floats:
+    kernel = np.ones(2 * half + 1) / (2 * half + 1)
+    return np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid")
+
+
+def _peak(frequency: Floats, shape: Floats) -> float:
+    """Of a parabola in 1/density over the squared frequency within the half-power band."""
+    smooth = _smoothed(shape, max(1, round(15 / frequency[1])))
+    whole = frequency >= LOW_HZ
+    place = int(np.argmax(np.where(whole, smooth, 0.0)))
+    low = high = place
+    while low > 0 and whole[low - 1] and smooth[low - 1] > 0.5 * smooth[place]:
+        low -= 1
+    while high < len(smooth) - 1 and smooth[high + 1] > 0.5 * smooth[place]:
+        high += 1
+    part = slice(low, high + 1)
+    if high - low < 6:
+        return float(frequency[place])
+    square = frequency**2
+    width = float(square[high] - square[low])
+    x = (square[part] - square[place]) / width
+    columns = np.stack([np.ones_like(x), x, x**2], axis=1)
+    seen = shape[part] / smooth[place]
+    found = np.linalg.lstsq(columns * smooth[part, None], np.full(len(x), smooth[place]), rcond=None)[0]
+    if (columns @ found).min() <= 0:
+        found = np.array([1.0, 0.0, 1.0])
+
+    def unlikely(at: Floats) -> float:
+        inverse = columns @ at
+        return float(np.sum(seen * inverse - np.log(inverse))) if inverse.min() > 0 else math.inf
+
+    least = unlikely(found)
+    for _ in range(50):
+        inverse = columns @ found
+        slope = columns.T @ (seen - 1 / inverse)
+        step = np.linalg.solve((columns / inverse[:, None] ** 2).T @ columns, -slope)
+        while unlikely(found + step) > least and np.abs(step).max() > 1e-12:
+            step = step / 2
+        found = found + step
+        reached = unlikely(found)
+        if least - reached < 1e-10:
+            break
+        least = reached
+    if found[2] <= 0:
+        return float(frequency[place])
+    best = math.sqrt(max(0.0, float(square[place] - width * found[1] / (2 * found[2]))))
+    return min(max(best, float(frequency[low])), float(frequency[high]))
+
+
+def _jackknifed(frequency: Floats, shape: Floats, tail: _Tail | None) -> tuple[Estimate, Estimate]:
+    """Peak and mean frequency with intervals: each group of blocks left out in turn."""
+    count = min(GROUPS, len(shape))
+    edges = np.linspace(0, len(shape), count + 1).round().astype(int)
+    total = shape.sum(axis=0)
+    sums = [shape[low:high].sum(axis=0) for low, high in pairwise(edges)]
+    found = []
+    for figure in (_peak, lambda f, s: _centroid(f, s, tail)):
+        value = figure(frequency, total / len(shape))
+        without = np.array([figure(frequency, (total - part) / len(shape)) for part in sums])
+        error = math.sqrt((count - 1) / count * float(np.sum((without - without.mean()) ** 2)))
+        found.append(about(value, error, count - 1))
+    return found[0], found[1]
+
+
+# ---- Laws -----------------------------------------------------------------------------------------------------
+
+
+def _law(moments: Floats, rms: Floats, warnings: list[str]) -> tuple[Floats, tuple[Estimate, Estimate], float]:
+    """RMS as the law has it, gains, and their correlation. The mean power of a block is g' M g, with the gains g and
+    the block's moments M; its derivative 2 M g, relative to the power, gives the columns."""
+    squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    gains = np.linalg.lstsq(np.sqrt(moments[:, [0, 2]]) / rms[:, None], np.ones(len(rms)), rcond=None)[0]
+    for _ in range(ROUNDS):
+        pushed = squares @ gains
+        power = pushed @ gains
+        if power.min() <= 0 or (np.sqrt(moments[:, [0, 2]]) @ gains).min() <= 0:
+            raise FitError("the RMS law is negative at some of these strokes: is a column swapped?")
+        fit = least_squares(2 * pushed / power[:, None], rms**2 / power + 1)
+        before, gains = gains, np.array([each.value for each in fit.coefficients])
+        if np.abs(gains - before).max() < 1e-9 * np.abs(gains).max():
+            break
+    velocity_gain, force_gain = fit.coefficients
+    law = np.sqrt(np.einsum("i,kij,j->k", gains, squares, gains))
+    for name, gain in (("velocity", velocity_gain), ("force", force_gain)):
+        if gain.high < 0:
+            warnings.append(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
+        elif gain.low <= 0:
+            warnings.append(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+    if max(velocity_gain.value, force_gain.value) <= 0:
+        raise FitError("neither speed nor force makes it louder: is a column swapped?")
+    scatter = float(np.std(np.log(rms / law)))
+    if scatter > 0.3:
+        warnings.append(f"loudness is off the law by {100 * scatter:.0f} %: it depends on more than speed and force")
+    return law, (velocity_gain, force_gain), float(np.corrcoef(law, rms)[0, 1])
+
+
+def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
+    """FitError where a recording changes its pitch or loudness at once, by much."""
+    count = len(pitch)
+    if count > 3 and float(np.std(pitch)) > UNSTEADY:
+        raise FitError(
+            f"{name}: two textures in one file, or none: the mean frequency goes from {math.exp(pitch.min()):.3g} to "
+            f"{math.exp(pitch.max()):.3g} Hz within it"
+        )
+    for k in range(3, count - 2):
+        for values, apart, what in zip((pitch, loudness), APART, ("mean frequency", "loudness"), strict=True):
+            one, other = values[:k], values[k:]
+            step = float(other.mean() - one.mean())
+            within = math.sqrt(
+                (float(np.sum((one - one.mean()) ** 2)) + float(np.sum((other - other.mean()) ** 2))) / (count - 2)
+            )
+            if abs(step) > apart and abs(step) > SURE * within * math.sqrt(1 / k + 1 / (count - k)):
+                raise FitError(
+                    f"{name}: two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
+                    f"{k * BLOCK_S:g} s; give each its own file"
+                )
+
+
+def _moved(
+    speed: Floats, force: Floats, centroid: Floats, mean_hz: float, warnings: list[str]
+) -> tuple[Estimate | None, Estimate | None]:
+    """Slopes of the mean frequency over speed and force."""
+    columns = np.column_stack((speed, force, np.ones_like(speed)))
+    if not told_apart(columns):
+        warnings.append("too few speeds and forces to tell whether the frequency moves with them")
+        return None, None
+    by_speed, by_force, _ = least_squares(columns, centroid).coefficients
+    for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
+        change = slope.value * float(np.ptp(values))
+        if excludes_zero(slope) and abs(change) > MOVES * mean_hz:
+            warnings.append(
+                f"the mean frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
+                f"{values.max():.3g} {unit}"
+            )
+    return by_speed, by_force
+
+
+# ---- Autoregressive models ------------------------------------------------------------------------------------
+
+
+def _ar_rate(frequency: Floats, shape: Floats, rate_hz: float) -> float:
+    """A whole number of hertz, at most the recording's rate, 0.4 of which holds KEPT of the power."""
+    below = np.cumsum(np.maximum(shape, 0.0))
+    top = float(frequency[min(int(np.searchsorted(below, KEPT * below[-1])), len(frequency) - 1)])
+    return min(rate_hz, 2 * float(frequency[-1]), float(math.ceil(max(top / 0.4, 100.0))))
+
+
+def _steady(blocks: list[int], speed: Floats, force: Floats) -> list[list[int]]:
+    """A recording whole where speed and force keep near their means, otherwise block by block."""
+    spread = max(float(np.ptp(values[blocks]) / np.mean(values[blocks])) for values in (speed, force))
+    return [blocks] if spread < STEADY else [[block] for block in blocks]
+
+
+def _ar_models(
+    frequency: Floats, density: Floats, speed: Floats, force: Floats, recordings: list[list[int]], rate_hz: float
+) -> tuple[ArModel, ...]:
+    places: list[list[int]] = []
+    for part in (part for each in recordings for part in _steady(each, speed, force)):
+        v, f = float(np.mean(speed[part])), float(np.mean(force[part]))
+        for place in places:
+            if (
+                abs(v / float(np.mean(speed[place])) - 1) < SAME_PLACE
+                and abs(f / float(np.mean(force[place])) - 1) < SAME_PLACE
+            ):
+                place += part
+                break
+        else:
+            places.append(part)
+    kept = [place for place in places if len(place) >= 4]
+    if not kept:
+        raise FitError("no speed and force was held for 2 s: autoregressive models need steady strokes")
+    return tuple(
+        _ar_model(frequency, density[place].mean(axis=0), float(speed[place].mean()), float(force[place].mean()),
+                  len(place) * BLOCK_S, rate_hz)
+        for place in kept
+    )  # fmt: skip
+
+
+def _ar_model(
+    frequency: Floats, density: Floats, speed: float, force: float, duration_s: float, rate_hz: float
+) -> ArModel:
+    below = frequency <= rate_hz / 2
+    frequency = frequency[below]
+    power = np.maximum(density[below], 1e-6 * density.max())
+    weights = np.full(len(frequency), frequency[1])
+    weights[-1] /= 2
+    lags = np.arange(MAX_ORDER + 1)
+    correlation = np.cos(2 * math.pi * np.outer(lags, frequency) / rate_hz) @ (power * weights)
+    stages, errors = _levinson(correlation)
+    count = duration_s * rate_hz
+    criteria = [count * math.log(errors[p]) + 2 * (p + 1) * count / (count - p - 2) for p in range(1, MAX_ORDER + 1)]
+    order = 1 + int(np.argmin(criteria))
+    reflection = stages[:order]
+    model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
+    # Over bands of a twelfth of an octave, as a periodogram itself scatters.
+    loud = (frequency >= LOW_HZ) & (_smoothed(power, 2) > 10 ** (-COMPARED_DB / 10) * _smoothed(power, 2).max())
+    band = np.round(12 * np.log2(np.maximum(frequency, 1.0))).astype(int)
+    differences = [
+        10 * math.log10(float(model[here].mean() / power[here].mean()))
+        for each in np.unique(band[loud])
+        if np.count_nonzero(here := loud & (band == each))
+    ]
+    return ArModel(
+        speed,
+        force,
+        coefficients_of(reflection),
+        math.sqrt(float(correlation[0])),
+        float(np.sqrt(np.mean(np.square(differences)))),
+    )
+
+
+def _levinson(correlation: Floats) -> tuple[list[float], list[float]]:
+    """Reflection coefficients k_1 .. k_p in the convention of hapticd.noise, and the errors E_0 .. E_p, relative."""
+    forward = np.array([1.0])
+    error = float(correlation[0])
+    stages, errors = [], [1.0]
+    for m in range(1, len(correlation)):
+        k = -float(forward @ correlation[m:0:-1]) / error
+        stages.append(k)
+        padded = np.append(forward, 0.0)
+        forward = padded + k * padded[::-1]
+        error *= (1 - k) * (1 + k)
+        errors.append(error / float(correlation[0]))
+    return stages, errors
