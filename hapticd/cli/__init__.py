@@ -35,6 +35,7 @@ _HOMES: Final = {
     "bench": "bench",
     "calibrate": "calibrate",
     "verify": "verify",
+    "fit": "fit",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 

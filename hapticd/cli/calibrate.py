@@ -6,13 +6,11 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, config_option, json_option, print_json, write_whole, yaml_text
-from hapticd.errors import HapticdError
+from hapticd.cli.common import Finite, check_new, config_option, json_option, print_json, write_whole, yaml_text
 
 if TYPE_CHECKING:
     from hapticd.calibration.handle import Calibration
@@ -66,12 +64,8 @@ def calibrate_command(
 
     # Nobody holds a handle for a minute to hear then that the result has no place to go.
     for target in (output, plot):
-        if target is None:
-            continue
-        if Path(target).exists() and not overwrite:
-            raise HapticdError(f"{target}: is there already; give another name, or --overwrite")
-        if not Path(target).parent.is_dir():
-            raise HapticdError(f"{target}: cannot be written: there is no folder {Path(target).parent}")
+        if target is not None:
+            check_new(target, overwrite)
     if plot is not None:
         drawing.require(plot)
     if accelerometer is not None:

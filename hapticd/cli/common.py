@@ -87,18 +87,28 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         click.echo(f"hapticd: {result['warning']}", err=True)
 
 
-def write_whole(path: str, text: str) -> None:
+def check_new(target: str, overwrite: bool) -> None:
+    """Raises HapticdError for an output that would replace a file unasked, or has no folder to go to."""
+    if os.path.exists(target) and not overwrite and (os.path.isfile(target) or os.path.isdir(target)):
+        raise HapticdError(f"{target}: is there already; give another name, or --overwrite")
+    folder = os.path.dirname(target) or "."
+    if not os.path.isdir(folder):
+        raise HapticdError(f"{target}: cannot be written: there is no folder {folder}")
+
+
+def write_whole(path: str, content: str | bytes) -> None:
     """Writes a file, or leaves the one that is there as it is. Raises HapticdError."""
+    data = content.encode() if isinstance(content, str) else content
     target = os.path.realpath(path)
     part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
     try:
         if os.path.exists(target) and not os.path.isfile(target):
             # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
-            with open(target, "w", encoding="utf-8") as file:
-                file.write(text)
+            with open(target, "wb") as file:
+                file.write(data)
             return
-        with open(part, "x", encoding="utf-8") as file:
-            file.write(text)
+        with open(part, "xb") as file:
+            file.write(data)
         os.replace(part, target)
     except OSError as error:
         with suppress(OSError):

@@ -42,6 +42,7 @@ COMMANDS = [
     "devices",
     "calibrate",
     "verify",
+    "fit",
 ]
 
 

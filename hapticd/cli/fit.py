@@ -1,0 +1,339 @@
+"""`hapticd fit`: materials from recordings."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+import sys
+import warnings
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+
+import click
+
+from hapticd.cli.common import Finite, check_new, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.synthesize import synthesize_command
+from hapticd.errors import HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.fit.provenance import Fit, Kind
+    from hapticd.fit.recording import Recording
+    from hapticd.materials import Material
+    from hapticd.mode import Attack
+
+_F = TypeVar("_F", bound=Callable[..., Any])
+STIFFNESS_N_PER_M: Final = 800.0
+"""As most of the library's."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """A fit, and what of it goes into the material."""
+
+    fit: Fit
+    figures: Mapping[str, object]
+    notes: tuple[str, ...] = ()
+    """What a person may want to do about it."""
+    without: Collection[str] = ()
+    """Figures that say nothing of the material, as it is taken."""
+
+
+_Step: TypeAlias = "Callable[[str], None]"
+_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step], _Fitted]"
+
+
+@click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
+def fit_command() -> None:
+    """Make a material from recordings of a stylus: acceleration, force and position, as CSV, npz or WAV.
+
+    Beside each FILE stands FILE.yaml, which names columns, units and rate.
+    """
+
+
+fit_command.add_command(synthesize_command)
+
+
+def _options(command: _F) -> _F:
+    for option in (
+        json_option,
+        click.option("--overwrite", is_flag=True, help="Replace the files that are there."),
+        click.option("--merge", is_flag=True, help="Add to what the output holds, instead of replacing it."),
+        click.option(
+            "--stiffness",
+            "stiffness_n_per_m",
+            type=Finite(min=0, max=1e5),
+            metavar="N/M",
+            help=f"Stiffness of the material where the recordings do not tell it [default: {STIFFNESS_N_PER_M:g}].",
+        ),
+        click.option("--report", metavar="FILE.html|.png", help="Draw recording and model (needs matplotlib)."),
+        click.option("--name", metavar="NAME", help="Name of the material [default: the output's, without .yaml]."),
+        click.option("-o", "--output", metavar="FILE", help="Write the material there, as YAML."),
+        click.argument("files", nargs=-1, required=True, metavar="FILES..."),
+    ):
+        command = option(command)
+    return command
+
+
+@fit_command.command("tap")
+@_options
+@click.option(
+    "--attack",
+    type=click.Choice(["coefficient", "first_peak"]),
+    help="What the slope in the material means [default: coefficient].",
+)
+@click.option("--table", is_flag=True, help="Amplitudes over speed in the material, instead of a slope.")
+@click.option("--two-modes", is_flag=True, help="Two modes in the material, where the taps have two.")
+def tap_command(attack: Attack | None, table: bool, two_modes: bool, **options: Any) -> None:
+    """Slope, frequency and decay of a tap, from recordings of taps and their speeds."""
+    for option, given in (("--table", table), ("--two-modes", two_modes)):
+        if given and attack == "first_peak":
+            raise click.UsageError(
+                f"{option} and --attack do not go together: leave out one, {option} is of coefficients"
+            )
+
+    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+        from hapticd.fit.provenance import estimates
+        from hapticd.fit.tap import fit_tap
+
+        found = fit_tap(recordings, lambda recording: step(f"fitting {recording.name}"))
+        notes = []
+        if not found.linear and not table:
+            notes.append("--table takes the amplitudes over speed into the material, instead of the slope")
+        if found.second is not None and not two_modes:
+            notes.append("--two-modes takes both modes into the material")
+        # Intervals of what the material does not have would mislead.
+        said = set(estimates(found))
+        second = {name for name in said if name.startswith("second.")}
+        without = said - second if two_modes else second
+        if table:
+            without |= {name for name in said if "slope" in name or "offset" in name}
+        figures = found.material(attack or "coefficient", table, two_modes)
+        return _Fitted(found, figures, tuple(notes), without)
+
+    _run("tap", fit, per_file=2, **options)
+
+
+@fit_command.command("grooves")
+@_options
+def grooves_command(**options: Any) -> None:
+    """Spacing, mode and gains of grooves, from strokes over them."""
+
+    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+        from hapticd.fit.grooves import fit_grooves
+
+        step("fitting")
+        found = fit_grooves(recordings)
+        return _Fitted(found, found.material())
+
+    _run("grooves", fit, **options)
+
+
+@fit_command.command("texture")
+@_options
+@click.option("--ar", "autoregressive", is_flag=True, help="Autoregressive models over speed and force.")
+def texture_command(autoregressive: bool, **options: Any) -> None:
+    """Spectrum and loudness of a texture, from strokes over it."""
+
+    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+        from hapticd.fit.texture import fit_texture
+
+        step("fitting")
+        found = fit_texture(recordings, autoregressive=autoregressive)
+        return _Fitted(found, found.material())
+
+    _run("texture", fit, **options)
+
+
+@fit_command.command("puncture")
+@_options
+def puncture_command(**options: Any) -> None:
+    """Stiffness, rupture and mode of a membrane, from recordings of punctures."""
+
+    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+        from hapticd.fit.puncture import fit_puncture
+
+        step("fitting")
+        found = fit_puncture(recordings)
+        return _Fitted(found, found.material())
+
+    _run("puncture", fit, **options)
+
+
+def _run(
+    kind: Kind,
+    fit: _Fitting,
+    files: tuple[str, ...],
+    output: str | None,
+    name: str | None,
+    report: str | None,
+    stiffness_n_per_m: float | None,
+    overwrite: bool,
+    merge: bool,
+    as_json: bool,
+    per_file: int = 1,
+) -> None:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from hapticd.fit import provenance
+    from hapticd.fit import report as drawing
+    from hapticd.fit.regression import require_scipy
+
+    require_scipy()
+    if merge and output is None:
+        raise click.UsageError("--merge adds to the file of -o, which is missing")
+    name = name if name is not None else kind if output is None else Path(output).stem
+    _check(files, output, name, report, overwrite, merge)
+    if report is not None:
+        drawing.require(report)
+    library = _library(output) if merge and output is not None and os.path.exists(output) else {}
+    onto = library.get(name)
+
+    recordings, fitted = _fit(files, fit, per_file)
+    notes = list(fitted.notes)
+    given = stiffness_n_per_m
+    if given is None:
+        given = STIFFNESS_N_PER_M if onto is None else onto.stiffness_n_per_m
+        if "stiffness_n_per_m" not in fitted.figures and onto is None:
+            notes.append(f"the stiffness, {given:g} N/m, is not in the recordings; --stiffness sets it")
+    if onto is not None:
+        before = onto.to_dict()
+        notes += [f"{key} of {name} in {output} is replaced" for key in fitted.figures if key in before]
+    material = provenance.material(
+        fitted.fit,
+        fitted.figures,
+        recordings,
+        name,
+        given,
+        datetime.date.today(),
+        kind=kind,
+        onto=onto,
+        without=fitted.without,
+    )
+    picture = None
+    if report is not None:
+        from hapticd.fit.panels import page_of
+
+        picture = drawing.drawn(report, page_of(kind, f"{name}: {kind}", fitted.fit, recordings))
+
+    fresh = {"materials": {name: material.to_dict()}}
+    if output is not None:
+        whole = {**library, name: material}
+        write_whole(output, yaml_text({"materials": {key: each.to_dict() for key, each in whole.items()}}) + "\n")
+    if report is not None and picture is not None:
+        write_whole(report, picture)
+    if as_json:
+        print_json({"kind": kind, "fit": _finite(fitted.fit.to_dict()), "notes": notes, **fresh})
+        return
+    _tell(kind, fitted.fit)
+    for note in notes:
+        click.echo(f"hapticd: {note}", err=True)
+    if output is None:
+        click.echo(yaml_text(fresh))
+
+
+def _check(
+    files: Sequence[str], output: str | None, name: str, report: str | None, overwrite: bool, merge: bool
+) -> None:
+    """What can be refused before anything is read."""
+    from hapticd.materials import MAX_PROVENANCE_FILES, validate_materials
+
+    validate_materials({name: {"stiffness_n_per_m": STIFFNESS_N_PER_M}})
+    if len(files) > MAX_PROVENANCE_FILES:
+        raise HapticdError(f"{len(files)} recordings are too many: {MAX_PROVENANCE_FILES} are the most of one material")
+    taken = {}
+    for file in files:
+        taken[os.path.realpath(file)] = file
+    for target in (output, report):
+        if target is None:
+            continue
+        if os.path.realpath(target) in taken:
+            raise HapticdError(f"{target}: is one of the recordings; give another name")
+        check_new(target, overwrite or (merge and target == output))
+    if output is not None and report is not None and os.path.realpath(output) == os.path.realpath(report):
+        raise HapticdError(f"{output}: cannot be both the material and the report; give another name")
+
+
+def _library(path: str) -> dict[str, Material]:
+    """The materials of a file that is added to. Raises InvalidError, or HapticdError where it holds more than these."""
+    from hapticd.config import load_config
+    from hapticd.yaml_source import load_path, one_line
+
+    data = load_path(path).data
+    if not isinstance(data, dict) or list(data) != ["materials"]:
+        raise HapticdError(f"{one_line(path)}: holds something else than materials, and is not added to")
+    found = load_config(path).materials
+    given = data["materials"]
+    assert isinstance(given, dict)
+    return {name: found[name] for name in given}
+
+
+def _fit(files: Sequence[str], fit: _Fitting, per_file: int) -> tuple[list[Recording], _Fitted]:
+    from hapticd.fit.recording import load
+
+    with _progress(len(files) * per_file + (per_file == 1)) as step:
+        recordings: list[Recording] = []
+        known: dict[str, str] = {}
+        for file in files:
+            step(f"reading {Path(file).name}")
+            recording = load(file)
+            twin = known.setdefault(recording.source.sha256, recording.name)
+            if len(known) == len(recordings):
+                raise HapticdError(f"{recording.name}: holds the same as {twin}, and would count twice; leave out one")
+            recordings.append(recording)
+        # What comes of a division by zero and the like is no number, and no material takes one.
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)
+            return recordings, fit(recordings, step)
+
+
+@contextmanager
+def _progress(steps: int) -> Iterator[_Step]:
+    """What is being done, over the files and the fit, in one line on a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda text: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=steps)
+        begun = False
+
+        def show(text: str) -> None:
+            nonlocal begun
+            bar.update(task, description=text, advance=1 if begun else 0)
+            begun = True
+
+        yield show
+
+
+def _tell(kind: Kind, found: Fit) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from hapticd.fit.provenance import estimates, plain_figures
+    from hapticd.fit.report import figure_rows
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for head in (kind, "value", "95 % interval", "unit"):
+        table.add_column(head, justify="left" if head in (kind, "unit") else "right", no_wrap=True)
+    for row in figure_rows(estimates(found), plain_figures(found)):
+        table.add_row(*row)
+    Console(soft_wrap=True).print(table)
+    click.echo(found.verdict)
+    for warning in found.warnings:
+        click.echo(f"hapticd: {warning}", err=True)
+
+
+def _finite(value: object) -> object:
+    """JSON has no number for what is none: null."""
+    if isinstance(value, Mapping):
+        return {str(key): _finite(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
