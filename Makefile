@@ -75,7 +75,7 @@ test: build ctest pytest ## C tests and pytest
 
 .PHONY: pytest
 pytest: build
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
