@@ -26,9 +26,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, common, least_squares
+from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
 from hapticd.fit.strokes import (
-    Floats,
+    LEAST_RATE,
     Ints,
     Motion,
     Robust,
@@ -50,8 +50,6 @@ Complexes: TypeAlias = npt.NDArray[np.complex128]
 Bools: TypeAlias = npt.NDArray[np.bool_]
 
 LEAST_STRIKES: Final = 8
-LEAST_RATE: Final = 2.5
-"""Samples in a cycle of the mode."""
 GROUP: Final = 8
 """Strikes in a group whose frequency is fitted."""
 MOST_STRIKES: Final = 2000

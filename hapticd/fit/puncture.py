@@ -18,6 +18,7 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, with_offset
 from hapticd.fit.ringing import fit_ringing
 from hapticd.fit.strokes import (
+    LEAST_RATE,
     acceleration_of,
     excludes_zero,
     force_of,
@@ -48,7 +49,6 @@ LATE_S: Final = (0.0, 0.002, 0.005)
 """How much later than the ringing begins the force may have fallen, to begin with."""
 BEFORE_S: Final = 0.01
 RINGING_S: Final = 0.08
-LEAST_RATE: Final = 2.5
 AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
 """Of a rupture; less is not felt."""
 ACCOUNTED: Final = 0.7

@@ -12,11 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, student_t
+from hapticd.fit.regression import Estimate, FitError, Floats, student_t
 
-Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
+GRAVITY_M_PER_S2: Final = 9.80665
 FASTEST_M_PER_S: Final = 5.0
 SLOWEST_M_PER_S: Final = 1e-4
 MOST_FORCE_N: Final = 200.0
@@ -29,6 +29,8 @@ HARDLY: Final = 0.2
 """A range of forces that is less than this part of their mean."""
 CLIPPED_RUN: Final = 3
 """So many equal samples at the largest or the smallest value are a clipped peak."""
+LEAST_RATE: Final = 2.5
+"""Samples in a cycle, below which nothing is fitted."""
 FEW_SAMPLES: Final = 8.0
 """Samples in a cycle, below which it is said that they are few."""
 
@@ -106,9 +108,9 @@ def gravity_of(recording: Recording) -> list[str]:
     if values is None:
         return []
     rest = abs(float(np.median(values)))
-    for usual, why in ((1.0, "is it in g?"), (9.80665**2, "was g applied twice?")):
+    for usual, unit in ((1.0, "g"), (GRAVITY_M_PER_S2**2, "m/s^2 already, and multiplied by 9.80665 again")):
         if abs(rest / usual - 1) < 0.02:
-            return [f"{recording.name}: the acceleration rests at {rest:.4g} m/s^2: {why}"]
+            return [f"{recording.name}: rests at {rest:.3g} m/s^2: is the acceleration in {unit}?"]
     return []
 
 

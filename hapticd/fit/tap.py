@@ -31,7 +31,7 @@ from hapticd.fit.regression import (
 )
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.sensor import Sensor
-from hapticd.fit.strokes import force_of
+from hapticd.fit.strokes import LEAST_RATE, force_of, gravity_of
 from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
 
@@ -53,7 +53,6 @@ QUIET_S: Final = 0.02
 """Taps are apart by so long without a loud sample."""
 BOUNCE_S: Final = 0.15
 """What is weaker and comes so soon after a tap is its bounce, unless it has an approach of its own."""
-GRAVITY_M_PER_S2: Final = 9.80665
 BASE_S: Final = 0.05
 """Gravity and drift are seen as medians over so long."""
 BLOCK_S: Final = 0.002
@@ -81,8 +80,6 @@ OTHER_WAY: Final = 0.25
 """Of the taps may begin the other way, and are left out."""
 UNCERTAIN: Final = 0.5
 """A tap whose amplitude, decay or frequency is known less than this, one standard error, is not used."""
-LEAST_RATE: Final = 2.5
-"""Samples per period, below which nothing is fitted."""
 FEW_SAMPLES: Final = 8.0
 """Samples per period, below which it is said that they are few."""
 SOFTEST: Final = 0.003
@@ -441,10 +438,7 @@ def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ri
         )
     if recording.force_n is not None:
         _check_force(recording.name, force_of(recording))
-    rest = abs(float(np.median(acceleration)))
-    for times, unit in ((1.0, "g"), (GRAVITY_M_PER_S2**2, "m/s^2 already, and multiplied by 9.80665 again")):
-        if abs(rest / times - 1) < 0.02:
-            warnings.append(f"{recording.name}: rests at {rest:.3g} m/s^2: is the acceleration in {unit}?")
+    warnings += gravity_of(recording)
     above = acceleration - _base(acceleration, recording.rate_hz)
     events = _events(recording, above)
     speeds = _given_speeds(recording, events, above)

@@ -26,6 +26,7 @@ import numpy as np
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares
 from hapticd.fit.strokes import (
+    LEAST_RATE,
     about,
     acceleration_of,
     excludes_zero,
@@ -43,8 +44,6 @@ LOW_HZ: Final = 20.0
 LEAST_BLOCKS: Final = 8
 GROUPS: Final = 20
 """Of blocks, at most, that the jackknife leaves out one at a time."""
-LEAST_RATE: Final = 2.5
-"""Samples in a cycle of the mean frequency."""
 MOVES: Final = 0.05
 """A change of the mean frequency over the speeds or forces that is worth telling, as a part of it."""
 ROUNDS: Final = 30
