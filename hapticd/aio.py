@@ -22,6 +22,7 @@ from hapticd.calls import (
     DaemonNotRunning,
     Event,
     Feed,
+    FlightResult,
     ForcesResult,
     Interpolation,
     LeaseResult,
@@ -211,6 +212,14 @@ class Client:
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
         """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
         return cast(LeaseResult, await self.call("lease", calls.lease_params(duration_s, token)))
+
+    async def reload(self, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
+        """The daemon reads its configuration files anew: scene and materials, all or nothing."""
+        return cast(RevisionResult, await self.call("reload", calls.reload_params(expect_revision, wait)))
+
+    async def dump_flight(self) -> FlightResult:
+        """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
+        return cast(FlightResult, await self.call("dump_flight"))
 
     @contextlib.asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:

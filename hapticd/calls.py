@@ -93,6 +93,9 @@ class Status(TypedDict):
     faults: list[str]
     lease_s: float | None
     counters: dict[str, int]
+    overruns: dict[str, Json]
+    histograms: dict[str, dict[str, Json]]
+    flight: dict[str, Json] | None
     passivity: dict[str, Json]
     undisplayable: list[dict[str, Json]]
     warnings: list[dict[str, str]]
@@ -151,6 +154,12 @@ class LeaseResult(TypedDict):
 
     token: str | None
     warning: NotRequired[str]
+
+
+class FlightResult(TypedDict):
+    """The file that the flight recorder writes; it is there once it is whole."""
+
+    file: str
 
 
 class State(TypedDict):
@@ -235,6 +244,12 @@ def change_params(key: str, value: Mapping[str, object], expect_revision: int | 
     if wait:
         params["wait"] = True
     return params
+
+
+def reload_params(expect_revision: int | None, wait: bool) -> dict[str, object]:
+    """Params of reload."""
+    params: dict[str, object] = {} if expect_revision is None else {"expect_revision": expect_revision}
+    return {**params, "wait": True} if wait else params
 
 
 def play_params(

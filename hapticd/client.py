@@ -23,6 +23,7 @@ from hapticd.calls import (
     DaemonNotRunning,
     Event,
     Feed,
+    FlightResult,
     ForcesResult,
     Interpolation,
     LeaseResult,
@@ -210,6 +211,14 @@ class Client:
     def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
         """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
         return cast(LeaseResult, self.call("lease", calls.lease_params(duration_s, token)))
+
+    def reload(self, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
+        """The daemon reads its configuration files anew: scene and materials, all or nothing."""
+        return cast(RevisionResult, self.call("reload", calls.reload_params(expect_revision, wait)))
+
+    def dump_flight(self) -> FlightResult:
+        """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
+        return cast(FlightResult, self.call("dump_flight"))
 
     @contextmanager
     def hold_lease(self, duration_s: float = 1.0) -> Iterator[str]:

@@ -275,6 +275,14 @@ def event_line(event: Mapping[str, object]) -> str:
         case "fault":
             faults = event.get("faults")
             words.append(", ".join(map(str, faults)) if isinstance(faults, list) and faults else "cleared")
+        case "overload":
+            words.append(f"{100 * _number(event, 'missed_share'):.0f} % of a second's ticks missed")
+        case "rate":
+            words.append(f"{_number(event, 'rate_hz'):g} Hz from now on")
+        case "resumed":
+            words.append(f"after {_number(event, 'suspended_s'):.0f} s of suspend")
+        case "memory_refused":
+            words.append(str(event.get("problem")))
         case "revision":
             words.append(str(event.get("revision")))
     return " ".join(words)

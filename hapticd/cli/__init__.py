@@ -20,6 +20,7 @@ from hapticd.errors import HapticdError
 _HOMES: Final = {
     "run": "daemon",
     "status": "daemon",
+    "reload": "daemon",
     "scene": "scene",
     "material": "material",
     "play": "command",
@@ -28,6 +29,7 @@ _HOMES: Final = {
     "operator": "command",
     "watch": "telemetry",
     "record": "telemetry",
+    "flight": "telemetry",
     "simulate": "offline",
     "check": "check",
     "schema": "offline",

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -99,6 +100,20 @@ def write_whole(path: str, text: str) -> None:
             return
         with open(part, "x", encoding="utf-8") as file:
             file.write(text)
+        os.replace(part, target)
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(part)
+        raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def copy_whole(source: str, path: str) -> None:
+    """Copies a file, or leaves the one that is there as it is. Raises HapticdError."""
+    target = os.path.realpath(path)
+    part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
+    try:
+        with open(source, "rb") as origin, open(part, "xb") as file:
+            shutil.copyfileobj(origin, file, 1 << 20)
         os.replace(part, target)
     except OSError as error:
         with suppress(OSError):

@@ -152,6 +152,10 @@ class Connection:
             self._thread = None
         self._let_go(orderly=True)
 
+    def suspect(self) -> None:
+        """The device may have lost what it was told, as in a suspend: it is set up anew. For any thread."""
+        lib.hd_hid_suspect(self.hid)
+
     def status(self) -> dict[str, object]:
         """What get_status says of the connection."""
         live, raw = self._live, self._raw()
