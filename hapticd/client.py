@@ -26,10 +26,12 @@ from hapticd.calls import (
     FlightResult,
     ForcesResult,
     Interpolation,
+    KeySource,
     LeaseResult,
     MaterialsResult,
     OperatorResult,
     PatchSource,
+    Place,
     PlayResult,
     RemoteError,
     RevisionResult,
@@ -42,7 +44,7 @@ from hapticd.calls import (
     Topic,
 )
 from hapticd.errors import HapticdError
-from hapticd.paths import RuntimePaths, daemon_paths
+from hapticd.remote import Remote
 
 if TYPE_CHECKING:
     from hapticd.samples import SampleBatch
@@ -52,12 +54,21 @@ __all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "Telemet
 T = TypeVar("T")
 
 
-def connect(runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> Client:
+def connect(
+    runtime_dir: str | os.PathLike[str] | None = None,
+    timeout_s: float = TIMEOUT_S,
+    *,
+    key: KeySource = None,
+    server_key: str | os.PathLike[str] | None = None,
+) -> Client:
     """A client of the daemon at `runtime_dir` (by default where the environment says), to be used in `with`.
 
     `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+
+    `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
+    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises HapticdError.
     """
-    return Client(runtime_dir, timeout_s)
+    return Client(runtime_dir, timeout_s, key=key, server_key=server_key)
 
 
 class Client:
@@ -68,16 +79,36 @@ class Client:
     within `timeout_s`; such a call is not repeated later by itself.
     """
 
-    def __init__(self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> None:
-        self.paths: RuntimePaths = daemon_paths(runtime_dir)
+    def __init__(
+        self,
+        runtime_dir: str | os.PathLike[str] | None = None,
+        timeout_s: float = TIMEOUT_S,
+        *,
+        key: KeySource = None,
+        server_key: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self._begin(calls.place_of(runtime_dir, key, server_key), timeout_s)
+
+    def _begin(self, place: Place, timeout_s: float) -> None:
+        self.paths: Place = place
         self.timeout_s = timeout_s
         self._lock = threading.Lock()
         self._last_id = 0
         self._subscriptions: list[Subscription[object]] = []
-        calls.probe(self.paths)
-        self._socket = self._open()
+        self._closed = False
+        # Opened when it is first used: who may only watch has none.
+        self._socket: zmq.Socket[bytes] | None = None
+        calls.probe(self.paths, timeout_s)
+
+    def _again(self, timeout_s: float) -> Client:
+        """Another client of the same daemon."""
+        other = Client.__new__(type(self))
+        other._begin(self.paths, timeout_s)
+        return other
 
     def _open(self) -> zmq.Socket[bytes]:
+        if isinstance(self.paths, Remote):
+            calls.probe(self.paths, self.timeout_s, command=True)
         socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
         socket.setsockopt(zmq.LINGER, 0)
         # Nothing waits in a queue for a daemon that is not there: what was told to a dead one must not
@@ -85,13 +116,17 @@ class Client:
         socket.setsockopt(zmq.IMMEDIATE, 1)
         socket.setsockopt(zmq.SNDTIMEO, _milliseconds(self.timeout_s))
         socket.setsockopt(zmq.RCVTIMEO, _milliseconds(self.timeout_s))
+        if isinstance(self.paths, Remote):
+            self.paths.secure(socket)
         socket.connect(self.paths.command_endpoint)
         return socket
 
     def close(self) -> None:
         """Closes the client and its subscriptions; it may be closed twice."""
         with self._lock:
-            self._socket.close()
+            self._closed = True
+            if self._socket is not None:
+                self._socket.close()
             subscriptions, self._subscriptions = self._subscriptions, []
         for subscription in subscriptions:
             subscription.close()
@@ -107,30 +142,31 @@ class Client:
     def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
         """Calls any method of the protocol by its name; returns its result."""
         with self._lock:
-            if self._socket.closed:
+            if self._closed:
                 raise HapticdError("the client is closed")
             self._last_id += 1
             id = self._last_id
             body = calls.question(id, method, params)
+            socket = self._socket = self._socket or self._open()
             try:
-                self._socket.send(body)
-                answer_id, result = calls.answer(self._socket.recv())
+                socket.send(body)
+                answer_id, result = calls.answer(socket.recv())
                 if answer_id != id and answer_id is not None:
-                    result = self._skip_to(id)
+                    result = self._skip_to(socket, id)
             except zmq.Again:
                 # The call may still be under way; its answer goes with the socket.
-                self._socket.close()
-                self._socket = self._open()
+                socket.close()
+                self._socket = None
                 raise calls.unanswered(self.paths, self.timeout_s) from None
-        if isinstance(result, RemoteError):
+        if isinstance(result, RemoteError | DaemonNotRunning):
             raise result
         return result
 
-    def _skip_to(self, id: int) -> object | RemoteError:
+    def _skip_to(self, socket: zmq.Socket[bytes], id: int) -> object | RemoteError | DaemonNotRunning:
         """The answer to `id`, past those to calls that were interrupted."""
         deadline = time.monotonic() + self.timeout_s
         while time.monotonic() < deadline:
-            answer_id, result = calls.answer(self._socket.recv())
+            answer_id, result = calls.answer(socket.recv())
             if answer_id == id or answer_id is None:
                 return result
         raise zmq.Again
@@ -233,7 +269,7 @@ class Client:
 
         def renew() -> None:
             try:
-                with Client(self.paths.directory, duration_s / 3) as renewer:
+                with self._again(duration_s / 3) as renewer:
                     while not stop.wait(duration_s / 3):
                         # A daemon that is away may come back in time; if not, its answer says that the
                         # lease lapsed.
@@ -299,7 +335,7 @@ class Client:
 class Subscription(Generic[T]):
     """An endless iterator over telemetry, in effect from its creation until `close` or the end of `with`."""
 
-    def __init__(self, paths: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
+    def __init__(self, paths: Place, feed: Feed[T], timeout_s: float) -> None:
         self._paths = paths
         self._feed = feed
         self._timeout_s = timeout_s
@@ -309,6 +345,8 @@ class Subscription(Generic[T]):
         try:
             for topic in feed.subscriptions:
                 self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+            if isinstance(paths, Remote):
+                paths.secure(self._socket)
             self._socket.connect(paths.telemetry_endpoint)
             self._first += feed.accept(self._receive(_milliseconds(timeout_s)))
             for topic in feed.surplus:

@@ -37,10 +37,17 @@ class Finite(click.FloatRange):
 
 def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
+    from hapticd.calls import TIMEOUT_S
     from hapticd.client import connect
+    from hapticd.remote import is_remote
 
-    directory = cast("str | None", ctx.find_root().obj)
-    return connect(directory) if timeout_s is None else connect(directory, timeout_s)
+    root = ctx.find_root()
+    place, timeout_s = root.params.get("connect"), TIMEOUT_S if timeout_s is None else timeout_s
+    if place is None:
+        return connect(cast("str | None", root.obj), timeout_s)
+    if not is_remote(place):
+        raise HapticdError(f"{place}: must be tcp://HOST:PORT")
+    return connect(place, timeout_s, key=root.params.get("key"), server_key=root.params.get("server_key"))
 
 
 def config_option(command: _F) -> _F:
