@@ -26,13 +26,15 @@ from typing import TypeVar
 
 import zmq
 
-from hapticd import server
+from hapticd import notify, server
 from hapticd.config import Config, config_of
 from hapticd.control import Control
 from hapticd.engine import Engine
 from hapticd.errors import HapticdError
+from hapticd.events import fault_names
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import RuntimePaths, make_directory, runtime_paths
+from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -56,7 +58,9 @@ def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | 
 
 
 def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: ExitStack) -> int:
-    engine = Engine(config)
+    stop_file = StopFile(paths.device)
+    _stop_what_was_left(stop_file.path)
+    engine = Engine(config, stop_file)
     control = Control(engine)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
@@ -79,9 +83,10 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
         _log.warning("%s", told)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
     stack.callback(router.close)
+    watch = notify.Watch(lambda: _progress(engine))
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop),
+        lambda stop: server.serve(router, engine, control, stop, watch),
         failures,
         stack,
         wake=lambda: server.wake(context),
@@ -100,14 +105,38 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
     if engine.connection is not None:
         told = engine.connection.status()
         _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
+    notify.ready(_progress(engine)[1])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     received = signals.recv(1)[0]
+    notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
         return 1
     _log.info("%s: stopping", signal.Signals(received).name)
     paths.command.unlink(missing_ok=True)
     return 0
+
+
+def _stop_what_was_left(record: Path) -> None:
+    """A daemon that was killed, without a systemd that runs `hapticd stop-device`, left its device as it was."""
+    try:
+        done = stop_device(record)
+    except HapticdError as error:
+        _log.warning("the daemon before: %s", error)
+    else:
+        if done is not None:
+            _log.warning("the daemon before: %s", done)
+
+
+def _progress(engine: Engine) -> tuple[int, str]:
+    """Ticks so far, and how the daemon is in one line."""
+    counters = engine.counters()
+    connection = None if engine.connection is None else engine.connection.status()
+    device = engine.config.device.kind if connection is None else connection["name"] or "device lost"
+    forces = "on" if counters.forces_on else "off"
+    if counters.faults:
+        forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
+    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
 
 
 def _thread(

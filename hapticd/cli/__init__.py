@@ -35,6 +35,9 @@ _HOMES: Final = {
     "bench": "bench",
     "calibrate": "calibrate",
     "verify": "verify",
+    "doctor": "doctor",
+    "install-service": "service",
+    "stop-device": "service",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 
@@ -55,7 +58,7 @@ class _LazyGroup(click.Group):
         if home is None:
             return None
         module = importlib.import_module(f"hapticd.cli.{home}")
-        command = getattr(module, f"{cmd_name}_command")
+        command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         assert isinstance(command, click.Command)
         return command
 
