@@ -27,14 +27,16 @@ from typing import Final, TypeVar
 
 import zmq
 
-from hapticd import journal, server
+from hapticd import journal, notify, server
 from hapticd.config import Config, config_of
 from hapticd.control import Control
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
+from hapticd.events import fault_names
 from hapticd.flight import Flight, directory_of
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import RuntimePaths, make_directory, runtime_paths
+from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
@@ -65,7 +67,9 @@ def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | 
 def _run(
     config: Config, load: Callable[[], Config], paths: RuntimePaths, signals: socket.socket, stack: ExitStack
 ) -> int:
-    engine = Engine(config)
+    stop_file = StopFile(paths.device)
+    _stop_what_was_left(stop_file.path)
+    engine = Engine(config, stop_file)
     flight = Flight(
         directory_of(config.flight.directory, paths.directory),
         config.flight.seconds,
@@ -97,9 +101,10 @@ def _run(
         _log.warning("%s", told)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
     stack.callback(router.close)
+    watch = notify.Watch(lambda: _progress(engine))
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop),
+        lambda stop: server.serve(router, engine, control, stop, watch),
         failures,
         stack,
         wake=lambda: server.wake(context),
@@ -118,11 +123,15 @@ def _run(
     if engine.connection is not None:
         told = engine.connection.status()
         _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
+    notify.ready(_progress(engine)[1])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     # Asked now: a terminal that is gone is none any more.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
     while (received := signals.recv(1)[0]) not in ends:
+        notify.reloading()
         server.reload(context)
+        notify.ready(_progress(engine)[1])
+    notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
         return 1
@@ -144,6 +153,28 @@ def _about(engine: Engine, control: Control) -> dict[str, object]:
         "scene": scene.to_dict() if small else None,
         "materials": {name: material.to_dict() for name, material in materials.items()} if small else None,
     }
+
+
+def _stop_what_was_left(record: Path) -> None:
+    """A daemon that was killed, without a systemd that runs `hapticd stop-device`, left its device as it was."""
+    try:
+        done = stop_device(record)
+    except HapticdError as error:
+        _log.warning("the daemon before: %s", error)
+    else:
+        if done is not None:
+            _log.warning("the daemon before: %s", done)
+
+
+def _progress(engine: Engine) -> tuple[int, str]:
+    """Ticks so far, and how the daemon is in one line."""
+    counters = engine.counters()
+    connection = None if engine.connection is None else engine.connection.status()
+    device = engine.config.device.kind if connection is None else connection["name"] or "device lost"
+    forces = "on" if counters.forces_on else "off"
+    if counters.faults:
+        forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
+    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
 
 
 def _thread(

@@ -58,6 +58,7 @@ from hapticd.materials import Materials
 from hapticd.mode import Attack, Mode
 from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, materials_of
 from hapticd.stability import Loop, timing
+from hapticd.stopper import StopFile
 from hapticd.together import Stability, judge
 
 SAMPLE_CAPACITY: Final = 16384
@@ -236,8 +237,8 @@ class Counters(NamedTuple):
 class Engine:
     """A servo with its device and its scene."""
 
-    def __init__(self, config: Config) -> None:
-        """Compiles the configuration's scene; nothing moves yet.
+    def __init__(self, config: Config, stop_file: StopFile | None = None) -> None:
+        """Compiles the configuration's scene; nothing moves yet. `stop_file`: for what stops a real device.
 
         Raises InvalidError for what no signal of this rate has, HapticdError.
         """
@@ -258,7 +259,7 @@ class Engine:
             self._sim = new_sim(config.device.sim, servo.rate_hz)
         else:
             below_servo = 0 if servo.realtime == "off" else max(1, servo.priority - 1)
-            self.connection = Connection(source_of(config.device), below_servo)
+            self.connection = Connection(source_of(config.device), below_servo, stop_file)
             if config.device.hid.offload == "auto":
                 self._offload = self.connection.offload
         try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from typing import Final
 
 import zmq
@@ -88,11 +89,18 @@ def answer(control: Control, body: bytes | None) -> bytes | None:
     return wire.result_reply(request.id, result) if request.has_id else None
 
 
-def serve(socket: zmq.Socket[bytes], engine: Engine, control: Control, stop: threading.Event) -> None:
-    """Answers requests until `stop` is set."""
+def serve(
+    socket: zmq.Socket[bytes],
+    engine: Engine,
+    control: Control,
+    stop: threading.Event,
+    watch: Callable[[], None] = lambda: None,
+) -> None:
+    """Answers requests until `stop` is set; calls `watch` between them, ten times a second at least."""
     while not stop.is_set():
         engine.beat()
         engine.look_after()
+        watch()
         try:
             identity, *frames = socket.recv_multipart()
         except zmq.Again:

@@ -39,6 +39,9 @@ _HOMES: Final = {
     "verify": "verify",
     "bridge": "bridge",
     "key": "key",
+    "doctor": "doctor",
+    "install-service": "service",
+    "stop-device": "service",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 
@@ -59,7 +62,7 @@ class _LazyGroup(click.Group):
         if home is None:
             return None
         module = importlib.import_module(f"hapticd.cli.{home}")
-        command = getattr(module, f"{cmd_name}_command")
+        command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         assert isinstance(command, click.Command)
         return command
 

@@ -42,6 +42,9 @@ COMMANDS = [
     "devices",
     "calibrate",
     "verify",
+    "doctor",
+    "install-service",
+    "stop-device",
 ]
 
 
