@@ -15,6 +15,7 @@ import numpy.typing as npt
 import zmq
 
 from hapticd import wire
+from hapticd.changes import change_map
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
 from hapticd.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
 from hapticd.events import event_map
@@ -67,6 +68,7 @@ class Telemetry:
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
         while not stop.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9)):
             self._drain()
+            self._send_changes()
             now = monotonic_ns()
             for topic, time in due.items():
                 if now >= time:
@@ -75,6 +77,7 @@ class Telemetry:
                     late = now - time
                     due[topic] = time + every[topic] if late < every[topic] else now + every[topic]
         self._drain()
+        self._send_changes()
         self._send_samples()
         self._send_state()
 
@@ -126,6 +129,10 @@ class Telemetry:
                     "data": batch.tobytes(),
                 },
             )
+
+    def _send_changes(self) -> None:
+        for change in self._engine.read_changes():
+            self._send("change", change_map(change))
 
     def _send_state(self) -> None:
         if self._newest is not None:

@@ -28,6 +28,7 @@ _HOMES: Final = {
     "operator": "command",
     "watch": "telemetry",
     "record": "telemetry",
+    "replay": "offline",
     "simulate": "offline",
     "check": "check",
     "schema": "offline",
