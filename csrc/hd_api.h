@@ -287,6 +287,10 @@ void hd_state_free(struct hd_state *state);
 void hd_state_set_resolution(struct hd_state *state, double step_m);
 /* Forces on or off: the command comes in or fades out over the table's ramp. */
 void hd_state_enable(struct hd_state *state, int enabled);
+/* The whole command is zero from here on; it comes in over the table's ramp, as when a servo starts. */
+void hd_state_mute(struct hd_state *state);
+/* Clears the contact state of a slot, if it has this generation, or of all (HD_NO_SLOT), at the next tick's time. */
+void hd_state_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns);
 uint32_t hd_state_faults(const struct hd_state *state);
 /* The latest contact state of a slot: bit 0 touched, bit 1 punctured. */
 uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot);
@@ -323,6 +327,13 @@ const char *hd_invalid_reason(void);
 int hd_render(const struct hd_world *world, struct hd_state *state, const double *position, const double *velocity,
               const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
               size_t event_capacity, size_t *event_count);
+
+/* Renders ticks of a servo again, from what its samples say that each was told: tick, time, position, velocity, whether
+ * forces were on, whether the position jumped. `interval_s` is [count], between the report of this tick and the one
+ * before (0: no new report), `periods` [count], since the tick before. Ticks only grow. Events as in hd_render. */
+int hd_replay(const struct hd_world *world, struct hd_state *state, const struct hd_sample *recorded,
+              const double *interval_s, const uint32_t *periods, size_t count, struct hd_sample *samples,
+              struct hd_event *events, size_t event_capacity, size_t *event_count);
 
 /* The estimator alone: `interval_s` [count] since the sample before, `position` [count][2]; out [count][2], and
  * half the width of the set of speeds consistent with the samples, [count][2], where `half_width` is not NULL. */

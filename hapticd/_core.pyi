@@ -145,6 +145,8 @@ class Lib:
     def hd_state_free(self, state: CData, /) -> None: ...
     def hd_state_set_resolution(self, state: CData, step_m: float, /) -> None: ...
     def hd_state_enable(self, state: CData, enabled: int, /) -> None: ...
+    def hd_state_mute(self, state: CData, /) -> None: ...
+    def hd_state_reset(self, state: CData, slot: int, generation: int, time_ns: int, /) -> None: ...
     def hd_state_faults(self, state: CData, /) -> int: ...
     def hd_state_slot(self, state: CData, slot: int, /) -> int: ...
     def hd_state_energy(self, state: CData, energy: CData, /) -> None: ...
@@ -158,6 +160,20 @@ class Lib:
         state: CData,
         position: CData,
         velocity: CData,
+        periods: CData,
+        count: int,
+        samples: CData,
+        events: CData,
+        event_capacity: int,
+        event_count: CData,
+        /,
+    ) -> int: ...
+    def hd_replay(
+        self,
+        world: CData,
+        state: CData,
+        recorded: CData,
+        interval_s: CData,
         periods: CData,
         count: int,
         samples: CData,

@@ -19,6 +19,7 @@ import zmq.asyncio
 from hapticd import calls
 from hapticd.calls import (
     TIMEOUT_S,
+    ConfigResult,
     DaemonNotRunning,
     Event,
     Feed,
@@ -173,6 +174,10 @@ class Client:
     async def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, await self.call("get_status"))
+
+    async def get_config(self) -> ConfigResult:
+        """The configuration's servo and device."""
+        return cast(ConfigResult, await self.call("get_config"))
 
     async def get_scene(self) -> SceneResult:
         """The scene and its revision."""

@@ -38,7 +38,7 @@ TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer unless it is told otherwise."""
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
-Topic: TypeAlias = Literal["samples", "state", "event", "status"]
+Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 
 
 class RemoteError(HapticdError):
@@ -95,6 +95,7 @@ class Status(TypedDict):
 
     version: str
     protocol: int
+    started_ns: int
     state: str
     device: str
     rate_hz: float
@@ -113,6 +114,12 @@ class Status(TypedDict):
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]
     stability: dict[str, Json]
+
+
+class ConfigResult(TypedDict):
+    """The configuration's servo and device, by these names."""
+
+    config: dict[str, dict[str, Json]]
 
 
 class SceneResult(TypedDict):

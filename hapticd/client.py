@@ -20,6 +20,7 @@ import zmq
 from hapticd import calls
 from hapticd.calls import (
     TIMEOUT_S,
+    ConfigResult,
     DaemonNotRunning,
     Event,
     Feed,
@@ -176,6 +177,10 @@ class Client:
     def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, self.call("get_status"))
+
+    def get_config(self) -> ConfigResult:
+        """The configuration's servo and device."""
+        return cast(ConfigResult, self.call("get_config"))
 
     def get_scene(self) -> SceneResult:
         """The scene and its revision."""

@@ -155,6 +155,7 @@ class Control:
         self._load = load
         self._flight = flight
         self._lease = Lease(engine.set_lease, monotonic_ns)
+        self._started_ns = monotonic_ns()
         self._wish = engine.config.device.sim.start_m
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
 
@@ -188,6 +189,7 @@ class Control:
         return {
             "version": __version__,
             "protocol": PROTOCOL,
+            "started_ns": self._started_ns,
             "state": "running" if counters.running else "stopped",
             "device": engine.config.device.kind,
             "connection": None if engine.connection is None else engine.connection.status(),
@@ -240,6 +242,10 @@ class Control:
 
     def _get_status(self, _: _NoParams) -> dict[str, object]:
         return self.status()
+
+    def _get_config(self, _: _NoParams) -> dict[str, object]:
+        config = self._engine.config
+        return {"config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()}}
 
     def _get_scene(self, _: _NoParams) -> dict[str, object]:
         return {"scene": self._engine.scene.to_dict(), "revision": self._engine.revision}
@@ -495,6 +501,7 @@ class Control:
 # `set_operator` takes what an operator file holds, which hapticd.operator validates.
 _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (_NoParams, Control._get_status),
+    "get_config": (_NoParams, Control._get_config),
     "get_scene": (_NoParams, Control._get_scene),
     "set_scene": (_SetScene, Control._set_scene),
     "update_scene": (_UpdateScene, Control._update_scene),

@@ -12,7 +12,8 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
@@ -20,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.awake import Awake
+from hapticd.changes import Change, Played, Reset, revised
 from hapticd.compile import Compiler, mode_record
 from hapticd.config import Config
 from hapticd.core import (
@@ -69,6 +71,8 @@ DEVICE_TIMEOUT_S: Final = 0.1
 
 FROZEN_FORCE: Final = 0.1
 """The part of its largest force under which a handle that is watched for it must move."""
+CHANGES: Final = 1024
+"""Changes that wait to be told; older ones are given up."""
 
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
@@ -290,6 +294,7 @@ class Engine:
         if self._offload is not None:
             self._offload.judge_by(self.output.carried_hz)
         self._operators: deque[tuple[int, CData]] = deque()
+        self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._dropped = ffi.new("uint64_t *")
         self._sequence = ffi.new("uint64_t *")
         self._tick = ffi.new("uint64_t *")
@@ -538,8 +543,10 @@ class Engine:
 
     def _take(self, scene: Scene, changed: Iterable[str], materials: Materials) -> int:
         revision = (self.revision + 1) & 0xFFFFFFFF
+        changed = tuple(changed)
         with self._compiling:
             self._publish(scene, changed, materials, revision)
+            self._changes.append(revised(revision, self.scene, scene, changed, self.materials, materials))
             self.scene, self.materials, self.revision = scene, materials, revision
         return revision
 
@@ -574,6 +581,7 @@ class Engine:
         command.amplitude = amplitude_m_per_s2
         command.slot = PLAY_SLOT
         tick = self._send_and_wait([command])
+        self._changes.append(Played(tick, mode, attack, direction, amplitude_m_per_s2))
         played_hz = None if self._offload is None else self._offload.shown_hz(mode)
         if played_hz is not None:
             return tick, played_hz
@@ -583,6 +591,7 @@ class Engine:
     def reset(self, ids: Iterable[str] | None) -> int:
         """Heals membranes and clears contact state, of these objects or of all; the tick that took it."""
         commands = []
+        ids = None if ids is None else tuple(ids)
         if ids is None:
             command = self._command(CommandKind.RESET)
             command.slot = NO_SLOT
@@ -594,7 +603,9 @@ class Engine:
                     command = self._command(CommandKind.RESET)
                     command.slot, command.generation = place
                     commands.append(command)
-        return self._send_and_wait(commands)
+        tick = self._send_and_wait(commands)
+        self._changes.append(Reset(tick, ids))
+        return tick
 
     def set_forces(self, enabled: bool) -> int:
         """Forces on (which clears latched faults whose cause is gone) or off; the tick that took it."""
@@ -682,6 +693,12 @@ class Engine:
         raw = ffi.new("struct hd_counters *")
         lib.hd_servo_counters(self._servo, raw)
         return Fault(raw.faults) if raw.faults else _NO_FAULT
+
+    def read_changes(self) -> Iterator[Change]:
+        """What commands changed since it was read last. For one thread."""
+        with suppress(IndexError):
+            while True:
+                yield self._changes.popleft()
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
         """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 import zmq
 
 from hapticd import wire
+from hapticd.changes import change_map
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
 from hapticd.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
 from hapticd.events import event_map
@@ -78,6 +79,7 @@ class Telemetry:
         while not stop.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9)):
             self._drain()
             self._log.flush()
+            self._send_changes()
             now = monotonic_ns()
             for topic, time in due.items():
                 if now >= time:
@@ -88,6 +90,7 @@ class Telemetry:
             if self._flight is not None:
                 self._flight.turn()
         self._drain()
+        self._send_changes()
         self._send_samples()
         self._send_state()
         if self._flight is not None:
@@ -145,6 +148,10 @@ class Telemetry:
             self._send("samples", message)
             if self._flight is not None:
                 self._flight.keep_samples(first_tick, data)
+
+    def _send_changes(self) -> None:
+        for change in self._engine.read_changes():
+            self._send("change", change_map(change))
 
     def _send_state(self) -> None:
         if self._newest is not None:

@@ -30,6 +30,7 @@ _HOMES: Final = {
     "watch": "telemetry",
     "record": "telemetry",
     "flight": "telemetry",
+    "replay": "offline",
     "simulate": "offline",
     "check": "check",
     "schema": "offline",

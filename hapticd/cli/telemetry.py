@@ -52,13 +52,16 @@ def watch_command(ctx: click.Context, as_json: bool) -> None:
 @json_option
 @click.pass_context
 def record_command(ctx: click.Context, file: str, duration_s: float | None, as_json: bool) -> int:
-    """Record every tick and event into FILE (.npz or .csv), replacing it when the recording is complete.
+    """Record every tick and event into FILE (.npz, .csv or .mcap), replacing it when the recording is complete, and
+    what they were rendered with, for `hapticd replay`.
 
-    With .csv the events go into a second file, NAME.events.csv.
+    With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
+    What a recording into FILE left that was killed becomes NAME.recovered.ENDING.
     """
     from dataclasses import asdict
 
     from hapticd.record import record
+    from hapticd.sink import recover
 
     stop = threading.Event()
     received: list[int] = []
@@ -67,6 +70,8 @@ def record_command(ctx: click.Context, file: str, duration_s: float | None, as_j
         received.append(number)
         stop.set()
 
+    for recovered in recover(file):
+        click.echo(f"hapticd: {recovered}: what a recording held that was killed", err=True)
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:

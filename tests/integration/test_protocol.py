@@ -318,6 +318,7 @@ trees = st.recursive(
 )
 METHODS = [
     "get_status",
+    "get_config",
     "get_scene",
     "set_scene",
     "update_scene",

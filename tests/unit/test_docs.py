@@ -32,8 +32,8 @@ from hapticd.events import event_map, fault_names
 from hapticd.hid.config import Quirk
 from hapticd.materials import ModeKeys
 from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
-from hapticd.record import NO_TIME, open_sink
 from hapticd.service import Installation, Service
+from hapticd.sink import NO_TIME, open_sink
 from hapticd.yaml_source import load_text
 from tests.daemon_process import Daemon, running_daemon
 
@@ -227,7 +227,7 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         for row in rows:
             if row[1] in ("both", "`simulate`"):
                 (shape,) = names(row[2])
-                shapes = {"(n,)": (count,), "(m,)": (len(file["events"]),), "(n, 4)": (count, 4)}
+                shapes = {"(n,)": (count,), "(m,)": (len(file["events"]),), "(n, 4)": (count, 4), "()": ()}
                 assert file[names(row[0])[0]].shape == shapes[shape]
         assert set(file) == {names(row[0])[0] for row in rows if row[1] != "`record`"}
     with np.load("events.npz") as file:
