@@ -17,6 +17,7 @@ from typing import Any, Final
 import zmq.asyncio
 from pydantic import ValidationError
 
+from hapticd import notify
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Accounts
 from hapticd.bridge.config import BridgeConfig, load_bridge, metrics_place
@@ -123,6 +124,7 @@ class _Bridge:
                 stack.callback(server.close)
                 told = f", metrics at http://{_name(server.sockets[0])}/metrics"
             _log.info("ready: commands at %s, telemetry at the port after it%s", place, told)
+            notify.ready(f"commands at {place}")
             missing = link.missing()
             if missing is not None:
                 _log.warning("%s; it may come later", missing)
@@ -131,6 +133,7 @@ class _Bridge:
             for task in failed:
                 _log.error("the bridge failed", exc_info=task.exception())
             _log.info("stopping")
+            notify.stopping()
         return 1 if failed else 0
 
     def _lost(self) -> None:
@@ -165,6 +168,13 @@ class _Bridge:
 
     def _reload(self) -> None:
         """Takes the file as it is now, or leaves everything as it was."""
+        notify.reloading()
+        try:
+            self._take_file()
+        finally:
+            notify.ready()
+
+    def _take_file(self) -> None:
         try:
             config = self._load()
         except HapticdError as error:
