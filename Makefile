@@ -129,6 +129,17 @@ warnings: build
 		echo "no $(CLANG): -Wfunction-effects is left to CI"; \
 	fi
 
+.PHONY: verify-units
+verify-units: build ## systemd's own word on the units: valid, and exposed as little as docs/service.md says
+	@if command -v systemd-analyze >/dev/null; then \
+		$(BIN)/python -m pytest -q tests/unit/test_service.py -k 'the_units_are' && \
+		for unit in hapticd hapticd-bridge; do \
+			systemd-analyze security --offline=true --no-pager systemd/$$unit.service | tail -n 1; \
+		done; \
+	else \
+		echo "skipped: no systemd-analyze"; \
+	fi
+
 .PHONY: analyze
 analyze: ## gcc's static analyser over the C core
 	@for source in $(C_SOURCES); do gcc -fanalyzer -Werror $(C_FLAGS) -c $$source -o /dev/null || exit 1; done

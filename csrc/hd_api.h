@@ -245,7 +245,11 @@ enum hd_event_kind {
     HD_EVENT_GLITCH = 8,     /* value: the speed that the jump implied, m/s */
     HD_EVENT_DEVICE_LOST = 9,
     HD_EVENT_DEVICE_FOUND = 10,
-    HD_EVENT_GROOVE = 11 /* speed: tangential, signed along t; value: grooves struck in this contact so far */
+    HD_EVENT_GROOVE = 11,        /* speed: tangential, signed along t; value: grooves struck in this contact so far */
+    HD_EVENT_OVERLOAD = 12,      /* value: part of the last second's periods that were missed, above the threshold */
+    HD_EVENT_RATE = 13,          /* value: the servo's rate from this tick on, Hz */
+    HD_EVENT_RESUMED = 14,       /* value: how long the machine was suspended, s */
+    HD_EVENT_MEMORY_REFUSED = 15 /* code: errno; from this table on not all memory is locked */
 };
 
 struct hd_event {
@@ -273,7 +277,9 @@ enum hd_fault {
     HD_FAULT_NONFINITE = 1, /* NaN or infinity in a sample or in a force */
     HD_FAULT_CONTROL = 2,   /* the thread that serves commands did not beat for a second */
     HD_FAULT_LEASE = 4,     /* a lease was not renewed in time */
-    HD_FAULT_DEVICE = 8     /* the device does not report */
+    HD_FAULT_DEVICE = 8,    /* the device does not report */
+    HD_FAULT_OVERRUN = 16,  /* too many periods were missed */
+    HD_FAULT_FROZEN = 32    /* the device reports the same position all the time, under force */
 };
 
 /* ---- State and offline rendering ----------------------------------------------------------------------------- */
@@ -287,6 +293,10 @@ void hd_state_free(struct hd_state *state);
 void hd_state_set_resolution(struct hd_state *state, double step_m);
 /* Forces on or off: the command comes in or fades out over the table's ramp. */
 void hd_state_enable(struct hd_state *state, int enabled);
+/* The whole command is zero from here on; it comes in over the table's ramp, as when a servo starts. */
+void hd_state_mute(struct hd_state *state);
+/* Clears the contact state of a slot, if it has this generation, or of all (HD_NO_SLOT), at the next tick's time. */
+void hd_state_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns);
 uint32_t hd_state_faults(const struct hd_state *state);
 /* The latest contact state of a slot: bit 0 touched, bit 1 punctured. */
 uint32_t hd_state_slot(const struct hd_state *state, uint32_t slot);
@@ -323,6 +333,13 @@ const char *hd_invalid_reason(void);
 int hd_render(const struct hd_world *world, struct hd_state *state, const double *position, const double *velocity,
               const uint32_t *periods, size_t count, struct hd_sample *samples, struct hd_event *events,
               size_t event_capacity, size_t *event_count);
+
+/* Renders ticks of a servo again, from what its samples say that each was told: tick, time, position, velocity, whether
+ * forces were on, whether the position jumped. `interval_s` is [count], between the report of this tick and the one
+ * before (0: no new report), `periods` [count], since the tick before. Ticks only grow. Events as in hd_render. */
+int hd_replay(const struct hd_world *world, struct hd_state *state, const struct hd_sample *recorded,
+              const double *interval_s, const uint32_t *periods, size_t count, struct hd_sample *samples,
+              struct hd_event *events, size_t event_capacity, size_t *event_count);
 
 /* The estimator alone: `interval_s` [count] since the sample before, `position` [count][2]; out [count][2], and
  * half the width of the set of speeds consistent with the samples, [count][2], where `half_width` is not NULL. */
@@ -393,6 +410,9 @@ void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[
 /* The handle is there now and moves so; hand, force and reports stay as they are. HD_ERR_INVALID: not finite, or beyond
  * the stops. */
 int hd_sim_place(struct hd_sim *sim, const double position[2], const double velocity[2]);
+/* Time goes on in periods of this length; nothing is under way to the actuator, reports begin anew. The hand goes on
+ * where it is. HD_ERR_INVALID. */
+int hd_sim_set_period(struct hd_sim *sim, const struct hd_sim_config *config, double period_s);
 /* `count` periods, each under its force of `force` [count][2]; `motion` [count][4] is position and velocity at the
  * beginning of each, before its force is put. */
 void hd_sim_drive(struct hd_sim *sim, const double *force, size_t count, double *motion);
@@ -583,6 +603,8 @@ void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status);
  * happened, perhaps before this call, but after the last one that said so. */
 int hd_hid_wait(struct hd_hid *hid, int64_t timeout_ns);
 void hd_hid_wake(struct hd_hid *hid);
+/* As if the device had said that it was reset: it gets no force until it is set up again. */
+void hd_hid_suspect(struct hd_hid *hid);
 /* The last set-up answered what was reset: looks at it as normal from now on. While `reset` stands the device gets no
  * force; afterwards the force comes back over 20 ms. */
 void hd_hid_clear_reset(struct hd_hid *hid);
@@ -614,7 +636,16 @@ struct hd_servo_config {
     double device_timeout_s;  /* without a report for this long, the device is lost */
     uint32_t forces_on;       /* 0 or 1, at the start */
     uint32_t clock;           /* enum hd_clock_source */
+    double overrun_threshold; /* of the periods of a second, may be missed; more is an overload */
+    uint32_t overrun_action;  /* enum hd_overrun_action */
+    uint32_t unused;
+    double frozen_s; /* reports that say the same position for this long under force are a fault; 0: never */
+    double frozen_force_n;
 };
+
+/* What becomes of an overload, beside its event. HD_OVERRUN_STEP_DOWN: the force fades out and the thread ends, so that
+ * hd_servo_restart can go on at a lower rate. */
+enum hd_overrun_action { HD_OVERRUN_WARN = 0, HD_OVERRUN_FAULT = 1, HD_OVERRUN_STEP_DOWN = 2 };
 
 /* What was granted of what was asked for; errno values, 0 where it was granted or not asked for. */
 struct hd_grant {
@@ -659,8 +690,26 @@ struct hd_counters {
     uint32_t forces_on;
     uint32_t running;
     uint32_t memory_refused; /* errno: tables have grown beyond what may be locked; 0: all is as granted */
-    uint32_t unused;
+    uint32_t overloaded;     /* the thread ended, or is about to, for hd_servo_restart */
+    uint64_t overloads;      /* seconds in which more than the threshold was missed */
+    uint64_t suspends;       /* of the machine */
+    double missed_share;     /* of the last whole second's periods */
     struct hd_energy energy; /* as of the last tick that was watched */
+};
+
+#define HD_HISTOGRAM_BINS 82
+
+/* How often a time was how long, since the start. counts[0] is below hd_histogram_edge_ns(0), counts[i] from edge i - 1
+ * on and below edge i, the last one from the last edge on. */
+struct hd_histogram {
+    uint64_t counts[HD_HISTOGRAM_BINS];
+    uint64_t sum_ns;
+    int64_t max_ns;
+};
+
+struct hd_histograms {
+    struct hd_histogram lateness; /* of a tick that missed periods: against the first deadline that was missed */
+    struct hd_histogram work;
 };
 
 struct hd_servo; /* opaque */
@@ -672,6 +721,12 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
 int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant);
 /* Fades the force out, puts zero, ends the thread and joins it. */
 int hd_servo_stop(struct hd_servo *servo);
+/* Joins a thread that ended by overload, and takes another rate: the next table is compiled for it. HD_ERR_INVALID: no
+ * overload, or a rate that servo or simulated joystick refuse; all stays as it is. */
+int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_action action);
+/* After hd_servo_set_rate and, where the rate changed, hd_servo_publish: the thread goes on where it ended, as after a
+ * stall; what was touched is met anew and the force comes in over the ramp. `faults` are latched. As hd_servo_start. */
+int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *grant);
 void hd_servo_free(struct hd_servo *servo);
 
 /* Checks and copies a table; it is in force at the next tick. One caller at a time. */
@@ -687,6 +742,9 @@ void hd_servo_beat(struct hd_servo *servo);
 /* Forces fade out when this time passes; 0: no lease. */
 void hd_servo_set_lease(struct hd_servo *servo, int64_t deadline_ns);
 void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counters);
+void hd_servo_histograms(const struct hd_servo *servo, struct hd_histograms *histograms);
+/* Four to a factor of two, from 128 ns on; `index` is below HD_HISTOGRAM_BINS - 1. */
+int64_t hd_histogram_edge_ns(uint32_t index);
 /* Move up to `capacity` records out of the rings; the number is returned. *dropped is the running total. One reader. */
 size_t hd_servo_read_samples(struct hd_servo *servo, struct hd_sample *samples, size_t capacity, uint64_t *dropped);
 size_t hd_servo_read_events(struct hd_servo *servo, struct hd_event *events, size_t capacity, uint64_t *dropped);

@@ -1049,6 +1049,10 @@ void hd_hid_wake(struct hd_hid *hid) {
     signal_fd(hid->event_fd);
 }
 
+void hd_hid_suspect(struct hd_hid *hid) {
+    tell_reset(hid);
+}
+
 void hd_hid_clear_reset(struct hd_hid *hid) {
     hd_atomic_i64_store_relaxed(&hid->returns_ns, hd_clock_now_ns());
     hd_atomic_u32_store_release(&hid->reset, 0);

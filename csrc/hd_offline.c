@@ -1,5 +1,6 @@
-/* Runs without clock, thread or I/O: hd_render (positions are given) and hd_simulate (closed loop with the simulated
- * joystick). The tick is the servo's own; results are bit-identical from run to run. The caller's thread. */
+/* Runs without clock, thread or I/O: hd_render (positions are given), hd_replay (samples of a servo are) and
+ * hd_simulate (closed loop with the simulated joystick). The tick is the servo's own; results are bit-identical from
+ * run to run. The caller's thread. */
 #include <math.h>
 #include <string.h>
 
@@ -73,6 +74,55 @@ int hd_render(const struct hd_world *world, struct hd_state *state, const double
     return HD_OK;
 }
 
+int hd_replay(const struct hd_world *world, struct hd_state *state, const struct hd_sample *recorded,
+              const double *interval_s, const uint32_t *periods, size_t count, struct hd_sample *samples,
+              struct hd_event *events, size_t event_capacity, size_t *event_count) {
+    const int status = prepare(world, state);
+    if (status != HD_OK) {
+        return status;
+    }
+    struct event_sink sink = {.events = events, .capacity = event_capacity};
+    for (size_t i = 0; i < count; i++) {
+        const struct hd_sample *was = &recorded[i];
+        struct hd_input input = {
+            .time_ns = was->time_ns,
+            .position_m = {was->position_m[0], was->position_m[1]},
+            .velocity_m_per_s = {was->velocity_m_per_s[0], was->velocity_m_per_s[1]},
+            .true_velocity_m_per_s = {(double)NAN, (double)NAN},
+            .interval_s = interval_s[i],
+            .periods = periods[i],
+        };
+        if (input.periods == 0) {
+            return hd_invalid("periods[%zu]: at least 1 period lies between two ticks", i);
+        }
+        if (!(input.interval_s >= 0.0 && isfinite(input.interval_s))) {
+            return hd_invalid("interval_s[%zu]: %g is not a finite number >= 0", i, input.interval_s);
+        }
+        if (was->tick < state->tick) {
+            return hd_invalid("recorded[%zu]: tick %llu comes after tick %llu", i, (unsigned long long)was->tick,
+                              (unsigned long long)state->tick);
+        }
+        if ((was->flags & HD_FLAG_GLITCH) != 0) {
+            const double step_m =
+                hypot(was->position_m[0] - state->position_m[0], was->position_m[1] - state->position_m[1]);
+            /* It jumped, also where this recording does not say how fast. */
+            const double speed = input.interval_s > 0.0 ? step_m / input.interval_s : 0.0;
+            const double least = world->table.max_speed_m_per_s;
+            input.glitch_m_per_s = speed > least ? speed : least;
+        }
+        state->tick = was->tick;
+        hd_state_want_forces(state, (was->flags & HD_FLAG_FORCES_ON) != 0);
+        samples[i].lateness_ns = was->lateness_ns;
+        samples[i].work_ns = was->work_ns;
+        hd_tick(world, state, &input, &samples[i]);
+        if (state->event_count > 0) {
+            take_events(state, &sink);
+        }
+    }
+    *event_count = sink.count;
+    return HD_OK;
+}
+
 int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_sim *sim, size_t count,
                 struct hd_sample *samples, double *truth, struct hd_event *events, size_t event_capacity,
                 size_t *event_count) {
@@ -104,6 +154,10 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
     }
     *event_count = sink.count;
     return HD_OK;
+}
+
+void hd_state_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns) {
+    hd_tick_reset(state, slot, generation, time_ns);
 }
 
 int hd_play(struct hd_state *state, const struct hd_mode *mode, const double direction[2], double amplitude) {

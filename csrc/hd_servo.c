@@ -11,9 +11,13 @@
  *   changes, locked                   the publisher's own
  *   commands                          the sender produces, the servo consumes
  *   samples, events                   the servo produces, one reader consumes
- *   beat, lease_ns, stopping          control writes, the servo reads
+ *   beat, lease_ns, stopping,
+ *   memory_refused                    control writes, the servo reads
  *   counters, taken_*, adopted_*      the servo writes, control reads
  *   state and the fields under it     the servo's own
+ *
+ * A thread that was overloaded and is to step down fades the force out and ends by itself: only so does the rest of the
+ * machine surely get a processor. hd_servo_set_rate and hd_servo_restart, on the control side, go on from there.
  *
  * Times are CLOCK_MONOTONIC nanoseconds. Deadlines are start + k/rate, never accumulated. Where the device leads, a
  * tick has the time of its report, and the period whose deadline is nearest to it. */
@@ -28,10 +32,13 @@
 #include "hd_atomic.h"
 #include "hd_clock.h"
 #include "hd_device.h"
+#include "hd_histogram.h"
 #include "hd_memory.h"
 #include "hd_ring.h"
 #include "hd_tick.h"
 #include "hd_triple.h"
+#include "hd_vector.h"
+#include "hd_voice.h"
 #include "hd_world.h"
 
 #define HD_COMMAND_CAPACITY 1024u
@@ -40,6 +47,11 @@
 #define HD_COMMANDS_PER_TICK 64u
 #define HD_CONTROL_TIMEOUT_S 1.0 /* of ticks rendered, so that a stopped process does not count against control */
 #define HD_CHANGE_CAPACITY 4096u
+#define HD_LOAD_S 1.0 /* overloads are judged by so much at a time */
+/* A stall longer than this, by no tick of ours, says that the process was stopped, and nothing about its load. */
+#define HD_PAUSE_NS 100000000.0
+#define HD_SUSPEND_LOOK_S 0.001 /* so often it is asked whether the machine was suspended */
+#define HD_SUSPEND_NS 50000000  /* less is none */
 /* How far a tick moves the deadlines towards the reports, in periods: reports drift against our clock, and a tick on
  * the border between two periods would now fall into one, now into the other. */
 #define HD_LOCK_SHARE 0.0625
@@ -91,6 +103,12 @@ struct hd_servo {
     struct hd_atomic_u32 forces_on;
     struct hd_atomic_u32 running;
     struct hd_atomic_u32 memory_refused;
+    struct hd_atomic_u32 overloaded;
+    struct hd_atomic_u64 overloads;
+    struct hd_atomic_u64 suspends;
+    struct hd_atomic_u64 missed_share; /* the bits of a double */
+    struct hd_histogram_counts lateness;
+    struct hd_histogram_counts work;
     struct hd_atomic_u64 taken; /* commands taken; the tick that took each is in taken_tick */
     struct hd_atomic_u64 taken_tick[HD_COMMAND_CAPACITY];
     struct hd_atomic_u64 adopted; /* revisions taken; each with its first tick below */
@@ -104,8 +122,24 @@ struct hd_servo {
     double since_report_s;
     uint32_t connection; /* of the device, that positions are of */
     uint8_t device_lost;
-    uint8_t offloading; /* the device may be playing something by itself */
-    uint8_t ending;     /* the force fades out, whatever is still commanded */
+    uint8_t offloading;    /* the device may be playing something by itself */
+    uint8_t ending;        /* the force fades out, whatever is still commanded */
+    uint8_t stepping;      /* that is for another rate */
+    uint8_t wanted;        /* stepping: whether forces are wanted then */
+    uint32_t refused;      /* memory_refused, as it was told */
+    uint64_t load_periods; /* since load was judged last */
+    uint64_t load_missed;
+    uint32_t missed; /* periods, just before this tick */
+    int64_t last_work_ns;
+    int64_t late_ns;      /* of this tick, against the first deadline that it missed */
+    uint32_t until_look;  /* ticks, to the next look whether the machine was suspended */
+    int64_t suspended_ns; /* by how much CLOCK_BOOTTIME is ahead, at most */
+    double still_s;       /* that the reported position has not changed, under force */
+    double still_m[2];
+    double last_force_n;
+    uint64_t pause_periods; /* that the first tick of a thread is told of, beside its own */
+    int64_t ended_ns;
+    double rate_told_hz; /* a restarted thread has another rate than the one before: told by its first tick; 0: no */
     pthread_t thread;
     uint8_t started;
 };
@@ -158,6 +192,11 @@ HD_RT static void take_table(struct hd_servo *servo, int64_t time_ns) {
     hd_atomic_u64_store_release(&servo->adopted, count + 1);
     hd_atomic_u32_store_relaxed(&servo->revision, revision);
     report(servo, HD_EVENT_REVISION, time_ns, revision, 0.0);
+    const uint32_t refused = hd_atomic_u32_load_relaxed(&servo->memory_refused);
+    if (refused != servo->refused) {
+        servo->refused = refused;
+        report(servo, HD_EVENT_MEMORY_REFUSED, time_ns, refused, 0.0);
+    }
 }
 
 /* HD_ERR_FULL: not in this tick. */
@@ -174,6 +213,7 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
             const int64_t lease_ns = hd_atomic_i64_load_relaxed(&servo->lease_ns);
             const uint32_t remaining = (servo->device_lost ? (uint32_t)HD_FAULT_DEVICE : 0u) |
                                        (lease_ns != 0 && time_ns > lease_ns ? (uint32_t)HD_FAULT_LEASE : 0u);
+            servo->still_s = 0.0;
             hd_state_clear_faults(state, remaining, time_ns);
         } else {
             hd_state_want_forces(state, 0);
@@ -212,6 +252,24 @@ HD_RT static void lose_device(struct hd_servo *servo, int64_t time_ns) {
     }
 }
 
+/* A handle that is pushed and does not move by a single count: whoever asked for it is sure that it then cannot be one.
+ */
+HD_RT static void watch_frozen(struct hd_servo *servo, const struct hd_look *look, int64_t time_ns) {
+    const double *position = look->reading.position_m;
+    /* Bit for bit: the very same counts. */
+    if (memcmp(position, servo->still_m, sizeof servo->still_m) != 0 ||
+        servo->last_force_n < servo->config.frozen_force_n) {
+        servo->still_s = 0.0;
+        servo->still_m[0] = position[0];
+        servo->still_m[1] = position[1];
+        return;
+    }
+    servo->still_s += look->reading.interval_s;
+    if (servo->still_s > servo->config.frozen_s) {
+        hd_state_latch(servo->state, HD_FAULT_FROZEN, 1, time_ns);
+    }
+}
+
 HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *look, int64_t time_ns) {
     if (look->connection != servo->connection) {
         if (servo->connection != 0) {
@@ -228,6 +286,9 @@ HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *loo
             servo->device_lost = 0;
             report(servo, HD_EVENT_DEVICE_FOUND, time_ns, 0, 0.0);
         }
+        if (servo->config.frozen_s > 0.0) {
+            watch_frozen(servo, look, time_ns);
+        }
         return;
     }
     /* A period for each tick: those that the servo itself missed say nothing about the device. */
@@ -235,6 +296,74 @@ HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *loo
     const int nowhere = look->connection == 0 && servo->state->enabled; /* a force without a position */
     if (look->gone || nowhere || servo->since_report_s > servo->config.device_timeout_s) {
         lose_device(servo, time_ns);
+    }
+}
+
+HD_RT static uint64_t bits_of(double value) {
+    uint64_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+
+HD_RT static void overload(struct hd_servo *servo, double share, int64_t time_ns) {
+    hd_atomic_u64_add_relaxed(&servo->overloads, 1);
+    report(servo, HD_EVENT_OVERLOAD, time_ns, 0, share);
+    if (servo->config.overrun_action == HD_OVERRUN_FAULT) {
+        hd_state_latch(servo->state, HD_FAULT_OVERRUN, 0, time_ns);
+    } else if (servo->config.overrun_action == HD_OVERRUN_STEP_DOWN && !servo->ending) {
+        servo->stepping = 1;
+        servo->ending = 1;
+        servo->wanted = servo->state->enabled;
+        hd_atomic_u32_store_relaxed(&servo->overloaded, 1);
+    }
+}
+
+/* Which part of the periods is missed, second after second. `missed`: of the `periods` since the tick before, those
+ * that the clock went past; a device that leads and is slow makes periods, too. */
+HD_RT static void watch_load(struct hd_servo *servo, uint32_t periods, uint32_t missed, int64_t time_ns) {
+    const double stall_ns = (double)missed * servo->period_ns;
+    if (stall_ns > HD_PAUSE_NS && stall_ns > 2.0 * (double)servo->last_work_ns) {
+        servo->load_periods = 0;
+        servo->load_missed = 0;
+        return;
+    }
+    servo->load_periods += periods;
+    servo->load_missed += missed;
+    if ((double)servo->load_periods * servo->period_s < HD_LOAD_S) {
+        return;
+    }
+    const double share = (double)servo->load_missed / (double)servo->load_periods;
+    servo->load_periods = 0;
+    servo->load_missed = 0;
+    hd_atomic_u64_store_relaxed(&servo->missed_share, bits_of(share));
+    if (share > servo->config.overrun_threshold) {
+        overload(servo, share, time_ns);
+    }
+}
+
+/* A machine that was suspended: CLOCK_MONOTONIC stood still meanwhile, so that nothing was missed, and yet nobody knows
+ * what became of handle and device. The force comes in over the ramp. */
+HD_RT static void watch_suspends(struct hd_servo *servo, int64_t time_ns) {
+    if (servo->until_look > 0) {
+        servo->until_look--;
+        return;
+    }
+    servo->until_look = (uint32_t)(HD_SUSPEND_LOOK_S / servo->period_s);
+    /* The truth lies between the two: this thread may be held up between any two of these lines. */
+    const int64_t before_ns = hd_clock_now_ns();
+    const int64_t boot_ns = hd_clock_boot_ns();
+    const int64_t least_ns = boot_ns - hd_clock_now_ns();
+    const int64_t most_ns = boot_ns - before_ns;
+    if (least_ns > servo->suspended_ns + HD_SUSPEND_NS) {
+        struct hd_state *state = servo->state;
+        hd_atomic_u64_add_relaxed(&servo->suspends, 1);
+        report(servo, HD_EVENT_RESUMED, time_ns, 0, (double)(least_ns - servo->suspended_ns) * 1e-9);
+        hd_velocity_reset(&state->velocity);
+        state->located = 0;
+        state->gain = 0.0;
+        servo->suspended_ns = most_ns;
+    } else if (most_ns < servo->suspended_ns) {
+        servo->suspended_ns = most_ns;
     }
 }
 
@@ -292,12 +421,6 @@ HD_RT static void offload(struct hd_servo *servo, int64_t now_ns) {
     state->offload_count = 0;
 }
 
-HD_RT static uint64_t bits_of(double value) {
-    uint64_t bits;
-    memcpy(&bits, &value, sizeof bits);
-    return bits;
-}
-
 static double number_of(uint64_t bits) {
     double value;
     memcpy(&value, &bits, sizeof value);
@@ -313,14 +436,24 @@ HD_RT static void publish_energy(struct hd_servo *servo) {
     hd_atomic_u64_store_relaxed(&servo->acted, passivity->acted);
 }
 
+HD_RT static double hypot_of(const double vector[2]) {
+    return hd_root(hd_dot(vector, vector));
+}
+
 HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t now_ns, uint32_t periods) {
     struct hd_state *state = servo->state;
     struct hd_sample sample;
     struct hd_look look;
     struct hd_input input = {.time_ns = deadline_ns, .periods = periods};
     take_table(servo, deadline_ns);
+    if (servo->stepping) {
+        hd_state_want_forces(state, servo->wanted);
+    }
     take_commands(servo, deadline_ns);
+    watch_load(servo, periods, servo->missed, deadline_ns);
+    watch_suspends(servo, deadline_ns);
     if (servo->ending) {
+        servo->wanted = state->enabled;
         hd_state_want_forces(state, 0);
     }
     hd_device_advance(&servo->device, periods);
@@ -333,9 +466,14 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
         offload(servo, now_ns);
     }
     hd_device_put(&servo->device, now_ns, sample.force_n);
+    const int64_t work_ns = hd_clock_now_ns() - now_ns;
     sample.lateness_ns = saturate(now_ns - deadline_ns);
-    sample.work_ns = saturate(hd_clock_now_ns() - now_ns);
+    sample.work_ns = saturate(work_ns);
+    servo->last_work_ns = work_ns;
+    servo->last_force_n = hypot_of(sample.force_n);
     leave_sample(servo, &sample);
+    hd_histogram_count(&servo->lateness, servo->late_ns);
+    hd_histogram_count(&servo->work, work_ns);
     if (state->event_count > 0) {
         leave_events(servo);
     }
@@ -374,6 +512,7 @@ HD_RT static void skip_missed(struct hd_servo *servo, struct hd_pace *pace, stru
         pace->period += skip;
         due->time_ns = due->time_ns - deadline_of(servo, pace->start_ns, pace->period - skip) +
                        deadline_of(servo, pace->start_ns, pace->period);
+        servo->missed = skip;
         hd_atomic_u64_add_relaxed(&servo->skipped, skip);
         hd_atomic_u64_add_relaxed(&servo->overruns, 1);
         report(servo, HD_EVENT_OVERRUN, due->time_ns, 0, (double)skip);
@@ -433,6 +572,12 @@ HD_RT static void wait_device(struct hd_servo *servo, struct hd_pace *pace, stru
 HD_RT static void loop(struct hd_servo *servo) {
     struct hd_state *state = servo->state;
     struct hd_pace pace = {.start_ns = hd_clock_now_ns() + (int64_t)servo->period_ns};
+    /* By as much as a thread before this one ended earlier, and by more than the ramp. */
+    uint64_t pause = servo->pause_periods;
+    if (pause > 0) {
+        const double gone = (double)(pace.start_ns - servo->ended_ns) / servo->period_ns;
+        pause = gone < 4e9 ? pause + (uint64_t)gone : 4000000000u;
+    }
     while (!servo->ending || state->gain > 0.0) {
         struct hd_due due;
         if (servo->config.clock == HD_CLOCK_DEVICE) {
@@ -440,16 +585,28 @@ HD_RT static void loop(struct hd_servo *servo) {
         } else {
             wait_timer(servo, &pace, &due);
         }
+        servo->late_ns = due.now_ns - due.time_ns;
+        servo->missed = 0;
         skip_missed(servo, &pace, &due);
         if (hd_atomic_u32_load_acquire(&servo->stopping)) {
             servo->ending = 1;
         }
-        one_tick(servo, due.time_ns, due.now_ns, due.periods);
+        if (servo->rate_told_hz > 0.0) {
+            report(servo, HD_EVENT_RATE, due.time_ns, 0, servo->rate_told_hz);
+            servo->rate_told_hz = 0.0;
+        }
+        one_tick(servo, due.time_ns, due.now_ns, due.periods + (uint32_t)pause);
+        if (pause > 0) {
+            pause = 0;
+            servo->load_periods = 0; /* nobody was to render them */
+            servo->load_missed = 0;
+        }
         pace.last_ns = due.time_ns;
         pace.period++;
     }
     const double zero[2] = {0.0, 0.0};
-    hd_device_put(&servo->device, hd_clock_now_ns(), zero);
+    servo->ended_ns = hd_clock_now_ns();
+    hd_device_put(&servo->device, servo->ended_ns, zero);
 }
 
 static void *servo_main(void *argument) {
@@ -457,7 +614,7 @@ static void *servo_main(void *argument) {
     /* Without real-time priority the kernel may round sleeps by 50 us; with it this changes nothing. */
     prctl(PR_SET_TIMERSLACK, 1ul, 0ul, 0ul, 0ul);
     loop(servo);
-    hd_atomic_u32_store_relaxed(&servo->running, 0);
+    hd_atomic_u32_store_release(&servo->running, 0);
     return NULL;
 }
 
@@ -479,10 +636,28 @@ static int config_check(const struct hd_servo_config *config) {
     if (!(config->resolution_m >= 0.0 && config->resolution_m < 1.0)) {
         return hd_invalid("servo: an encoder step of %g m", config->resolution_m);
     }
+    if (!(config->overrun_threshold >= 0.0 && config->overrun_threshold <= 1.0) ||
+        config->overrun_action > HD_OVERRUN_STEP_DOWN) {
+        return hd_invalid("servo: overruns above %g, action %u", config->overrun_threshold, config->overrun_action);
+    }
+    if (!(config->frozen_s >= 0.0 && config->frozen_force_n >= 0.0)) {
+        return hd_invalid("servo: frozen after %g s under %g N", config->frozen_s, config->frozen_force_n);
+    }
     if (config->clock != HD_CLOCK_TIMER && config->clock != HD_CLOCK_DEVICE) {
         return hd_invalid("servo: clock %u", config->clock);
     }
     return HD_OK;
+}
+
+static void take_rate(struct hd_servo *servo, double rate_hz) {
+    servo->config.rate_hz = rate_hz;
+    servo->period_ns = 1e9 / rate_hz;
+    servo->period_s = 1.0 / rate_hz;
+    if (servo->device.hid != NULL) {
+        /* A tick that a report leads may be half a period early. */
+        const double early = servo->config.clock == HD_CLOCK_DEVICE ? 0.5 : 1.0;
+        hd_hid_expect_ticks(servo->device.hid, (int64_t)(early * servo->period_ns));
+    }
 }
 
 struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim, struct hd_hid *hid) {
@@ -508,13 +683,8 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
     if (config->clock == HD_CLOCK_DEVICE) {
         hd_hid_await_enable(hid);
     }
-    servo->period_ns = 1e9 / config->rate_hz;
-    if (hid != NULL) {
-        /* A tick that a report leads may be half a period early. */
-        hd_hid_expect_ticks(hid,
-                            (int64_t)(config->clock == HD_CLOCK_DEVICE ? 0.5 * servo->period_ns : servo->period_ns));
-    }
-    servo->period_s = 1.0 / config->rate_hz;
+    take_rate(servo, config->rate_hz);
+    servo->suspended_ns = INT64_MAX - HD_SUSPEND_NS;
     hd_triple_init(&servo->triple);
     servo->state = hd_state_new(config->slot_capacity);
     if (servo->state == NULL ||
@@ -642,6 +812,24 @@ static int create_thread(struct hd_servo *servo, struct hd_grant *grant) {
     return pthread_create(&servo->thread, NULL, servo_main, servo);
 }
 
+static int launch(struct hd_servo *servo, struct hd_grant *grant) {
+    hd_atomic_u32_store_relaxed(&servo->running, 1);
+    const int error = create_thread(servo, grant);
+    if (error != 0) {
+        hd_atomic_u32_store_relaxed(&servo->running, 0);
+        errno = error;
+        return servo->config.realtime == HD_REALTIME_REQUIRED ? HD_ERR_DENIED : HD_ERR_SYSTEM;
+    }
+    servo->started = 1;
+    if (servo->config.cpu >= 0) {
+        cpu_set_t set;
+        CPU_ZERO(&set);
+        CPU_SET((size_t)servo->config.cpu, &set);
+        grant->affinity = pthread_setaffinity_np(servo->thread, sizeof set, &set);
+    }
+    return HD_OK;
+}
+
 int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
     *grant = (struct hd_grant){.memory_kind = HD_MEMORY_NONE};
     if (servo->started || !hd_triple_acquire(&servo->triple)) {
@@ -669,21 +857,7 @@ int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
             hd_world_regions(&servo->worlds[i], servo->locked[i]);
         }
     }
-    hd_atomic_u32_store_relaxed(&servo->running, 1);
-    const int error = create_thread(servo, grant);
-    if (error != 0) {
-        hd_atomic_u32_store_relaxed(&servo->running, 0);
-        errno = error;
-        return servo->config.realtime == HD_REALTIME_REQUIRED ? HD_ERR_DENIED : HD_ERR_SYSTEM;
-    }
-    servo->started = 1;
-    if (servo->config.cpu >= 0) {
-        cpu_set_t set;
-        CPU_ZERO(&set);
-        CPU_SET((size_t)servo->config.cpu, &set);
-        grant->affinity = pthread_setaffinity_np(servo->thread, sizeof set, &set);
-    }
-    return HD_OK;
+    return launch(servo, grant);
 }
 
 int hd_servo_stop(struct hd_servo *servo) {
@@ -698,6 +872,52 @@ int hd_servo_stop(struct hd_servo *servo) {
     }
     servo->started = 0;
     return HD_OK;
+}
+
+int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_action action) {
+    if (!hd_atomic_u32_load_relaxed(&servo->overloaded)) {
+        return hd_invalid("servo: another rate without an overload");
+    }
+    struct hd_servo_config config = servo->config;
+    config.rate_hz = rate_hz;
+    config.overrun_action = action;
+    config.spin_ns = (double)config.spin_ns > 1e9 / rate_hz ? 0 : config.spin_ns;
+    if (config_check(&config) != HD_OK) {
+        return HD_ERR_INVALID;
+    }
+    const int status = hd_servo_stop(servo); /* it fades already, or has ended */
+    if (status != HD_OK) {
+        return status;
+    }
+    servo->config.overrun_action = config.overrun_action;
+    servo->config.spin_ns = config.spin_ns;
+    if (rate_hz != servo->config.rate_hz) {
+        take_rate(servo, rate_hz);
+        servo->rate_told_hz = rate_hz;
+    }
+    return HD_OK;
+}
+
+int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *grant) {
+    if (servo->started || !hd_atomic_u32_load_relaxed(&servo->overloaded)) {
+        return hd_invalid("servo: restart it after an overload");
+    }
+    struct hd_state *state = servo->state;
+    hd_voices_silence(state); /* they turn by the old period */
+    hd_state_want_forces(state, servo->wanted);
+    if (faults != 0) {
+        hd_state_latch(state, faults, 0, hd_clock_now_ns());
+    }
+    servo->stepping = 0;
+    servo->ending = 0;
+    servo->load_periods = 0;
+    servo->load_missed = 0;
+    servo->until_look = 0;
+    servo->ticks_since_beat = 0;
+    servo->pause_periods = 1u + (uint64_t)(servo->world->table.ramp_s / servo->period_s);
+    hd_atomic_u32_store_relaxed(&servo->stopping, 0);
+    hd_atomic_u32_store_relaxed(&servo->overloaded, 0);
+    return launch(servo, grant);
 }
 
 /* What the table changes is missing in all three worlds, whether or not it will be accepted. */
@@ -856,6 +1076,10 @@ void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counter
         .forces_on = hd_atomic_u32_load_relaxed(&servo->forces_on),
         .running = hd_atomic_u32_load_relaxed(&servo->running),
         .memory_refused = hd_atomic_u32_load_relaxed(&servo->memory_refused),
+        .overloaded = hd_atomic_u32_load_relaxed(&servo->overloaded),
+        .overloads = hd_atomic_u64_load_relaxed(&servo->overloads),
+        .suspends = hd_atomic_u64_load_relaxed(&servo->suspends),
+        .missed_share = number_of(hd_atomic_u64_load_relaxed(&servo->missed_share)),
         .energy =
             {
                 .energy_j = number_of(hd_atomic_u64_load_relaxed(&servo->energy)),
@@ -865,6 +1089,11 @@ void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counter
                 .acted = hd_atomic_u64_load_relaxed(&servo->acted),
             },
     };
+}
+
+void hd_servo_histograms(const struct hd_servo *servo, struct hd_histograms *histograms) {
+    hd_histogram_read(&servo->lateness, &histograms->lateness);
+    hd_histogram_read(&servo->work, &histograms->work);
 }
 
 size_t hd_servo_read_samples(struct hd_servo *servo, struct hd_sample *samples, size_t capacity, uint64_t *dropped) {

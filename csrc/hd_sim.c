@@ -887,6 +887,24 @@ static void restart_reports(struct hd_sim *sim) {
     report(sim);
 }
 
+/* Everything that is counted in periods. */
+static void count_in(struct hd_sim *sim, const struct hd_sim_config *config, double period_s) {
+    sim->period_s = period_s;
+    sim->force_whole_periods = (uint64_t)(config->force_timeout_s / period_s + HD_SAME_TIME);
+    const double longest_s = HD_STRETCH_MAX * period_s;
+    sim->limit_s = HD_STEP_MAX / fmax(fastest_rate_per_s(config), HD_STEP_MAX / longest_s);
+    kernel_at(sim, period_s / fmax(1.0, ceil(period_s / sim->limit_s)), &sim->period);
+    sim->stretch_periods = (uint32_t)fmax(1.0, floor(sim->limit_s / period_s));
+    kernel_at(sim, sim->stretch_periods * period_s, &sim->stretch);
+    /* Rounded down, so that a report that falls on a period's end is not one period late. */
+    const double interval_s = config->report_interval_s == 0.0 ? period_s : config->report_interval_s;
+    const double unit_s = period_s * HD_REPORT_UNIT;
+    sim->report_interval_s = interval_s;
+    sim->report_interval = (uint64_t)(interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
+    sim->report_delay = (uint64_t)(config->report_delay_s / unit_s * (1.0 + 1e-15) + 1e-3);
+    sim->force_interval = (uint64_t)(config->force_interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
+}
+
 struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
     if (check_config(config, period_s) != HD_OK) {
         return NULL;
@@ -897,7 +915,6 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
         return NULL;
     }
     memset(sim, 0, sizeof *sim);
-    sim->period_s = period_s;
     sim->mass_kg = config->handle_mass_kg + config->hand_mass_kg;
     sim->damping = config->handle_damping_n_s_per_m;
     sim->hand_damping = config->hand_damping_n_s_per_m;
@@ -911,14 +928,8 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
     sim->force_top = config->force_step_n > 0.0 ? floor(config->max_force_n / config->force_step_n + HD_SAME_TIME)
                                                 : config->max_force_n;
     sim->force_timeout_s = config->force_timeout_s;
-    sim->force_whole_periods = (uint64_t)(config->force_timeout_s / period_s + HD_SAME_TIME);
-
     make_series(sim);
-    const double longest_s = HD_STRETCH_MAX * period_s;
-    sim->limit_s = HD_STEP_MAX / fmax(fastest_rate_per_s(config), HD_STEP_MAX / longest_s);
-    kernel_at(sim, period_s / fmax(1.0, ceil(period_s / sim->limit_s)), &sim->period);
-    sim->stretch_periods = (uint32_t)fmax(1.0, floor(sim->limit_s / period_s));
-    kernel_at(sim, sim->stretch_periods * period_s, &sim->stretch);
+    count_in(sim, config, period_s);
 
     sim->axes[0].x = config->start_m[0];
     sim->axes[1].x = config->start_m[1];
@@ -930,17 +941,27 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
     };
     sim->segment_limit_s = sim->limit_s;
     sim->calm_tick = period_s > sim->limit_s ? 0 : UINT64_MAX;
-
-    /* Rounded down, so that a report that falls on a period's end is not one period late. */
-    const double interval_s = config->report_interval_s == 0.0 ? period_s : config->report_interval_s;
-    const double unit_s = period_s * HD_REPORT_UNIT;
-    sim->report_interval_s = interval_s;
-    sim->report_interval = (uint64_t)(interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
-    sim->report_delay = (uint64_t)(config->report_delay_s / unit_s * (1.0 + 1e-15) + 1e-3);
-    sim->force_interval = (uint64_t)(config->force_interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
     sim->force_intervals = config->force_intervals;
     restart_reports(sim);
     return sim;
+}
+
+int hd_sim_set_period(struct hd_sim *sim, const struct hd_sim_config *config, double period_s) {
+    if (check_config(config, period_s) != HD_OK) {
+        return HD_ERR_INVALID;
+    }
+    const double path_s = path_time_s(sim);
+    sim->force_n[0] = sim->force_n[1] = 0.0;
+    count_in(sim, config, period_s);
+    sim->put_tick = sim->tick;
+    sim->put_late_s = 0.0;
+    /* The hand's time goes on to within half a period. A path that began before the first tick has a time below 0. */
+    sim->path_tick = sim->tick - (uint64_t)(int64_t)(path_s / period_s + 0.5);
+    sim->segment_limit_s = fmin(sim->segment_limit_s, sim->limit_s);
+    /* What lies ahead in this segment is looked at period by period; the next one knows better. */
+    sim->calm_tick = sim->segment.course == HD_COURSE_HOLD && period_s <= sim->segment_limit_s ? UINT64_MAX : 0;
+    restart_reports(sim);
+    return HD_OK;
 }
 
 void hd_sim_free(struct hd_sim *sim) {

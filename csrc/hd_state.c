@@ -106,6 +106,10 @@ void hd_state_enable(struct hd_state *state, int enabled) {
     hd_state_want_forces(state, enabled);
 }
 
+void hd_state_mute(struct hd_state *state) {
+    state->gain = 0.0;
+}
+
 uint32_t hd_state_faults(const struct hd_state *state) {
     return state->faults;
 }

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hapticd.errors import HapticdError, InvalidError, Problem
     from hapticd.materials import Material
     from hapticd.offline import render, simulate
+    from hapticd.replayed import replay
     from hapticd.samples import SampleBatch
     from hapticd.scene import Scene, load_scene
 
@@ -43,6 +44,7 @@ __all__ = [
     "load_config",
     "load_scene",
     "render",
+    "replay",
     "simulate",
 ]
 
@@ -60,6 +62,7 @@ _HOMES = {
     "Problem": "errors",
     "Material": "materials",
     "render": "offline",
+    "replay": "replayed",
     "simulate": "offline",
     "Scene": "scene",
     "load_scene": "scene",

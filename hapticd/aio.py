@@ -11,7 +11,7 @@ import contextlib
 import os
 from collections.abc import AsyncIterator, Iterable, Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, Generic, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Generic, Self, TypeAlias, TypeVar, cast
 
 import zmq
 import zmq.asyncio
@@ -19,15 +19,19 @@ import zmq.asyncio
 from hapticd import calls
 from hapticd.calls import (
     TIMEOUT_S,
+    ConfigResult,
     DaemonNotRunning,
     Event,
     Feed,
+    FlightResult,
     ForcesResult,
     Interpolation,
+    KeySource,
     LeaseResult,
     MaterialsResult,
     OperatorResult,
     PatchSource,
+    Place,
     PlayResult,
     RemoteError,
     RevisionResult,
@@ -40,7 +44,7 @@ from hapticd.calls import (
     Topic,
 )
 from hapticd.errors import HapticdError
-from hapticd.paths import RuntimePaths, daemon_paths
+from hapticd.remote import Remote
 
 if TYPE_CHECKING:
     from hapticd.samples import SampleBatch
@@ -48,17 +52,27 @@ if TYPE_CHECKING:
 __all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
 
 T = TypeVar("T")
+Answer: TypeAlias = object | RemoteError | DaemonNotRunning
 
 
 @contextlib.asynccontextmanager
 async def connect(
-    runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S
+    runtime_dir: str | os.PathLike[str] | None = None,
+    timeout_s: float = TIMEOUT_S,
+    *,
+    key: KeySource = None,
+    server_key: str | os.PathLike[str] | None = None,
 ) -> AsyncIterator[Client]:
     """A client of the daemon at `runtime_dir` (by default where the environment says).
 
     `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+
+    `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
+    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises HapticdError.
     """
-    client = Client(runtime_dir, timeout_s)
+    place = calls.place_of(runtime_dir, key, server_key)
+    await asyncio.to_thread(calls.probe, place, timeout_s)
+    client = Client(place, timeout_s)
     try:
         yield client
     finally:
@@ -73,25 +87,42 @@ class Client:
     daemon refuses, and DaemonNotRunning where it does not answer within `timeout_s`.
     """
 
-    def __init__(self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> None:
-        self.paths: RuntimePaths = daemon_paths(runtime_dir)
+    def __init__(self, place: Place, timeout_s: float = TIMEOUT_S) -> None:
+        self.paths: Place = place
         self.timeout_s = timeout_s
         self._last_id = 0
-        self._waiting: dict[int, asyncio.Future[object | RemoteError]] = {}
+        self._waiting: dict[int, asyncio.Future[Answer]] = {}
         self._subscriptions: list[Subscription[object]] = []
-        calls.probe(self.paths)
-        self._socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
-        self._socket.setsockopt(zmq.LINGER, 0)
+        self._opening = asyncio.Lock()
+        self._closed = False
+        # Opened when it is first used: who may only watch has none.
+        self._socket: zmq.asyncio.Socket | None = None
+        self._reader: asyncio.Task[None] | None = None
+
+    async def _opened(self) -> zmq.asyncio.Socket:
+        async with self._opening:
+            if self._socket is None:
+                if isinstance(self.paths, Remote):
+                    await asyncio.to_thread(calls.probe, self.paths, self.timeout_s, True)
+                self._socket = self._open()
+                self._reader = asyncio.create_task(self._read(self._socket), name="hapticd-answers")
+            return self._socket
+
+    def _open(self) -> zmq.asyncio.Socket:
+        socket = zmq.asyncio.Context.instance().socket(zmq.DEALER)
+        socket.setsockopt(zmq.LINGER, 0)
         # Nothing waits in a queue for a daemon that is not there: what was told to a dead one must not
         # reach the next.
-        self._socket.setsockopt(zmq.IMMEDIATE, 1)
-        self._socket.connect(self.paths.command_endpoint)
-        self._reader = asyncio.create_task(self._read(), name="hapticd-answers")
+        socket.setsockopt(zmq.IMMEDIATE, 1)
+        if isinstance(self.paths, Remote):
+            self.paths.secure(socket)
+        socket.connect(self.paths.command_endpoint)
+        return socket
 
-    async def _read(self) -> None:
+    async def _read(self, socket: zmq.asyncio.Socket) -> None:
         try:
             while True:
-                id, result = calls.answer(await self._socket.recv())
+                id, result = calls.answer(await socket.recv())
                 # An error without an id says that some message was no call; ours are, so that it belongs to
                 # none.
                 future = self._waiting.pop(id, None) if isinstance(id, int) else None
@@ -104,9 +135,12 @@ class Client:
 
     async def close(self) -> None:
         """Closes the client and its subscriptions; it may be closed twice."""
-        self._reader.cancel()
-        await asyncio.gather(self._reader, return_exceptions=True)
-        self._socket.close()
+        self._closed = True
+        if self._reader is not None:
+            self._reader.cancel()
+            await asyncio.gather(self._reader, return_exceptions=True)
+        if self._socket is not None:
+            self._socket.close()
         for future in self._waiting.values():
             future.cancel()
         for subscription in self._subscriptions:
@@ -115,22 +149,23 @@ class Client:
 
     async def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
         """Calls any method of the protocol by its name; returns its result."""
-        if self._socket.closed:
+        if self._closed:
             raise HapticdError("the client is closed")
         self._last_id += 1
         id = self._last_id
         body = calls.question(id, method, params)
-        future: asyncio.Future[object | RemoteError] = asyncio.get_running_loop().create_future()
+        socket = await self._opened()
+        future: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
         self._waiting[id] = future
         try:
             async with asyncio.timeout(self.timeout_s):
-                await self._socket.send(body)
+                await socket.send(body)
                 result = await future
         except TimeoutError:
-            raise calls.unanswered(self.paths, self.timeout_s) from None
+            raise await asyncio.to_thread(calls.unanswered, self.paths, self.timeout_s) from None
         finally:
             self._waiting.pop(id, None)
-        if isinstance(result, RemoteError):
+        if isinstance(result, RemoteError | DaemonNotRunning):
             raise result
         return result
 
@@ -139,6 +174,10 @@ class Client:
     async def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, await self.call("get_status"))
+
+    async def get_config(self) -> ConfigResult:
+        """The configuration's servo and device."""
+        return cast(ConfigResult, await self.call("get_config"))
 
     async def get_scene(self) -> SceneResult:
         """The scene and its revision."""
@@ -211,6 +250,14 @@ class Client:
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
         """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
         return cast(LeaseResult, await self.call("lease", calls.lease_params(duration_s, token)))
+
+    async def reload(self, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
+        """The daemon reads its configuration files anew: scene and materials, all or nothing."""
+        return cast(RevisionResult, await self.call("reload", calls.reload_params(expect_revision, wait)))
+
+    async def dump_flight(self) -> FlightResult:
+        """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
+        return cast(FlightResult, await self.call("dump_flight"))
 
     @contextlib.asynccontextmanager
     async def hold_lease(self, duration_s: float = 1.0) -> AsyncIterator[str]:
@@ -291,7 +338,7 @@ class Subscription(Generic[T]):
     It is in effect from the entry into `async with`, or else from the first item on.
     """
 
-    def __init__(self, paths: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
+    def __init__(self, paths: Place, feed: Feed[T], timeout_s: float) -> None:
         self._paths = paths
         self._feed = feed
         self._timeout_s = timeout_s
@@ -301,6 +348,8 @@ class Subscription(Generic[T]):
         self._socket.setsockopt(zmq.LINGER, 0)
         for topic in feed.subscriptions:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+        if isinstance(paths, Remote):
+            paths.secure(self._socket)
         self._socket.connect(paths.telemetry_endpoint)
 
     async def _receive(self) -> tuple[T, ...]:
@@ -308,7 +357,7 @@ class Subscription(Generic[T]):
             async with asyncio.timeout(self._timeout_s):
                 frames = await self._socket.recv_multipart()
         except TimeoutError:
-            raise calls.silent(self._paths, self._timeout_s) from None
+            raise await asyncio.to_thread(calls.silent, self._paths, self._timeout_s) from None
         if not self._ready:
             self._ready = True
             for topic in self._feed.surplus:

@@ -25,9 +25,11 @@ from typing import (
 
 from hapticd import wire
 from hapticd.errors import HapticdError, Problem
-from hapticd.paths import RuntimePaths
+from hapticd.paths import RuntimePaths, daemon_paths
+from hapticd.remote import Remote, is_remote, remote
 
 if TYPE_CHECKING:
+    from hapticd.keys import Certificate
     from hapticd.yaml_source import Json
 
 T = TypeVar("T")
@@ -36,7 +38,7 @@ TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer unless it is told otherwise."""
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
-Topic: TypeAlias = Literal["samples", "state", "event", "status"]
+Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 
 
 class RemoteError(HapticdError):
@@ -71,6 +73,16 @@ class DaemonNotRunning(HapticdError):
     """Nobody answers at the runtime directory, or nobody any more."""
 
 
+class KeyRefused(HapticdError):
+    """A bridge is there and does not let us in: our key is not known there, or may only watch."""
+
+
+Place: TypeAlias = RuntimePaths | Remote
+"""Where a daemon is: in a runtime directory of this machine, or behind a bridge."""
+KeySource: TypeAlias = "str | os.PathLike[str] | Certificate | None"
+"""Our secret key: its file, or itself."""
+
+
 class TelemetryLoss(UserWarning):
     """This subscriber was too slow: the daemon sent samples that never arrived here."""
 
@@ -83,6 +95,7 @@ class Status(TypedDict):
 
     version: str
     protocol: int
+    started_ns: int
     state: str
     device: str
     rate_hz: float
@@ -93,11 +106,20 @@ class Status(TypedDict):
     faults: list[str]
     lease_s: float | None
     counters: dict[str, int]
+    overruns: dict[str, Json]
+    histograms: dict[str, dict[str, Json]]
+    flight: dict[str, Json] | None
     passivity: dict[str, Json]
     undisplayable: list[dict[str, Json]]
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]
     stability: dict[str, Json]
+
+
+class ConfigResult(TypedDict):
+    """The configuration's servo and device, by these names."""
+
+    config: dict[str, dict[str, Json]]
 
 
 class SceneResult(TypedDict):
@@ -151,6 +173,12 @@ class LeaseResult(TypedDict):
 
     token: str | None
     warning: NotRequired[str]
+
+
+class FlightResult(TypedDict):
+    """The file that the flight recorder writes; it is there once it is whole."""
+
+    file: str
 
 
 class State(TypedDict):
@@ -237,6 +265,12 @@ def change_params(key: str, value: Mapping[str, object], expect_revision: int | 
     return params
 
 
+def reload_params(expect_revision: int | None, wait: bool) -> dict[str, object]:
+    """Params of reload."""
+    params: dict[str, object] = {} if expect_revision is None else {"expect_revision": expect_revision}
+    return {**params, "wait": True} if wait else params
+
+
 def play_params(
     material: str | None,
     mode: Mapping[str, float] | None,
@@ -295,7 +329,26 @@ def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes
     return body
 
 
-def answer(body: bytes) -> tuple[wire.Id, object | RemoteError]:
+def place_of(
+    place: str | os.PathLike[str] | None, key: KeySource = None, server_key: str | os.PathLike[str] | None = None
+) -> Place:
+    """Where `place` is: a runtime directory (None: as the environment says), or tcp://HOST:PORT of a bridge.
+
+    Raises HapticdError for what is neither, and for keys that cannot be used.
+    """
+    if is_remote(place):
+        return remote(str(place), key, server_key)
+    if key is not None or server_key is not None:
+        raise HapticdError(f"{place or 'key'}: keys are for a bridge, at tcp://HOST:PORT")
+    return daemon_paths(place)
+
+
+def told(place: Place) -> str:
+    """A place as messages name it."""
+    return str(place if isinstance(place, Remote) else place.directory)
+
+
+def answer(body: bytes) -> tuple[wire.Id, object | RemoteError | DaemonNotRunning]:
     """The id that an answer carries, and the result or the error in it."""
     message = wire.decode_trusted(body)
     if not isinstance(message, dict):
@@ -306,15 +359,24 @@ def answer(body: bytes) -> tuple[wire.Id, object | RemoteError]:
     error = message["error"]
     if not isinstance(error, dict):
         raise _not_an_answer()
-    return id, RemoteError(int(error.get("code", 0)), str(error.get("message", "")), error.get("data"))
+    code, message = int(error.get("code", 0)), str(error.get("message", ""))
+    if code == wire.Code.DAEMON_AWAY:
+        return id, DaemonNotRunning(message)
+    return id, RemoteError(code, message, error.get("data"))
 
 
 def _not_an_answer() -> wire.WireError:
     return wire.WireError(wire.Code.INVALID_REQUEST, "the daemon's answer is not a JSON-RPC object")
 
 
-def probe(paths: RuntimePaths) -> None:
-    """Raises DaemonNotRunning where nobody listens, HapticdError where we may not ask."""
+def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> None:
+    """Raises DaemonNotRunning where nobody listens, HapticdError where we may not ask.
+
+    Of a bridge the telemetry socket is asked, which lets in whoever may watch, or the command socket.
+    """
+    if isinstance(paths, Remote):
+        _knock(paths, timeout_s, command)
+        return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
         try:
             trial.connect(os.fspath(paths.command))
@@ -324,15 +386,27 @@ def probe(paths: RuntimePaths) -> None:
             raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 
-def unanswered(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
+def _knock(place: Remote, timeout_s: float, command: bool) -> None:
+    refused = place.knock(timeout_s, command)
+    if refused is None:
+        return
+    there, why = refused
+    if not there:
+        raise DaemonNotRunning(why)
+    if command and place.knock(timeout_s, command=False) is None:
+        raise KeyRefused(f"{why} for commands: it may only watch")
+    raise KeyRefused(why)
+
+
+def unanswered(paths: Place, timeout_s: float) -> DaemonNotRunning:
     """Why there was no answer: nobody is there, or somebody does not speak."""
     try:
-        probe(paths)
+        probe(paths, timeout_s, command=True)
     except DaemonNotRunning as error:
         return error
     except HapticdError as error:
         return DaemonNotRunning(str(error))
-    return DaemonNotRunning(f"the daemon at {paths.directory} did not answer within {timeout_s:g} s")
+    return DaemonNotRunning(f"the daemon at {told(paths)} did not answer within {timeout_s:g} s")
 
 
 # ---- telemetry ---------------------------------------------------------------------------------------------
@@ -366,13 +440,13 @@ class Feed(Generic[T]):
         return (self._convert(cast(Topic, frames[0].decode()), message),)
 
 
-def silent(paths: RuntimePaths, timeout_s: float) -> DaemonNotRunning:
+def silent(paths: Place, timeout_s: float) -> DaemonNotRunning:
     """Why telemetry stopped, or never came."""
     try:
-        probe(paths)
+        probe(paths, timeout_s)
     except HapticdError as error:
         return DaemonNotRunning(str(error))
-    return DaemonNotRunning(f"no telemetry from {paths.directory} for {timeout_s:g} s")
+    return DaemonNotRunning(f"no telemetry from {told(paths)} for {timeout_s:g} s")
 
 
 def message_of(topic: Topic, message: dict[str, object]) -> tuple[Topic, dict[str, object]]:

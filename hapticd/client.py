@@ -20,15 +20,19 @@ import zmq
 from hapticd import calls
 from hapticd.calls import (
     TIMEOUT_S,
+    ConfigResult,
     DaemonNotRunning,
     Event,
     Feed,
+    FlightResult,
     ForcesResult,
     Interpolation,
+    KeySource,
     LeaseResult,
     MaterialsResult,
     OperatorResult,
     PatchSource,
+    Place,
     PlayResult,
     RemoteError,
     RevisionResult,
@@ -41,7 +45,7 @@ from hapticd.calls import (
     Topic,
 )
 from hapticd.errors import HapticdError
-from hapticd.paths import RuntimePaths, daemon_paths
+from hapticd.remote import Remote
 
 if TYPE_CHECKING:
     from hapticd.samples import SampleBatch
@@ -51,12 +55,21 @@ __all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "Telemet
 T = TypeVar("T")
 
 
-def connect(runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> Client:
+def connect(
+    runtime_dir: str | os.PathLike[str] | None = None,
+    timeout_s: float = TIMEOUT_S,
+    *,
+    key: KeySource = None,
+    server_key: str | os.PathLike[str] | None = None,
+) -> Client:
     """A client of the daemon at `runtime_dir` (by default where the environment says), to be used in `with`.
 
     `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+
+    `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
+    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises HapticdError.
     """
-    return Client(runtime_dir, timeout_s)
+    return Client(runtime_dir, timeout_s, key=key, server_key=server_key)
 
 
 class Client:
@@ -67,16 +80,36 @@ class Client:
     within `timeout_s`; such a call is not repeated later by itself.
     """
 
-    def __init__(self, runtime_dir: str | os.PathLike[str] | None = None, timeout_s: float = TIMEOUT_S) -> None:
-        self.paths: RuntimePaths = daemon_paths(runtime_dir)
+    def __init__(
+        self,
+        runtime_dir: str | os.PathLike[str] | None = None,
+        timeout_s: float = TIMEOUT_S,
+        *,
+        key: KeySource = None,
+        server_key: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self._begin(calls.place_of(runtime_dir, key, server_key), timeout_s)
+
+    def _begin(self, place: Place, timeout_s: float) -> None:
+        self.paths: Place = place
         self.timeout_s = timeout_s
         self._lock = threading.Lock()
         self._last_id = 0
         self._subscriptions: list[Subscription[object]] = []
-        calls.probe(self.paths)
-        self._socket = self._open()
+        self._closed = False
+        # Opened when it is first used: who may only watch has none.
+        self._socket: zmq.Socket[bytes] | None = None
+        calls.probe(self.paths, timeout_s)
+
+    def _again(self, timeout_s: float) -> Client:
+        """Another client of the same daemon."""
+        other = Client.__new__(type(self))
+        other._begin(self.paths, timeout_s)
+        return other
 
     def _open(self) -> zmq.Socket[bytes]:
+        if isinstance(self.paths, Remote):
+            calls.probe(self.paths, self.timeout_s, command=True)
         socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
         socket.setsockopt(zmq.LINGER, 0)
         # Nothing waits in a queue for a daemon that is not there: what was told to a dead one must not
@@ -84,13 +117,17 @@ class Client:
         socket.setsockopt(zmq.IMMEDIATE, 1)
         socket.setsockopt(zmq.SNDTIMEO, _milliseconds(self.timeout_s))
         socket.setsockopt(zmq.RCVTIMEO, _milliseconds(self.timeout_s))
+        if isinstance(self.paths, Remote):
+            self.paths.secure(socket)
         socket.connect(self.paths.command_endpoint)
         return socket
 
     def close(self) -> None:
         """Closes the client and its subscriptions; it may be closed twice."""
         with self._lock:
-            self._socket.close()
+            self._closed = True
+            if self._socket is not None:
+                self._socket.close()
             subscriptions, self._subscriptions = self._subscriptions, []
         for subscription in subscriptions:
             subscription.close()
@@ -106,30 +143,31 @@ class Client:
     def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
         """Calls any method of the protocol by its name; returns its result."""
         with self._lock:
-            if self._socket.closed:
+            if self._closed:
                 raise HapticdError("the client is closed")
             self._last_id += 1
             id = self._last_id
             body = calls.question(id, method, params)
+            socket = self._socket = self._socket or self._open()
             try:
-                self._socket.send(body)
-                answer_id, result = calls.answer(self._socket.recv())
+                socket.send(body)
+                answer_id, result = calls.answer(socket.recv())
                 if answer_id != id and answer_id is not None:
-                    result = self._skip_to(id)
+                    result = self._skip_to(socket, id)
             except zmq.Again:
                 # The call may still be under way; its answer goes with the socket.
-                self._socket.close()
-                self._socket = self._open()
+                socket.close()
+                self._socket = None
                 raise calls.unanswered(self.paths, self.timeout_s) from None
-        if isinstance(result, RemoteError):
+        if isinstance(result, RemoteError | DaemonNotRunning):
             raise result
         return result
 
-    def _skip_to(self, id: int) -> object | RemoteError:
+    def _skip_to(self, socket: zmq.Socket[bytes], id: int) -> object | RemoteError | DaemonNotRunning:
         """The answer to `id`, past those to calls that were interrupted."""
         deadline = time.monotonic() + self.timeout_s
         while time.monotonic() < deadline:
-            answer_id, result = calls.answer(self._socket.recv())
+            answer_id, result = calls.answer(socket.recv())
             if answer_id == id or answer_id is None:
                 return result
         raise zmq.Again
@@ -139,6 +177,10 @@ class Client:
     def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, self.call("get_status"))
+
+    def get_config(self) -> ConfigResult:
+        """The configuration's servo and device."""
+        return cast(ConfigResult, self.call("get_config"))
 
     def get_scene(self) -> SceneResult:
         """The scene and its revision."""
@@ -211,6 +253,14 @@ class Client:
         """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
         return cast(LeaseResult, self.call("lease", calls.lease_params(duration_s, token)))
 
+    def reload(self, expect_revision: int | None = None, wait: bool = False) -> RevisionResult:
+        """The daemon reads its configuration files anew: scene and materials, all or nothing."""
+        return cast(RevisionResult, self.call("reload", calls.reload_params(expect_revision, wait)))
+
+    def dump_flight(self) -> FlightResult:
+        """Has the last seconds of telemetry written to a file on the daemon's machine; its name."""
+        return cast(FlightResult, self.call("dump_flight"))
+
     @contextmanager
     def hold_lease(self, duration_s: float = 1.0) -> Iterator[str]:
         """Holds a lease while the block runs, and gives its token.
@@ -224,7 +274,7 @@ class Client:
 
         def renew() -> None:
             try:
-                with Client(self.paths.directory, duration_s / 3) as renewer:
+                with self._again(duration_s / 3) as renewer:
                     while not stop.wait(duration_s / 3):
                         # A daemon that is away may come back in time; if not, its answer says that the
                         # lease lapsed.
@@ -290,7 +340,7 @@ class Client:
 class Subscription(Generic[T]):
     """An endless iterator over telemetry, in effect from its creation until `close` or the end of `with`."""
 
-    def __init__(self, paths: RuntimePaths, feed: Feed[T], timeout_s: float) -> None:
+    def __init__(self, paths: Place, feed: Feed[T], timeout_s: float) -> None:
         self._paths = paths
         self._feed = feed
         self._timeout_s = timeout_s
@@ -300,6 +350,8 @@ class Subscription(Generic[T]):
         try:
             for topic in feed.subscriptions:
                 self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+            if isinstance(paths, Remote):
+                paths.secure(self._socket)
             self._socket.connect(paths.telemetry_endpoint)
             self._first += feed.accept(self._receive(_milliseconds(timeout_s)))
             for topic in feed.surplus:

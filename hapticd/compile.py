@@ -335,6 +335,15 @@ class _Materials:
             self._compile(index)
         return stale
 
+    def turn_to_output(self, output: Output) -> list[int]:
+        """Compiles everything for another output; the indices of all that is used."""
+        self._output = output
+        self._heard.clear()
+        used = sorted(self._index.values())
+        for index in used:
+            self._compile(index)
+        return used
+
     def use(self, name: str) -> int:
         """The index of a material that one thing more is made of."""
         index = self._index.get(name)
@@ -544,6 +553,18 @@ class Compiler:
         self._changed_slots = np.zeros(0, np.uint32)
         self._stamp = 0
         self._table: CData = ffi.new("struct hd_table *")
+        self._turn_to(output)
+        self._table.all_changed = 1
+
+    def turn_to(self, output: Output) -> None:
+        """What the tables are made for from now on, another rate for example: the next `update`, which is to be taken
+        whole, has everything of it. Slots and generations stay."""
+        self._turn_to(output)
+        self._stamp = self._stamp % _LARGEST + 1
+        self._show_again(self._materials.turn_to_output(output))
+        self._table.all_changed = 1
+
+    def _turn_to(self, output: Output) -> None:
         self._table.period_s = 1.0 / output.rate_hz
         self._table.max_force_n = output.max_force_n
         self._table.max_speed_m_per_s = output.max_speed_m_per_s
@@ -553,7 +574,6 @@ class Compiler:
         self._table.brake_n_s_per_m = PASSIVITY_BRAKE * mass_kg * output.rate_hz
         self._table.handle_damping_n_s_per_m = 0.0 if known is None else known.handle_damping_n_s_per_m
         self._table.handle_friction_n = 0.0 if known is None else known.friction_n
-        self._table.all_changed = 1
 
     def slot_of(self, id: str) -> tuple[int, int] | None:
         """Slot and generation of a surface; None for a field and for an unknown id."""

@@ -22,6 +22,18 @@ DEFAULT = "default.yaml"
 ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
 
 
+class Overruns(Model):
+    """How many periods may be missed before something is done about it."""
+
+    threshold: float = Field(
+        default=0.1, ge=0.001, le=1, description="Part of a second's periods that may be missed; 1: any."
+    )
+    action: Literal["warn", "step_down", "fault"] = Field(
+        default="warn",
+        description="What becomes of more: an event, half the rate (a fault where that is not possible), or a fault.",
+    )
+
+
 class Servo(Model):
     """The servo loop and what it asks of the machine."""
 
@@ -38,6 +50,7 @@ class Servo(Model):
     clock: Literal["timer", "device"] = Field(
         default="timer", description="What leads the ticks: the clock, or the reports of a HID device."
     )
+    overruns: Overruns = Field(default=Overruns(), description="Periods that are missed.")
 
 
 class Hand(Model):
@@ -167,6 +180,11 @@ class Device(Model):
         default_factory=_muted_or_lowered,
         description="What becomes of a mode above 0.4 of the rate, the link's if that is lower.",
     )
+    frozen_after_s: Annotated[float, Field(ge=0.1, le=60)] | None = Field(
+        default=None,
+        description="Reports that say the very same position for this long, under a tenth of max_force_n or more, are "
+        "a fault; null: a handle may be held still.",
+    )
     sim: Sim = Field(default=Sim(), description="The simulated joystick.")
     hid: Hid = Field(default=Hid(), description="A HID joystick; of a replay, how its reports are understood.")
     replay: Replay | None = Field(default=None, description="The recording that is played.")
@@ -207,6 +225,19 @@ class Device(Model):
         return self
 
 
+class FlightRecorder(Model):
+    """The last seconds of telemetry, written to a file on a fault or when asked."""
+
+    seconds: float = Field(default=10.0, ge=1, le=60, description="How much is kept.")
+    directory: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=4096,
+        description="Where files go; null: $STATE_DIRECTORY, or the runtime directory.",
+    )
+    keep: int = Field(default=10, ge=1, le=1000, description="Files that stay; older ones are removed.")
+
+
 class Config(Model):
     """Everything that a configuration file holds."""
 
@@ -216,6 +247,7 @@ class Config(Model):
         default={}, max_length=MAX_MATERIALS, description="Materials by name, added to the shipped ones."
     )
     scene: Scene = Field(default=Scene(), description="The scene at the start.")
+    flight: FlightRecorder = Field(default=FlightRecorder(), description="The flight recorder.")
 
     @model_validator(mode="after")
     def _clock_reports(self) -> Self:

@@ -5,6 +5,7 @@ A handler gets validated parameters and returns the result, or raises MethodErro
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -14,11 +15,13 @@ from typing import Annotated, Any, Final, cast
 from pydantic import Field, ValidationError
 
 from hapticd._version import __version__
+from hapticd.config import Config
 from hapticd.core import Fault
 from hapticd.displayable import material_rate_faults, rate_faults
 from hapticd.engine import Counters, Engine, Granted, RingFullError, WaitTimeoutError, monotonic_ns
-from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
+from hapticd.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted, shown
 from hapticd.events import fault_names
+from hapticd.flight import Flight
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
 from hapticd.materials import MAX_MATERIALS, Material, shipped_materials, validate_materials
@@ -37,11 +40,14 @@ from hapticd.scene import (
 )
 from hapticd.wire import PROTOCOL, Code
 
+_log = logging.getLogger("hapticd")
 _FAULT_WORDS: Final = {
     Fault.NONFINITE: "a position or a force was not a number",
     Fault.CONTROL: "the control plane did not answer for a second",
     Fault.LEASE: "a lease lapsed",
     Fault.DEVICE: "the device does not report",
+    Fault.OVERRUN: "the servo missed too many periods",
+    Fault.FROZEN: "the device reported the same position all the time, under force",
 }
 
 
@@ -77,6 +83,10 @@ class _UpdateScene(_Change):
 
 class _UpdateMaterials(_Change):
     materials: dict[str, object]
+
+
+class _Reload(_Change):
+    pass
 
 
 class _Play(Model):
@@ -117,12 +127,35 @@ def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
     return told
 
 
+def _needing_restart(before: Config, after: Config) -> list[Problem]:
+    """What of a configuration is another, and cannot be taken while the servo runs."""
+    problems = []
+    for section in Config.model_fields:
+        if section not in ("scene", "materials"):
+            old, new = getattr(before, section).to_dict(), getattr(after, section).to_dict()
+            problems += _differences((section,), old, new)
+    return problems
+
+
+def _differences(path: Path, old: object, new: object) -> list[Problem]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = [*old, *(key for key in new if key not in old)]
+        return [problem for key in keys for problem in _differences((*path, key), old.get(key), new.get(key))]
+    if old == new:
+        return []
+    return [Problem(path_text(path), f"{shown(new)} needs a restart of the daemon; it runs with {shown(old)}")]
+
+
 class Control:
     """Acts on one engine. One thread at a time."""
 
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, load: Callable[[], Config] | None = None, flight: Flight | None = None) -> None:
+        """`load` reads the configuration anew, for `reload`."""
         self._engine = engine
+        self._load = load
+        self._flight = flight
         self._lease = Lease(engine.set_lease, monotonic_ns)
+        self._started_ns = monotonic_ns()
         self._wish = engine.config.device.sim.start_m
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
 
@@ -152,9 +185,11 @@ class Control:
         counters = engine.counters()
         granted = engine.granted
         remaining = self._lease.remaining_s
+        lateness, work = engine.histograms()
         return {
             "version": __version__,
             "protocol": PROTOCOL,
+            "started_ns": self._started_ns,
             "state": "running" if counters.running else "stopped",
             "device": engine.config.device.kind,
             "connection": None if engine.connection is None else engine.connection.status(),
@@ -174,7 +209,16 @@ class Control:
                 "strikes": counters.strikes,
                 "glitches": counters.glitches,
                 "saturations": counters.saturations,
+                "overloads": counters.overloads,
+                "suspends": counters.suspends,
             },
+            "overruns": {
+                **engine.config.servo.overruns.to_dict(),
+                "missed_share": counters.missed_share,
+                "configured_rate_hz": engine.config.servo.rate_hz,
+            },
+            "histograms": {"lateness_ns": lateness.to_dict(), "work_ns": work.to_dict()},
+            "flight": None if self._flight is None else self._flight.status(),
             "passivity": {"mode": engine.scene.passivity, **counters.energy._asdict()},
             **self._find_limits(),
             "stability": engine.stability().to_dict(),
@@ -198,6 +242,10 @@ class Control:
 
     def _get_status(self, _: _NoParams) -> dict[str, object]:
         return self.status()
+
+    def _get_config(self, _: _NoParams) -> dict[str, object]:
+        config = self._engine.config
+        return {"config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()}}
 
     def _get_scene(self, _: _NoParams) -> dict[str, object]:
         return {"scene": self._engine.scene.to_dict(), "revision": self._engine.revision}
@@ -294,6 +342,41 @@ class Control:
         if refused:
             raise _faulty(refused)
         return self._changed(engine.set_materials(materials), params)
+
+    def _reload(self, params: _Reload) -> dict[str, object]:
+        """All or nothing: what needs a restart refuses the rest, too."""
+        self._expect(params)
+        engine = self._engine
+        if self._load is None:
+            raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
+        try:
+            config = self._load()
+            engine.beat()
+            fixed = _needing_restart(engine.config, config)
+            if fixed:
+                raise InvalidError(fixed)
+            refused = rate_faults(config.scene.objects, config.materials, engine.output)
+            if refused:
+                raise InvalidError(refused)
+            engine.beat()
+            before = engine.scene
+            same = config.scene == before and config.materials == engine.materials
+            revision = engine.revision if same else engine.replace(config.scene, config.materials)
+        except InvalidError as error:
+            _log.error("not reloaded: %s", error)
+            raise _faulty(error.problems) from None
+        except HapticdError as error:
+            _log.error("not reloaded: %s", error)
+            raise _faulty([Problem("", str(error))]) from None
+        old, new = before.objects, config.scene.objects
+        changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
+        _log.info("reloaded: revision %d, %d objects are others", revision, changed)
+        return self._changed(revision, params)
+
+    def _dump_flight(self, _: _NoParams) -> dict[str, object]:
+        if self._flight is None:
+            raise MethodError(Code.INTERNAL, "this daemon has no flight recorder")
+        return {"file": str(self._flight.dump())}
 
     def _expect(self, params: _Change) -> None:
         expected, revision = params.expect_revision, self._engine.revision
@@ -418,6 +501,7 @@ class Control:
 # `set_operator` takes what an operator file holds, which hapticd.operator validates.
 _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (_NoParams, Control._get_status),
+    "get_config": (_NoParams, Control._get_config),
     "get_scene": (_NoParams, Control._get_scene),
     "set_scene": (_SetScene, Control._set_scene),
     "update_scene": (_UpdateScene, Control._update_scene),
@@ -428,4 +512,6 @@ _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "set_forces": (_SetForces, Control._set_forces),
     "set_operator": (None, Control._set_operator),
     "lease": (_LeaseParams, Control._lease_request),
+    "reload": (_Reload, Control._reload),
+    "dump_flight": (_NoParams, Control._dump_flight),
 }

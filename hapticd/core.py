@@ -23,6 +23,7 @@ __all__ = [
     "COUNTERS_DTYPE",
     "EVENT_DTYPE",
     "FIELD_DTYPE",
+    "HISTOGRAM_EDGES_NS",
     "MATERIAL_DTYPE",
     "MODE_DTYPE",
     "NOISE_DTYPE",
@@ -43,6 +44,7 @@ __all__ = [
     "HidMeaning",
     "HidQuantity",
     "Interpolation",
+    "OverrunAction",
     "PassivityMode",
     "Realtime",
     "Shape",
@@ -115,6 +117,8 @@ PLAY_SLOT = lib.HD_PLAY_SLOT
 """`slot` of what a `play` command struck."""
 PASSIVITY_AGE_MAX: int = lib.HD_PASSIVITY_AGE_MAX
 """The oldest reports that the passivity observer understands, in periods."""
+HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(lib.HD_HISTOGRAM_BINS - 1)))
+"""Between the bins of lateness and work, the first and the last of which have one each."""
 SIM_FORCES: int = lib.HD_SIM_FORCES
 """So many frames a force may be under way to the simulated joystick."""
 
@@ -188,6 +192,10 @@ class EventKind(IntEnum):
     DEVICE_LOST = lib.HD_EVENT_DEVICE_LOST
     DEVICE_FOUND = lib.HD_EVENT_DEVICE_FOUND
     GROOVE = lib.HD_EVENT_GROOVE
+    OVERLOAD = lib.HD_EVENT_OVERLOAD
+    RATE = lib.HD_EVENT_RATE
+    RESUMED = lib.HD_EVENT_RESUMED
+    MEMORY_REFUSED = lib.HD_EVENT_MEMORY_REFUSED
 
 
 class Fault(IntFlag):
@@ -197,6 +205,16 @@ class Fault(IntFlag):
     CONTROL = lib.HD_FAULT_CONTROL
     LEASE = lib.HD_FAULT_LEASE
     DEVICE = lib.HD_FAULT_DEVICE
+    OVERRUN = lib.HD_FAULT_OVERRUN
+    FROZEN = lib.HD_FAULT_FROZEN
+
+
+class OverrunAction(IntEnum):
+    """What becomes of an overload, beside its event: enum hd_overrun_action."""
+
+    WARN = lib.HD_OVERRUN_WARN
+    FAULT = lib.HD_OVERRUN_FAULT
+    STEP_DOWN = lib.HD_OVERRUN_STEP_DOWN
 
 
 class Interpolation(IntEnum):

@@ -1,8 +1,9 @@
 """The daemon's process: configuration, runtime directory, threads, signals.
 
-    main thread      waits for a signal, then takes everything down in order
+    main thread      waits for a signal: has the configuration reloaded, or takes everything down in order
     command thread   hapticd.server: answers requests, beats
     telemetry thread hapticd.telemetry: drains the rings, publishes
+    flight thread    hapticd.flight: writes what was kept of that to a file, after a fault
     servo thread     csrc/hd_servo.c: owns time and force
 
 The command socket is bound last, so that its existence means ready. Whatever ends the daemon, the force fades to zero
@@ -22,42 +23,62 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import zmq
 
-from hapticd import server
+from hapticd import journal, notify, server
 from hapticd.config import Config, config_of
 from hapticd.control import Control
-from hapticd.engine import Engine
+from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
+from hapticd.events import fault_names
+from hapticd.flight import Flight, directory_of
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import RuntimePaths, make_directory, runtime_paths
+from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+MOST_OBJECTS_WRITTEN: Final = 2000
+"""A larger scene stays out of the flight recorder's files: putting it into words would hold up commands."""
+
 _log = logging.getLogger("hapticd")
 _T = TypeVar("_T")
 
 
 def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | os.PathLike[str] | None = None) -> int:
-    """Runs the daemon until SIGTERM, SIGINT or SIGHUP; returns its exit code.
+    """Runs the daemon until SIGTERM or SIGINT; returns its exit code.
+
+    SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which is gone then.
 
     `config_paths` are merged in order; without one, the shipped default is used. Raises HapticdError (one line) where
     it cannot start: bad configuration, another daemon on the directory, real time required and refused.
     """
-    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="hapticd: %(message)s")
+    journal.set_up()
     config = config_of(config_paths)
     os.umask(0o117)
     with ExitStack() as stack:
         signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
-        return _run(config, paths, signals, stack)
+        return _run(config, lambda: config_of(config_paths), paths, signals, stack)
 
 
-def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: ExitStack) -> int:
-    engine = Engine(config)
-    control = Control(engine)
+def _run(
+    config: Config, load: Callable[[], Config], paths: RuntimePaths, signals: socket.socket, stack: ExitStack
+) -> int:
+    stop_file = StopFile(paths.device)
+    _stop_what_was_left(stop_file.path)
+    engine = Engine(config, stop_file)
+    flight = Flight(
+        directory_of(config.flight.directory, paths.directory),
+        config.flight.seconds,
+        config.flight.keep,
+        engine.rate_hz,
+        monotonic_ns,
+        lambda: _about(engine, control),
+    )
+    control = Control(engine, load, flight)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
     publisher = context.socket(zmq.PUB)
@@ -67,8 +88,9 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
     stack.callback(publisher.close)
     _bind(lambda: publisher.bind(paths.telemetry_endpoint), paths.telemetry)
     failures: list[BaseException] = []
-    telemetry = Telemetry(engine, publisher, control.status)
-    # Taken down in reverse: commands end, the force fades, and telemetry tells of it.
+    telemetry = Telemetry(engine, publisher, control.status, flight)
+    # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
+    _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack)
     granted = engine.start()
     stack.callback(engine.stop)
@@ -79,9 +101,10 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
         _log.warning("%s", told)
     router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
     stack.callback(router.close)
+    watch = notify.Watch(lambda: _progress(engine))
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop),
+        lambda stop: server.serve(router, engine, control, stop, watch),
         failures,
         stack,
         wake=lambda: server.wake(context),
@@ -100,14 +123,58 @@ def _run(config: Config, paths: RuntimePaths, signals: socket.socket, stack: Exi
     if engine.connection is not None:
         told = engine.connection.status()
         _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
+    notify.ready(_progress(engine)[1])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-    received = signals.recv(1)[0]
+    # Asked now: a terminal that is gone is none any more.
+    ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
+    while (received := signals.recv(1)[0]) not in ends:
+        notify.reloading()
+        server.reload(context)
+        notify.ready(_progress(engine)[1])
+    notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
         return 1
     _log.info("%s: stopping", signal.Signals(received).name)
     paths.command.unlink(missing_ok=True)
     return 0
+
+
+def _on_terminal() -> bool:
+    return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
+
+
+def _about(engine: Engine, control: Control) -> dict[str, object]:
+    """What goes into a file of the flight recorder beside the telemetry."""
+    scene, materials = engine.scene, engine.materials
+    small = len(scene.objects) <= MOST_OBJECTS_WRITTEN
+    return {
+        "status": control.status(),
+        "scene": scene.to_dict() if small else None,
+        "materials": {name: material.to_dict() for name, material in materials.items()} if small else None,
+    }
+
+
+def _stop_what_was_left(record: Path) -> None:
+    """A daemon that was killed, without a systemd that runs `hapticd stop-device`, left its device as it was."""
+    try:
+        done = stop_device(record)
+    except HapticdError as error:
+        _log.warning("the daemon before: %s", error)
+    else:
+        if done is not None:
+            _log.warning("the daemon before: %s", done)
+
+
+def _progress(engine: Engine) -> tuple[int, str]:
+    """Ticks so far, and how the daemon is in one line."""
+    counters = engine.counters()
+    connection = None if engine.connection is None else engine.connection.status()
+    device = engine.config.device.kind if connection is None else connection["name"] or "device lost"
+    forces = "on" if counters.forces_on else "off"
+    if counters.faults:
+        forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
+    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
 
 
 def _thread(

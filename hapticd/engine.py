@@ -6,12 +6,14 @@ one other thread. The servo itself is C and waits for none of them.
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
@@ -19,10 +21,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.awake import Awake
+from hapticd.changes import Change, Played, Reset, revised
 from hapticd.compile import Compiler, mode_record
 from hapticd.config import Config
 from hapticd.core import (
     EVENT_DTYPE,
+    HISTOGRAM_EDGES_NS,
     NO_SLOT,
     PLAY_SLOT,
     SAMPLE_DTYPE,
@@ -30,6 +34,7 @@ from hapticd.core import (
     ClockSource,
     CommandKind,
     Fault,
+    OverrunAction,
     Realtime,
     Status,
     ffi,
@@ -47,14 +52,15 @@ from hapticd.displayable import (
     warnings,
 )
 from hapticd.errors import HapticdError, InvalidError, Problem
-from hapticd.hid.connection import Connection
+from hapticd.hid.connection import Connection, Link
 from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.sources import source_of
-from hapticd.joystick import new_operator, new_sim
+from hapticd.joystick import new_operator, new_sim, set_rate
 from hapticd.materials import Materials
 from hapticd.mode import Attack, Mode
 from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, materials_of
 from hapticd.stability import Loop, timing
+from hapticd.stopper import StopFile
 from hapticd.together import Stability, judge
 
 SAMPLE_CAPACITY: Final = 16384
@@ -63,10 +69,22 @@ SAMPLE_CAPACITY: Final = 16384
 DEVICE_TIMEOUT_S: Final = 0.1
 """A device that is this much later than its reports should be is lost."""
 
+FROZEN_FORCE: Final = 0.1
+"""The part of its largest force under which a handle that is watched for it must move."""
+CHANGES: Final = 1024
+"""Changes that wait to be told; older ones are given up."""
+
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
 
+LOOK_EVERY_NS: Final = 50_000_000
+"""So often the thread that serves commands looks whether the servo needs something."""
+
+LEAST_RATE_HZ: Final = 1000.0
+"""The servo steps down to no less."""
+
 _NO_FAULT: Final = Fault(0)
+_log = logging.getLogger("hapticd")
 _MEMORY_KINDS: Final = ("none", "servo", "process")
 
 
@@ -179,6 +197,18 @@ class Energy(NamedTuple):
     """Ticks in which it did."""
 
 
+class Histogram(NamedTuple):
+    """How often a time was how long: counts[0] below the first edge, counts[i] from edge i - 1 on and below edge i."""
+
+    edges_ns: tuple[int, ...]
+    counts: list[int]
+    sum_ns: int
+    max_ns: int
+
+    def to_dict(self) -> dict[str, object]:
+        return {"edges": list(self.edges_ns), "counts": self.counts, "sum": self.sum_ns, "max": self.max_ns}
+
+
 class Counters(NamedTuple):
     """What the servo has counted since it started."""
 
@@ -196,6 +226,14 @@ class Counters(NamedTuple):
     running: bool
     memory_refused: int
     """errno: the scene has grown beyond what may be locked; 0: memory is as granted."""
+    overloaded: bool
+    """The servo thread ended, or is about to, so that it can go on at a lower rate."""
+    overloads: int
+    """Seconds in which more periods than the threshold were missed."""
+    suspends: int
+    """Times that the machine was suspended."""
+    missed_share: float
+    """Part of the periods of the last whole second that were missed."""
     energy: Energy
     """As of the last tick that was watched."""
 
@@ -203,8 +241,8 @@ class Counters(NamedTuple):
 class Engine:
     """A servo with its device and its scene."""
 
-    def __init__(self, config: Config) -> None:
-        """Compiles the configuration's scene; nothing moves yet.
+    def __init__(self, config: Config, stop_file: StopFile | None = None) -> None:
+        """Compiles the configuration's scene; nothing moves yet. `stop_file`: for what stops a real device.
 
         Raises InvalidError for what no signal of this rate has, HapticdError.
         """
@@ -215,6 +253,8 @@ class Engine:
         self.materials: Materials = config.materials
         self.revision = 1
         self.granted: Granted | None = None
+        self._look_ns = 0
+        self._suspends = 0
         self._awake = Awake()
         self._sim: CData | None = None
         self.connection: Connection | None = None
@@ -223,7 +263,7 @@ class Engine:
             self._sim = new_sim(config.device.sim, servo.rate_hz)
         else:
             below_servo = 0 if servo.realtime == "off" else max(1, servo.priority - 1)
-            self.connection = Connection(source_of(config.device), below_servo)
+            self.connection = Connection(source_of(config.device), below_servo, stop_file)
             if config.device.hid.offload == "auto":
                 self._offload = self.connection.offload
         try:
@@ -236,20 +276,16 @@ class Engine:
         """Opens the device, and makes the servo for it."""
         config, servo = self.config, self.config.servo
         sim = config.device.sim
-        resolution_m, report_age_s, carried_hz = sim.encoder_step_m, sum(sim.reports_s), None
+        resolution_m, report_age_s = sim.encoder_step_m, sum(sim.reports_s)
         self.force_steps_n = (sim.force_step_n, sim.force_step_n)
+        self._link: Link | None = None
         if self.connection is not None:
-            plan, link = self.connection.open()
+            plan, self._link = self.connection.open()
             self.force_steps_n = plan.force_steps_n
-            resolution_m, report_age_s, carried_hz = plan.resolution_m, 0.0, link.carried_hz(servo.rate_hz)
-        self.output = output_of(config, servo.rate_hz, carried_hz)
-        self._loop = loop_of(
-            config,
-            servo.rate_hz,
-            resolution_m=resolution_m,
-            force_step_n=max(self.force_steps_n),
-            link_rate_hz=carried_hz,
-        )
+            resolution_m, report_age_s = plan.resolution_m, 0.0
+        self._resolution_m = resolution_m
+        self.output = self._output_at(servo.rate_hz)
+        self._loop = self._loop_at(self.output)
         self._compiling = threading.Lock()
         self._judged: tuple[int, Stability] | None = None
         refused = rate_faults(config.scene.objects, config.materials, self.output)
@@ -258,6 +294,7 @@ class Engine:
         if self._offload is not None:
             self._offload.judge_by(self.output.carried_hz)
         self._operators: deque[tuple[int, CData]] = deque()
+        self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._dropped = ffi.new("uint64_t *")
         self._sequence = ffi.new("uint64_t *")
         self._tick = ffi.new("uint64_t *")
@@ -272,6 +309,10 @@ class Engine:
         settings.resolution_m = resolution_m
         settings.device_timeout_s = DEVICE_TIMEOUT_S + report_age_s
         settings.clock = ClockSource[servo.clock.upper()]
+        settings.overrun_threshold = servo.overruns.threshold
+        settings.overrun_action = self._overrun_action(servo.rate_hz)
+        settings.frozen_s = config.device.frozen_after_s or 0.0
+        settings.frozen_force_n = FROZEN_FORCE * config.device.max_force_n
         # A real device pushes once somebody says so.
         settings.forces_on = self._sim is not None
         hid = None if self.connection is None else self.connection.hid
@@ -288,6 +329,25 @@ class Engine:
         self._compiler = Compiler(self.output, lambda: lib.hd_servo_beat(made), self._offload)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
+    def _output_at(self, rate_hz: float) -> Output:
+        return output_of(self.config, rate_hz, None if self._link is None else self._link.carried_hz(rate_hz))
+
+    def _loop_at(self, output: Output) -> Loop | None:
+        return loop_of(
+            self.config,
+            output.rate_hz,
+            resolution_m=self._resolution_m,
+            force_step_n=max(self.force_steps_n),
+            link_rate_hz=None if self._link is None else output.link_rate_hz,
+        )
+
+    def _overrun_action(self, rate_hz: float) -> OverrunAction:
+        """What the servo does about an overload at this rate."""
+        action = OverrunAction[self.config.servo.overruns.action.upper()]
+        if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * LEAST_RATE_HZ:
+            return OverrunAction.FAULT
+        return action
+
     # ---- Life ------------------------------------------------------------------------------------------------------
 
     def start(self) -> Granted:
@@ -301,9 +361,11 @@ class Engine:
             raise
 
     def _start(self) -> Granted:
-        servo = self.config.servo
         grant = ffi.new("struct hd_grant *")
-        status = lib.hd_servo_start(self._servo, grant)
+        return self._take_grant(lib.hd_servo_start(self._servo, grant), grant)
+
+    def _take_grant(self, status: int, grant: CData) -> Granted:
+        servo = self.config.servo
         missing = []
         if grant.scheduler:
             missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
@@ -354,18 +416,73 @@ class Engine:
         """The thread that serves commands lives; without a beat for a second the forces fade out."""
         lib.hd_servo_beat(self._servo)
 
+    # ---- What the servo cannot do by itself --------------------------------------------------------------------------
+
+    def look_after(self) -> None:
+        """Looks, now and then, whether the servo or its device needs something: another rate, a new set-up. For the
+        thread that changes something, which calls it often. Raises HapticdError where the servo does not go on."""
+        now_ns = monotonic_ns()
+        if now_ns < self._look_ns:
+            return
+        self._look_ns = now_ns + LOOK_EVERY_NS
+        counters = self.counters()
+        if counters.suspends != self._suspends:
+            self._suspends = counters.suspends
+            if self.connection is not None:
+                self.connection.suspect()
+        if counters.overloaded and not counters.running:
+            self._step_down()
+
+    def _step_down(self) -> None:
+        """Half the rate, or, where that cannot be, the same with a fault."""
+        before, after = self.output, self._output_at(0.5 * self.rate_hz)
+        refused = rate_faults(self.scene.objects, self.materials, after)
+        problem = str(InvalidError(refused)) if refused else None
+        if problem is None:
+            try:
+                self._change_rate(after)
+            except HapticdError as error:
+                problem = str(error)
+        if problem is not None:
+            _log.error("no step down to %g Hz: %s", after.rate_hz, problem)
+            self._change_rate(before)
+        grant = ffi.new("struct hd_grant *")
+        faults = 0 if problem is None else int(Fault.OVERRUN)
+        self._take_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
+
+    def _change_rate(self, output: Output) -> None:
+        """Of a servo that has ended by overload. Raises HapticdError; then it is to be called with another one."""
+        rate_hz = output.rate_hz
+        if lib.hd_servo_set_rate(self._servo, rate_hz, self._overrun_action(rate_hz)) != Status.OK:
+            raise HapticdError(f"servo: {invalid_reason()}")
+        if self._sim is not None:
+            set_rate(self._sim, self.config.device.sim, rate_hz)
+        with self._compiling:
+            self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
+            self._judged = None
+            if self._offload is not None:
+                self._offload.judge_by(output.carried_hz)
+            self._compiler.turn_to(output)
+            revision = (self.revision + 1) & 0xFFFFFFFF
+            self._publish(self.scene, (), self.materials, revision)
+            self.revision = revision
+
     # ---- Scene and materials ---------------------------------------------------------------------------------------
 
     def set_scene(self, scene: Scene) -> int:
         """Takes a validated scene; returns its revision."""
-        before = self.scene.objects
-        changed = [id for id, item in scene.objects.items() if before.get(id) != item]
-        changed += [id for id in before if id not in scene.objects]
-        return self._take(scene, changed, self.materials)
+        return self.replace(scene, self.materials)
 
     def update_objects(self, changes: Mapping[str, SceneObject | None]) -> int:
         """Adds, replaces and (None) removes validated objects; returns the revision."""
         return self._take(self.scene.with_objects(changes), changes, self.materials)
+
+    def replace(self, scene: Scene, materials: Materials) -> int:
+        """Takes a validated scene and the materials that it uses, at once; returns its revision."""
+        before = self.scene.objects
+        changed = [id for id, item in scene.objects.items() if before.get(id) != item]
+        changed += [id for id in before if id not in scene.objects]
+        return self._take(scene, changed, materials)
 
     def set_materials(self, materials: Materials) -> int:
         """Takes validated materials that define every name the scene uses; returns the revision."""
@@ -426,8 +543,10 @@ class Engine:
 
     def _take(self, scene: Scene, changed: Iterable[str], materials: Materials) -> int:
         revision = (self.revision + 1) & 0xFFFFFFFF
+        changed = tuple(changed)
         with self._compiling:
             self._publish(scene, changed, materials, revision)
+            self._changes.append(revised(revision, self.scene, scene, changed, self.materials, materials))
             self.scene, self.materials, self.revision = scene, materials, revision
         return revision
 
@@ -462,6 +581,7 @@ class Engine:
         command.amplitude = amplitude_m_per_s2
         command.slot = PLAY_SLOT
         tick = self._send_and_wait([command])
+        self._changes.append(Played(tick, mode, attack, direction, amplitude_m_per_s2))
         played_hz = None if self._offload is None else self._offload.shown_hz(mode)
         if played_hz is not None:
             return tick, played_hz
@@ -471,6 +591,7 @@ class Engine:
     def reset(self, ids: Iterable[str] | None) -> int:
         """Heals membranes and clears contact state, of these objects or of all; the tick that took it."""
         commands = []
+        ids = None if ids is None else tuple(ids)
         if ids is None:
             command = self._command(CommandKind.RESET)
             command.slot = NO_SLOT
@@ -482,7 +603,9 @@ class Engine:
                     command = self._command(CommandKind.RESET)
                     command.slot, command.generation = place
                     commands.append(command)
-        return self._send_and_wait(commands)
+        tick = self._send_and_wait(commands)
+        self._changes.append(Reset(tick, ids))
+        return tick
 
     def set_forces(self, enabled: bool) -> int:
         """Forces on (which clears latched faults whose cause is gone) or off; the tick that took it."""
@@ -552,14 +675,30 @@ class Engine:
             bool(raw.forces_on),
             bool(raw.running),
             raw.memory_refused,
+            bool(raw.overloaded),
+            raw.overloads,
+            raw.suspends,
+            raw.missed_share,
             energy_of(raw.energy),
         )
+
+    def histograms(self) -> tuple[Histogram, Histogram]:
+        """Of lateness and of work, since the start. For any thread."""
+        raw = ffi.new("struct hd_histograms *")
+        lib.hd_servo_histograms(self._servo, raw)
+        return _histogram_of(raw.lateness), _histogram_of(raw.work)
 
     def faults(self) -> Fault:
         """The faults that are latched."""
         raw = ffi.new("struct hd_counters *")
         lib.hd_servo_counters(self._servo, raw)
         return Fault(raw.faults) if raw.faults else _NO_FAULT
+
+    def read_changes(self) -> Iterator[Change]:
+        """What commands changed since it was read last. For one thread."""
+        with suppress(IndexError):
+            while True:
+                yield self._changes.popleft()
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
         """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped."""
@@ -585,6 +724,11 @@ class Engine:
 def energy_of(raw: CData) -> Energy:
     """A `struct hd_energy`."""
     return Energy(raw.energy_j, raw.largest_j, raw.contacts, raw.restrained, raw.acted)
+
+
+def _histogram_of(raw: CData) -> Histogram:
+    counts: list[int] = ffi.unpack(raw.counts, len(HISTOGRAM_EDGES_NS) + 1)
+    return Histogram(HISTOGRAM_EDGES_NS, counts, raw.sum_ns, raw.max_ns)
 
 
 def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:

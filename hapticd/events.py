@@ -6,6 +6,7 @@ Telemetry sends these maps, recordings and simulated runs store them; docs/proto
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
 from hapticd.core import EventKind, Fault, lib
@@ -55,6 +56,14 @@ def event_map(event: Any, object_id: str | None) -> dict[str, object]:
             message["faults"] = fault_names(Fault(int(event["code"])))
         case EventKind.REVISION:
             message["revision"] = int(event["code"])
+        case EventKind.OVERLOAD:
+            message["missed_share"] = float(event["value"])
+        case EventKind.RATE:
+            message["rate_hz"] = float(event["value"])
+        case EventKind.RESUMED:
+            message["suspended_s"] = float(event["value"])
+        case EventKind.MEMORY_REFUSED:
+            message["problem"] = os.strerror(int(event["code"]))
         case EventKind.GLITCH:
             message["speed_m_per_s"] = float(event["value"])
     return message

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from hapticd.config import Sim
-from hapticd.core import CData, Interpolation, ffi, invalid_reason, lib, pointer
+from hapticd.core import CData, Interpolation, Status, ffi, invalid_reason, lib, pointer
 from hapticd.errors import HapticdError
 from hapticd.materials import Material
 from hapticd.operator import Grip, Target
@@ -21,6 +21,19 @@ def new_sim(sim: Sim, rate_hz: float) -> CData:
 
     Raises HapticdError where the figures do not fit together.
     """
+    made = lib.hd_sim_new(_sim_config(sim), 1.0 / rate_hz)
+    if made == ffi.NULL:
+        raise HapticdError(f"device.sim: {invalid_reason()}")
+    return ffi.gc(made, lib.hd_sim_free)
+
+
+def set_rate(joystick: CData, sim: Sim, rate_hz: float) -> None:
+    """Time of a `struct hd_sim *` goes on at another rate. Raises HapticdError where it cannot be simulated so."""
+    if lib.hd_sim_set_period(joystick, _sim_config(sim), 1.0 / rate_hz) != Status.OK:
+        raise HapticdError(f"device.sim: {invalid_reason()}")
+
+
+def _sim_config(sim: Sim) -> CData:
     config = ffi.new("struct hd_sim_config *")
     hand = sim.hand
     for name in (
@@ -42,10 +55,7 @@ def new_sim(sim: Sim, rate_hz: float) -> CData:
     config.hand_stiffness_n_per_m = hand.stiffness_n_per_m
     config.hand_damping_n_s_per_m = hand.damping_n_s_per_m
     config.start_m = sim.start_m
-    made = lib.hd_sim_new(config, 1.0 / rate_hz)
-    if made == ffi.NULL:
-        raise HapticdError(f"device.sim: {invalid_reason()}")
-    return ffi.gc(made, lib.hd_sim_free)
+    return config
 
 
 def new_operator(waypoints: Sequence[Sequence[float]], interpolation: Literal["linear", "minimum_jerk"]) -> CData:

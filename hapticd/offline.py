@@ -6,8 +6,9 @@ input gives the same bits on every run.
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -15,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from hapticd.compile import Compiler
+from hapticd.compile import Compiler, mode_record
 from hapticd.config import Config, ConfigSource, Servo, load_config
 from hapticd.core import (
     EVENT_DTYPE,
+    NO_SLOT,
     SAMPLE_DTYPE,
     CData,
     Status,
@@ -28,13 +30,15 @@ from hapticd.core import (
     pointer,
     records,
 )
-from hapticd.displayable import Undisplayable, materials_in, rate_faults, undisplayable, warnings
+from hapticd.displayable import Output, Undisplayable, materials_in, rate_faults, undisplayable, warnings
 from hapticd.engine import loop_of, output_of
 from hapticd.errors import HapticdError, InvalidError, Problem, shown
 from hapticd.joystick import grip_of, new_operator, new_sim, target_of
+from hapticd.materials import Materials
+from hapticd.mode import Attack, Mode
 from hapticd.model import problems_of
 from hapticd.operator import Operator, load_operator, parse_operator
-from hapticd.scene import field_ids
+from hapticd.scene import Scene, field_ids
 from hapticd.together import Stability, judge
 
 Samples: TypeAlias = npt.NDArray[np.void]
@@ -142,7 +146,83 @@ class _Recorder:
                 raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
             if self._count[0]:
                 self._taken.append(self._room[: self._count[0]].copy())
-        return np.concatenate(self._taken) if self._taken else self._room[:0].copy()
+        taken, self._taken = self._taken, []
+        return np.concatenate(taken) if taken else self._room[:0].copy()
+
+
+class Rerun:
+    """Renders ticks of a servo again, from what their samples say that each was told; the scene may change between.
+
+    As the servo's own tick they go on from what was before: contacts, modes, punctures. `restart` forgets it.
+    """
+
+    def __init__(self, output: Output, slots: int) -> None:
+        """`slots`: room for so many objects at once."""
+        self._output = output
+        self._compiler = Compiler(output)
+        self._slots = max(1, slots)
+        self._recorder = _Recorder()
+        self._world: CData | None = None
+        self.restart(False)
+
+    def restart(self, muted: bool) -> None:
+        """From here on as if nothing had been before; `muted`: the command comes in over the ramp."""
+        state = lib.hd_state_new(self._slots)
+        if state == ffi.NULL:
+            raise MemoryError("no memory for the state of a run")
+        self._state = ffi.gc(state, lib.hd_state_free)
+        if muted:
+            lib.hd_state_mute(self._state)
+
+    def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
+        """Takes a validated scene, of which the objects `changed` are not those of the scene before."""
+        self._world = new_world(self._compiler.update(scene, changed, materials, revision))
+
+    def play(self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float) -> None:
+        """Strikes a mode at the next tick, as the daemon's `play` does."""
+        length = math.hypot(*direction)
+        record = ffi.new("struct hd_mode *")
+        record[0] = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self._output)
+        along = ffi.new("double[2]", (direction[0] / length, direction[1] / length))
+        if lib.hd_play(self._state, record, along, amplitude_m_per_s2) != Status.OK:
+            raise HapticdError(f"the mode cannot be played: {invalid_reason()}")
+
+    def reset(self, objects: Iterable[str] | None, time_ns: int) -> None:
+        """Clears contact state at the next tick, which has this time, as the daemon's `reset` does."""
+        places = [(NO_SLOT, 0)] if objects is None else map(self._compiler.slot_of, objects)
+        for place in places:
+            if place is not None:
+                lib.hd_state_reset(self._state, *place, time_ns)
+
+    def name_of(self, event: npt.NDArray[np.void] | np.void) -> str | None:
+        """The id of the object that an event speaks of."""
+        return self._compiler.name_of(int(event["slot"]), int(event["generation"]))
+
+    def run(
+        self, recorded: Samples, interval_s: npt.NDArray[np.float64], periods: npt.NDArray[np.uint32]
+    ) -> tuple[Samples, npt.NDArray[np.void]]:
+        """The samples and events of (n,) recorded ticks; `interval_s`, (n,): between the report of a tick and the one
+        before, 0: none came; `periods`, (n,): since the tick before."""
+        world, samples = self._world, np.empty(len(recorded), SAMPLE_DTYPE)
+        assert world is not None
+        recorded, interval_s = np.ascontiguousarray(recorded), np.ascontiguousarray(interval_s)
+        periods = np.ascontiguousarray(periods)
+        events = self._recorder.run(
+            len(recorded),
+            lambda part, room, capacity, found: lib.hd_replay(
+                world,
+                self._state,
+                pointer("struct hd_sample[]", recorded[part]),
+                pointer("double[]", interval_s[part]),
+                pointer("uint32_t[]", periods[part]),
+                part.stop - part.start,
+                pointer("struct hd_sample[]", samples[part]),
+                room,
+                capacity,
+                found,
+            ),
+        )
+        return samples, events
 
 
 def _ticks(duration_s: float, rate_hz: float) -> int:

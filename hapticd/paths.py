@@ -41,6 +41,11 @@ class RuntimePaths:
         return self.directory / "hapticd.lock"
 
     @property
+    def device(self) -> Path:
+        """What stops the device that the daemon drives (stopper.py); it outlives a daemon that was killed."""
+        return self.directory / "hapticd.device"
+
+    @property
     def command_endpoint(self) -> str:
         """The command socket as ZeroMQ names it."""
         return f"ipc://{self.command}"

@@ -1,284 +1,38 @@
-"""Recordings: telemetry, or a simulated run, to a file.
+"""Recordings of a running daemon: its telemetry, and what the samples were rendered with, into a file.
 
-Samples go to a part file beside the target as they come, so that memory stays bounded however long a
-recording is; the target is put in place at the end, whole, by a rename. A recording that fails leaves no
-file and changes none.
-
-.npz  `samples` (structured, one a tick), `events` (structured, one column for each key that occurs), and as
-      JSON text `status`, `scene` and `materials` at the start; read by numpy.load without pickle
-.csv  samples, one row a tick, vectors in two columns (`position_m_x`, `position_m_y`); events in a second file,
-      `NAME.events.csv`
-
-The section Files of docs/protocol.md says what each of them holds.
+sink.py and mcap.py write the files, replay.py renders what is in them again.
 """
 
 from __future__ import annotations
 
-import csv
-import json
-import math
 import os
-import shutil
 import threading
 import time
-import zipfile
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Final, Self, TypeAlias, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd import calls
-from hapticd.client import Client
+from hapticd.calls import Topic
+from hapticd.client import Client, Subscription
 from hapticd.errors import HapticdError
 from hapticd.samples import SampleBatch, SampleStream
+from hapticd.sink import NO_TIME, DiskFullError, Samples, Sink, event_array, open_sink
 
-Samples: TypeAlias = npt.NDArray[np.void]
+__all__ = ["NO_TIME", "Recording", "event_array", "open_sink", "record"]
 
-_AXES = ("x", "y")
+MOST_GAPS: Final = 1000
+"""Gaps that a recording lists; the ticks of its samples show all of them."""
 
-NO_TIME: Final = -(2**63)
-"""What a time of an event that has none is; numpy's own NaT."""
+LAST_CHANGE_S: Final = 1.0
+"""How long, at the end, the change is waited for that the last samples were rendered with."""
 
-
-class Sink(ABC):
-    """A file in the making; what was not finished when its `with` ends is thrown away.
-
-    Its methods raise HapticdError where the disk does not take what is written.
-    """
-
-    def __init__(self, target: str | os.PathLike[str]) -> None:
-        """Raises HapticdError where the target cannot be written."""
-        self.target = Path(os.path.realpath(target))
-        self.count = 0
-        self.event_count = 0
-        self._name = os.fspath(target)
-        self._dtype: np.dtype[np.void] | None = None
-        self._files: list[IO[Any]] = []
-        if self.target.is_dir():
-            raise HapticdError(f"{self._name}: is a directory")
-        if self.target.exists() and not os.access(self.target, os.W_OK):
-            raise HapticdError(f"{self._name}: may not be overwritten")
-        with self._telling():
-            self._open()
-
-    @abstractmethod
-    def _open(self) -> None: ...
-
-    @abstractmethod
-    def _write(self, samples: Samples) -> None: ...
-
-    @abstractmethod
-    def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None: ...
-
-    def write(self, samples: Samples) -> None:
-        """Appends samples; all have one dtype."""
-        if self._dtype is None:
-            self._dtype = samples.dtype
-        elif self._dtype != samples.dtype:
-            raise HapticdError("the daemon changed the form of its samples; record again")
-        if len(samples):
-            with self._telling():
-                self._write(samples)
-        self.count += len(samples)
-
-    def write_event(self, event: Mapping[str, object]) -> None:
-        """Appends an event."""
-        with self._telling():
-            self._events.write(json.dumps(event) + "\n")
-        self.event_count += 1
-
-    def finish(
-        self, texts: Mapping[str, object] | None = None, arrays: Mapping[str, npt.NDArray[Any]] | None = None
-    ) -> None:
-        """Puts the target in place, with `texts` as JSON and `arrays` as they are where the format can."""
-        with self._telling():
-            self._finish(texts or {}, arrays or {})
-
-    @contextmanager
-    def _telling(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            self._discard()
-            raise HapticdError(f"{self._name}: cannot be written: {error.strerror}") from None
-
-    def _text_part(self, name: str, mode: str) -> IO[str]:
-        file = open(self._part(name), mode, encoding="utf-8", newline="")  # noqa: SIM115
-        self._files.append(file)
-        return file
-
-    def _binary_part(self, name: str, mode: str) -> IO[bytes]:
-        file = cast("IO[bytes]", open(self._part(name), mode))  # noqa: SIM115
-        self._files.append(file)
-        return file
-
-    def _part(self, name: str) -> Path:
-        return self.target.with_name(f".{self.target.name}.{os.getpid()}.{name}")
-
-    def _read_events(self) -> Iterator[dict[str, Any]]:
-        self._events.seek(0)
-        return (json.loads(line) for line in self._events)
-
-    def _place(self, part: IO[Any], target: Path) -> None:
-        part.close()
-        os.replace(part.name, target)
-
-    def _discard(self) -> None:
-        for file in self._files:
-            with suppress(OSError):  # a full disk may refuse what close would still write
-                file.close()
-            with suppress(FileNotFoundError):
-                os.unlink(file.name)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._discard()
-
-    _events: IO[str]
-
-
-class NpzSink(Sink):
-    """The .npz form."""
-
-    def _open(self) -> None:
-        self._events = self._text_part("events", "x+")
-        self._samples = self._binary_part("samples", "x+b")
-
-    def _write(self, samples: Samples) -> None:
-        self._samples.write(samples.tobytes())
-
-    def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        part = self._binary_part("part", "x+b")
-        with zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
-            with archive.open("samples.npy", "w", force_zip64=True) as member:
-                header = {
-                    "descr": np.lib.format.dtype_to_descr(self._dtype or np.dtype([])),
-                    "fortran_order": False,
-                    "shape": (self.count,),
-                }
-                np.lib.format.write_array_header_1_0(member, header)
-                self._samples.seek(0)
-                shutil.copyfileobj(self._samples, member, 1 << 20)
-            columns = {"events": event_array(self._read_events), **arrays}
-            columns |= {name: np.array(json.dumps(value)) for name, value in texts.items()}
-            for name, array in columns.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, array, allow_pickle=False)
-        self._place(part, self.target)
-
-
-class CsvSink(Sink):
-    """The .csv form; texts and arrays have no place in it."""
-
-    def _open(self) -> None:
-        self._events = self._text_part("events", "x+")
-        self._samples = self._text_part("samples", "x")
-        self._writer = csv.writer(self._samples, lineterminator="\n")
-
-    def _write(self, samples: Samples) -> None:
-        if self.count == 0:
-            self._writer.writerow(_csv_names(samples.dtype))
-        columns: list[list[object]] = []
-        for name in samples.dtype.names or ():
-            values = samples[name].reshape(len(samples), -1)
-            columns += [values[:, index].tolist() for index in range(values.shape[1])]
-        self._writer.writerows(zip(*columns, strict=True))
-
-    def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        part = self._text_part("part", "x")
-        names = list(dict.fromkeys(name for event in self._read_events() for name in event))
-        writer = csv.DictWriter(part, names, lineterminator="\n")
-        writer.writeheader()
-        for event in self._read_events():
-            writer.writerow({name: _cell(value) for name, value in event.items()})
-        self._place(part, self.target.with_name(f"{self.target.stem}.events.csv"))
-        self._place(self._samples, self.target)
-
-
-def open_sink(target: str | os.PathLike[str]) -> Sink:
-    """The sink for a target, by its ending. Raises HapticdError for another, or an unwritable target."""
-    match Path(target).suffix.lower():
-        case ".npz":
-            return NpzSink(target)
-        case ".csv":
-            return CsvSink(target)
-        case _:
-            raise HapticdError(f"{os.fspath(target)}: must end in .npz or .csv")
-
-
-def _csv_names(dtype: np.dtype[Any]) -> list[str]:
-    names = []
-    for name in dtype.names or ():
-        shape = dtype[name].shape
-        names += [name] if not shape else [f"{name}_{axis}" for axis in _AXES[: shape[0]]]
-    return names
-
-
-def _cell(value: object) -> object:
-    return json.dumps(value) if isinstance(value, list | dict | bool) or value is None else value
-
-
-def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArray[np.void]:
-    """Events as one structured array with a column for each key that occurs.
-
-    What a column is follows from what it holds, and not from whether every event has it; an event that has none holds
-
-    - truth values: i1, 0 or 1; -1
-    - whole numbers: i8; 0, or NO_TIME where the key ends in `_ns`
-    - numbers, and nothing but None: f8; NaN
-    - texts, and as JSON whatever else there is: text; ""
-
-    `events` is called twice.
-    """
-    kinds: dict[str, set[type]] = {}
-    widths: dict[str, int] = {}
-    total = 0
-    for event in events():
-        total += 1
-        for name, value in event.items():
-            kinds.setdefault(name, set()).add(type(value))
-            if not isinstance(value, int | float):
-                widths[name] = max(widths.get(name, 1), len(_text(value)))
-    columns = [(name, *_column(name, found - {type(None)}, widths.get(name, 1))) for name, found in kinds.items()]
-    array = np.zeros(total, np.dtype([(name, form) for name, form, _ in columns]))
-    for index, event in enumerate(events()):
-        array[index] = tuple(_value(event.get(name), form, absent) for name, form, absent in columns)
-    return array
-
-
-def _column(name: str, kinds: set[type], width: int) -> tuple[str, object]:
-    """The form of a column that holds such values, and what stands for none."""
-    if kinds == {bool}:
-        return "i1", -1
-    if kinds == {int}:
-        return "<i8", NO_TIME if name.endswith("_ns") else 0
-    # The id of an object is a text, also where all of them are gone.
-    if kinds <= {int, float} and name != "object":
-        return "<f8", math.nan
-    return f"<U{width}", ""
-
-
-def _text(value: object) -> str:
-    return "" if value is None else value if isinstance(value, str) else json.dumps(value)
-
-
-def _value(value: object, form: str, absent: object) -> object:
-    if value is None:
-        return absent
-    return _text(value) if form.startswith("<U") else value
-
-
-# ---- recording from a daemon -------------------------------------------------------------------------------
+_LOOKS: Final = 10
+"""Attempts to read scene and materials while somebody changes the materials."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,6 +47,8 @@ class Recording:
     """Samples that did not arrive here."""
     dropped: int
     """Samples that the daemon's ring had no room for."""
+    missing_revisions: tuple[int, ...]
+    """Revisions of the scene that samples were rendered with and that are not in it."""
     ended: str | None
     """Why it ended early, None where it did not."""
 
@@ -300,10 +56,14 @@ class Recording:
         """One line for people."""
         text = f"{self.file}: {self.ticks} ticks in {self.duration_s:.3f} s, {self.events} events, "
         missing = self.lost + self.dropped
-        if missing == 0:
-            return text + "nothing lost"
-        where = f"{self.lost} on the way here, {self.dropped} in the daemon's ring"
-        return f"{text}{missing} ticks lost ({where})"
+        if missing:
+            where = f"{self.lost} on the way here, {self.dropped} in the daemon's ring"
+            text += f"{missing} ticks lost ({where})"
+        else:
+            text += "nothing lost"
+        if self.missing_revisions:
+            text += f"; {len(self.missing_revisions)} revisions of the scene are not in it"
+        return text
 
 
 def record(
@@ -317,56 +77,227 @@ def record(
     """Records every tick and every event into `target`, for `duration_s` of the daemon's time or until
     `stop` is set.
 
-    What was recorded is kept when it is stopped, and when the daemon goes away. `progress` is called with
-    the time recorded so far. Raises HapticdError where the target cannot be written, before anything is
+    What was recorded is kept when it is stopped, when the daemon goes away and when the disk is full. `progress` is
+    called with the time recorded so far. Raises HapticdError where the target cannot be written, before anything is
     recorded.
     """
     with open_sink(target) as sink:
-        texts: dict[str, object] = {
-            "status": client.get_status(),
-            "scene": client.get_scene()["scene"],
-            "materials": client.get_materials()["materials"],
-        }
-        stream = SampleStream(warn=False)
-        span = _Span(duration_s)
-        ended: str | None = None
-        with client.telemetry("samples", "event") as messages:
-            silent_since = time.monotonic()
-            while not span.over:
-                if stop is not None and stop.is_set():
-                    ended = "stopped"
-                    break
-                received = messages.receive(0.1)
-                if received is None:
-                    if time.monotonic() - silent_since > client.timeout_s:
-                        ended = str(calls.silent(client.paths, client.timeout_s))
-                        break
-                    continue
-                silent_since = time.monotonic()
-                topic, message = received
-                if topic == "event":
-                    span.hold(message)
-                    continue
-                batch = stream.convert(topic, message)
-                if stream.restarts:
-                    ended = "the daemon was restarted"
-                    break
-                sink.write(span.cut(batch))
-                for event in span.release():
-                    sink.write_event(event)
-                progress(span.recorded_s)
+        take = _Take(client, sink, duration_s)
+        try:
+            ended = take.run(stop or threading.Event(), progress)
+        except DiskFullError as error:
+            ended = str(error)
         if sink.count == 0:
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
-        sink.finish(texts, {})
+        kept = take.account(ended)
+        sink.finish({"recording": kept})
+        if sink.count != kept["ticks"]:  # the disk was full, and the end gave way to what else is in the file
+            kept = take.account(ended)
         return Recording(
             os.fspath(target),
             sink.count,
-            span.recorded_s,
+            kept["duration_s"],
             sink.event_count,
-            stream.lost,
-            stream.dropped,
+            kept["lost"],
+            kept["dropped"],
+            tuple(kept["missing_revisions"]),
             ended,
         )
+
+
+class _Take:
+    """One recording under way."""
+
+    def __init__(self, client: Client, sink: Sink, duration_s: float | None) -> None:
+        self._client = client
+        self._sink = sink
+        self._scenes = _Scenes(client, sink)
+        self._stream = SampleStream(warn=False)
+        self._span = _Span(duration_s)
+        self._gaps: list[tuple[int, int]] = []
+        self._started_ns = 0
+
+    def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
+        """Takes what comes; why it ended early, None where it did not."""
+        client, span = self._client, self._span
+        with client.telemetry("samples", "event", "change", "status") as messages:
+            self._begin()
+            silent_since = time.monotonic()
+            while not span.over:
+                if stop.is_set():
+                    self._await_changes(messages)
+                    return "stopped"
+                received = messages.receive(0.1)
+                if received is None:
+                    if time.monotonic() - silent_since > client.timeout_s:
+                        return str(calls.silent(client.paths, client.timeout_s))
+                    continue
+                silent_since = time.monotonic()
+                topic, message = received
+                if topic == "samples":
+                    batch = self._stream.convert(topic, message)
+                    if self._stream.restarts or (batch.lost and self._restarted()):
+                        return "the daemon was restarted"
+                    self._take(batch)
+                    progress(span.recorded_s)
+                elif topic == "event":
+                    span.hold(message)
+                elif topic == "change":
+                    self._scenes.take(message)
+                else:
+                    self._sink.write_status(message)
+            self._await_changes(messages)
+        return None
+
+    def _begin(self) -> None:
+        status = self._client.get_status()
+        self._started_ns = status["started_ns"]
+        scene = self._scenes.begin()
+        self._sink.begin({"status": status, "config": self._client.get_config()["config"], **scene})
+        self._sink.write_change({"revision": self._scenes.revision})
+
+    def _await_changes(self, messages: Subscription[tuple[Topic, dict[str, object]]]) -> None:
+        """The last samples may have come before the message of the change that they were rendered with."""
+        deadline = time.monotonic() + LAST_CHANGE_S
+        while self._scenes.missing and (left_s := deadline - time.monotonic()) > 0:
+            received = messages.receive(left_s)
+            if received is not None and received[0] == "change":
+                self._scenes.take(received[1])
+
+    def _restarted(self) -> bool:
+        """Whether those whose samples are missing are another daemon's. Where nobody answers, silence will tell."""
+        with suppress(calls.DaemonNotRunning):
+            return self._client.get_status()["started_ns"] != self._started_ns
+        return False
+
+    def _take(self, batch: SampleBatch) -> None:
+        if self._sink.count == 0:
+            batch = batch[self._scenes.reached(batch["revision"])]
+        samples = self._span.cut(batch).view(np.ndarray)
+        if len(samples) == 0:
+            return
+        ticks = samples["tick"].astype(np.int64)
+        before = self._sink.last_tick if self._sink.count else int(ticks[0]) - 1
+        steps = np.diff(ticks, prepend=before)
+        for place in np.flatnonzero(steps != 1)[: MOST_GAPS - len(self._gaps)].tolist():
+            missing = int(steps[place]) - 1
+            self._gaps.append((int(ticks[place]) - missing, missing))
+        self._scenes.show(samples["revision"])
+        self._sink.write(samples)
+        for event in self._span.release():
+            self._sink.write_event(event)
+
+    def account(self, ended: str | None) -> dict[str, Any]:
+        """What the recording holds and what it lacks, as its file says it."""
+        return {
+            "ticks": self._sink.count,
+            "duration_s": self._span.duration_s(self._sink.last_time_ns),
+            "events": self._sink.event_count,
+            "lost": self._stream.lost,
+            "dropped": self._stream.dropped,
+            "gaps": self._gaps,
+            "missing_revisions": self._scenes.missing,
+            "ended": ended,
+        }
+
+
+class _Scenes:
+    """What the daemon renders: all of it at the start, and then what each change says.
+
+    Where changes were lost, or one is too large to be told, all is read again. What samples were rendered with
+    meanwhile is missing in the recording, which says so.
+    """
+
+    def __init__(self, client: Client, sink: Sink) -> None:
+        self._client = client
+        self._sink = sink
+        self.revision = 0
+        """The newest one that is known."""
+        self._known: set[int] = set()
+        self._shown: set[int] = set()
+        self._scene: dict[str, Any] = {}
+        self._objects: dict[str, Any] = {}
+        self._materials: dict[str, Any] = {}
+
+    @property
+    def missing(self) -> list[int]:
+        """Revisions that samples were rendered with, and nobody said what they are."""
+        return sorted(self._shown - self._known)
+
+    def begin(self) -> dict[str, object]:
+        """Scene and materials at the start."""
+        read = self._read()
+        if read is None:
+            raise HapticdError("the materials change too fast for a recording to begin")
+        self.revision, self._scene, self._objects, self._materials = read
+        self._known.add(self.revision)
+        return {"scene": {**self._scene, "objects": dict(self._objects)}, "materials": dict(self._materials)}
+
+    def reached(self, revisions: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+        """Those that are the newest one known, or come after it."""
+        return (revisions - np.uint32(self.revision)).astype(np.int32) >= 0
+
+    def show(self, revisions: npt.NDArray[np.uint32]) -> None:
+        """Samples were rendered with these."""
+        self._shown.update(np.unique(revisions).tolist())
+
+    def take(self, change: dict[str, Any]) -> None:
+        """Takes what a message of the topic `change` says."""
+        if "revision" not in change:
+            self._sink.write_change(change)
+            return
+        ahead = (change["revision"] - self.revision) & 0xFFFFFFFF
+        if ahead == 1 and not change.get("large"):
+            _merge(self._scene, change.get("scene", {}))
+            _merge(self._objects, change.get("objects", {}))
+            _merge(self._materials, change.get("materials", {}))
+            self._write(change)
+        elif 0 < ahead < 0x80000000:
+            self._read_again()
+
+    def _read_again(self) -> None:
+        # What cannot be read is missing, and told as that; silence will tell where the daemon is gone.
+        with suppress(HapticdError):
+            read = self._read()
+            if read is not None and read[0] not in self._known:
+                revision, scene, objects, materials = read
+                changed = {
+                    "scene": _changes(self._scene, scene),
+                    "objects": _changes(self._objects, objects),
+                    "materials": _changes(self._materials, materials),
+                }
+                self._scene, self._objects, self._materials = scene, objects, materials
+                self._write({"revision": revision, **changed})
+
+    def _write(self, change: dict[str, Any]) -> None:
+        self.revision = change["revision"]
+        self._known.add(self.revision)
+        self._sink.write_change({name: part for name, part in change.items() if part != {}})
+
+    def _read(self) -> tuple[int, dict[str, Any], dict[str, Any], dict[str, Any]] | None:
+        """Revision, scene, objects and materials; None where the materials never stood still."""
+        before = self._client.get_materials()["materials"]
+        for _ in range(_LOOKS):
+            scene, after = self._client.get_scene(), self._client.get_materials()["materials"]
+            if before == after:  # so they were in between, too
+                rest = dict(scene["scene"])
+                return scene["revision"], rest, cast("dict[str, Any]", rest.pop("objects")), dict(after)
+            before = after
+        return None
+
+
+def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    for name, value in changes.items():
+        if value is None:
+            into.pop(name, None)
+        else:
+            into[name] = value
+
+
+def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[str, object]:
+    """What differs, by key; None for what is gone."""
+    changed = {name: value for name, value in after.items() if name not in before or before[name] != value}
+    return changed | dict.fromkeys(name for name in before if name not in after)
 
 
 class _Span:
@@ -390,7 +321,11 @@ class _Span:
     def recorded_s(self) -> float:
         if self._first_tick is None:
             return 0.0
-        return (self._last_ns + self._period_ns - self._first_ns) / 1e9
+        return self.duration_s(self._last_ns)
+
+    def duration_s(self, last_ns: int) -> float:
+        """From the first sample to the end of one at `last_ns`."""
+        return (last_ns + self._period_ns - self._first_ns) / 1e9
 
     def cut(self, batch: SampleBatch) -> Samples:
         if len(batch) == 0:

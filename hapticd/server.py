@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from typing import Final
 
 import zmq
@@ -18,6 +19,7 @@ from hapticd.engine import Engine
 from hapticd.errors import quoted
 
 BEAT_EVERY_MS: Final = 100
+RELOAD_MS: Final = 30_000
 LARGEST_MESSAGE: Final = 64 * 1024 * 1024
 """A longer message closes the connection that it came from."""
 
@@ -43,6 +45,22 @@ def wake(context: zmq.Context[zmq.Socket[bytes]]) -> None:
     with context.socket(zmq.DEALER) as socket:
         socket.connect(_WAKE)
         socket.send(b"")
+
+
+def reload(context: zmq.Context[zmq.Socket[bytes]]) -> None:
+    """Has the thread that serves commands reload the configuration, in its turn. For any thread.
+
+    What comes of it stands in the log.
+    """
+    with context.socket(zmq.DEALER) as socket:
+        # Long enough for whatever is before it in the queue.
+        socket.setsockopt(zmq.RCVTIMEO, RELOAD_MS)
+        socket.connect(_WAKE)
+        socket.send(wire.request(0, "reload", {}))
+        try:
+            socket.recv()
+        except zmq.Again:
+            _log.warning("reload: no answer within %g s; it goes on", 1e-3 * RELOAD_MS)
 
 
 def answer(control: Control, body: bytes | None) -> bytes | None:
@@ -71,10 +89,18 @@ def answer(control: Control, body: bytes | None) -> bytes | None:
     return wire.result_reply(request.id, result) if request.has_id else None
 
 
-def serve(socket: zmq.Socket[bytes], engine: Engine, control: Control, stop: threading.Event) -> None:
-    """Answers requests until `stop` is set."""
+def serve(
+    socket: zmq.Socket[bytes],
+    engine: Engine,
+    control: Control,
+    stop: threading.Event,
+    watch: Callable[[], None] = lambda: None,
+) -> None:
+    """Answers requests until `stop` is set; calls `watch` between them, ten times a second at least."""
     while not stop.is_set():
         engine.beat()
+        engine.look_after()
+        watch()
         try:
             identity, *frames = socket.recv_multipart()
         except zmq.Again:

@@ -15,9 +15,12 @@ import numpy.typing as npt
 import zmq
 
 from hapticd import wire
+from hapticd.changes import change_map
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
 from hapticd.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
 from hapticd.events import event_map
+from hapticd.flight import Flight
+from hapticd.journal import EventLog
 
 SAMPLES_EVERY_S: Final = 0.020
 STATE_EVERY_S: Final = 1.0 / 60.0
@@ -44,10 +47,18 @@ def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
 class Telemetry:
     """Publishes one engine's telemetry on a PUB socket that is already bound."""
 
-    def __init__(self, engine: Engine, socket: zmq.Socket[bytes], status: Callable[[], dict[str, object]]) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        socket: zmq.Socket[bytes],
+        status: Callable[[], dict[str, object]],
+        flight: Flight | None = None,
+    ) -> None:
         self._engine = engine
         self._socket = socket
         self._status = status
+        self._flight = flight
+        self._log = EventLog(monotonic_ns)
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
         self._events = records(EVENT_DTYPE, 1024)
         self._held = 0
@@ -67,6 +78,8 @@ class Telemetry:
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
         while not stop.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9)):
             self._drain()
+            self._log.flush()
+            self._send_changes()
             now = monotonic_ns()
             for topic, time in due.items():
                 if now >= time:
@@ -74,9 +87,14 @@ class Telemetry:
                     # After a stall the rhythm starts anew instead of catching up.
                     late = now - time
                     due[topic] = time + every[topic] if late < every[topic] else now + every[topic]
+            if self._flight is not None:
+                self._flight.turn()
         self._drain()
+        self._send_changes()
         self._send_samples()
         self._send_state()
+        if self._flight is not None:
+            self._flight.finish()
 
     def _drain(self) -> None:
         count, self._dropped = self._engine.read_samples(self._samples[self._held :])
@@ -90,6 +108,9 @@ class Telemetry:
             count, _ = self._engine.read_events(self._events)
             for message in self._maps(self._events[:count]):
                 self._send("event", message)
+                self._log.note(message)
+                if self._flight is not None:
+                    self._flight.keep_event(message)
             if count < len(self._events):
                 break
 
@@ -117,15 +138,20 @@ class Telemetry:
         if self._held:
             batch = self._samples[: self._held]
             self._held = 0
-            self._send(
-                "samples",
-                {
-                    "first_tick": int(batch["tick"][0]),
-                    "dropped": self._dropped,
-                    "dtype": _DESCRIPTION,
-                    "data": batch.tobytes(),
-                },
-            )
+            first_tick, data = int(batch["tick"][0]), batch.tobytes()
+            message: dict[str, object] = {
+                "first_tick": first_tick,
+                "dropped": self._dropped,
+                "dtype": _DESCRIPTION,
+                "data": data,
+            }
+            self._send("samples", message)
+            if self._flight is not None:
+                self._flight.keep_samples(first_tick, data)
+
+    def _send_changes(self) -> None:
+        for change in self._engine.read_changes():
+            self._send("change", change_map(change))
 
     def _send_state(self) -> None:
         if self._newest is not None:

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from hapticd.calls import State, Status, Topic
+from hapticd.calls import KeyRefused, State, Status, Topic
 from hapticd.client import Client, Subscription
 from hapticd.errors import HapticdError
 
@@ -275,6 +275,14 @@ def event_line(event: Mapping[str, object]) -> str:
         case "fault":
             faults = event.get("faults")
             words.append(", ".join(map(str, faults)) if isinstance(faults, list) and faults else "cleared")
+        case "overload":
+            words.append(f"{100 * _number(event, 'missed_share'):.0f} % of a second's ticks missed")
+        case "rate":
+            words.append(f"{_number(event, 'rate_hz'):g} Hz from now on")
+        case "resumed":
+            words.append(f"after {_number(event, 'suspended_s'):.0f} s of suspend")
+        case "memory_refused":
+            words.append(str(event.get("problem")))
         case "revision":
             words.append(str(event.get("revision")))
     return " ".join(words)
@@ -381,7 +389,7 @@ def _draw(client: Client, messages: _Messages, console: Console) -> None:
     heard = shown = time.monotonic()
     asked = -math.inf
     with Live(console=console, screen=True, auto_refresh=False) as live:
-        view.feed("status", client.get_status())
+        _first_status(client, view)
         while True:
             item = messages.receive(REFRESH_S)
             now = time.monotonic()
@@ -393,19 +401,29 @@ def _draw(client: Client, messages: _Messages, console: Console) -> None:
             if view.wants_scene and now - asked > 1.0:
                 asked = now
                 # Asked again if there is no answer; that the daemon is gone shows by its silence.
-                with suppress(HapticdError):
+                try:
                     answer = client.get_scene()
                     view.set_scene(answer["scene"], answer["revision"])
+                except KeyRefused:
+                    asked = math.inf
+                except HapticdError:
+                    pass
             if now - shown >= REFRESH_S:
                 shown = now
                 live.update(view.render(*console.size), refresh=True)
+
+
+def _first_status(client: Client, view: View) -> None:
+    # Who may only watch is told the status within a second all the same.
+    with suppress(KeyRefused):
+        view.feed("status", client.get_status())
 
 
 def _lines(client: Client, messages: _Messages, as_json: bool) -> Iterator[str]:
     view = View()
     heard = time.monotonic()
     due = -math.inf
-    view.feed("status", client.get_status())
+    _first_status(client, view)
     while True:
         item = messages.receive(LOST_AFTER_S)
         now = time.monotonic()

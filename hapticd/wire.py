@@ -52,6 +52,7 @@ class Code(enum.IntEnum):
     WAIT_TIMED_OUT = -32006
     LEASE_LAPSED = -32007
     NO_OPERATOR = -32008
+    DAEMON_AWAY = -32009
 
 
 class WireError(HapticdError):

@@ -20,6 +20,7 @@ from hapticd.errors import HapticdError
 _HOMES: Final = {
     "run": "daemon",
     "status": "daemon",
+    "reload": "daemon",
     "scene": "scene",
     "material": "material",
     "play": "command",
@@ -28,6 +29,8 @@ _HOMES: Final = {
     "operator": "command",
     "watch": "telemetry",
     "record": "telemetry",
+    "flight": "telemetry",
+    "replay": "offline",
     "simulate": "offline",
     "check": "check",
     "schema": "offline",
@@ -36,6 +39,11 @@ _HOMES: Final = {
     "calibrate": "calibrate",
     "verify": "verify",
     "fit": "fit",
+    "bridge": "bridge",
+    "key": "key",
+    "doctor": "doctor",
+    "install-service": "service",
+    "stop-device": "service",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 
@@ -56,7 +64,7 @@ class _LazyGroup(click.Group):
         if home is None:
             return None
         module = importlib.import_module(f"hapticd.cli.{home}")
-        command = getattr(module, f"{cmd_name}_command")
+        command = getattr(module, f"{cmd_name.replace('-', '_')}_command")
         assert isinstance(command, click.Command)
         return command
 
@@ -69,9 +77,23 @@ class _LazyGroup(click.Group):
     metavar="DIR",
     help="Where the sockets are [default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd or /tmp/hapticd-UID].",
 )
+@click.option(
+    "--connect",
+    metavar="tcp://HOST[:PORT]",
+    envvar="HAPTICD_CONNECT",
+    help="A bridge to a daemon on another machine, instead; needs both keys.",
+)
+@click.option("--key", metavar="FILE", envvar="HAPTICD_KEY", help="Our secret key.")
+@click.option("--server-key", metavar="FILE", envvar="HAPTICD_SERVER_KEY", help="The bridge's public key.")
 @click.pass_context
-def cli(ctx: click.Context, runtime_dir: str | None) -> None:
+def cli(
+    ctx: click.Context, runtime_dir: str | None, connect: str | None, key: str | None, server_key: str | None
+) -> None:
     """A haptic daemon: taps, combs, sandpaper, friction, solids and membranes on a joystick, commanded over ZeroMQ."""
+    if connect is not None and runtime_dir is not None:
+        raise click.UsageError("--connect and --runtime-dir name two places: give one", ctx)
+    if connect is None and ctx.get_parameter_source("key") == click.core.ParameterSource.COMMANDLINE:
+        raise click.UsageError("--key is for --connect, which says where", ctx)
     ctx.obj = runtime_dir
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

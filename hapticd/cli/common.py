@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -36,10 +37,17 @@ class Finite(click.FloatRange):
 
 def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
+    from hapticd.calls import TIMEOUT_S
     from hapticd.client import connect
+    from hapticd.remote import is_remote
 
-    directory = cast("str | None", ctx.find_root().obj)
-    return connect(directory) if timeout_s is None else connect(directory, timeout_s)
+    root = ctx.find_root()
+    place, timeout_s = root.params.get("connect"), TIMEOUT_S if timeout_s is None else timeout_s
+    if place is None:
+        return connect(cast("str | None", root.obj), timeout_s)
+    if not is_remote(place):
+        raise HapticdError(f"{place}: must be tcp://HOST:PORT")
+    return connect(place, timeout_s, key=root.params.get("key"), server_key=root.params.get("server_key"))
 
 
 def config_option(command: _F) -> _F:
@@ -109,6 +117,20 @@ def write_whole(path: str, content: str | bytes) -> None:
             return
         with open(part, "xb") as file:
             file.write(data)
+        os.replace(part, target)
+    except OSError as error:
+        with suppress(OSError):
+            os.unlink(part)
+        raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def copy_whole(source: str, path: str) -> None:
+    """Copies a file, or leaves the one that is there as it is. Raises HapticdError."""
+    target = os.path.realpath(path)
+    part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
+    try:
+        with open(source, "rb") as origin, open(part, "xb") as file:
+            shutil.copyfileobj(origin, file, 1 << 20)
         os.replace(part, target)
     except OSError as error:
         with suppress(OSError):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Mapping
+from typing import Any
 
 import click
 
-from hapticd.cli.common import config_option, daemon, json_option, print_json
+from hapticd.cli.common import change_options, changed, config_option, daemon, json_option, print_json, print_result
 from hapticd.errors import offload_text, undisplayable_text
 
 _SHOWN_MARGINS = 5
@@ -25,6 +27,20 @@ def run_command(ctx: click.Context, configs: tuple[str, ...]) -> int:
     from hapticd.daemon import run
 
     return run(configs, ctx.find_root().obj)
+
+
+@click.command("reload", short_help="Read the configuration anew.")
+@change_options
+@json_option
+@click.pass_context
+def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, as_json: bool) -> None:
+    """Have the daemon read its configuration files anew, and take scene and materials from them: all or nothing.
+
+    What was touched or punctured stays so. Anything else that changed needs a restart, and refuses the whole.
+    """
+    with daemon(ctx) as client:
+        result = client.reload(expect_revision, wait)
+    print_result(result, as_json, changed(result))
 
 
 @click.command("status")
@@ -47,6 +63,9 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
         ("forces", status["forces"] + (f" ({', '.join(status['faults'])})" if status["faults"] else "")),
         ("lease", "none" if status["lease_s"] is None else f"held, {status['lease_s']:.3f} s left"),
         *[(name.replace("_", " "), str(value)) for name, value in counters.items() if name != "ticks"],
+        *[_times(name, told) for name, told in status.get("histograms", {}).items()],
+        *_missed(status.get("overruns")),
+        *_flight(status.get("flight")),
     ]
     for mode in status["undisplayable"]:
         lines.append(("undisplayable", undisplayable_text(mode)))
@@ -56,6 +75,43 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
     width = max(len(name) for name, _ in lines)
     for name, value in lines:
         click.echo(f"{name:<{width}}  {value}")
+
+
+def _times(name: str, histogram: Mapping[str, Any]) -> tuple[str, str]:
+    p50, p99 = (quantile_ns(histogram, part) for part in (0.5, 0.99))
+    return name.removesuffix(
+        "_ns"
+    ), f"p50 {p50 / 1e3:.3g} us, p99 {p99 / 1e3:.3g} us, max {histogram['max'] / 1e3:.4g} us"
+
+
+def quantile_ns(histogram: Mapping[str, Any], part: float) -> float:
+    """So long or shorter is this part of the times; as far as the bins tell, and never more than the longest."""
+    edges, counts = histogram["edges"], histogram["counts"]
+    wanted, below = part * sum(counts), 0
+    for place, count in enumerate(counts):
+        if count and below + count >= wanted:
+            if place == len(edges):
+                break
+            low = edges[place - 1] if place else 0
+            return float(min(low + (wanted - below) / count * (edges[place] - low), histogram["max"]))
+        below += count
+    return float(histogram["max"])
+
+
+def _missed(told: object) -> list[tuple[str, str]]:
+    if not isinstance(told, dict):
+        return []
+    share = f"{100 * told['missed_share']:.3g} % of the last second's periods"
+    return [("missed", f"{share}; above {100 * told['threshold']:g} %: {told['action'].replace('_', ' ')}")]
+
+
+def _flight(told: object) -> list[tuple[str, str]]:
+    if not isinstance(told, dict):
+        return []
+    lines = [("flight recorder", f"{told['seconds']:g} s, {told['written']} files written to {told['directory']}")]
+    if told["problem"] is not None:
+        lines.append(("flight recorder", told["problem"]))
+    return lines
 
 
 def _connection(told: object) -> list[tuple[str, str]]:

@@ -1,4 +1,4 @@
-"""`hapticd simulate` and `hapticd schema`: what needs no daemon."""
+"""`hapticd simulate`, `hapticd replay` and `hapticd schema`: what needs no daemon."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hapticd.errors import undisplayable_text
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
 @click.argument("scene")
 @click.option("--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV).")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz or .csv).")
+@click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz, .csv or .mcap).")
 @click.option(
     "--for",
     "duration_s",
@@ -44,6 +44,28 @@ def simulate_command(
     else:
         length = f"{result['ticks']} ticks in {result['duration_s']:.3f} s"
         click.echo(f"{result['file']}: {length}, {result['events']} events")
+
+
+@click.command("replay", short_help="Render a recording again, and compare.")
+@click.argument("file", type=click.Path(dir_okay=False))
+@click.option("-o", "--output", metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap).")
+@json_option
+def replay_command(file: str, output: str | None, as_json: bool) -> int:
+    """Render what FILE (.npz, .csv or .mcap of `record` or `simulate`) was rendered with again, without daemon and
+    clock, and compare the forces.
+
+    Ends with 1 where they are not the recorded ones, bit for bit.
+    """
+    from hapticd.replayed import replay
+
+    again = replay(file)
+    if output is not None:
+        again.write(output)
+    if as_json:
+        print_json(again.to_dict())
+    else:
+        click.echo(f"{file}: {again.summary()}")
+    return 0 if again.identical == len(again.samples) else 1
 
 
 @click.command("schema", short_help="Print the configuration's JSON Schema.")

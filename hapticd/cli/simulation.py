@@ -8,8 +8,8 @@ from typing import TypedDict
 from hapticd.config import Config, load_config
 from hapticd.events import event_map
 from hapticd.offline import simulate_run
-from hapticd.record import open_sink
 from hapticd.scene import load_scene
+from hapticd.sink import open_sink
 from hapticd.yaml_source import load_path
 
 
@@ -32,7 +32,17 @@ def simulate_to_file(
     Raises HapticdError or InvalidError for what cannot be read, run or written.
     """
     with open_sink(output) as sink:
-        run = simulate_run(_config(scene), operator_file, duration_s, rate_hz)
+        config = _config(scene)
+        run = simulate_run(config, operator_file, duration_s, rate_hz)
+        servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
+        sink.begin(
+            {
+                "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
+                "scene": config.scene.to_dict(),
+                "materials": {name: material.to_dict() for name, material in config.materials.items()},
+            }
+        )
+        sink.write_change({"revision": 1})
         sink.write(run.samples)
         for event in run.events:
             place = int(event["slot"]), int(event["generation"])

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import click
 
-from hapticd.cli.common import daemon, duration, json_option, print_json
+from hapticd.cli.common import copy_whole, daemon, duration, json_option, print_json
+from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -49,13 +52,16 @@ def watch_command(ctx: click.Context, as_json: bool) -> None:
 @json_option
 @click.pass_context
 def record_command(ctx: click.Context, file: str, duration_s: float | None, as_json: bool) -> int:
-    """Record every tick and event into FILE (.npz or .csv), replacing it when the recording is complete.
+    """Record every tick and event into FILE (.npz, .csv or .mcap), replacing it when the recording is complete, and
+    what they were rendered with, for `hapticd replay`.
 
-    With .csv the events go into a second file, NAME.events.csv.
+    With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
+    What a recording into FILE left that was killed becomes NAME.recovered.ENDING.
     """
     from dataclasses import asdict
 
     from hapticd.record import record
+    from hapticd.sink import recover
 
     stop = threading.Event()
     received: list[int] = []
@@ -64,6 +70,8 @@ def record_command(ctx: click.Context, file: str, duration_s: float | None, as_j
         received.append(number)
         stop.set()
 
+    for recovered in recover(file):
+        click.echo(f"hapticd: {recovered}: what a recording held that was killed", err=True)
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -77,6 +85,29 @@ def record_command(ctx: click.Context, file: str, duration_s: float | None, as_j
     else:
         click.echo(recording.summary())
     return _exit_code(recording, duration_s, received)
+
+
+@click.command("flight", short_help="Write the last seconds to a file.")
+@click.argument("file", required=False, type=click.Path(dir_okay=False))
+@json_option
+@click.pass_context
+def flight_command(ctx: click.Context, file: str | None, as_json: bool) -> None:
+    """Have the flight recorder write the last seconds of samples and events to a file, and copy that to FILE."""
+    with daemon(ctx) as client:
+        written = client.dump_flight()["file"]
+        # The file's name appears when it is whole; where it does not come, the status says why.
+        while not os.path.exists(written):
+            told = client.get_status()["flight"]
+            if told is None or (told["under_way"] == 0 and not os.path.exists(written)):
+                problem = told["problem"] if told else None
+                raise HapticdError(f"the flight recorder did not write {written}: {problem or 'its log says why'}")
+            time.sleep(0.05)
+    if file is not None:
+        copy_whole(written, file)
+    if as_json:
+        print_json({"file": file or written})
+    else:
+        click.echo(file or written)
 
 
 def _exit_code(recording: Recording, duration_s: float | None, received: list[int]) -> int:

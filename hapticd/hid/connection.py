@@ -21,6 +21,7 @@ from hapticd.errors import HapticdError
 from hapticd.hid.device import Device, Driver
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
+from hapticd.stopper import StopFile
 
 RETRY_S: Final = 0.25
 """A device that is gone is looked for so often."""
@@ -94,8 +95,8 @@ class _Live:
 class Connection:
     """One device, found and found again. `open` and `stop` are for one thread; `status` for any."""
 
-    def __init__(self, source: Source, priority: int = 0) -> None:
-        """`priority`: of C's threads, 0 for none."""
+    def __init__(self, source: Source, priority: int = 0, stop_file: StopFile | None = None) -> None:
+        """`priority`: of C's threads, 0 for none. `stop_file`: where to write what stops a device that is driven."""
         made = lib.hd_hid_new()
         if made == ffi.NULL:
             raise MemoryError("no memory for a connection")
@@ -106,6 +107,7 @@ class Connection:
         """Whether C's threads were refused their priority."""
         self._source = source
         self._priority = priority
+        self._stop_file = stop_file
         self._live: _Live | None = None
         self._problem: str | None = None
         self._resets = 0
@@ -151,6 +153,10 @@ class Connection:
                     lib.hd_hid_disconnect(self.hid, 1)
             self._thread = None
         self._let_go(orderly=True)
+
+    def suspect(self) -> None:
+        """The device may have lost what it was told, as in a suspend: it is set up anew. For any thread."""
+        lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:
         """What get_status says of the connection."""
@@ -223,8 +229,10 @@ class Connection:
             live, self._live = self._live, None
             self.offload.detach()
             if live is not None and not self._abandoned:
-                lib.hd_hid_disconnect(self.hid, orderly)
+                ended = lib.hd_hid_disconnect(self.hid, orderly)
                 live.opened.device.close()
+                if orderly and ended == Status.OK and self._stop_file is not None:
+                    self._stop_file.drop()
         self._counted, self._rates = None, (None, None)
 
     def _connect(self) -> _Live:
@@ -250,6 +258,9 @@ class Connection:
 
     def _hand_over(self, device: Device, plan: Plan) -> None:
         described = plan.to_c()
+        if self._stop_file is not None:
+            zero, stop = [message.at_rest() for message in plan.force], [message.at_rest() for message in plan.stop]
+            self._stop_file.keep(device.path, device.fileno(), zero, stop, plan.write_interval_s)
         with self._hands:
             if self._abandoned:
                 raise DeviceError(f"{device.path}: answers after it was given up")

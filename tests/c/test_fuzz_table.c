@@ -376,7 +376,7 @@ static void check_samples(double max_force_n, const struct motion *motion, const
 
 static void check_events(const struct hd_event *events, size_t count) {
     for (size_t i = 0; i < count; i++) {
-        CHECK(events[i].kind >= HD_EVENT_CONTACT && events[i].kind <= HD_EVENT_GROOVE);
+        CHECK(events[i].kind >= HD_EVENT_CONTACT && events[i].kind <= HD_EVENT_MEMORY_REFUSED);
         CHECK(events[i].scale >= 0.0 && events[i].scale <= 1.0);
         CHECK(events[i].before_tick_s >= 0.0 && isfinite(events[i].before_tick_s));
     }

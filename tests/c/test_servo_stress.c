@@ -162,7 +162,7 @@ struct drain {
     uint64_t samples_dropped;
     uint64_t events;
     uint64_t events_dropped;
-    uint64_t kinds[HD_EVENT_GROOVE + 1];
+    uint64_t kinds[HD_EVENT_MEMORY_REFUSED + 1];
     struct hd_sample newest;
     uint32_t event_revision;
 };
@@ -179,7 +179,7 @@ static void take_sample(struct drain *drain, const struct hd_sample *sample) {
 }
 
 static void take_event(struct drain *drain, const struct hd_event *event) {
-    CHECK(event->kind >= HD_EVENT_CONTACT && event->kind <= HD_EVENT_GROOVE);
+    CHECK(event->kind >= HD_EVENT_CONTACT && event->kind <= HD_EVENT_MEMORY_REFUSED);
     if (event->kind == HD_EVENT_REVISION) {
         CHECK(event->code > drain->event_revision);
         drain->event_revision = event->code;
@@ -488,6 +488,70 @@ static uint32_t increments(void) {
     return crowd.table.revision;
 }
 
+/* A rate that no machine keeps: the servo ends by itself, and goes on at another one over the same state. */
+static uint32_t steps_down(void) {
+    struct hd_servo_config fast = config;
+    struct hd_sim *sim;
+    struct hd_servo *servo;
+    struct drain drain = {.events = 0};
+    struct scene scene;
+    struct hd_grant grant;
+    struct hd_counters counters;
+    struct hd_histograms histograms;
+    pthread_t drainer;
+    uint64_t ended;
+    uint64_t tick;
+    uint64_t counted = 0;
+
+    fast.rate_hz = 100000.0;
+    fast.overrun_action = HD_OVERRUN_STEP_DOWN;
+    sim = hd_sim_new(&joystick, 1.0 / fast.rate_hz);
+    servo = hd_servo_new(&fast, sim, NULL);
+    drain.servo = servo;
+    CHECK(sim != NULL && servo != NULL);
+    make_scene(&scene, 1);
+    scene.table.period_s = 1.0 / fast.rate_hz;
+    scene.table.ramp_step = scene.table.period_s / scene.table.ramp_s;
+    CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    CHECK(hd_servo_set_rate(servo, RATE_HZ, HD_OVERRUN_WARN) == HD_ERR_INVALID);
+    CHECK(hd_servo_restart(servo, 0, &grant) == HD_ERR_INVALID);
+    CHECK(pthread_create(&drainer, NULL, drain_rings, &drain) == 0);
+    do {
+        hd_servo_beat(servo);
+        sched_yield();
+        hd_servo_counters(servo, &counters);
+    } while (counters.running);
+    CHECK(counters.overloaded && counters.overloads == 1 && counters.missed_share > 0.0);
+    ended = counters.ticks;
+    CHECK(hd_servo_set_rate(servo, RATE_HZ, HD_OVERRUN_WARN) == HD_OK);
+    CHECK(hd_servo_publish(servo, &scene.table) == HD_ERR_INVALID); /* of the former rate */
+    CHECK(hd_sim_set_period(sim, &joystick, 1.0 / RATE_HZ) == HD_OK);
+    make_scene(&scene, 2);
+    CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    CHECK(hd_servo_restart(servo, HD_FAULT_OVERRUN, &grant) == HD_OK);
+    CHECK(hd_servo_wait_revision(servo, 2, PATIENCE_NS, &tick) == HD_OK && tick == ended);
+    do {
+        hd_servo_beat(servo);
+        sched_yield();
+        hd_servo_counters(servo, &counters);
+    } while (counters.ticks < ended + 100);
+    CHECK(counters.running && !counters.overloaded && counters.faults == HD_FAULT_OVERRUN && !counters.forces_on);
+    CHECK(hd_servo_stop(servo) == HD_OK);
+    hd_atomic_u32_store_release(&drain.last, 1);
+    CHECK(pthread_join(drainer, NULL) == 0);
+    hd_servo_counters(servo, &counters);
+    CHECK(drain.samples + drain.samples_dropped == counters.ticks && drain.newest.tick == counters.ticks - 1);
+    CHECK(drain.kinds[HD_EVENT_RATE] == 1 && drain.kinds[HD_EVENT_FAULT] == 1);
+    hd_servo_histograms(servo, &histograms);
+    for (uint32_t i = 0; i < HD_HISTOGRAM_BINS; i++)
+        counted += histograms.work.counts[i];
+    CHECK(counted == counters.ticks);
+    hd_servo_free(servo);
+    hd_sim_free(sim);
+    return (uint32_t)ended;
+}
+
 int main(void) {
     static const double strokes[][3] = {
         {0.0, 0.0, 0.01}, {0.05, 0.01, -0.005}, {0.1, -0.01, 0.01}, {0.15, 0.0, -0.01}, {0.3, 0.0, 0.01},
@@ -539,6 +603,7 @@ int main(void) {
     hd_operator_free(stroke);
     hd_operator_free(press);
     increment = increments();
+    CHECK(steps_down() > 0);
     printf("test_servo_stress: ok, %llu ticks (%llu skipped, %llu samples dropped), %u and %u revisions, %llu events\n",
            (unsigned long long)counters.ticks, (unsigned long long)counters.skipped,
            (unsigned long long)counters.samples_dropped, revision, increment, (unsigned long long)drain.events);

@@ -211,7 +211,7 @@ def test_record_csv(shell: Shell) -> None:
 
 
 def test_record_refuses_before_it_records(shell: Shell) -> None:
-    assert "must end in .npz or .csv" in shell.fails("record", "run.mat")
+    assert "must end in .npz, .csv or .mcap" in shell.fails("record", "run.mat")
     assert "No such file or directory" in shell.fails("record", "no/run.npz")
 
 
@@ -228,7 +228,7 @@ def test_an_interrupted_recording_is_kept(
         client.samples() as batches,
         command(daemon, "record", str(target), *options) as process,
     ):
-        part = target.with_name(f".run.npz.{process.pid}.samples")
+        part = target.with_name(f".run.npz.{process.pid}.part")
         for _ in batches:  # 50 times a second
             if part.exists() and part.stat().st_size > 0:
                 break
@@ -250,7 +250,7 @@ def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
         client.samples() as batches,
         command(daemon, "record", str(target)) as process,
     ):
-        part = target.with_name(f".run.npz.{process.pid}.samples")
+        part = target.with_name(f".run.npz.{process.pid}.part")
         for _ in batches:
             if part.exists() and part.stat().st_size > 0:
                 break

@@ -400,8 +400,6 @@ def test_what_was_told_to_a_dead_daemon_never_reaches_the_next(tmp_path: Path) -
         client.timeout_s = 30.0
         with pytest.raises(DaemonNotRunning):
             connect(tmp_path / "nowhere")
-        client._socket.close()
-        client._socket = client._open()
         assert client.call("after") == "here"
         assert [request["method"] for request in second.requests] == ["after"]
     client.close()

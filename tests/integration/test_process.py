@@ -191,8 +191,11 @@ def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Pa
         assert not any("all objects" in line for line in status["realtime"]["missing"])
         disc = {"kind": "disc", "radius_m": 1e-3, "material": "wood"}
         discs = {f"d{i}": {**disc, "center_m": [0.01 * (i % 100), 0.1 + 0.01 * (i // 100)]} for i in range(15_000)}
-        for half in (list(discs.items())[::2], list(discs.items())[1::2]):
-            wire.result("update_scene", objects=dict(half), wait=True)
+        with hapticd.connect(tmp_path / "run") as client, client.events() as events:
+            for half in (list(discs.items())[::2], list(discs.items())[1::2]):
+                wire.result("update_scene", objects=dict(half), wait=True)
+            refused = next(event for event in events if event["event"] == "memory_refused")
+        assert refused["problem"]
         status = wire.result("get_status")
         assert [line for line in status["realtime"]["missing"] if line.startswith("locked memory for all objects: ")]
         assert status["state"] == "running"

@@ -371,6 +371,7 @@ trees = st.recursive(
 )
 METHODS = [
     "get_status",
+    "get_config",
     "get_scene",
     "set_scene",
     "update_scene",

@@ -43,6 +43,9 @@ COMMANDS = [
     "calibrate",
     "verify",
     "fit",
+    "doctor",
+    "install-service",
+    "stop-device",
 ]
 
 
@@ -215,7 +218,7 @@ def test_the_processor_of_the_status(cpu: int | None, told: str) -> None:
             "scene.yaml:2: objects.floor.normal: must have a direction",
         ),
         (SCENE, "waypoints: []\n", "x.npz", "operator.yaml:1: waypoints"),
-        (SCENE, WAYPOINTS, "x.mat", "x.mat: must end in .npz or .csv"),
+        (SCENE, WAYPOINTS, "x.mat", "x.mat: must end in .npz, .csv or .mcap"),
         (SCENE, WAYPOINTS, "no/x.npz", "no/x.npz: cannot be written: No such file or directory"),
         ("- 1\n", WAYPOINTS, "x.npz", "scene.yaml:1"),
         ("a: &x 1\nb: *x\n", WAYPOINTS, "x.npz", "scene.yaml:2:4: aliases are not allowed"),

@@ -219,7 +219,7 @@ def test_every_fault_names_file_line_key_and_limit(tmp_path: pathlib.Path) -> No
     assert faults(path) == {
         f"{path}:2: servo.rate_hz": "must be at least 1000, is 1",
         f"{path}:4: servo.prioriti": "unknown key; did you mean priority? "
-        "known: rate_hz, cpu, priority, realtime, spin_us, clock",
+        "known: rate_hz, cpu, priority, realtime, spin_us, clock, overruns",
         f"{path}:7: materials.pine.stiffness_n_per_m": 'must be a number, is "1"',
         f"{path}:8: materials.pine.tap": "needs exactly one of decay_time_s and decay_rate_per_s, has neither",
         f"{path}:14: scene.objects.table.point_m[1]": "must be a number, is true",
@@ -242,7 +242,7 @@ def test_unknown_materials_are_told_once_the_fields_are_sound(tmp_path: pathlib.
 @pytest.mark.parametrize("text", ["", "- servo\n", "servo\n"])
 def test_a_configuration_is_a_mapping(tmp_path: pathlib.Path, text: str) -> None:
     path = write(tmp_path / "c.yaml", text)
-    assert faults(path) == {f"{path}:1": "must be a mapping; known keys: servo, device, materials, scene"}
+    assert faults(path) == {f"{path}:1": "must be a mapping; known keys: servo, device, materials, scene, flight"}
 
 
 def test_later_files_override_per_key_but_materials_and_objects_whole(tmp_path: pathlib.Path) -> None:
@@ -336,7 +336,7 @@ def test_python_values_that_people_use() -> None:
         ({"servo": {"rate_hz": 10**5000}}, "is too large"),
         ({"servo": {"priority": 10**5000}}, "must be at most 99"),
         ({"servo": None}, "servo: must be a mapping, is null"),
-        ({"servo\n" * 100: 1}, "unknown key; known: servo, device, materials, scene"),
+        ({"servo\n" * 100: 1}, "unknown key; known: servo, device, materials, scene, flight"),
         ({"\ud800": 1}, 'must be valid Unicode, is "\\ud800"'),
     ],
 )
@@ -508,7 +508,7 @@ def test_own_materials_replace_shipped_ones_whole() -> None:
 def test_schema_is_plain_json_with_words_and_units() -> None:
     schema = config_schema()
     assert json.loads(json.dumps(schema, allow_nan=False)) == schema
-    assert set(mapping(schema["properties"])) == {"servo", "device", "materials", "scene"}
+    assert set(mapping(schema["properties"])) == {"servo", "device", "materials", "scene", "flight"}
     for name, model in models().items():
         assert model["description"], name
         assert model["additionalProperties"] is False

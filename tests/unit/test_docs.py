@@ -25,12 +25,15 @@ from hapticd.cli.simulation import simulate_to_file
 from hapticd.config import default_config, load_config
 from hapticd.control import _METHODS, Control
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
+from hapticd.doctor import diagnose
+from hapticd.doctor.machine import Machine, Needs
 from hapticd.engine import Engine, Granted
 from hapticd.events import event_map, fault_names
 from hapticd.hid.config import Quirk
 from hapticd.materials import ModeKeys
 from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
-from hapticd.record import NO_TIME, open_sink
+from hapticd.service import Installation, Service
+from hapticd.sink import NO_TIME, open_sink
 from hapticd.yaml_source import load_text
 from tests.daemon_process import Daemon, running_daemon
 
@@ -39,6 +42,7 @@ PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglo
 README = (ROOT / "README.md").read_text()
 PROTOCOL = (ROOT / "docs" / "protocol.md").read_text()
 DEVICES = (ROOT / "docs" / "devices.md").read_text()
+SERVICE = (ROOT / "docs" / "service.md").read_text()
 ARCHITECTURE = (ROOT / "docs" / "architecture.md").read_text()
 
 Rows = list[list[str]]
@@ -223,7 +227,7 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         for row in rows:
             if row[1] in ("both", "`simulate`"):
                 (shape,) = names(row[2])
-                shapes = {"(n,)": (count,), "(m,)": (len(file["events"]),), "(n, 4)": (count, 4)}
+                shapes = {"(n,)": (count,), "(m,)": (len(file["events"]),), "(n, 4)": (count, 4), "()": ()}
                 assert file[names(row[0])[0]].shape == shapes[shape]
         assert set(file) == {names(row[0])[0] for row in rows if row[1] != "`record`"}
     with np.load("events.npz") as file:
@@ -276,10 +280,38 @@ def test_every_quirk_is_told() -> None:
 
 
 def test_the_rule_sorts_where_the_page_says() -> None:
-    (rule,) = (ROOT / "systemd").glob("*.rules")
+    rule = ROOT / "systemd" / "70-hapticd.rules"
     assert f"systemd/{rule.name}" in DEVICES
     assert rule.name < "70-uaccess.rules"
     assert 'KERNELS=="*:1209:0001.*", ENV{HAPTICD_DEVICE}="1"' in rule.read_text()
+
+
+# ---- service.md ----------------------------------------------------------------------------------------------------
+
+
+def test_the_files_of_the_service_are_told(tmp_path: Path) -> None:
+    steps = Service(Installation(Path("/usr/bin/hapticd"), ()), root=tmp_path, run=lambda words: None).install()
+    written = [f"/{Path(step.what).relative_to(tmp_path)}" for step in steps if step.kind == "wrote"]
+    assert first_names(tables(section(SERVICE, "## Setting it up"))["file"]) == written
+
+
+def test_the_lines_of_the_doctor_are_told() -> None:
+    found = diagnose(Machine(limit=lambda number: (0, 0)), Needs(hid=True))
+    told = first_names(tables(SERVICE)["line"])
+    assert {finding.name for finding in found} <= set(told)
+    sources = "".join(path.read_text() for path in (ROOT / "hapticd" / "doctor").glob("*.py"))
+    assert all(f'"{name}"' in sources for name in told)
+
+
+def test_the_directives_that_the_page_names_stand_in_the_unit() -> None:
+    unit = (ROOT / "systemd" / "hapticd.service").read_text().splitlines()
+    needs = tables(section(SERVICE, "## The sandbox"))["what"]
+    for directive in (name for row in needs for name in names(row[1]) if "=" in name):
+        assert directive in unit
+    for name in re.findall(r"`([A-Z]\w+)(?:=[^`]*)?`", section(SERVICE, "## The sandbox")):
+        assert any(line.startswith(f"{name}=") for line in unit) or name.startswith(
+            ("IPAddress", "CPUScheduling", "BindRead")
+        )
 
 
 # ---- architecture.md, decision records, links ----------------------------------------------------------------------
@@ -290,7 +322,8 @@ def test_every_file_has_its_line() -> None:
     core, package = described.split("The package, ")
     assert sorted(first_names(tables(core)["file"])) == sorted(path.name for path in ROOT.glob("csrc/*.[ch]"))
     home = ROOT / "hapticd"
-    present = [*home.glob("*.py"), *home.glob("*.pyi"), *home.glob("*/*.py"), home / "shipped", home / "py.typed"]
+    present = [*home.glob("*.py"), *home.glob("*.pyi"), *home.glob("*/*.py"), home / "shipped", home / "units"]
+    present.append(home / "py.typed")
     assert sorted(first_names(tables(package)["file"])) == sorted(str(path.relative_to(home)) for path in present)
 
 

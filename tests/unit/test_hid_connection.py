@@ -384,3 +384,21 @@ def test_ticks_led_by_the_device(world: World) -> None:
     world.until(lambda: engine.counters().ticks > 5)
     engine.set_forces(True)
     stick.wait(pressed(stick, 0.004))
+
+
+def test_a_device_that_may_have_lost_what_it_was_told_is_set_up_anew_and_gets_no_force_until_then(world: World) -> None:
+    """As after a suspend of the machine."""
+    stick = world.plug()
+    engine = world.start()
+    world.hold(0.004)
+    engine.set_forces(True)
+    stick.wait(pressed(stick, 0.004))
+    with stick.changed:
+        stick.log.clear()
+        stick.effects.clear()
+    assert engine.connection is not None
+    engine.connection.suspect()
+    stick.wait(lambda: "create" in stick.log)
+    stick.wait(pressed(stick, 0.004))
+    assert engine.connection.status()["resets"] == 1
+    assert engine.faults() == Fault(0)

@@ -1,0 +1,233 @@
+"""The requests of one connection on their way to the daemon, one at a time.
+
+A client that sends more than it may, or faster than the daemon answers, is not read from meanwhile: libzmq and TCP hold
+it back. Nothing waits for it: every connection has a socket of its own towards the daemon.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgpack
+import zmq
+
+from hapticd import wire
+from hapticd.bridge.accounts import Account
+from hapticd.bridge.daemon_link import DaemonLink
+
+ANSWER_S: Final = 30.0
+"""A daemon that says nothing for so long has lost the request."""
+_CONNECT_S: Final = 1.0
+"""A daemon that restarts has this long to take a request."""
+_GRACE_S: Final = 0.1
+_LONGEST_ID: Final = 256
+_PEEKED: Final = 64
+_ID_KEYS: Final = (b"\xa2id", b"\xd9\x02id", b"\xda\x00\x02id", b"\xdb\x00\x00\x00\x02id")
+
+_log = logging.getLogger("hapticd.bridge")
+
+
+class Relay:
+    """Between the socket of one client and the daemon's command socket. Belongs to the running event loop.
+
+    Both sockets are looked at whenever something happens to one of them, and as long as anything can be done: their
+    descriptors tell of changes only.
+    """
+
+    def __init__(
+        self,
+        context: zmq.Context[Any],
+        front: zmq.Socket[bytes],
+        endpoint: str,
+        link: DaemonLink,
+        account: Account,
+        largest: Callable[[], int],
+        read: Callable[[], None],
+        failed: Callable[[], None],
+    ) -> None:
+        """`largest`: the longest message, bytes; `read` is called for each, `failed` after a defect of ours."""
+        self._context, self._front, self._endpoint, self._link = context, front, endpoint, link
+        self._account, self._largest, self._read, self._failed = account, largest, read, failed
+        self._loop = asyncio.get_running_loop()
+        self._identity = b""
+        self._reply: list[bytes] | None = None
+        """For the client, which does not read just now."""
+        self._request: _Request | None = None
+        self._sent = False
+        self._resting = False
+        self._timer: asyncio.TimerHandle | None = None
+        self._closed = False
+        self._loop.add_reader(int(front.getsockopt(zmq.FD)), self._look)
+        self._back = self._open()
+        self._look()
+
+    def _open(self) -> zmq.Socket[bytes]:
+        socket: zmq.Socket[bytes] = zmq.Socket(self._context, zmq.DEALER)
+        socket.setsockopt(zmq.LINGER, 0)
+        # What was meant for a daemon that died must not reach the next.
+        socket.setsockopt(zmq.IMMEDIATE, 1)
+        socket.connect(self._endpoint)
+        self._loop.add_reader(int(socket.getsockopt(zmq.FD)), self._look)
+        return socket
+
+    def close(self) -> None:
+        """Nothing is taken or sent from here on."""
+        self._closed = True
+        self._stop_timer()
+        for socket in (self._front, self._back):
+            self._loop.remove_reader(int(socket.getsockopt(zmq.FD)))
+            socket.close()
+
+    def daemon_lost(self) -> None:
+        """The daemon is gone; an answer that is still on its way has a moment."""
+        if self._sent:
+            told = "the daemon went away before it answered; the request may have been carried out"
+            self._wait(_GRACE_S, lambda: self._give_up(told))
+
+    # ---- what can be done --------------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        try:
+            while not self._closed and self._step():
+                pass
+        except Exception:
+            # A defect of ours costs this connection, nobody else's.
+            _log.exception("%s: a connection failed", self._account.name)
+            self._failed()
+
+    def _step(self) -> bool:
+        """Does one thing, if there is one. Both sockets are asked each time: a descriptor that told of something stays
+        readable until its socket was."""
+        front, back = _events(self._front), _events(self._back)
+        if self._reply is not None:
+            # Where the client does not read, everything else waits.
+            return bool(front & zmq.POLLOUT) and self._send_reply(self._reply)
+        if back & zmq.POLLIN:
+            self._reply = self._back.recv_multipart(zmq.NOBLOCK)
+            if self._sent:
+                self._done()
+            return True
+        if self._request is not None:
+            return not self._sent and not self._resting and self._pass_on(self._request, bool(back & zmq.POLLOUT))
+        return bool(front & zmq.POLLIN) and self._take()
+
+    def _send_reply(self, reply: list[bytes]) -> bool:
+        try:
+            self._front.send_multipart([self._identity, *reply], zmq.NOBLOCK)
+        except zmq.ZMQError as error:
+            if error.errno != zmq.EHOSTUNREACH:  # the client has gone, and the connection is about to end
+                raise
+        self._reply = None
+        return True
+
+    def _take(self) -> bool:
+        self._identity, *frames = self._front.recv_multipart(zmq.NOBLOCK)
+        self._read()
+        _, body = wire.open_envelope(frames)
+        answerable, id = (True, None) if body is None else peek(body)
+        self._request = _Request(frames, answerable, id)
+        size = sum(map(len, frames))
+        if size > self._largest():
+            told = f"the message has {size} bytes: at most {self._largest()} are taken by the bridge"
+            self._refuse(_Request(frames, True, None), wire.Code.PARSE, told)
+            return True
+        wait_s = self._account.take_request()
+        if wait_s:
+            self._resting = True
+            self._wait(wait_s, self._rested)
+        return True
+
+    def _rested(self) -> None:
+        self._resting = False
+        self._look()
+
+    def _pass_on(self, request: _Request, connected: bool) -> bool:
+        if not connected:
+            if self._timer is None:
+                self._wait(_CONNECT_S, lambda: self._give_up(f"{self._link.away()}; nothing was carried out"))
+            return False
+        self._back.send_multipart(request.frames, zmq.NOBLOCK)
+        if request.answerable:
+            self._sent = True
+            told = f"the daemon did not answer within {ANSWER_S:g} s; the request may yet be carried out"
+            self._wait(ANSWER_S, lambda: self._give_up(told))
+        else:
+            self._done()
+        return True
+
+    # ---- the end of a request ----------------------------------------------------------------------------------------
+
+    def _done(self) -> None:
+        self._stop_timer()
+        self._request, self._sent = None, False
+
+    def _give_up(self, told: str) -> None:
+        """What the daemon may still answer belongs to nobody any more."""
+        self._timer = None
+        if self._request is None:
+            return
+        self._refuse(self._request, wire.Code.DAEMON_AWAY, told)
+        self._loop.remove_reader(int(self._back.getsockopt(zmq.FD)))
+        self._back.close()
+        self._back = self._open()
+        self._look()
+
+    def _refuse(self, request: _Request, code: wire.Code, told: str) -> None:
+        if request.answerable:
+            delimited, _ = wire.open_envelope(request.frames)
+            self._reply = wire.close_envelope(delimited, wire.error_reply(request.id, code, told))
+        self._done()
+
+    def _wait(self, after_s: float, call: Callable[[], None]) -> None:
+        """There is one timer; a request waits for one thing at a time."""
+        self._stop_timer()
+        self._timer = self._loop.call_later(after_s, self._time, call)
+
+    def _time(self, call: Callable[[], None]) -> None:
+        self._timer = None
+        call()
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+
+@dataclass(slots=True)
+class _Request:
+    frames: list[bytes]
+    answerable: bool
+    id: wire.Id
+
+
+def _events(socket: zmq.Socket[bytes]) -> int:
+    return int(socket.getsockopt(zmq.EVENTS))
+
+
+def peek(body: bytes) -> tuple[bool, wire.Id]:
+    """Whether the daemon answers this body, and the id that its answer carries, as far as that shows without decoding.
+
+    Only a map without `id` is not answered, and not always then.
+    """
+    unpacker = msgpack.Unpacker(max_buffer_size=max(len(body), 1))
+    unpacker.feed(body)
+
+    def skipped() -> bytes:
+        # Skipping builds nothing, however much a header claims.
+        start = unpacker.tell()
+        unpacker.skip()
+        return body[start : min(unpacker.tell(), start + _LONGEST_ID)]
+
+    try:
+        for _ in range(min(unpacker.read_map_header(), _PEEKED)):
+            key, value = skipped(), skipped()
+            if key in _ID_KEYS:
+                id = msgpack.unpackb(value)
+                return True, id if type(id) in (str, int, float) else None
+    except (ValueError, msgpack.UnpackException, RecursionError):
+        return True, None
+    return False, None

@@ -1,0 +1,56 @@
+"""Who a connection is: the authenticator of ZeroMQ (RFC 27), asked once in each handshake.
+
+CURVE has proved by then that the other side holds the secret key; what is left is whose it is and what it may. Without
+a handler libzmq would let every key in, so the sockets are set to refuse where nobody answers (ZAP_ENFORCE_DOMAIN).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Final
+
+import zmq
+import zmq.asyncio
+from zmq.utils import z85
+
+OK: Final = b"200"
+LATER: Final = b"300"
+"""No room now: libzmq closes the connection, and the client tries again."""
+REFUSED: Final = b"400"
+
+_ENDPOINT: Final = "inproc://zeromq.zap.01"
+_VERSION: Final = b"1.0"
+
+_log = logging.getLogger("hapticd.bridge")
+
+Judge = Callable[[str, str], bytes]
+"""Of a socket's domain and a public key in Z85, the status."""
+
+
+async def authenticate(socket: zmq.asyncio.Socket, judge: Judge) -> None:
+    """Answers every handshake of this context, until cancelled."""
+    while True:
+        frames: list[bytes] = await socket.recv_multipart()
+        await socket.send_multipart(_answer(frames, judge))
+
+
+def bind(context: zmq.asyncio.Context) -> zmq.asyncio.Socket:
+    """The socket on which libzmq asks; it must be there before any other is bound."""
+    socket = context.socket(zmq.REP)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.bind(_ENDPOINT)
+    return socket
+
+
+def _answer(frames: list[bytes], judge: Judge) -> list[bytes]:
+    # Version, request id, domain, address, routing id, mechanism, and CURVE's public key.
+    version, request, domain, _, _, mechanism, *credentials = frames
+    status = REFUSED
+    if version == _VERSION and mechanism == b"CURVE" and len(credentials) == 1 and len(credentials[0]) == 32:
+        try:
+            status = judge(domain.decode("ascii", "replace"), z85.encode(credentials[0]).decode())
+        except Exception:
+            # A defect of ours, or no descriptors left: it costs this connection, nobody else's.
+            _log.exception("a handshake failed")
+    return [_VERSION, request, status, b"", b"", b""]

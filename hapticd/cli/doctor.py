@@ -1,0 +1,52 @@
+"""`hapticd doctor`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import click
+
+from hapticd.cli.common import config_option, daemon, json_option, print_json
+
+_ANSWER_S = 2.0
+
+
+@click.command("doctor")
+@config_option
+@json_option
+@click.pass_context
+def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> int:
+    """Say what of this machine is ready for the daemon, and what to do about the rest.
+
+    The rights are those of whoever asks; nothing is changed. The exit code is 1 if something fails that the
+    configuration needs.
+    """
+    from hapticd._version import __version__
+    from hapticd.client import DaemonNotRunning
+    from hapticd.config import default_config, load_config
+    from hapticd.doctor import diagnose
+    from hapticd.doctor.machine import Machine, Needs
+
+    config = load_config(configs) if configs else default_config()
+
+    def asked() -> Mapping[str, object] | None:
+        try:
+            with daemon(ctx, _ANSWER_S) as client:
+                return client.get_status()
+        except DaemonNotRunning:
+            return None
+
+    servo = config.servo
+    needs = Needs(servo.realtime, servo.priority, servo.cpu, config.device.kind == "hid")
+    findings = []
+    for finding in diagnose(Machine(daemon=asked, version=__version__), needs):
+        findings.append(finding)
+        if not as_json:
+            click.echo(str(finding))
+    if as_json:
+        print_json([finding.to_dict() for finding in findings])
+    failed = [finding.name for finding in findings if finding.verdict == "fail"]
+    if not failed:
+        return 0
+    click.echo(f"hapticd: not ready: {', '.join(dict.fromkeys(failed))}", err=True)
+    return 1

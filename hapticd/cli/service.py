@@ -1,0 +1,64 @@
+"""`hapticd install-service` and `hapticd stop-device`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import click
+
+from hapticd.cli.common import json_option, print_json
+from hapticd.errors import HapticdError
+
+
+@click.command("install-service")
+@click.option("--user", is_flag=True, help="For yourself alone, without rights of the system's.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done.")
+@click.option("--uninstall", is_flag=True, help="Take it away again, but for what somebody changed.")
+@click.option(
+    "--root",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Into another root, as for a package; the running system is not touched.",
+)
+@json_option
+def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Path | None, as_json: bool) -> int:
+    """Put units, users, folders and udev rules in place, and say what was done."""
+    from hapticd.service import Installation, Service
+
+    if user and root is not None:
+        raise click.UsageError("--root is for the system's service, not for --user")
+    service = Service(Installation.this(), user=user, root=root, dry_run=dry_run)
+    if dry_run and not as_json:
+        click.echo("nothing is changed; what would be done:")
+    failed = []
+    steps = []
+    for step in service.uninstall() if uninstall else service.install():
+        steps.append(step.to_dict())
+        if step.kind == "failed":
+            failed.append(step)
+        if not as_json:
+            click.echo(str(step))
+    if as_json:
+        print_json(steps)
+    if failed:
+        raise HapticdError("; ".join(f"{step.what}: {step.detail}" for step in failed))
+    return 0
+
+
+@click.command("stop-device", short_help="Stop a device that a daemon left.")
+@json_option
+@click.pass_context
+def stop_device_command(ctx: click.Context, as_json: bool) -> None:
+    """Tell the device of a daemon that was killed that its force is zero, and stop its effects.
+
+    systemd runs it whatever ended the daemon. It needs nothing but what the daemon wrote into its runtime directory.
+    """
+    from hapticd.paths import runtime_paths
+    from hapticd.stopper import stop_device
+
+    done = stop_device(runtime_paths(cast("str | None", ctx.find_root().obj)).device)
+    if as_json:
+        print_json({"stopped": done})
+    else:
+        click.echo(done or "no device was left: nothing to stop")

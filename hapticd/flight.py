@@ -1,0 +1,228 @@
+"""The flight recorder: the last seconds of samples and events, kept, and written to a file on a fault or when asked.
+
+The telemetry thread leaves here what it sends, as it sends it: a list of batches, so that keeping them costs nothing
+but their memory (1.1 MB a second at 10 kHz). A thread of its own writes files; what it writes is a copy of that list,
+so that nobody waits for the disk. A fault's file is begun AFTER_S after the fault, so that it shows what became of it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import re
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from hapticd.core import SAMPLE_DTYPE
+from hapticd.errors import HapticdError
+
+AFTER_S: Final = 1.0
+"""So much after a fault is in its file."""
+MOST_EVENTS: Final = 5000
+"""Events that are kept; of a flood, the newest."""
+CHUNK: Final = 16
+"""Batches that are written at once: 360 kB at 10 kHz."""
+SWITCH_S: Final = 0.0005
+"""While a file is written, other threads wait at most about so long for the interpreter, instead of 5 ms."""
+
+_NAME: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
+_log = logging.getLogger("hapticd")
+
+
+@dataclass(frozen=True, slots=True)
+class _Batch:
+    first_tick: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A file that is to be written, once it is `due_ns`."""
+
+    path: Path
+    reason: str
+    tick: int | None
+    """Of the fault."""
+    due_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    asked: _Asked
+    batches: list[_Batch]
+    events: list[dict[str, object]]
+
+
+class Flight:
+    """Keeps and writes. `keep_...`, `turn` and `finish` are the telemetry thread's, `run` is the writer's, the rest for
+    any thread."""
+
+    def __init__(
+        self,
+        directory: Path,
+        seconds: float,
+        keep: int,
+        rate_hz: float,
+        now_ns: Callable[[], int],
+        texts: Callable[[], Mapping[str, object]] = dict,
+    ) -> None:
+        """`keep`: files that stay; older ones are removed. `texts`: what else goes into a file, as in recordings."""
+        self._directory, self._seconds, self._keep = directory, seconds, keep
+        self._most = round((seconds + AFTER_S) * rate_hz)
+        self._now_ns, self._texts = now_ns, texts
+        self._batches: deque[_Batch] = deque()
+        self._held = 0
+        self._events: deque[dict[str, object]] = deque(maxlen=MOST_EVENTS)
+        self._lock = threading.Lock()
+        self._asked: list[_Asked] = []
+        self._number = max((int(match[1]) for _, match in self._files()), default=0)
+        self._quiet_until_ns = 0
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._under_way = 0
+        self._written = 0
+        self._skipped = 0
+        self._last: Path | None = None
+        self._problem: str | None = None
+
+    # ---- The telemetry thread --------------------------------------------------------------------------------------
+
+    def keep_samples(self, first_tick: int, data: bytes) -> None:
+        """Takes a batch: records of SAMPLE_DTYPE, as they are sent."""
+        self._batches.append(_Batch(first_tick, data))
+        self._held += len(data) // SAMPLE_DTYPE.itemsize
+        while self._held - len(self._batches[0].data) // SAMPLE_DTYPE.itemsize >= self._most:
+            self._held -= len(self._batches.popleft().data) // SAMPLE_DTYPE.itemsize
+        while self._events and int(str(self._events[0]["tick"])) < self._batches[0].first_tick:
+            self._events.popleft()
+
+    def keep_event(self, event: dict[str, object]) -> None:
+        """Takes an event as it is sent; one that tells of faults asks for a file."""
+        self._events.append(event)
+        if event["event"] == "fault" and event["faults"]:
+            self._fault(int(str(event["tick"])))
+
+    def _fault(self, tick: int) -> None:
+        now_ns = self._now_ns()
+        with self._lock:
+            if now_ns < self._quiet_until_ns:
+                self._skipped += 1
+                return
+            self._quiet_until_ns = now_ns + round((self._seconds + AFTER_S) * 1e9)
+            self._ask("fault", tick, now_ns + round(AFTER_S * 1e9))
+
+    def turn(self) -> None:
+        """Hands over to the writer what is due."""
+        with self._lock:
+            now_ns = self._now_ns()
+            due = [asked for asked in self._asked if now_ns >= asked.due_ns]
+            self._asked = [asked for asked in self._asked if now_ns < asked.due_ns]
+        self._hand_over(due)
+
+    def finish(self) -> None:
+        """The last samples have come: hands over everything that was asked for."""
+        with self._lock:
+            due, self._asked = self._asked, []
+        self._hand_over(due)
+
+    def _hand_over(self, due: list[_Asked]) -> None:
+        for asked in due:
+            self._jobs.put(_Job(asked, list(self._batches), list(self._events)))
+
+    # ---- Any thread ------------------------------------------------------------------------------------------------
+
+    def dump(self) -> Path:
+        """Has a file written of what is kept now; its name. It is there once it is whole."""
+        with self._lock:
+            return self._ask("asked", None, self._now_ns())
+
+    def _ask(self, reason: str, tick: int | None, due_ns: int) -> Path:
+        self._number += 1
+        path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
+        self._asked.append(_Asked(path, reason, tick, due_ns))
+        self._under_way += 1
+        return path
+
+    def status(self) -> dict[str, object]:
+        """What get_status says."""
+        with self._lock:
+            return {
+                "directory": str(self._directory),
+                "seconds": self._seconds,
+                "under_way": self._under_way,
+                "written": self._written,
+                "skipped": self._skipped,
+                "last": None if self._last is None else str(self._last),
+                "problem": self._problem,
+            }
+
+    # ---- The writer ------------------------------------------------------------------------------------------------
+
+    def run(self, stop: threading.Event) -> None:
+        """Writes what was handed over until `stop` is set and `wake` called, and what was handed over before."""
+        while (job := self._jobs.get()) is not None:
+            before = sys.getswitchinterval()
+            sys.setswitchinterval(SWITCH_S)
+            try:
+                self._write(job)
+                problem = None
+            except (HapticdError, OSError) as error:
+                problem = str(error)
+            finally:
+                sys.setswitchinterval(before)
+            with self._lock:
+                self._under_way -= 1
+                self._problem = problem
+                if problem is None:
+                    self._written += 1
+                    self._last = job.asked.path
+            if problem is None:
+                _log.info("flight recorder: %s", job.asked.path, extra={"fields": {"file": job.asked.path}})
+            else:
+                _log.error("flight recorder: %s", problem)
+
+    def wake(self) -> None:
+        """Ends `run`."""
+        self._jobs.put(None)
+
+    def _write(self, job: _Job) -> None:
+        from hapticd.record import open_sink
+
+        if not self._directory.is_dir():
+            os.makedirs(self._directory)
+            os.chmod(self._directory, 0o750)
+        about = {"reason": job.asked.reason, "tick": job.asked.tick}
+        with open_sink(job.asked.path) as sink:
+            # Not one by one: each write is a chance to wait for the interpreter, and has others wait for it.
+            for first in range(0, len(job.batches), CHUNK):
+                data = b"".join(batch.data for batch in job.batches[first : first + CHUNK])
+                sink.write(np.frombuffer(data, SAMPLE_DTYPE))
+            for event in job.events:
+                sink.write_event(event)
+            sink.finish({**self._texts(), "flight": about})
+        self._remove_old()
+
+    def _remove_old(self) -> None:
+        numbered = sorted((int(match[1]), path) for path, match in self._files())
+        for _, path in numbered[: -self._keep]:
+            path.unlink(missing_ok=True)
+
+    def _files(self) -> list[tuple[Path, re.Match[str]]]:
+        if not self._directory.is_dir():
+            return []
+        found = ((path, _NAME.fullmatch(path.name)) for path in self._directory.iterdir())
+        return [(path, match) for path, match in found if match is not None]
+
+
+def directory_of(configured: str | None, runtime: Path, environ: Mapping[str, str] | None = None) -> Path:
+    """Where files go: as configured, else the state directory that systemd gives, else the runtime directory."""
+    environ = os.environ if environ is None else environ
+    state = environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(configured or state or runtime).absolute()

@@ -1,0 +1,161 @@
+"""A daemon behind `hapticd bridge`: its address, the keys, and why a bridge does not let us in."""
+
+from __future__ import annotations
+
+import os
+import re
+import socket as network
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import zmq
+
+from hapticd.errors import HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.keys import Certificate
+
+PORT: Final = 9410
+"""Where a bridge takes commands unless it is told otherwise; telemetry has the port after it."""
+
+_TCP: Final = re.compile(r"tcp://(\[[0-9A-Fa-f:.]+(?:%\w+)?\]|[^\[\]:/\s]+)(?::(\d{1,5}))?/?")
+_RECONNECT_MS: Final = 100
+_RECONNECT_MOST_MS: Final = 2000
+_FAILED: Final = (
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+    | zmq.EVENT_DISCONNECTED
+    | zmq.EVENT_CLOSED
+)
+
+
+def is_remote(place: object) -> bool:
+    """Whether a client is told an address rather than a directory."""
+    return isinstance(place, str) and place.startswith("tcp://")
+
+
+def host_and_port(address: str, default: int | None = None) -> tuple[str, int]:
+    """Host (an IPv6 address without its brackets) and port of tcp://HOST:PORT. Raises ValueError."""
+    match = _TCP.fullmatch(address)
+    port = int(match[2]) if match and match[2] else default
+    if match is None or port is None or port > 65535:
+        raise ValueError("must be tcp://HOST:PORT")
+    return match[1].strip("[]"), port
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is this machine's own loopback, by its number or as localhost."""
+    import ipaddress
+
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+@dataclass(frozen=True, slots=True)
+class Remote:
+    """Where a bridge is, who we are, and which key it must have."""
+
+    host: str
+    port: int
+    certificate: Certificate
+    server_key: str
+
+    def _endpoint(self, port: int) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"tcp://{host}:{port}"
+
+    @property
+    def command_endpoint(self) -> str:
+        """The command socket as ZeroMQ names it."""
+        return self._endpoint(self.port)
+
+    @property
+    def telemetry_endpoint(self) -> str:
+        """The telemetry socket as ZeroMQ names it."""
+        return self._endpoint(self.port + 1)
+
+    def __str__(self) -> str:
+        return self.command_endpoint
+
+    def secure(self, socket: zmq.Socket[Any]) -> None:
+        """Sets a socket up to connect: keys, and pauses between its tries."""
+        assert self.certificate.secret_key is not None
+        socket.setsockopt(zmq.IPV6, 1)
+        socket.setsockopt(zmq.CURVE_PUBLICKEY, self.certificate.public_key.encode())
+        socket.setsockopt(zmq.CURVE_SECRETKEY, self.certificate.secret_key.encode())
+        socket.setsockopt(zmq.CURVE_SERVERKEY, self.server_key.encode())
+        socket.setsockopt(zmq.RECONNECT_IVL, _RECONNECT_MS)
+        socket.setsockopt(zmq.RECONNECT_IVL_MAX, _RECONNECT_MOST_MS)
+        # A bridge whose machine is gone without a word is noticed within a minute.
+        socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+        socket.setsockopt(zmq.TCP_KEEPALIVE_IDLE, 20)
+        socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 10)
+        socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, 3)
+
+    def knock(self, timeout_s: float, command: bool) -> tuple[bool, str] | None:
+        """None where the command (or the telemetry) socket lets us in; else whether it is there at all, and
+        why not."""
+        try:
+            network.getaddrinfo(self.host, self.port, type=network.SOCK_STREAM)
+        except (OSError, UnicodeError) as error:
+            return False, f"{self}: {getattr(error, 'strerror', None) or error}"
+        kind, endpoint = (zmq.DEALER, self.command_endpoint) if command else (zmq.SUB, self.telemetry_endpoint)
+        trial: zmq.Socket[bytes]
+        with zmq.Context.instance().socket(kind) as trial:
+            trial.setsockopt(zmq.LINGER, 0)
+            self.secure(trial)
+            monitor: zmq.Socket[Any] = trial.get_monitor_socket(_FAILED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
+            try:
+                trial.connect(endpoint)
+                return self._heard(monitor, endpoint, timeout_s)
+            finally:
+                trial.disable_monitor()
+                monitor.close()
+
+    def _heard(self, monitor: zmq.Socket[Any], endpoint: str, timeout_s: float) -> tuple[bool, str] | None:
+        from zmq.utils.monitor import recv_monitor_message
+
+        deadline = time.monotonic() + timeout_s
+        while monitor.poll(max(0, int((deadline - time.monotonic()) * 1e3 + 0.999))):
+            told = recv_monitor_message(monitor)
+            match told["event"]:
+                case zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                    return None
+                case zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+                    return True, f"the bridge at {endpoint} refuses our key {self.certificate.public_key[:8]}..."
+                case zmq.EVENT_CLOSED:
+                    return False, f"no bridge at {endpoint}: nobody takes connections there"
+                case _:
+                    return True, (
+                        f"the bridge at {endpoint} ended the handshake: its key is not the server_key that we were "
+                        "given, or it has all the connections that it takes"
+                    )
+        return False, f"no bridge at {endpoint}: no answer within {timeout_s:g} s"
+
+
+def remote(address: str, key: object, server_key: object) -> Remote:
+    """A bridge at tcp://HOST or tcp://HOST:PORT.
+
+    `key`: path of our secret key's file, or a Certificate; `server_key`: the bridge's public key, or a file with it.
+    Raises HapticdError.
+    """
+    from hapticd.keys import Certificate, load_secret, public_key_of
+
+    try:
+        host, port = host_and_port(address, PORT)
+    except ValueError as error:
+        raise HapticdError(f"{address}: {error}, or tcp://HOST for port {PORT}") from None
+    if port in (0, 65535):
+        raise HapticdError(f"{address}: the port must be from 1 to 65534; telemetry has the one after it")
+    if not isinstance(key, str | os.PathLike | Certificate) or not isinstance(server_key, str | os.PathLike):
+        raise HapticdError(
+            f"{address}: a bridge needs key, the file of our secret key, and server_key, the bridge's public key"
+        )
+    certificate = key if isinstance(key, Certificate) else load_secret(key)
+    if certificate.secret_key is None:
+        raise HapticdError(f"{address}: key: needs the secret key too")
+    return Remote(host, port, certificate, public_key_of(server_key))

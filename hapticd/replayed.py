@@ -1,0 +1,328 @@
+"""Recordings rendered again: the servo's own tick, told what the recorded ticks were told.
+
+A tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether forces were
+on), a recording holds the scenes and what was played and reset, and the state is that of a servo as long as it began
+from the same. So a replay begins where nothing was left of what had been before: at tick 0, or at a tick at which
+nothing is touched, rings or ramps. It begins anew where ticks are missing, and after a fault. What it renders should be
+the recorded forces, bit for bit. Where it is not, something was not as the recording says it.
+
+What a recording does not hold: the number of contacts that an object had before (which its noise begins from),
+membranes that had been punctured before, what a device played by itself, when in its period a real device's report
+came, and in which order the servo had met objects that are touched together (a sum's last bits).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.config import Config, load_config
+from hapticd.core import Flag
+from hapticd.engine import output_of
+from hapticd.errors import HapticdError
+from hapticd.events import event_map
+from hapticd.materials import Material, validate_materials
+from hapticd.mode import Mode
+from hapticd.offline import Rerun
+from hapticd.recorded import Recorded, Samples, load_recorded
+from hapticd.scene import Scene, validate_object, validate_scene
+from hapticd.sink import open_sink
+
+FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
+"""What is compared."""
+
+NEEDED: Final = ("config", "scene", "materials", "changes")
+"""What must stand in a recording beside the samples."""
+
+_LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
+_NO_TIME: Final = 0xFFFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Between the recorded and the rendered force, as the length of the vector between them, N."""
+
+    largest_n: float
+    rms_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """A recording, rendered again."""
+
+    samples: Samples
+    """(m,) records of SAMPLE_DTYPE: the ticks that were rendered again."""
+    recorded: Samples
+    """(m,) the same ticks, as they were recorded."""
+    events: list[dict[str, object]]
+    """Those of the ticks rendered again, as maps."""
+    ticks: int
+    """How many the recording has."""
+    identical: int
+    """Ticks whose three forces are the recorded ones, bit for bit."""
+    first_different: int | None
+    """The first tick whose forces are not."""
+    differences: dict[str, Difference]
+    """By field, over all ticks that were rendered again."""
+    missing_revisions: tuple[int, ...]
+    """Revisions whose scene is not in the recording; their ticks were not rendered again."""
+    settled: bool
+    """False: the recording has no tick to begin from, and what was before it is taken for nothing."""
+    texts: Mapping[str, Any]
+    """What stands in the recording beside the samples."""
+
+    def summary(self) -> str:
+        """One line for people."""
+        ticks = len(self.samples)
+        text = f"{ticks} of {self.ticks} ticks rendered again, "
+        if self.identical == ticks:
+            text += "all as recorded, bit for bit"
+        else:
+            force = self.differences["force_n"]
+            text += f"{ticks - self.identical} not as recorded, the first is tick {self.first_different}; "
+            text += f"the force differs by {force.largest_n:.3g} N at most, {force.rms_n:.3g} N RMS"
+        if not self.settled:
+            text += "; something is touched, rings or ramps in each of them"
+        if self.missing_revisions:
+            text += f"; {len(self.missing_revisions)} revisions of the scene are missing"
+        return text
+
+    def write(self, target: str | os.PathLike[str]) -> None:
+        """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it."""
+        with open_sink(target) as sink:
+            sink.begin({name: text for name, text in self.texts.items() if name not in ("changes", "recording")})
+            for change in self.texts["changes"]:
+                sink.write_change(change)
+            sink.write(self.samples)
+            for event in self.events:
+                sink.write_event(event)
+            sink.finish()
+
+    def to_dict(self) -> dict[str, object]:
+        """As plain data, without samples and events."""
+        return {
+            "ticks": self.ticks,
+            "replayed": len(self.samples),
+            "identical": self.identical,
+            "first_different": self.first_different,
+            "differences": {
+                name: {"largest_n": one.largest_n, "rms_n": one.rms_n} for name, one in self.differences.items()
+            },
+            "missing_revisions": list(self.missing_revisions),
+            "settled": self.settled,
+        }
+
+
+def replay(path: str | os.PathLike[str]) -> Replay:
+    """Renders a recording (.npz, .csv or .mcap) again, and compares.
+
+    Raises HapticdError where the file is no recording, does not hold what it was rendered with, or holds what this
+    version takes no more.
+    """
+    recorded = load_recorded(path)
+    missing = [name for name in NEEDED if not recorded.texts.get(name)]
+    if missing:
+        raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")
+    try:
+        return _replay(recorded)
+    except HapticdError as error:
+        raise HapticdError(f"{os.fspath(path)}: {error}") from None
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with: {error!r}") from None
+
+
+def _replay(recorded: Recorded) -> Replay:
+    samples, texts = recorded.samples, recorded.texts
+    config = load_config({"servo": texts["config"]["servo"], "device": texts["config"]["device"]})
+    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist())))
+    known = [revision.number for revision in revisions]
+    stretches, settled = _stretches(samples, np.isin(samples["revision"], known), texts)
+    rate_hz = config.servo.rate_hz
+    link_hz = ((texts.get("status") or {}).get("connection") or {}).get("link_hz")
+    output = output_of(config, rate_hz, None if link_hz is None or link_hz >= rate_hz else link_hz)
+    rerun = Rerun(output, max((len(revision.scene.objects) for revision in revisions), default=0))
+    periods = _periods(samples, rate_hz)
+    intervals = _intervals(samples, periods, config)
+    commands = _commands(texts)
+    place = -1
+    given: list[slice] = []
+    found: list[Samples] = []
+    events: list[dict[str, object]] = []
+    for stretch, muted in stretches:
+        rerun.restart(muted)
+        periods[stretch.start] = 1
+        for part in _parts(samples, stretch, commands):
+            number = int(samples["revision"][part.start])
+            if place < 0 or known[place] != number:
+                place = _turn(rerun, revisions, place, known.index(number))
+            for command in commands.get(int(samples["tick"][part.start]), ()):
+                _carry_out(rerun, command, int(samples["time_ns"][part.start]))
+            rendered, happened = rerun.run(samples[part], intervals[part], periods[part])
+            given.append(part)
+            found.append(rendered)
+            events += [event_map(event, rerun.name_of(event)) for event in happened]
+    if not found:
+        raise HapticdError("no tick of it can be rendered again: there is a fault in each, or its scene is missing")
+    again = np.concatenate(found)
+    before = np.concatenate([samples[part] for part in given])
+    different = np.zeros(len(again), bool)
+    for name in FORCES:
+        different |= (again[name].view(np.uint64) != before[name].view(np.uint64)).any(axis=1)
+    first = int(before["tick"][np.argmax(different)]) if different.any() else None
+    missing = sorted(set(np.unique(samples["revision"]).tolist()) - set(known))
+    return Replay(
+        again,
+        before,
+        events,
+        len(samples),
+        int(len(again) - different.sum()),
+        first,
+        {name: _difference(again[name] - before[name]) for name in FORCES},
+        tuple(missing),
+        settled,
+        texts,
+    )
+
+
+def _difference(between: npt.NDArray[np.float64]) -> Difference:
+    square = (between**2).sum(axis=1)
+    return Difference(float(np.sqrt(square.max())), float(np.sqrt(square.mean())))
+
+
+# ---- What was rendered ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Revision:
+    number: int
+    scene: Scene
+    materials: Mapping[str, Material]
+    changed: frozenset[str]
+    """Objects that are not those of the one before in this list."""
+
+
+def _revisions(texts: Mapping[str, Any], wanted: set[int]) -> Iterator[_Revision]:
+    """Those of the recording that samples were rendered with, in order."""
+    scene = validate_scene(texts["scene"], ("scene",))
+    materials: dict[str, Material] = validate_materials(texts["materials"])
+    pending = set(scene.objects)
+    for change in texts["changes"]:
+        if "revision" not in change:
+            continue
+        objects = {
+            id: None if item is None else validate_object(id, item, ("changes",))
+            for id, item in change.get("objects", {}).items()
+        }
+        scene = scene.with_objects(objects)
+        pending |= objects.keys()
+        if "scene" in change:
+            shown = validate_scene({**scene.model_copy(update={"objects": {}}).to_dict(), **change["scene"]})
+            scene = shown.model_copy(update={"objects": scene.objects})
+        if "materials" in change:
+            patch = change["materials"]
+            new = validate_materials({name: item for name, item in patch.items() if item is not None})
+            materials = {name: item for name, item in materials.items() if name not in patch} | new
+        if change["revision"] in wanted:
+            yield _Revision(change["revision"], scene, materials, frozenset(pending))
+            pending = set()
+
+
+def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
+    """From the revision at `place` to another, which is a later one as a rule; a place below 0: from nothing."""
+    if to > place:
+        changed = frozenset[str]().union(*(revision.changed for revision in revisions[place + 1 : to + 1]))
+    else:
+        changed = frozenset(revisions[place].scene.objects) | frozenset(revisions[to].scene.objects)
+    revision = revisions[to]
+    rerun.turn_to(revision.scene, changed, revision.materials, revision.number)
+    return to
+
+
+# ---- Where it begins, and what each tick was told ------------------------------------------------------------------
+
+
+def _stretches(
+    samples: Samples, known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
+) -> tuple[list[tuple[slice, bool]], bool]:
+    """Ticks that can be rendered one after the other, and whether the command is zero when they begin; and whether
+    they begin where nothing is left of what was before."""
+    flags = samples["flags"]
+    usable = known & (flags & Flag.FAULT == 0)
+    follows = np.diff(samples["tick"].astype(np.int64), prepend=-2) == 1
+    begins = np.flatnonzero(usable & ~(follows & np.roll(usable, 1)))
+    ends = np.flatnonzero(usable & ~np.append((follows & usable)[1:], False)) + 1
+    at_start = samples["tick"] == 0
+    # Of two such ticks the second: what is left of an object that went away acts in the last tick of its ramp, too.
+    quiet = flags & _LEFT_OVER == 0
+    fit = (quiet & np.roll(quiet, 1) & follows) | at_start
+    runs = list(zip(begins.tolist(), ends.tolist(), strict=True))
+    settled = bool((usable & fit).any())
+    stretches = []
+    for begin, end in runs:
+        if settled:
+            left = np.flatnonzero(fit[begin:end])
+            if len(left) == 0:
+                continue
+            begin += int(left[0])
+        # A daemon's command comes in over the ramp when it starts; a simulation's is there.
+        muted = "status" in texts if at_start[begin] else not int(flags[begin]) & Flag.FORCES_ON
+        stretches.append((slice(begin, end), muted))
+    return stretches, settled
+
+
+def _parts(samples: Samples, stretch: slice, commands: Mapping[int, object]) -> Iterator[slice]:
+    """A stretch, cut where the revision changes and where commands were taken."""
+    inside = samples[stretch]
+    edges = {0, len(inside), *(np.flatnonzero(np.diff(inside["revision"])) + 1).tolist()}
+    first = int(inside["tick"][0])
+    edges |= {tick - first for tick in commands if 0 < tick - first < len(inside)}
+    for begin, end in pairwise(sorted(edges)):
+        yield slice(stretch.start + begin, stretch.start + end)
+
+
+def _commands(texts: Mapping[str, Any]) -> dict[int, list[dict[str, Any]]]:
+    """What was played and reset, by the tick that took it."""
+    commands: dict[int, list[dict[str, Any]]] = {}
+    for change in texts["changes"]:
+        if "tick" in change:
+            commands.setdefault(change["tick"], []).append(change)
+    return commands
+
+
+def _carry_out(rerun: Rerun, command: Mapping[str, Any], time_ns: int) -> None:
+    if "play" in command:
+        play = command["play"]
+        mode = Mode(play["decay_rate_per_s"], play["angular_frequency_rad_per_s"])
+        rerun.play(mode, play["attack"], tuple(play["direction"]), play["amplitude_m_per_s2"])
+    if "reset" in command:
+        rerun.reset(command["reset"].get("objects"), time_ns)
+
+
+def _periods(samples: Samples, rate_hz: float) -> npt.NDArray[np.uint32]:
+    """Since the tick before: more than one where periods were missed."""
+    elapsed = np.diff(samples["time_ns"], prepend=samples["time_ns"][:1]) * (rate_hz / 1e9)
+    missed = samples["flags"] & Flag.SKIPPED != 0
+    return np.where(missed, np.clip(np.rint(elapsed), 1, _NO_TIME), 1).astype(np.uint32)
+
+
+def _intervals(samples: Samples, periods: npt.NDArray[np.uint32], config: Config) -> npt.NDArray[np.float64]:
+    """Between the report of each tick and the one before; 0 where none came."""
+    period_s = 1.0 / config.servo.rate_hz
+    report_s = config.device.sim.reports_s[0] if config.device.kind == "sim" else 0.0
+    fresh = samples["flags"] & Flag.REPEATED == 0
+    intervals = np.zeros(len(samples))
+    places = np.flatnonzero(fresh)
+    since = np.diff(np.cumsum(periods, dtype=np.int64)[places], prepend=0)
+    elapsed = since * period_s
+    if report_s:
+        elapsed = np.maximum(np.rint(elapsed / report_s), 1.0) * report_s
+    intervals[places] = elapsed
+    # The first report has none before it.
+    intervals[samples["tick"] == 0] = 0.0
+    return intervals

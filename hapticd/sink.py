@@ -1,0 +1,650 @@
+"""Files of samples and events, as they are written.
+
+What comes goes into a part file beside the target, so that memory stays bounded however long a recording is; the
+target is put in place at the end, whole, by a rename. A part is in the form of the target from its first byte on, so
+that the end needs no second copy. Events and what is said once go into a second part, the notes, one JSON value a line.
+
+What fails leaves no file and changes none, with two exceptions. A disk that is full takes no more, but what is on it is
+finished: samples at the end make room for what else belongs to the file. A process that was killed leaves its parts;
+`recover` makes a file of them.
+
+.npz   `samples` (structured, one a tick), `events` (structured, one column for each key that occurs), and JSON texts;
+       read by numpy.load without pickle
+.csv   samples, one row a tick, vectors in two columns (`position_m_x`, `position_m_y`); events in a second file,
+       `NAME.events.csv`, and the texts in a third, `NAME.about.json`
+.mcap  see mcap.py
+
+The section Files of docs/protocol.md says what each of them holds.
+"""
+
+from __future__ import annotations
+
+import csv
+import errno
+import fcntl
+import io
+import json
+import math
+import os
+import zipfile
+import zlib
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from itertools import count as numbers
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Final, NoReturn, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.errors import HapticdError
+
+Samples: TypeAlias = npt.NDArray[np.void]
+
+_AXES = ("x", "y")
+_CHECK_EVERY: Final = 1 << 18
+"""Bytes of samples after which there is a place that a full disk may fall back to."""
+_FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
+
+NO_TIME: Final = -(2**63)
+"""What a time of an event that has none is; numpy's own NaT."""
+
+
+class DiskFullError(HapticdError):
+    """The disk takes no more. What was written before is whole, and can be finished."""
+
+
+class Part:
+    """A file in the making, locked while it is: what is appended is in it whole, or not at all."""
+
+    def __init__(self, path: Path, resume: bool = False) -> None:
+        """Raises FileExistsError, BlockingIOError (`resume`: somebody is still writing it), OSError."""
+        self.path = path
+        self.fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_CREAT | (0 if resume else os.O_EXCL), 0o666)
+        try:
+            fcntl.flock(self.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(self.fd)
+            raise
+        self.size = os.fstat(self.fd).st_size
+        self._closed = False
+
+    def append(self, data: bytes) -> None:
+        """Raises OSError; then there is as much in it as before."""
+        try:
+            self.put(self.size, data)
+        except OSError:
+            os.ftruncate(self.fd, self.size)
+            raise
+        self.size += len(data)
+
+    def put(self, at: int, data: bytes) -> None:
+        """Writes at a place."""
+        rest = memoryview(data)
+        while rest:
+            written = os.pwrite(self.fd, rest, at)
+            at, rest = at + written, rest[written:]
+
+    def cut(self, size: int) -> None:
+        """Forgets what comes after."""
+        os.ftruncate(self.fd, size)
+        self.size = size
+
+    def lines(self) -> Iterator[bytes]:
+        """Its whole lines."""
+        with open(self.path, "rb") as file:
+            for line in file:
+                if line.endswith(b"\n"):
+                    yield line
+
+    def place(self, target: Path) -> None:
+        """Puts it where it belongs, once the disk has all of it."""
+        os.fsync(self.fd)
+        os.replace(self.path, target)
+        self.close()
+
+    def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            os.close(self.fd)
+
+    def discard(self) -> None:
+        self.close()
+        with suppress(FileNotFoundError):
+            os.unlink(self.path)
+
+
+class Sink(ABC):
+    """A file in the making; what was not finished when its `with` ends is thrown away.
+
+    Its methods raise HapticdError where the disk does not take what is written; DiskFullError where it is only full.
+    """
+
+    def __init__(self, target: str | os.PathLike[str], *, left: int | None = None) -> None:
+        """`left`: the parts that this process left when it was killed are taken up.
+
+        Raises HapticdError where the target cannot be written; BlockingIOError where the process still lives.
+        """
+        self.target = Path(os.path.realpath(target))
+        self.count = 0
+        """Samples written."""
+        self.event_count = 0
+        self.last_tick = -1
+        self.last_time_ns = 0
+        self.texts: dict[str, object] = {}
+        self._process = os.getpid() if left is None else left
+        self._name = os.fspath(target)
+        self._dtype: np.dtype[np.void] | None = None
+        self._parts: list[Part] = []
+        self._shortened = False
+        if self.target.is_dir():
+            raise HapticdError(f"{self._name}: is a directory")
+        if self.target.exists() and not os.access(self.target, os.W_OK):
+            raise HapticdError(f"{self._name}: may not be overwritten")
+        try:
+            self._part = self._open_part("part", left is not None)
+            self._notes = self._open_part("notes", left is not None)
+            if left is not None:
+                self._take_up()
+        except BlockingIOError:
+            self._close()
+            raise
+        except OSError as error:
+            self._fail(error)
+
+    # ---- What each form does ---------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _write(self, samples: Samples) -> None:
+        """Appends them whole, or raises OSError and leaves what there was."""
+
+    @abstractmethod
+    def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        """Raises OSError, and can then be called again."""
+
+    @abstractmethod
+    def _shorten(self) -> bool:
+        """Gives up the newest samples to make room; False where there are none."""
+
+    @abstractmethod
+    def _resume(self) -> None:
+        """Finds out what the part holds, and cuts off what is not whole."""
+
+    # ---- What they share -------------------------------------------------------------------------------------------
+
+    def begin(self, texts: Mapping[str, object]) -> None:
+        """What is known at the start, by name; it is in the file also where the recording is killed."""
+        self.texts = dict(texts)
+        self._note("texts", self.texts)
+
+    def write(self, samples: Samples) -> None:
+        """Appends samples; all have one dtype."""
+        if self._dtype is None:
+            self._dtype = samples.dtype
+            self._note("dtype", np.lib.format.dtype_to_descr(samples.dtype))
+        elif self._dtype != samples.dtype:
+            raise HapticdError("the daemon changed the form of its samples; record again")
+        if len(samples):
+            with self._telling():
+                self._write(samples)
+            self.count += len(samples)
+            self.last_tick, self.last_time_ns = last_of(samples)
+
+    def write_event(self, event: Mapping[str, object]) -> None:
+        """Appends an event."""
+        self._note("event", event)
+        self.event_count += 1
+
+    def write_change(self, change: Mapping[str, object]) -> None:
+        """Appends what a command changed."""
+        self._note("change", change)
+
+    def write_status(self, status: Mapping[str, object]) -> None:
+        """Appends a status, where the form has a place for it."""
+        return
+
+    def finish(
+        self, texts: Mapping[str, object] | None = None, arrays: Mapping[str, npt.NDArray[Any]] | None = None
+    ) -> None:
+        """Puts the target in place, with `texts` as JSON and `arrays` as they are where the format can."""
+        while True:
+            try:
+                self._finish(self.texts | dict(texts or {}), arrays or {})
+                return
+            except OSError as error:
+                if error.errno not in _FULL or not self._shorten():
+                    self._fail(error)
+                self._shortened = True
+                self._recount()
+
+    def read_events(self) -> Iterator[dict[str, Any]]:
+        """Those of the samples that there are; all where no sample was given up."""
+        for event in self._noted("event"):
+            if not self._shortened or int(event.get("tick", 0)) <= self.last_tick:
+                yield event
+
+    def _recount(self) -> None:
+        """Counts what there is, after samples were given up."""
+        self.event_count = sum(1 for _ in self.read_events())
+
+    def _note(self, tag: str, value: object) -> None:
+        with self._telling():
+            self._notes.append(json.dumps([tag, value]).encode() + b"\n")
+
+    def _noted(self, wanted: str) -> Iterator[Any]:
+        return (value for tag, value in map(json.loads, self._notes.lines()) if tag == wanted)
+
+    def _all_texts(self, texts: Mapping[str, object]) -> dict[str, object]:
+        changes = list(self._noted("change"))
+        return dict(texts) | ({"changes": changes} if changes else {})
+
+    def _take_up(self) -> None:
+        for texts in self._noted("texts"):
+            self.texts = texts
+        for description in self._noted("dtype"):
+            fields = [(name, form, *map(tuple, rest)) for name, form, *rest in description]
+            self._dtype = np.dtype(fields)
+        self._resume()
+        self._shortened = True
+        self._recount()
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if error.errno in _FULL:
+                raise DiskFullError(f"{self._name}: cannot be written: {error.strerror}") from None
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> NoReturn:
+        self._discard()
+        raise HapticdError(f"{self._name}: cannot be written: {error.strerror}") from None
+
+    def _open_part(self, kind: str, resume: bool = False) -> Part:
+        part = Part(_part_path(self.target, self._process, kind), resume)
+        self._parts.append(part)
+        return part
+
+    def _close(self) -> None:
+        for part in self._parts:
+            part.close()
+
+    def _discard(self) -> None:
+        for part in self._parts:
+            part.discard()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._discard()
+
+
+def _part_path(target: Path, process: int, kind: str) -> Path:
+    return target.with_name(f".{target.name}.{process}.{kind}")
+
+
+# ---- .npz --------------------------------------------------------------------------------------------------------
+
+
+class NpzSink(Sink):
+    """The .npz form: an archive whose first member is the samples, so that they are where they belong at once.
+
+    Their header is written anew at the end, when their number and checksum are known.
+    """
+
+    _MEMBER: Final = "samples.npy"
+    _checksum: int
+    _checks: list[tuple[int, int, int, int]]
+    """Size of the part, checksum, last tick and last time at places that a full disk may fall back to."""
+
+    def _write(self, samples: Samples) -> None:
+        if self.count == 0:
+            self._lay_out(samples.dtype)
+        data = samples.tobytes()
+        self._part.append(data)
+        self._checksum = zlib.crc32(data, self._checksum)
+        if self._part.size - self._checks[-1][0] >= _CHECK_EVERY:
+            self._checks.append((self._part.size, self._checksum, *last_of(samples)))
+
+    def _lay_out(self, dtype: np.dtype[np.void]) -> None:
+        self._itemsize = dtype.itemsize
+        self._npy_size = len(_npy_header(dtype, 10**18, 0))
+        self._start = len(_local_header(self._MEMBER, 0, 0)) + self._npy_size
+        if self._part.size < self._start:
+            self._part.cut(self._start)
+        self._checksum = 0
+        self._checks = [(self._start, 0, -1, 0)]
+
+    def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        dtype = self._dtype or np.dtype([])
+        if self.count == 0:
+            self._lay_out(dtype)
+        columns = {"events": event_array(self.read_events), **arrays}
+        columns |= {name: np.array(json.dumps(value)) for name, value in self._all_texts(texts).items()}
+        size = self._part.size
+        header = _npy_header(dtype, self.count, self._npy_size)
+        checksum = crc32_of_both(zlib.crc32(header), self._checksum, size - self._start)
+        try:
+            with _closing(open(self._part.path, "r+b")) as file:
+                file.seek(size)
+                with zipfile.ZipFile(file, "w") as archive:
+                    info = zipfile.ZipInfo(self._MEMBER)
+                    info.header_offset, info.CRC = 0, checksum
+                    info.file_size = info.compress_size = self._npy_size + size - self._start
+                    archive.infolist().append(info)
+                    for name, array in columns.items():
+                        with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                            np.lib.format.write_array(member, array, allow_pickle=False)
+            self._part.put(0, _local_header(self._MEMBER, info.file_size, checksum) + header)
+            self._part.place(self.target)
+        except OSError:
+            self._part.cut(size)
+            raise
+
+    def _shorten(self) -> bool:
+        if self.count == 0:
+            return False
+        if self._part.size == self._checks[-1][0]:
+            self._checks.pop()
+        size, self._checksum, self.last_tick, self.last_time_ns = self._checks[-1]
+        self._part.cut(size)
+        self.count = (size - self._start) // self._itemsize
+        return self.count > 0
+
+    def _resume(self) -> None:
+        if self._dtype is None:
+            return
+        self._lay_out(self._dtype)
+        self.count = (self._part.size - self._start) // self._itemsize
+        if self.count == 0:
+            return
+        self._part.cut(self._start + self.count * self._itemsize)
+        with open(self._part.path, "rb") as file:
+            file.seek(self._start)
+            while data := file.read(self._itemsize * 8192):
+                self._checksum = zlib.crc32(data, self._checksum)
+                last = np.frombuffer(data[-self._itemsize :], self._dtype)
+                self._checks.append((file.tell(), self._checksum, *last_of(last)))
+        self.last_tick, self.last_time_ns = self._checks[-1][2:]
+
+
+def last_of(samples: Samples) -> tuple[int, int]:
+    """Tick and time of the last one."""
+    return int(samples["tick"][-1]), int(samples["time_ns"][-1])
+
+
+@contextmanager
+def _closing(file: IO[bytes]) -> Iterator[IO[bytes]]:
+    """Closes a file; where it failed before, a full disk may refuse again what closing would still write."""
+    try:
+        yield file
+    except BaseException:
+        with suppress(OSError):
+            file.close()
+        raise
+    file.close()
+
+
+def _npy_header(dtype: np.dtype[Any], count: int, size: int) -> bytes:
+    """The header of a .npy file of (count,) records, of `size` bytes at least."""
+    file = io.BytesIO()
+    header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": (count,)}
+    np.lib.format.write_array_header_1_0(file, header)
+    written = file.getvalue()
+    size = max(size, len(written))
+    return written[:8] + (size - 10).to_bytes(2, "little") + written[10:-1].ljust(size - 11) + b"\n"
+
+
+def _local_header(name: str, size: int, checksum: int) -> bytes:
+    """What stands before a member of an archive; of one length, whatever the size."""
+    info = zipfile.ZipInfo(name)
+    info.file_size = info.compress_size = size
+    info.CRC = checksum
+    return info.FileHeader(zip64=True)
+
+
+def crc32_of_both(first: int, second: int, length: int) -> int:
+    """The CRC-32 of two stretches of bytes, one after the other, from that of each; `length`, bytes of the second.
+
+    CRC-32 is the remainder of a polynomial over GF(2); appending n bytes multiplies that by x^(8n).
+    """
+    power, square = 1 << 31, 1 << 30  # 1 and x: the highest bit is the lowest power
+    length *= 8
+    while length:
+        if length & 1:
+            power = _times(power, square)
+        square = _times(square, square)
+        length >>= 1
+    return _times(first, power) ^ second
+
+
+def _times(a: int, b: int) -> int:
+    """The product of two polynomials over GF(2), modulo that of CRC-32."""
+    product = 0
+    for bit in range(31, -1, -1):
+        if a >> bit & 1:
+            product ^= b
+        b = b >> 1 ^ (0xEDB88320 if b & 1 else 0)
+    return product
+
+
+# ---- .csv --------------------------------------------------------------------------------------------------------
+
+
+class CsvSink(Sink):
+    """The .csv form; arrays have no place in it."""
+
+    _checks: list[tuple[int, int, int, int]]
+    """Size of the part, samples, last tick and last time at places that a full disk may fall back to."""
+
+    def _write(self, samples: Samples) -> None:
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        if self.count == 0:
+            self._part.cut(0)
+            self._checks = [(0, 0, -1, 0)]
+            writer.writerow(_csv_names(samples.dtype))
+        columns: list[list[object]] = []
+        for name in samples.dtype.names or ():
+            values = samples[name].reshape(len(samples), -1)
+            columns += [values[:, index].tolist() for index in range(values.shape[1])]
+        writer.writerows(zip(*columns, strict=True))
+        self._part.append(text.getvalue().encode())
+        if self._part.size - self._checks[-1][0] >= _CHECK_EVERY:
+            self._checks.append((self._part.size, self.count + len(samples), *last_of(samples)))
+
+    def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
+        made: list[tuple[str, Part]] = []
+        try:
+            made.append(("events.csv", self._make("events", self._events_text())))
+            about = self._all_texts(texts)
+            if about:
+                made.append(("about.json", self._make("about", [json.dumps(about, indent=1) + "\n"])))
+            for ending, part in made:
+                part.place(self.target.with_name(f"{self.target.stem}.{ending}"))
+            self._part.place(self.target)
+        except OSError:
+            for _, part in made:
+                part.discard()
+            raise
+
+    def _make(self, kind: str, texts: Iterable[str]) -> Part:
+        part = self._open_part(kind)
+        try:
+            for text in texts:
+                part.append(text.encode())
+            os.fsync(part.fd)
+        except OSError:
+            part.discard()
+            raise
+        return part
+
+    def _events_text(self) -> Iterator[str]:
+        names = list(dict.fromkeys(name for event in self.read_events() for name in event))
+        text = io.StringIO()
+        writer = csv.DictWriter(text, names, lineterminator="\n")
+        writer.writeheader()
+        for event in self.read_events():
+            if text.tell() >= _CHECK_EVERY:
+                yield text.getvalue()
+                text.seek(0)
+                text.truncate()
+            writer.writerow({name: _cell(value) for name, value in event.items()})
+        yield text.getvalue()
+
+    def _shorten(self) -> bool:
+        if self.count == 0:
+            return False
+        if self._part.size == self._checks[-1][0]:
+            self._checks.pop()
+        size, self.count, self.last_tick, self.last_time_ns = self._checks[-1]
+        self._part.cut(size)
+        return self.count > 0
+
+    def _resume(self) -> None:
+        lines = self._part.lines()
+        names = next(lines, b"").decode().strip().split(",")
+        size, self._checks = 0, [(0, 0, -1, 0)]
+        if "tick" not in names:
+            return
+        tick, time = names.index("tick"), names.index("time_ns")
+        size = len(",".join(names)) + 1
+        for line in lines:
+            size += len(line)
+            self.count += 1
+            if size - self._checks[-1][0] >= _CHECK_EVERY:
+                cells = line.split(b",")
+                self._checks.append((size, self.count, int(cells[tick]), int(cells[time])))
+        if self.count:
+            cells = line.split(b",")
+            self.last_tick, self.last_time_ns = int(cells[tick]), int(cells[time])
+        self._part.cut(size)
+
+
+def _csv_names(dtype: np.dtype[Any]) -> list[str]:
+    names = []
+    for name in dtype.names or ():
+        shape = dtype[name].shape
+        names += [name] if not shape else [f"{name}_{axis}" for axis in _AXES[: shape[0]]]
+    return names
+
+
+def _cell(value: object) -> object:
+    return json.dumps(value) if isinstance(value, list | dict | bool) or value is None else value
+
+
+# ---- By name -----------------------------------------------------------------------------------------------------
+
+
+def _form(target: str | os.PathLike[str]) -> type[Sink]:
+    match Path(target).suffix.lower():
+        case ".npz":
+            return NpzSink
+        case ".csv":
+            return CsvSink
+        case ".mcap":
+            from hapticd.mcap import McapSink
+
+            return McapSink
+        case _:
+            raise HapticdError(f"{os.fspath(target)}: must end in .npz, .csv or .mcap")
+
+
+def open_sink(target: str | os.PathLike[str]) -> Sink:
+    """The sink for a target, by its ending. Raises HapticdError for another, or an unwritable target."""
+    return _form(target)(target)
+
+
+def recover(target: str | os.PathLike[str]) -> list[Path]:
+    """Makes files of what recordings into `target` left that were killed: NAME.recovered.ENDING beside it.
+
+    Those of processes that still record are let alone. Raises HapticdError where the disk does not take them.
+    """
+    form = _form(target)
+    place = Path(os.path.realpath(target))
+    made = []
+    for part in sorted(place.parent.glob(f".{_escaped(place.name)}.*.part")):
+        process = part.name.removeprefix(f".{place.name}.").removesuffix(".part")
+        if not process.isdecimal():
+            continue
+        try:
+            sink = form(target, left=int(process))
+        except BlockingIOError:
+            continue
+        with sink:
+            if sink.count:
+                sink.target = _free(place)
+                sink.finish({"recording": {"ticks": sink.count, "events": sink.event_count, "ended": "killed"}})
+                made.append(sink.target)
+    return made
+
+
+def _escaped(name: str) -> str:
+    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
+
+
+def _free(place: Path) -> Path:
+    for number in numbers(1):
+        name = place.with_name(f"{place.stem}.recovered{'' if number == 1 else f'-{number}'}{place.suffix}")
+        if not name.exists():
+            return name
+    raise AssertionError
+
+
+# ---- Events as columns --------------------------------------------------------------------------------------------
+
+
+def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArray[np.void]:
+    """Events as one structured array with a column for each key that occurs.
+
+    What a column is follows from what it holds, and not from whether every event has it; an event that has none holds
+
+    - truth values: i1, 0 or 1; -1
+    - whole numbers: i8; 0, or NO_TIME where the key ends in `_ns`
+    - numbers, and nothing but None: f8; NaN
+    - texts, and as JSON whatever else there is: text; ""
+
+    `events` is called twice.
+    """
+    kinds: dict[str, set[type]] = {}
+    widths: dict[str, int] = {}
+    total = 0
+    for event in events():
+        total += 1
+        for name, value in event.items():
+            kinds.setdefault(name, set()).add(type(value))
+            if not isinstance(value, int | float):
+                widths[name] = max(widths.get(name, 1), len(_text(value)))
+    columns = [(name, *_column(name, found - {type(None)}, widths.get(name, 1))) for name, found in kinds.items()]
+    array = np.zeros(total, np.dtype([(name, form) for name, form, _ in columns]))
+    for index, event in enumerate(events()):
+        array[index] = tuple(_value(event.get(name), form, absent) for name, form, absent in columns)
+    return array
+
+
+def _column(name: str, kinds: set[type], width: int) -> tuple[str, object]:
+    """The form of a column that holds such values, and what stands for none."""
+    if kinds == {bool}:
+        return "i1", -1
+    if kinds == {int}:
+        return "<i8", NO_TIME if name.endswith("_ns") else 0
+    # The id of an object is a text, also where all of them are gone.
+    if kinds <= {int, float} and name != "object":
+        return "<f8", math.nan
+    return f"<U{width}", ""
+
+
+def _text(value: object) -> str:
+    return "" if value is None else value if isinstance(value, str) else json.dumps(value)
+
+
+def _value(value: object, form: str, absent: object) -> object:
+    if value is None:
+        return absent
+    return _text(value) if form.startswith("<U") else value

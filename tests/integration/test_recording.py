@@ -1,0 +1,331 @@
+"""Recordings of a running daemon: complete with what they were rendered with, and honest about what they lack."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapticd.client import Client, connect
+from hapticd.config import default_config, load_config
+from hapticd.core import SAMPLE_DTYPE
+from hapticd.record import Recording, record
+from hapticd.recorded import load_recorded
+from hapticd.replayed import replay
+from tests.daemon_process import Daemon, running_daemon
+from tests.fake_daemon import FakeDaemon, fake_daemon, result
+
+FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+DISC = {"kind": "disc", "center_m": [0.01, 0.0], "radius_m": 0.004, "material": "steel"}
+WAYS = [[0.1 * step, 0.02 * np.sin(step), 0.008 * np.cos(2.1 * step)] for step in range(600)]
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    config = tmp_path_factory.mktemp("config") / "quiet.yaml"
+    config.write_text("servo: {rate_hz: 1000, realtime: off}\ndevice: {sim: {encoder_step_m: 1.0e-5}}\n")
+    with running_daemon("-c", str(config)) as daemon:
+        yield daemon
+
+
+@contextmanager
+def recording(daemon: Daemon, target: Path, *options: str, limit: int | None = None) -> Iterator[subprocess.Popen[str]]:
+    """The command in a process of its own, which ends with the block."""
+
+    def limited() -> None:
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    with subprocess.Popen(
+        [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "record", str(target), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=limited,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait_until_it_records(client: Client, target: Path, process: subprocess.Popen[str]) -> None:
+    notes = target.with_name(f".{target.name}.{process.pid}.notes")
+    with client.samples() as batches:
+        for _ in batches:  # 50 times a second
+            assert process.poll() is None
+            if notes.exists() and b'["dtype"' in notes.read_bytes():
+                return
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+def test_what_a_daemon_rendered_is_rendered_again_bit_for_bit(daemon: Daemon, tmp_path: Path, ending: str) -> None:
+    target = tmp_path / f"run.{ending}"
+    with connect(daemon.directory) as client:
+        client.set_scene({"objects": {"floor": FLOOR}})
+        client.update_materials({"wood": None})
+        client.set_operator([[0, 0, 0.01]], interpolation="linear")
+        client.reset()
+        with recording(daemon, target) as process:
+            wait_until_it_records(client, target, process)
+            client.set_operator(WAYS, interpolation="minimum_jerk")
+            with client.events() as events:
+                for change in changes(client):
+                    tick = change()["tick"]
+                    # Something is touched between one change and the next.
+                    next(event for event in events if event["event"] == "contact" and event["tick"] > tick)
+            client.set_operator([[0, 0, 0.01]], interpolation="linear")
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        assert (process.returncode, err) == (0, "") and "nothing lost" in out, out
+        scene, materials = client.get_scene()["scene"], client.get_materials()["materials"]
+    again = replay(target)
+    assert again.missing_revisions == () and again.settled
+    assert again.identical == len(again.samples) > 0.9 * again.ticks
+    assert len(set(again.samples["revision"].tolist())) >= 5
+    assert any("play" in change for change in again.texts["changes"])
+    assert any("reset" in change for change in again.texts["changes"])
+    # The changes, one after the other, lead to what there was at the end.
+    objects, made_of = dict(again.texts["scene"]["objects"]), dict(again.texts["materials"])
+    for change in again.texts["changes"]:
+        for into, key in ((objects, "objects"), (made_of, "materials")):
+            for name, value in change.get(key, {}).items():
+                into[name] = value
+                if value is None:
+                    del into[name]
+    assert (objects, made_of) == (scene["objects"], materials)
+    assert again.texts["recording"]["missing_revisions"] == [] and again.texts["recording"]["gaps"] == []
+
+
+def changes(client: Client) -> Iterator[Callable[[], Any]]:
+    """What is done, one after the other."""
+    yield lambda: client.update_scene({"disc": DISC}, wait=True)
+    yield lambda: client.update_materials({"wood": {"stiffness_n_per_m": 500}}, wait=True)
+    yield lambda: client.play("steel", direction=(1, 2), amplitude_m_per_s2=3)
+    yield lambda: client.update_scene({"disc": {"center_m": [0.0, 0.0]}}, wait=True)
+    yield lambda: client.reset(["floor"])
+    yield lambda: client.set_scene({"ramp_s": 0.05, "objects": {"floor": FLOOR, "disc": DISC}}, wait=True)
+    yield lambda: client.update_materials({"wood": None}, wait=True)
+    yield lambda: client.reset()
+    yield lambda: client.update_scene({"disc": None}, wait=True)
+
+
+def test_changes_are_told_as_they_are(daemon: Daemon) -> None:
+    with connect(daemon.directory) as client:
+        revision = client.set_scene({"objects": {"floor": FLOOR}})["revision"]
+        client.update_materials({"wood": None})
+        floor = client.get_scene()["scene"]["objects"]["floor"]
+        with client.telemetry("change") as messages:
+            told = (message for _, message in messages)
+            client.update_scene({"disc": DISC})
+            assert next(told) == {
+                "revision": revision + 2,
+                "objects": {"disc": client.get_scene()["scene"]["objects"]["disc"]},
+            }
+            client.update_scene({"disc": None, "nothing": None})
+            assert next(told) == {"revision": revision + 3, "objects": {"disc": None}}
+            client.set_scene({"display": {"vibration": False}, "objects": {"floor": FLOOR, "other": FLOOR}})
+            display = {"force": True, "vibration": False}
+            assert next(told) == {"revision": revision + 4, "scene": {"display": display}, "objects": {"other": floor}}
+            client.update_materials({"mine": {"stiffness_n_per_m": 100}})
+            mine = client.get_materials()["materials"]["mine"]
+            assert next(told) == {"revision": revision + 5, "materials": {"mine": mine}}
+            client.update_materials({"mine": None})
+            assert next(told) == {"revision": revision + 6, "materials": {"mine": None}}
+            tick = client.play(
+                mode={"frequency_hz": 100.0, "decay_time_s": 0.01}, direction=(0, -2), amplitude_m_per_s2=4
+            )["tick"]
+            change = next(told)
+            assert change["play"].pop("angular_frequency_rad_per_s") == pytest.approx(200 * np.pi)
+            assert change["play"].pop("decay_rate_per_s") == pytest.approx(100)
+            play = {"attack": "coefficient", "direction": [0.0, -2.0], "amplitude_m_per_s2": 4.0}
+            assert change == {"tick": tick, "play": play}
+            tick = client.reset(["floor"])["tick"]
+            assert next(told) == {"tick": tick, "reset": {"objects": ["floor"]}}
+            tick = client.reset()["tick"]
+            assert next(told) == {"tick": tick, "reset": {}}
+            many = {f"disc{number}": {**DISC, "center_m": [0.1, number / 1e4]} for number in range(1001)}
+            revision = client.update_scene(many)["revision"]
+            assert next(told) == {"revision": revision, "large": True}
+            client.set_scene({"objects": {}})
+
+
+def test_the_configuration_goes_round(daemon: Daemon) -> None:
+    with connect(daemon.directory) as client:
+        config = load_config(client.get_config()["config"])
+    assert config.servo.rate_hz == 1000 and config.device.sim.encoder_step_m == 1e-5
+    changed = {"rate_hz": 1000.0, "realtime": "off"}
+    assert config.servo == default_config().servo.model_copy(update=changed)
+    assert config.device.sim.hand == default_config().device.sim.hand
+
+
+def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, tmp_path: Path) -> None:
+    target = tmp_path / "run.npz"
+    with connect(daemon.directory) as client, recording(daemon, target) as process:
+        wait_until_it_records(client, target, process)
+        process.kill()
+        process.communicate(timeout=60)
+    assert len(os.listdir(tmp_path)) == 2
+    with recording(daemon, target, "--for", "100ms") as process:
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 0 and "nothing lost" in out
+    assert err == f"hapticd: {tmp_path}/run.recovered.npz: what a recording held that was killed\n"
+    assert sorted(os.listdir(tmp_path)) == ["run.npz", "run.recovered.npz"]
+    recovered = load_recorded(tmp_path / "run.recovered.npz")
+    assert recovered.texts["recording"]["ended"] == "killed"
+    assert len(recovered.samples) > 0 and (np.diff(recovered.samples["tick"].astype(np.int64)) == 1).all()
+    assert replay(tmp_path / "run.recovered.npz").missing_revisions == ()
+
+
+def test_a_full_disk_ends_a_recording_that_is_kept(daemon: Daemon, tmp_path: Path) -> None:
+    target = tmp_path / "run.npz"
+    with recording(daemon, target, limit=700_000) as process:
+        out, err = process.communicate(timeout=120)
+    assert process.returncode == 1
+    assert err == f"hapticd: {target}: cannot be written: File too large; {target} holds what came before\n"
+    assert os.listdir(tmp_path) == ["run.npz"]
+    samples = load_recorded(target).samples
+    assert f"{len(samples)} ticks" in out and len(samples) > 0
+
+
+# ---- A daemon that says what a real one cannot be made to ----------------------------------------------------------
+
+
+class Told:
+    """A daemon that, once a recording has begun, publishes what it is given."""
+
+    def __init__(
+        self, directory: Path, *messages: tuple[str, dict[str, Any]], revisions: tuple[int, ...] = (1,)
+    ) -> None:
+        self._directory = directory
+        self._messages = messages
+        self._revisions = list(revisions)
+        self.started = [1]
+        self.daemon: FakeDaemon | None = None
+
+    def _answer(self, request: dict[str, Any]) -> list[bytes]:
+        assert self.daemon is not None
+        last = len(self._revisions) == 1
+        match request["method"]:
+            case "get_status":
+                started = self.started[0] if len(self.started) == 1 else self.started.pop(0)
+                return [result(request, {"started_ns": started})]
+            case "get_config":
+                for topic, message in self._messages:
+                    self.daemon.publish(topic, message)
+                return [result(request, {"config": {"servo": {}, "device": {}}})]
+            case "get_scene":
+                revision = self._revisions[0] if last else self._revisions.pop(0)
+                objects = {f"object{number}": FLOOR for number in range(revision)}
+                return [result(request, {"scene": {"ramp_s": 0.02, "objects": objects}, "revision": revision})]
+            case _:
+                return [result(request, {"materials": {}, "revision": 1})]
+
+    def record(self, target: Path, ticks: int) -> Recording:
+        stop = threading.Event()
+
+        def progress(recorded_s: float) -> None:
+            if recorded_s >= (ticks - 0.5) / 1000:
+                stop.set()
+
+        with fake_daemon(self._directory, self._answer) as self.daemon, connect(self._directory) as client:
+            return record(client, target, stop=stop, progress=progress)
+
+
+def samples(first: int, count: int, revision: int = 1) -> tuple[str, dict[str, Any]]:
+    batch = np.zeros(count, SAMPLE_DTYPE)
+    batch["tick"], batch["revision"] = np.arange(first, first + count), revision
+    batch["time_ns"] = batch["tick"] * 1_000_000
+    description = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
+    return "samples", {"first_tick": first, "dropped": 0, "dtype": description, "data": batch.tobytes()}
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    (tmp_path / "run").mkdir()
+    return tmp_path / "run"
+
+
+def test_a_gap_is_told_and_stands_in_the_file(tmp_path: Path, directory: Path) -> None:
+    told = Told(directory, samples(0, 100), samples(500, 100))
+    kept = told.record(tmp_path / "run.npz", 600)
+    assert (kept.ticks, kept.lost, kept.ended) == (200, 400, "stopped")
+    assert "400 ticks lost (400 on the way here, 0 in the daemon's ring)" in kept.summary()
+    recorded = load_recorded(tmp_path / "run.npz")
+    assert recorded.texts["recording"]["gaps"] == [[100, 400]]
+    assert recorded.samples["tick"].tolist() == [*range(100), *range(500, 600)]
+
+
+@pytest.mark.parametrize("first", [500, 10])
+def test_another_daemon_ends_a_recording(tmp_path: Path, directory: Path, first: int) -> None:
+    told = Told(directory, samples(0, 100), samples(first, 100))
+    told.started = [1, 2]
+    kept = told.record(tmp_path / "run.mcap", 600)
+    assert (kept.ticks, kept.ended) == (100, "the daemon was restarted")
+
+
+def test_a_change_that_was_lost_is_read_again(tmp_path: Path, directory: Path) -> None:
+    told = Told(
+        directory,
+        samples(0, 100),
+        samples(100, 100, revision=2),
+        ("change", {"revision": 3, "objects": {"object2": FLOOR}}),
+        samples(200, 100, revision=3),
+        ("change", {"revision": 4, "objects": {"object0": None}}),
+        samples(300, 100, revision=4),
+        revisions=(1, 3),
+    )
+    kept = told.record(tmp_path / "run.npz", 400)
+    assert kept.missing_revisions == (2,)
+    assert "1 revisions of the scene are not in it" in kept.summary()
+    texts = load_recorded(tmp_path / "run.npz").texts
+    assert texts["changes"] == [
+        {"revision": 1},
+        {"revision": 3, "objects": {"object1": FLOOR, "object2": FLOOR}},
+        {"revision": 4, "objects": {"object0": None}},
+    ]
+    assert texts["recording"]["missing_revisions"] == [2]
+
+
+def test_a_large_change_is_read(tmp_path: Path, directory: Path) -> None:
+    large = ("change", {"revision": 2, "large": True})
+    told = Told(directory, samples(0, 100), large, samples(100, 100, revision=2), revisions=(1, 2))
+    kept = told.record(tmp_path / "run.csv", 200)
+    assert kept.missing_revisions == ()
+    about = json.loads((tmp_path / "run.about.json").read_text())
+    assert about["changes"] == [{"revision": 1}, {"revision": 2, "objects": {"object1": FLOOR}}]
+
+
+def test_it_begins_with_the_scene_that_was_read(tmp_path: Path, directory: Path) -> None:
+    """Nothing that was rendered with the scene before is in it, and no change that is in the scene already."""
+    told = Told(
+        directory,
+        samples(0, 50, revision=4),
+        ("change", {"revision": 5, "objects": {"object4": FLOOR}}),
+        samples(50, 100, revision=5),
+        revisions=(5,),
+    )
+    kept = told.record(tmp_path / "run.npz", 100)
+    recorded = load_recorded(tmp_path / "run.npz")
+    assert kept.missing_revisions == () and recorded.texts["changes"] == [{"revision": 5}]
+    assert recorded.samples["tick"].tolist() == list(range(50, 150))
+    assert recorded.texts["scene"]["objects"].keys() == {f"object{number}" for number in range(5)}
+
+
+def test_the_change_of_the_last_samples_is_waited_for(tmp_path: Path, directory: Path) -> None:
+    change = ("change", {"revision": 2, "objects": {"object0": None}})
+    told = Told(directory, samples(0, 50), samples(50, 50, revision=2), change)
+    kept = told.record(tmp_path / "run.npz", 100)
+    assert kept.missing_revisions == ()
+    assert load_recorded(tmp_path / "run.npz").texts["changes"][-1] == change[1]

@@ -1,0 +1,119 @@
+"""The flight recorder alone: what it keeps, and which faults have a file. Files themselves: test_faults_live.py."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hapticd.core import SAMPLE_DTYPE, records
+from hapticd.flight import AFTER_S, MOST_EVENTS, Flight, directory_of
+
+RATE_HZ = 1000
+
+
+class Life:
+    """A recorder, a clock, and telemetry in batches of 20 ticks."""
+
+    def __init__(self, directory: Path, seconds: float = 2.0, keep: int = 10) -> None:
+        self.tick = 0
+        self.flight = Flight(directory, seconds, keep, RATE_HZ, lambda: self.tick * 1_000_000)
+
+    def go_on(self, ticks: int) -> None:
+        for _ in range(ticks // 20):
+            batch = records(SAMPLE_DTYPE, 20)
+            batch["tick"] = np.arange(self.tick, self.tick + 20)
+            self.flight.keep_samples(self.tick, batch.tobytes())
+            self.tick += 20
+            self.flight.turn()
+
+    def fault(self, *faults: str) -> None:
+        self.flight.keep_event({"event": "fault", "tick": self.tick, "time_ns": 0, "faults": list(faults)})
+
+    def end(self) -> None:
+        """Writes what is due."""
+        self.flight.finish()
+        self.flight.wake()
+        self.flight.run(threading.Event())
+
+
+def ticks_of(path: Path) -> tuple[int, int, dict[str, object]]:
+    with np.load(path) as file:
+        ticks = file["samples"]["tick"].astype(int)
+        assert np.all(np.diff(ticks) == 1)
+        assert file["events"]["tick"].min() >= ticks[0]
+        return int(ticks[0]), int(ticks[-1]), json.loads(str(file["flight"]))
+
+
+def test_a_file_goes_from_before_the_fault_to_a_second_after_it(tmp_path: Path) -> None:
+    life = Life(tmp_path)
+    life.fault()  # cleared: nothing to look at
+    life.go_on(5000)
+    life.fault("lease")
+    life.go_on(500)
+    life.fault("lease", "device")  # in the same file
+    life.go_on(3000)
+    life.end()
+    (path,) = tmp_path.iterdir()
+    first, last, about = ticks_of(path)
+    assert about == {"reason": "fault", "tick": 5000}
+    assert last == 5000 + AFTER_S * RATE_HZ - 1
+    assert 5000 - 2000 - 20 < first <= 5000 - 2000
+    assert life.flight.status()["skipped"] == 1
+
+
+def test_faults_of_later_have_files_of_their_own_and_the_oldest_go(tmp_path: Path) -> None:
+    life = Life(tmp_path, keep=2)
+    for _ in range(3):
+        life.fault("lease")
+        life.go_on(4000)
+    life.end()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["flight-000002-fault.npz", "flight-000003-fault.npz"]
+    # Another daemon on the same directory goes on counting.
+    later = Life(tmp_path)
+    later.go_on(100)
+    later.fault("lease")
+    assert later.flight.dump() == tmp_path / "flight-000005-asked.npz"
+    later.end()
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_what_is_kept_is_bounded(tmp_path: Path) -> None:
+    life = Life(tmp_path)
+    for _ in range(50):
+        life.go_on(200)
+        for _ in range(50):
+            life.flight.keep_event({"event": "release", "tick": life.tick, "time_ns": 0, "object": None})
+    assert len(life.flight._batches) == (2.0 + AFTER_S) * RATE_HZ / 20
+    assert {int(str(event["tick"])) for event in life.flight._events} == set(range(7000, 10_001, 200))
+    for _ in range(2 * MOST_EVENTS):
+        life.flight.keep_event({"event": "release", "tick": life.tick, "time_ns": 0, "object": None})
+    assert len(life.flight._events) == MOST_EVENTS
+
+
+def test_a_directory_is_made_and_one_that_cannot_be_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    life = Life(tmp_path / "new" / "place")
+    life.go_on(100)
+    path = life.flight.dump()
+    life.fault("lease")
+    life.end()
+    assert path.exists() and path.parent.stat().st_mode & 0o777 == 0o750
+    (tmp_path / "file").write_text("")
+    life = Life(tmp_path / "file" / "place")
+    life.go_on(100)
+    life.flight.dump()
+    life.end()
+    told = life.flight.status()
+    assert (told["written"], told["under_way"]) == (0, 0)
+    assert "Not a directory" in str(told["problem"])
+    assert str(told["problem"]) in caplog.text
+
+
+def test_where_files_go() -> None:
+    runtime = Path("/run/hapticd")
+    assert directory_of(None, runtime, {}) == runtime
+    assert directory_of(None, runtime, {"STATE_DIRECTORY": "/var/lib/hapticd:/x"}) == Path("/var/lib/hapticd")
+    assert directory_of("/data", runtime, {"STATE_DIRECTORY": "/var/lib/hapticd"}) == Path("/data")

@@ -1,0 +1,168 @@
+"""Key files, and addresses of bridges."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+import zmq
+import zmq.auth
+from click.testing import CliRunner
+from zmq.utils import z85
+
+from hapticd.bridge.config import load_bridge
+from hapticd.calls import place_of
+from hapticd.cli import cli, main
+from hapticd.errors import HapticdError
+from hapticd.keys import Certificate, is_key, load_certificate, load_secret, new_certificate, write_certificate
+from hapticd.remote import host_and_port, is_loopback, remote
+
+
+def test_the_files_are_those_of_czmq(tmp_path: Path) -> None:
+    """Read by pyzmq's own reader of CZMQ's form."""
+    certificate = new_certificate()
+    public, secret = write_certificate(certificate, "alice", tmp_path / "keys")
+    assert zmq.auth.load_certificate(public) == (certificate.public_key.encode(), None)
+    assert certificate.secret_key is not None
+    pair = certificate.public_key.encode(), certificate.secret_key.encode()
+    assert zmq.auth.load_certificate(secret) == pair
+    assert load_certificate(secret) == load_secret(secret) == certificate
+    assert load_certificate(public) == Certificate(certificate.public_key)
+    assert stat.S_IMODE(os.stat(secret).st_mode) == 0o600
+    assert stat.S_IMODE(os.stat(secret.parent).st_mode) == 0o700
+    assert certificate.secret_key not in repr(certificate)
+
+
+def test_theirs_are_read(tmp_path: Path) -> None:
+    public, secret = zmq.auth.create_certificates(tmp_path, "bob", {"email": "bob@example.com"})
+    os.chmod(secret, 0o600)
+    assert load_certificate(public).public_key.encode() == zmq.auth.load_certificate(public)[0]
+    assert load_secret(secret).secret_key is not None
+
+
+def test_a_key_is_never_replaced(tmp_path: Path) -> None:
+    write_certificate(new_certificate(), "alice", tmp_path)
+    before = (tmp_path / "alice.key_secret").read_bytes()
+    with pytest.raises(HapticdError, match=r"alice\.key: is there already"):
+        write_certificate(new_certificate(), "alice", tmp_path)
+    assert (tmp_path / "alice.key_secret").read_bytes() == before
+    for name in ("", "a/b", "..", "a b"):
+        with pytest.raises(HapticdError, match="letters, digits"):
+            write_certificate(new_certificate(), name, tmp_path)
+
+
+@pytest.mark.parametrize("mode", [0o644, 0o620, 0o604, 0o660])
+def test_a_secret_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
+    _, secret = write_certificate(new_certificate(), "alice", tmp_path)
+    os.chmod(secret, mode)
+    with pytest.raises(HapticdError, match="others may read"):
+        load_secret(secret)
+    os.chmod(secret, 0o640)
+    assert load_secret(secret)
+
+
+def test_files_that_are_no_keys(tmp_path: Path) -> None:
+    public, secret = write_certificate(new_certificate(), "alice", tmp_path)
+    with pytest.raises(HapticdError, match="holds no secret-key"):
+        load_secret(public)
+    other = new_certificate().public_key
+    text = secret.read_text()
+    secret.write_text(text.replace(load_certificate(public).public_key, other))
+    with pytest.raises(HapticdError, match="are no pair"):
+        load_secret(secret)
+    secret.write_text(text + f'    public-key = "{other}"\n')
+    with pytest.raises(HapticdError, match=r"alice\.key_secret:\d+: public-key: stands there a second time"):
+        load_secret(secret)
+    secret.write_text('curve\n    public-key = "short"\n')
+    with pytest.raises(HapticdError, match=r"alice\.key_secret:2: public-key: is no key"):
+        load_secret(secret)
+    secret.write_text("")
+    with pytest.raises(HapticdError, match="holds no public-key"):
+        load_secret(secret)
+    with pytest.raises(HapticdError, match="cannot be read: No such file"):
+        load_certificate(tmp_path / "nobody.key")
+
+
+def test_what_is_a_key() -> None:
+    """Against pyzmq's Z85, which does not look at the length and at what five characters are beyond 32 bits."""
+    for _ in range(100):
+        data = os.urandom(32)
+        assert is_key(z85.encode(data).decode())
+    # 85^5 - 1 in five characters is more than 2^32 - 1, which is "%nSc0" (ZeroMQ RFC 32).
+    assert is_key("%nSc0" * 8)
+    assert not is_key("%nSc1" + "0" * 35)
+    for text in ("", "0" * 39, "0" * 41, "0" * 39 + "\n", "0" * 39 + '"', "0" * 39 + "~"):
+        assert not is_key(text)
+
+
+@pytest.mark.parametrize(
+    ("address", "found"),
+    [
+        ("tcp://lab:9410", ("lab", 9410)),
+        ("tcp://10.0.0.1", ("10.0.0.1", 7)),
+        ("tcp://[::1]:80", ("::1", 80)),
+        ("tcp://*:80", ("*", 80)),
+    ],
+)
+def test_addresses(address: str, found: tuple[str, int]) -> None:
+    assert host_and_port(address, 7) == found
+
+
+@pytest.mark.parametrize("address", ["tcp://", "tcp://a b:1", "tcp://a:", "tcp://a:99999", "ipc:///x", "tcp://::1:80"])
+def test_what_is_no_address(address: str) -> None:
+    with pytest.raises(ValueError, match="must be tcp://HOST:PORT"):
+        host_and_port(address, 7)
+
+
+def test_loopback() -> None:
+    assert all(map(is_loopback, ("127.0.0.1", "127.3.2.1", "::1", "localhost")))
+    assert not any(map(is_loopback, ("0.0.0.0", "::", "10.0.0.1", "*", "lab", "127.0.0.1.example.com")))
+
+
+def test_a_bridge_needs_both_keys(tmp_path: Path) -> None:
+    certificate = new_certificate()
+    place = remote("tcp://lab", certificate, certificate.public_key)
+    assert place.command_endpoint == "tcp://lab:9410"
+    assert place.telemetry_endpoint == "tcp://lab:9411"
+    assert remote("tcp://[::1]:5", certificate, certificate.public_key).telemetry_endpoint == "tcp://[::1]:6"
+    for keys in ((None, None), (certificate, None), (None, certificate.public_key)):
+        with pytest.raises(HapticdError, match="needs key, the file of our secret key, and server_key"):
+            place_of("tcp://lab", *keys)
+    with pytest.raises(HapticdError, match="keys are for a bridge"):
+        place_of(tmp_path, certificate)
+    with pytest.raises(HapticdError, match="from 1 to 65534"):
+        place_of("tcp://lab:65535", certificate, certificate.public_key)
+
+
+def test_the_line_that_is_printed_lets_the_client_in(tmp_path: Path) -> None:
+    def new(*arguments: str) -> str:
+        done = CliRunner().invoke(cli, ["key", "new", *arguments, "--dir", str(tmp_path / "keys")])
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    new("server")
+    lines = new("alice", "--command") + new("bob", "--watch")
+    (tmp_path / "bridge.yaml").write_text("clients:\n" + lines)
+    config = load_bridge(tmp_path / "bridge.yaml")
+    rights = {name: client.may for name, client in config.clients.items()}
+    assert rights == {"alice": "command", "bob": "watch"}
+    assert config.clients["bob"].public_key == load_certificate(tmp_path / "keys" / "bob.key").public_key
+    assert load_secret(config.server_key)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--key", "x", "status"], "--key is for --connect"),
+        (["--connect", "tcp://lab", "--runtime-dir", "x", "status"], "name two places"),
+        (["--connect", "lab", "--key", "x", "--server-key", "y", "status"], "lab: must be tcp://HOST:PORT"),
+        (["--connect", "tcp://lab", "status"], "needs key"),
+    ],
+)
+def test_what_the_command_line_refuses(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) in (1, 2)
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert told in lines[0]
