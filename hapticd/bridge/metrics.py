@@ -20,6 +20,8 @@ _COUNTERS: Final = {
     "events_dropped": ("hapticd_events_dropped_total", "Events that found the daemon's ring full."),
     "strikes": ("hapticd_strikes_total", "Modes struck."),
     "glitches": ("hapticd_glitches_total", "Jumps of the position."),
+    "overloads": ("hapticd_overloads_total", "Seconds in which more periods than the threshold were missed."),
+    "suspends": ("hapticd_suspends_total", "Times that the machine was suspended."),
     "saturations": ("hapticd_saturations_total", "Times that the force limit was reached."),
 }
 _HISTOGRAMS: Final = {
