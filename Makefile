@@ -7,6 +7,7 @@ PYTHON ?= python3
 CC ?= cc
 CLANG ?= clang-22
 FUZZ_SECONDS ?= 60
+DAEMON_SECONDS ?= 30
 DESCRIPTORS ?= 20000
 
 VENV := .venv
@@ -14,7 +15,7 @@ BIN := $(VENV)/bin
 BUILT := $(VENV)/.built
 SETUP := pyproject.toml setup.py hapticd/_version.py
 C_SOURCES := $(wildcard csrc/*.c)
-C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
+C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] tests/model/*.[ch] tests/sanitized/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
 JOBS := $(shell nproc 2>/dev/null || echo 1)
 
 .DEFAULT_GOAL := help
@@ -144,6 +145,10 @@ verify-units: build ## systemd's own word on the units: valid, and exposed as li
 analyze: ## gcc's static analyser over the C core
 	@for source in $(C_SOURCES); do gcc -fanalyzer -Werror $(C_FLAGS) -c $$source -o /dev/null || exit 1; done
 
+.PHONY: verify-model
+verify-model: build ## triple buffer and ring proved by spin, and the C code held to the models
+	@$(BIN)/python -m tests.model.verify
+
 # ---- C tests -----------------------------------------------------------------------------------------------------
 
 VARIANT ?= plain
@@ -160,7 +165,7 @@ $(C_DIR)/%.o: csrc/%.c Makefile
 $(C_DIR)/test_%: tests/c/test_%.c $(C_OBJECTS) Makefile
 	@$(CC) $(C_FLAGS) $(CHECKS) -MMD -MP -MF $@.d $< $(C_OBJECTS) -lm -o $@
 
--include $(C_OBJECTS:.o=.d) $(C_TESTS:=.d)
+-include $(C_OBJECTS:.o=.d) $(C_TESTS:=.d) $(C_DIR)/launcher.d
 
 .PHONY: c-build
 c-build: $(C_TESTS)
@@ -199,6 +204,55 @@ rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
 	$(call sanitized,rtsan,realtime)
 
 comma := ,
+
+# $(call sanitized_daemon,VARIANT,SANITIZERS): the daemon under them, in a Python with the core inside it.
+define sanitized_daemon
+	@command -v $(CLANG) >/dev/null && \
+		echo 'int main(void) { return 0; }' | $(CLANG) -fsanitize=$(2) -x c - -o /dev/null 2>/dev/null || \
+		{ echo "make $(1)-daemon needs $(CLANG) with its sanitizers: install clang-22 and libclang-rt-22-dev" \
+			"(Debian), or make $(1)-daemon CLANG=..." >&2; exit 1; }
+	@$(MAKE) --no-print-directory -j$(JOBS) c-launcher VARIANT=$(1) CC=$(CLANG) \
+		CHECKS='-fsanitize=$(2) -fno-sanitize-recover=all -fno-omit-frame-pointer'
+	@$(BIN)/python -m tests.sanitized.daemon $(1) build/c/$(1)/launcher --seconds $(DAEMON_SECONDS)
+endef
+
+.PHONY: sanitize-daemon tsan-daemon asan-daemon ubsan-daemon rtsan-daemon
+sanitize-daemon: tsan-daemon asan-daemon ubsan-daemon rtsan-daemon ## the whole daemon under each of four sanitizers
+tsan-daemon: build ## the whole daemon under ThreadSanitizer, DAEMON_SECONDS=30
+	$(call sanitized_daemon,tsan,thread)
+asan-daemon: build ## the whole daemon under AddressSanitizer
+	$(call sanitized_daemon,asan,address)
+ubsan-daemon: build ## the whole daemon under UndefinedBehaviorSanitizer
+	$(call sanitized_daemon,ubsan,undefined$(comma)float-cast-overflow)
+rtsan-daemon: build ## the whole daemon under RealtimeSanitizer
+	$(call sanitized_daemon,rtsan,realtime)
+
+# What cffi makes of csrc/hd_api.h, and how an executable is linked with this Python.
+build/c/_core.c: csrc/hd_api.h hapticd/_build.py $(BUILT)
+	@mkdir -p $(@D)
+	@$(BIN)/python -c 'import runpy; runpy.run_path("hapticd/_build.py")["ffibuilder"].emit_c_code("$@")' >/dev/null
+
+build/c/python.mk: $(BUILT)
+	@mkdir -p $(@D)
+	@$(BIN)/python -c 'import sysconfig as s; v = s.get_config_vars(); \
+		print("PYTHON_CFLAGS := -isystem", s.get_path("include")); \
+		print("PYTHON_LIBS := -Wl,--export-dynamic -L{LIBDIR} -L{LIBPL} -Wl,-rpath,{LIBDIR} -lpython{LDVERSION}" \
+			" {LIBS} {SYSLIBS}".format(**v))' >$@
+
+ifneq ($(filter c-launcher,$(MAKECMDGOALS)),)
+include build/c/python.mk
+endif
+
+.PHONY: c-launcher
+c-launcher: $(C_DIR)/launcher
+
+$(C_DIR)/_core.o: build/c/_core.c Makefile
+	@mkdir -p $(@D)
+	@$(CC) $(C_FLAGS) $(CHECKS) -w $(PYTHON_CFLAGS) -c $< -o $@
+
+$(C_DIR)/launcher: tests/sanitized/launcher.c $(C_DIR)/_core.o $(C_OBJECTS) Makefile
+	@$(CC) $(C_FLAGS) $(CHECKS) -Werror $(PYTHON_CFLAGS) -MMD -MP -MF $@.d $< $(C_DIR)/_core.o $(C_OBJECTS) \
+		$(PYTHON_LIBS) -lm -o $@
 
 .PHONY: fuzz
 fuzz: build ## libFuzzer on tables and motion, then on HID reports, FUZZ_SECONDS=60 each, then DESCRIPTORS=20000

@@ -56,7 +56,8 @@
  * the border between two periods would now fall into one, now into the other. */
 #define HD_LOCK_SHARE 0.0625
 #define HD_LOCK_MAX 0.001
-#define HD_SERVO_REGIONS (HD_STATE_REGIONS + 3u * HD_WORLD_REGIONS + 5u)
+#define HD_WRITTEN_REGIONS 4u /* the servo itself and its rings */
+#define HD_SERVO_REGIONS (HD_STATE_REGIONS + 3u * HD_WORLD_REGIONS + 1u + HD_WRITTEN_REGIONS)
 
 /* What a world has missed since it was filled last. More slots than are changed do no harm. */
 struct hd_changes {
@@ -718,18 +719,19 @@ void hd_servo_free(struct hd_servo *servo) {
     free(servo);
 }
 
-/* Everything that the servo touches: of what has room for more, no more than is in use. */
+/* Everything that the servo touches: of what has room for more, no more than is in use. The last HD_WRITTEN_REGIONS
+ * were written, all of them, by hd_servo_new, and before them comes the device. */
 static size_t regions_of(struct hd_servo *servo, struct hd_region regions[HD_SERVO_REGIONS]) {
     size_t count = hd_state_regions(servo->state, 0, hd_state_slot_count(servo->state), regions);
     for (int i = 0; i < 3; i++) {
         count += hd_world_regions(&servo->worlds[i], &regions[count]);
     }
+    regions[count++] = hd_device_region(&servo->device);
     regions[count++] = (struct hd_region){servo, sizeof *servo};
     regions[count++] = (struct hd_region){servo->commands.slots, HD_COMMAND_CAPACITY * sizeof(struct hd_command)};
     regions[count++] =
         (struct hd_region){servo->samples.slots, servo->config.sample_capacity * sizeof(struct hd_sample)};
     regions[count++] = (struct hd_region){servo->events.slots, HD_EVENT_RING_CAPACITY * sizeof(struct hd_event)};
-    regions[count++] = hd_device_region(&servo->device);
     return count;
 }
 
@@ -841,9 +843,9 @@ int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
     hd_atomic_u32_store_relaxed(&servo->revision, servo->world->table.revision);
     struct hd_region regions[HD_SERVO_REGIONS];
     const size_t count = regions_of(servo, regions);
-    /* The device is the last. The threads of a connected one write to it already, and hd_hid_new has written all of it.
-     */
-    hd_memory_touch(regions, servo->device.hid != NULL ? count - 1 : count);
+    /* Not what others use already: telemetry reads the servo's counters and rings, and the threads of a connected
+     * device write to it, of which hd_hid_new has written all. */
+    hd_memory_touch(regions, count - HD_WRITTEN_REGIONS - (servo->device.hid != NULL ? 1u : 0u));
     if (servo->config.realtime != HD_REALTIME_OFF) {
         grant->memory_kind = (int32_t)hd_memory_lock(regions, count, &grant->memory);
         if (grant->memory_kind == HD_MEMORY_NONE && servo->config.realtime == HD_REALTIME_REQUIRED) {

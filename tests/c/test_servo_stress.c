@@ -192,10 +192,12 @@ static void *drain_rings(void *argument) {
     struct drain *drain = argument;
     struct hd_sample samples[100];
     struct hd_event events[20];
+    struct hd_histograms histograms;
     uint32_t last;
     size_t count;
 
     do {
+        hd_servo_histograms(drain->servo, &histograms);
         last = hd_atomic_u32_load_acquire(&drain->last);
         while ((count = hd_servo_read_samples(drain->servo, samples, 100, &drain->samples_dropped)) > 0)
             for (size_t i = 0; i < count; i++)
@@ -513,10 +515,10 @@ static uint32_t steps_down(void) {
     scene.table.period_s = 1.0 / fast.rate_hz;
     scene.table.ramp_step = scene.table.period_s / scene.table.ramp_s;
     CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    CHECK(pthread_create(&drainer, NULL, drain_rings, &drain) == 0);
     CHECK(hd_servo_start(servo, &grant) == HD_OK);
     CHECK(hd_servo_set_rate(servo, RATE_HZ, HD_OVERRUN_WARN) == HD_ERR_INVALID);
     CHECK(hd_servo_restart(servo, 0, &grant) == HD_ERR_INVALID);
-    CHECK(pthread_create(&drainer, NULL, drain_rings, &drain) == 0);
     do {
         hd_servo_beat(servo);
         sched_yield();
@@ -580,8 +582,9 @@ int main(void) {
     make_scene(&scene, 1);
     CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
     held = holds_back(servo, 2);
-    CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    /* As the daemon's telemetry: before there is a servo thread. */
     CHECK(pthread_create(&drainer, NULL, drain_rings, &drain) == 0);
+    CHECK(hd_servo_start(servo, &grant) == HD_OK);
     CHECK(hd_servo_wait_command(servo, held, 0, &tick) == HD_ERR_TIMEOUT);
     make_scene(&scene, 2);
     CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
