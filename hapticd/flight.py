@@ -168,25 +168,29 @@ class Flight:
     def run(self, stop: threading.Event) -> None:
         """Writes what was handed over until `stop` is set and `wake` called, and what was handed over before."""
         while (job := self._jobs.get()) is not None:
-            before = sys.getswitchinterval()
-            sys.setswitchinterval(SWITCH_S)
-            try:
-                self._write(job)
-                problem = None
-            except (HapticdError, OSError) as error:
-                problem = str(error)
-            finally:
-                sys.setswitchinterval(before)
-            with self._lock:
-                self._under_way -= 1
-                self._problem = problem
-                if problem is None:
-                    self._written += 1
-                    self._last = job.asked.path
+            self._carry_out(job)
+            del job  # the next one may be hours away, and this one holds all that was kept
+
+    def _carry_out(self, job: _Job) -> None:
+        before = sys.getswitchinterval()
+        sys.setswitchinterval(SWITCH_S)
+        try:
+            self._write(job)
+            problem = None
+        except (HapticdError, OSError) as error:
+            problem = str(error)
+        finally:
+            sys.setswitchinterval(before)
+        with self._lock:
+            self._under_way -= 1
+            self._problem = problem
             if problem is None:
-                _log.info("flight recorder: %s", job.asked.path, extra={"fields": {"file": job.asked.path}})
-            else:
-                _log.error("flight recorder: %s", problem)
+                self._written += 1
+                self._last = job.asked.path
+        if problem is None:
+            _log.info("flight recorder: %s", job.asked.path, extra={"fields": {"file": job.asked.path}})
+        else:
+            _log.error("flight recorder: %s", problem)
 
     def wake(self) -> None:
         """Ends `run`."""

@@ -187,8 +187,10 @@ class McapSink(Sink):
         """What came before the first sample, and has its time."""
         super().__init__(target, left=left)
         if left is None:
-            with self._telling():
+            try:
                 self._part.append(MAGIC + _record(_HEADER, _text(""), _text(f"hapticd {__version__}")))
+            except OSError as error:
+                self._fail(error)  # nothing was recorded that could be kept
 
     def begin(self, texts: Mapping[str, object]) -> None:
         super().begin(texts)

@@ -367,7 +367,7 @@ def draw_scene(
 
 def watch(client: Client, as_json: bool = False, console: Console | None = None) -> None:
     """Shows the daemon live until it is interrupted (KeyboardInterrupt). A daemon that goes away is waited
-    for.
+    for; a terminal that does raises HapticdError.
 
     Where the console is no terminal, or for `as_json`, it prints a line a second and one for each event.
     """
@@ -378,13 +378,20 @@ def watch(client: Client, as_json: bool = False, console: Console | None = None)
                 console.file.write(line + "\n")
                 console.file.flush()
         else:
-            _draw(client, messages, console)
+            try:
+                _draw(client, messages, console)
+            except OSError:
+                if console.file.isatty():
+                    raise
+            # Whose controlling terminal it is not is sent no SIGHUP.
+            raise HapticdError("the terminal is gone")
 
 
 _Messages: TypeAlias = Subscription[tuple[Topic, dict[str, object]]]
 
 
 def _draw(client: Client, messages: _Messages, console: Console) -> None:
+    """Draws until the terminal is gone."""
     view = View()
     heard = shown = time.monotonic()
     asked = -math.inf
@@ -410,6 +417,8 @@ def _draw(client: Client, messages: _Messages, console: Console) -> None:
                     pass
             if now - shown >= REFRESH_S:
                 shown = now
+                if not console.file.isatty():
+                    return
                 live.update(view.render(*console.size), refresh=True)
 
 

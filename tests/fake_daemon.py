@@ -32,6 +32,7 @@ class FakeDaemon:
         paths = runtime_paths(directory)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._publisher = self._context.socket(zmq.PUB)
+        self._publisher.setsockopt(zmq.SNDHWM, 0)  # what is published arrives
         self._publisher.bind(paths.telemetry_endpoint)
         self._queue = self._context.socket(zmq.PULL)
         self._queue.bind("inproc://publish")
@@ -52,7 +53,7 @@ class FakeDaemon:
         poller.register(self._queue, zmq.POLLIN)
         while not self._stop.is_set():
             ready = dict(poller.poll(5))
-            if self._queue in ready:
+            while self._queue.poll(0):
                 self._publisher.send_multipart(self._queue.recv_multipart())
             if self._router in ready:
                 identity, body = self._router.recv_multipart()

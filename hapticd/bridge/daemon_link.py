@@ -17,6 +17,10 @@ from hapticd.paths import RuntimePaths
 
 STALE_S: Final = 3.0
 """The daemon tells its status every second; where it did not for so long, it is away."""
+_BURST: Final = 32
+_PILED_UP_S: Final = 0.1
+"""So many messages of telemetry in less time have piled up; a daemon sends them in a quarter of a second."""
+_REST_S: Final = 0.02
 
 
 class DaemonLink:
@@ -92,8 +96,15 @@ class DaemonLink:
 
     async def _read_feed(self) -> None:
         with self._subscriber(b"") as socket:
+            loop = asyncio.get_running_loop()
             while True:
-                self._publish(await socket.recv_multipart())
+                begin = loop.time()
+                for _ in range(_BURST):
+                    self._publish(await socket.recv_multipart())
+                # What has piled up while this process had to wait is received without giving way to anybody, and is
+                # more than a connection keeps: its bytes must go on their way in between.
+                if loop.time() - begin < _PILED_UP_S:
+                    await asyncio.sleep(_REST_S)
 
     def _ended(self, feed: asyncio.Task[None]) -> None:
         if not feed.cancelled() and not self._broken.done():

@@ -731,3 +731,29 @@ recv_monitor_message(monitor)
 print("something" if socket.poll(0) else "nothing")
 socket.disable_monitor()
 """
+
+
+def test_telemetry_that_piled_up_is_passed_on_whole(tmp_path: Path) -> None:
+    """Much at once, as a bridge finds it that had to wait for the processor."""
+    directory = tmp_path / "run"
+    directory.mkdir(mode=0o700)
+    count = 800
+    with (
+        fake_daemon(directory, lambda request: []) as daemon,
+        running_bridge(tmp_path, directory, CLIENTS) as bridge,
+        Peer(zmq.SUB, bridge.at("bob").telemetry_endpoint, bridge.at("bob")) as peer,
+    ):
+        peer.socket.setsockopt(zmq.RCVHWM, 0)
+        peer.socket.setsockopt(zmq.SUBSCRIBE, b"samples")
+        peer.socket.setsockopt(zmq.SUBSCRIBE, b"state")
+        while peer.socket.recv_multipart()[0] != b"state":
+            pass
+        daemon.silent.set()
+        for number in range(count):
+            daemon.publish("samples", {"number": number, "data": bytes(2000)})
+        numbers: list[int] = []
+        while len(numbers) < count:
+            topic, body = peer.socket.recv_multipart()
+            if topic == b"samples":
+                numbers.append(msgpack.unpackb(body)["number"])
+                assert numbers[-1] == len(numbers) - 1

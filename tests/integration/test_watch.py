@@ -317,6 +317,13 @@ class Terminal:
             if select.select([self._master], [], [], 1.0)[0]:
                 self.output += os.read(self._master, 65536)
 
+    def hang_up(self) -> tuple[int, bytes]:
+        """The terminal goes away, and nobody is sent SIGHUP: it is the controlling one of none."""
+        os.close(self._master)
+        assert self.process.stderr is not None
+        with self.process.stderr:
+            return self.process.wait(60), self.process.stderr.read()
+
     def end(self, number: int) -> tuple[int, bytes]:
         self.process.send_signal(number)
         assert self.process.stderr is not None
@@ -379,3 +386,10 @@ def test_json_lines(daemon: Daemon) -> None:
         process.send_signal(signal.SIGINT)
     assert {line["topic"] for line in lines} <= {"state", "event"}
     assert all("tick" in line for line in lines)
+
+
+def test_it_ends_with_its_terminal(daemon: Daemon) -> None:
+    with Terminal(arguments(daemon)) as terminal:
+        terminal.read_until("hapticd")
+        code, said = terminal.hang_up()
+    assert (code, said) == (1, b"hapticd: the terminal is gone\n")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
+import time
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -117,3 +119,29 @@ def test_where_files_go() -> None:
     assert directory_of(None, runtime, {}) == runtime
     assert directory_of(None, runtime, {"STATE_DIRECTORY": "/var/lib/hapticd:/x"}) == Path("/var/lib/hapticd")
     assert directory_of("/data", runtime, {"STATE_DIRECTORY": "/var/lib/hapticd"}) == Path("/data")
+
+
+def test_what_was_written_is_let_go(tmp_path: Path) -> None:
+    class Event(dict[str, object]):
+        """A dict that can be asked whether it is still there."""
+
+    life = Life(tmp_path)
+    event = Event(event="contact", tick=0, time_ns=0)
+    kept = weakref.ref(event)
+    life.go_on(100)
+    life.flight.keep_event(event)
+    del event
+    writer = threading.Thread(target=life.flight.run, args=(threading.Event(),))
+    writer.start()
+    try:
+        path = life.flight.dump()
+        life.flight.turn()
+        life.go_on(4000)  # it is too old to be kept
+        pause, deadline = threading.Event(), time.monotonic() + 10.0
+        while kept() is not None and time.monotonic() < deadline:
+            pause.wait(0.01)
+        assert path.exists()
+        assert kept() is None, "the writer waits, and holds what it wrote"
+    finally:
+        life.flight.wake()
+        writer.join()

@@ -223,9 +223,10 @@ def check_kept(target: Path, given: np.ndarray, count: int) -> None:
     assert recorded.texts["recording"] == {"ended": "full"}
 
 
+@pytest.mark.parametrize("room", [0, 1000])
 @pytest.mark.parametrize("ending", FORMS)
-def test_a_disk_without_any_room_is_one_line_and_no_file(tmp_path: Path, ending: str) -> None:
-    with limited_files(1000):  # noqa: SIM117
+def test_a_disk_without_any_room_is_one_line_and_no_file(tmp_path: Path, ending: str, room: int) -> None:
+    with limited_files(room):  # noqa: SIM117
         with (
             pytest.raises(HapticdError, match="cannot be written: File too large"),
             open_sink(tmp_path / f"run.{ending}") as sink,

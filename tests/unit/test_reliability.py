@@ -33,6 +33,8 @@ ELSEWHERE = {
     "somebody sets the clock",
     "the process is stopped",
     "a scene outgrows the locked memory",
+    # In tests/integration/test_recording.py, and of every form in test_record.py.
+    "the disk is full while recording",
     # In test_hid_connection.py.
     "the device forgets its effects",
 }
