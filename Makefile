@@ -9,6 +9,10 @@ CLANG ?= clang-22
 FUZZ_SECONDS ?= 60
 DAEMON_SECONDS ?= 30
 DESCRIPTORS ?= 20000
+MESSAGES ?= 20000
+DOCUMENTS ?= 20000
+RECORDINGS ?= 2000
+RELOADS ?= 500
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -81,6 +85,10 @@ pytest: build
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
 	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh
+
+.PHONY: test-systemd
+test-systemd: build ## the installed service under systemd and udev, in a virtual machine: needs what test-vm needs, minutes
+	@PYTHON=$(abspath $(BIN))/python bash tests/vm/test.sh -s
 
 .PHONY: bench
 bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
@@ -255,19 +263,30 @@ $(C_DIR)/launcher: tests/sanitized/launcher.c $(C_DIR)/_core.o $(C_OBJECTS) Make
 		$(PYTHON_LIBS) -lm -o $@
 
 .PHONY: fuzz
-fuzz: build ## libFuzzer on tables and motion, then on HID reports, FUZZ_SECONDS=60 each, then DESCRIPTORS=20000
+fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, MESSAGES, DOCUMENTS=20000 and others
 	@echo 'int LLVMFuzzerTestOneInput(const char *d, long s) { return !d && s; }' | \
 		$(CLANG) -fsanitize=fuzzer,address,undefined -x c - -o /dev/null 2>/dev/null || \
 		{ echo "make fuzz needs $(CLANG) with libFuzzer: install clang-22 and libclang-rt-22-dev (Debian)," \
 			"or make fuzz CLANG=..." >&2; exit 1; }
 	$(call fuzzed,table,8192)
 	$(call fuzzed,report,512)
+	$(call fuzzed,replay,4096)
+	$(call fuzzed,sim,1024)
 	$(BIN)/python -m tests.fuzz_descriptors --runs $(DESCRIPTORS)
+	$(BIN)/python -m tests.fuzz_messages --runs $(MESSAGES)
+	$(BIN)/python -m tests.fuzz_yaml --runs $(DOCUMENTS)
+	@for kind in check bridge operator key; do \
+		$(BIN)/python -m tests.fuzz_yaml --kind $$kind --runs $$(($(DOCUMENTS) / 50)) || exit 1; \
+	done
+	$(BIN)/python -m tests.fuzz_yaml --kind reload --runs $(RELOADS)
+	$(BIN)/python -m tests.fuzz_recordings --runs $(RECORDINGS)
 
-# $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes.
+# $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes, from the first one on: what the
+# bytes do not say is zero, and a short input says nearly nothing.
 define fuzzed
 	@mkdir -p build/fuzz/$(1)-corpus
 	$(CLANG) $(C_FLAGS) -DHD_LIBFUZZER -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all \
 		tests/c/test_fuzz_$(1).c $(C_SOURCES) -lm -o build/fuzz/$(1)
-	build/fuzz/$(1) -max_total_time=$(FUZZ_SECONDS) -max_len=$(2) -artifact_prefix=build/fuzz/$(1)- build/fuzz/$(1)-corpus
+	build/fuzz/$(1) -max_total_time=$(FUZZ_SECONDS) -max_len=$(2) -len_control=0 \
+		-artifact_prefix=build/fuzz/$(1)- build/fuzz/$(1)-corpus
 endef

@@ -407,8 +407,8 @@ void hd_sim_advance(struct hd_sim *sim, uint32_t periods);
 void hd_sim_read(struct hd_sim *sim, struct hd_reading *reading);
 /* The handle itself: position [2], velocity [2], force of the actuator [2]. */
 void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
-/* The handle is there now and moves so; hand, force and reports stay as they are. HD_ERR_INVALID: not finite, or beyond
- * the stops. */
+/* The handle is there now and moves so; hand, force and reports stay as they are. HD_ERR_INVALID: not finite, beyond
+ * the stops, or faster than 1e6 m/s. */
 int hd_sim_place(struct hd_sim *sim, const double position[2], const double velocity[2]);
 /* Time goes on in periods of this length; nothing is under way to the actuator, reports begin anew. The hand goes on
  * where it is. HD_ERR_INVALID. */

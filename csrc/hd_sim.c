@@ -60,6 +60,8 @@
 /* Adding and subtracting it rounds to the nearest integer, up to 2^51. */
 #define HD_ROUND_MAGIC 6755399441055744.0
 #define HD_STEPS_MAX 1125899906842624.0
+/* The fastest that a handle is placed; beyond, products overflow. */
+#define HD_PLACED_MAX_M_PER_S 1e6
 
 struct hd_kernel {
     double span_s;
@@ -1000,9 +1002,9 @@ void hd_sim_truth(const struct hd_sim *sim, double position[2], double velocity[
 
 int hd_sim_place(struct hd_sim *sim, const double position[2], const double velocity[2]) {
     for (int which = 0; which < 2; which++) {
-        if (!(fabs(position[which]) <= sim->workspace_m) || !isfinite(velocity[which])) {
-            return hd_invalid("position[%d]: %g with a velocity of %g is not within %g either way", which,
-                              position[which], velocity[which], sim->workspace_m);
+        if (!(fabs(position[which]) <= sim->workspace_m) || !(fabs(velocity[which]) <= HD_PLACED_MAX_M_PER_S)) {
+            return hd_invalid("position[%d]: %g with a velocity of %g is not within %g m and %g m/s either way", which,
+                              position[which], velocity[which], sim->workspace_m, HD_PLACED_MAX_M_PER_S);
         }
     }
     for (int which = 0; which < 2; which++) {

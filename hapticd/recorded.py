@@ -1,27 +1,52 @@
-"""Recordings, read back: samples as they were, and what they were rendered with."""
+"""Recordings, read back: samples as they were, and what they were rendered with.
+
+A recording may come from anybody. What it claims to hold is compared with what it is before there is memory for it.
+"""
 
 from __future__ import annotations
 
+import io
 import json
+import math
 import os
 import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from tokenize import TokenError
+from typing import IO, TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError
+from hapticd.yaml_source import one_line
+
+if TYPE_CHECKING:
+    from mcap.records import Chunk
 
 Samples = npt.NDArray[np.void]
 
 
-_LEAST_MCAP = 8 + 29 + 8
+_LEAST_MCAP: Final = 8 + 29 + 8
 """Bytes of magic, footer and magic."""
+_LARGEST_CHUNK: Final = 1 << 26
+"""Bytes of a chunk of a .mcap; ours have up to a second of samples."""
+_WRONG: Final = (
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    RecursionError,
+    OverflowError,
+    TokenError,
+)
+"""What reading a file raises that holds something else than it should."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,38 +70,88 @@ def load_recorded(path: str | os.PathLike[str]) -> Recorded:
         return load(Path(path))
     except OSError as error:
         raise HapticdError(f"{error.filename or name}: {error.strerror or error}") from None
-    except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise HapticdError(f"{name}: is no recording of hapticd: {error}") from None
+    except (*_WRONG, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        raise HapticdError(f"{one_line(name)}: is no recording of hapticd: {_reason(error)}") from None
+
+
+def _reason(error: Exception) -> str:
+    """What a library said, as one line that is not too long."""
+    told = one_line(str(error) or type(error).__name__)
+    return told if len(told) <= 300 else f"{told[:300]}..."
+
+
+def _texts_of(tree: object) -> dict[str, Any]:
+    if not isinstance(tree, dict):
+        raise ValueError("what stands beside the samples is no map")
+    return tree
 
 
 def _samples(count: int, columns: Callable[[str], npt.NDArray[Any]]) -> Samples:
     """Records of the names that this version has, from columns; a KeyError or ValueError where one is missing."""
     samples = np.empty(count, SAMPLE_DTYPE)
     for name in SAMPLE_DTYPE.names or ():
-        samples[name] = columns(name)
+        column = columns(name)
+        if column.dtype.kind not in "uif" or column.shape != samples[name].shape:
+            raise ValueError(f"{name} has another form than in this version")
+        samples[name] = column
     return samples
 
 
 def _load_npz(path: Path) -> Recorded:
-    with open(path, "rb") as opened, np.load(opened) as file:
-        given = file["samples"]
-        texts = {name: json.loads(str(file[name])) for name in file.files if file[name].dtype.kind == "U"}
+    texts: dict[str, Any] = {}
+    given: npt.NDArray[Any] | None = None
+    with zipfile.ZipFile(path) as file:
+        for info in file.infolist():
+            name = info.filename.removesuffix(".npy")
+            if name == "samples":
+                given = _read_array(file, info)
+            elif name != "events":
+                text = _read_array(file, info)
+                if text.dtype.kind == "U" and text.ndim == 0:
+                    # Not by numpy, which makes strings of whatever numbers stand there.
+                    order = "utf-32-be" if text.dtype.str[0] == ">" else "utf-32-le"
+                    texts[name] = json.loads(text.tobytes().decode(order).rstrip("\0"))
+    if given is None or given.ndim != 1 or given.dtype.names is None:
+        raise ValueError("it has no samples")
     if given.dtype == SAMPLE_DTYPE:
         return Recorded(given, texts)
     return Recorded(_samples(len(given), given.__getitem__), texts)
 
 
+def _read_array(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> npt.NDArray[Any]:
+    """A member of a .npz. numpy.load would make room for what its header says before it looks what there is."""
+    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{info.filename}: is encrypted, or compressed in another way than by deflate")
+    with file.open(info) as member:
+        version = np.lib.format.read_magic(member)
+        if version == (1, 0):
+            shape, by_columns, dtype = np.lib.format.read_array_header_1_0(member)
+        elif version == (2, 0):
+            shape, by_columns, dtype = np.lib.format.read_array_header_2_0(member)
+        else:
+            raise ValueError(f"{info.filename}: arrays of version {version[0]}.{version[1]} are not read")
+        size = math.prod(shape) * dtype.itemsize
+        if dtype.hasobject or (by_columns and len(shape) > 1) or min(shape, default=0) < 0:
+            raise ValueError(f"{info.filename}: holds no plain array")
+        # One more byte than there should be has the archive's checksum looked at.
+        data = b"" if size > info.file_size else member.read(size + 1)
+    if len(data) != size:
+        raise ValueError(f"{info.filename}: says that it has {size} bytes, and has not")
+    return np.frombuffer(data, dtype).reshape(shape)
+
+
 def _load_csv(path: Path) -> Recorded:
     about = path.with_name(f"{path.stem}.about.json")
     with open(about, encoding="utf-8") as file:
-        texts = json.load(file)
+        texts = _texts_of(json.load(file))
     with open(path, encoding="utf-8") as file:
         names = file.readline().strip().split(",")
-        start = file.tell()
-        cells = np.empty((0, len(names)), "U25")
-        if file.readline():
-            file.seek(start)
-            cells = np.loadtxt(file, dtype="U25", delimiter=",", ndmin=2)
+        rows = [line for line in file if line.strip()]
+    cells = (
+        np.loadtxt(rows, dtype="U25", delimiter=",", comments=None, ndmin=2)
+        if rows
+        else np.empty((0, len(names)), "U25")
+    )
     if cells.shape[1] != len(names):
         raise ValueError(f"has {cells.shape[1]} columns under {len(names)} names")
 
@@ -93,7 +168,8 @@ def _load_mcap(path: Path) -> Recorded:
     try:
         from mcap.exceptions import McapError
         from mcap.reader import make_reader
-        from mcap.stream_reader import StreamReader, get_chunk_data_stream
+        from mcap.records import Chunk
+        from mcap.stream_reader import StreamReader
         from zstandard import ZstdError
     except ImportError:
         from hapticd.mcap import needed
@@ -103,10 +179,11 @@ def _load_mcap(path: Path) -> Recorded:
 
     texts: dict[str, Any] = {}
     found: dict[str, list[bytes]] = {TOPICS[SAMPLES]: [], TOPICS[CHANGE]: []}
-    with open(path, "rb") as file:
-        if path.stat().st_size < _LEAST_MCAP or file.read(len(MAGIC)) != MAGIC:
+    with open(path, "rb") as opened:
+        if path.stat().st_size < _LEAST_MCAP or opened.read(len(MAGIC)) != MAGIC:
             raise ValueError("it is no whole MCAP file")
-        file.seek(0)
+        opened.seek(0)
+        file = cast(IO[bytes], _Whole(opened, path.stat().st_size))
         try:
             reader = make_reader(file)
             for attachment in reader.iter_attachments():
@@ -124,16 +201,54 @@ def _load_mcap(path: Path) -> Recorded:
                         raise ValueError("its samples have other fields than those of this version")
                 if channel.topic in found:
                     wanted[channel.id] = found[channel.topic]
-            for place in sorted(index.chunk_start_offset for index in summary.chunk_indexes):
+            for place in sorted({index.chunk_start_offset for index in summary.chunk_indexes}):
                 file.seek(place)
                 chunk = next(StreamReader(file, skip_magic=True, emit_chunks=True).records)
-                stream, size = get_chunk_data_stream(cast(Any, chunk), validate_crc=True)
-                _take_messages(stream.read(size), wanted)
+                if not isinstance(chunk, Chunk):
+                    raise ValueError("its index names a chunk where there is none")
+                _take_messages(_unpacked(chunk), wanted)
         except (McapError, ZstdError, EOFError, struct.error) as error:
             raise ValueError(str(error) or "it ends too early") from None
+    if any(len(message) != 4 + SAMPLE_DTYPE.itemsize for message in found[TOPICS[SAMPLES]]):
+        raise ValueError("a sample has another size than its fields")
     # Four bytes say how the record after them is encoded.
     samples = np.frombuffer(b"".join(message[4:] for message in found[TOPICS[SAMPLES]]), SAMPLE_DTYPE)
     return Recorded(samples, texts | {"changes": [json.loads(message) for message in found[TOPICS[CHANGE]]]})
+
+
+class _Whole:
+    """A file whose reads end where it ends: a length of gigabytes that stands in it does not become memory first."""
+
+    def __init__(self, file: IO[bytes], size: int) -> None:
+        self._file = file
+        self._size = size
+
+    def read(self, size: int = -1) -> bytes:
+        left = max(self._size - self._file.tell(), 0)
+        return self._file.read(left if size < 0 else min(size, left))
+
+    def seek(self, place: int, whence: int = io.SEEK_SET) -> int:
+        return self._file.seek(place, whence)
+
+    def tell(self) -> int:
+        return self._file.tell()
+
+    def seekable(self) -> bool:
+        return True
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """What a chunk holds. Raises ValueError, and what the library of its compression raises."""
+    from mcap.stream_reader import get_chunk_data_stream
+    from zstandard import frame_content_size
+
+    if chunk.uncompressed_size > _LARGEST_CHUNK:
+        raise ValueError(f"a chunk says that it holds {chunk.uncompressed_size} bytes")
+    # The frame says once more how much it holds, which is what its library makes room for.
+    if chunk.compression == "zstd" and frame_content_size(chunk.data) > chunk.uncompressed_size:
+        raise ValueError("a chunk holds more than it says")
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(size)
 
 
 def _take_messages(data: bytes, wanted: Mapping[int, list[bytes]]) -> None:

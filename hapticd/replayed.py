@@ -133,7 +133,7 @@ def replay(path: str | os.PathLike[str]) -> Replay:
         return _replay(recorded)
     except HapticdError as error:
         raise HapticdError(f"{os.fspath(path)}: {error}") from None
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with: {error!r}") from None
 
 
