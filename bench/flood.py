@@ -1,6 +1,10 @@
 """What a client that floods the bridge costs another client of it, a client beside the daemon, and the servo.
 
-python -m bench.flood [SECONDS [ROUNDS]]      phases without and with a flood, in turns; prints a table
+The flood takes a processor's time, too, whichever bridge it is at. So there are phases of three kinds, in turns:
+without one, with one at a second bridge of the same daemon, and with one at the same bridge. What the third adds to the
+second is the bridge's; what the second adds to the first is the machine's and the daemon's.
+
+python -m bench.flood [SECONDS [ROUNDS]]      prints a table
 python -m bench.flood --send ADDRESS KEY SERVER_KEY      the one that floods, in a process of its own
 """
 
@@ -101,31 +105,40 @@ def phase(clients: dict[str, Client], seconds: float) -> dict[str, Times]:
 
 def main(seconds: float, rounds: int) -> None:
     """Measures and prints."""
-    found: dict[bool, list[dict[str, Times]]] = {False: [], True: []}
-    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder, daemon(rate_hz=RATE_HZ) as running:
-        keys = Path(folder) / "keys"
+    kinds = ("without", "at another bridge", "at this bridge")
+    found: dict[str, list[dict[str, Times]]] = {kind: [] for kind in kinds}
+    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as name, daemon(rate_hz=RATE_HZ) as running:
+        folders = [Path(name) / which for which in ("this", "another")]
+        here, elsewhere = (folder / "keys" for folder in folders)
+        for folder in folders:
+            folder.mkdir()
         with (
-            bridge(Path(folder), running.paths.directory) as address,
+            bridge(folders[0], running.paths.directory) as address,
+            bridge(folders[1], running.paths.directory) as other_address,
             connect(running.paths.directory, timeout_s=30) as beside,
-            connect(address, 30, key=keys / "other.key_secret", server_key=keys / "server.key") as through,
+            connect(address, 30, key=here / "other.key_secret", server_key=here / "server.key") as through,
         ):
             clients = {"through the bridge": through, "beside the daemon": beside}
             asked = beside.get_status()
             for _ in range(rounds):
-                found[False].append(phase(clients, seconds))
-                with flood(address, keys):
+                found["without"].append(phase(clients, seconds))
+                with flood(other_address, elsewhere):
                     through.get_status()
-                    found[True].append(phase(clients, seconds))
+                    found["at another bridge"].append(phase(clients, seconds))
+                with flood(address, here):
+                    through.get_status()
+                    found["at this bridge"].append(phase(clients, seconds))
             skipped = beside.get_status()["counters"]["skipped"] - asked["counters"]["skipped"]
-    print(f"{rounds} phases of {seconds:g} s each, in turns; us; periods missed in all: {skipped}")
-    print("| | without p50 | with p50 | without p99 | with p99 | ratio of p50, each round |")
-    print("| --- | --- | --- | --- | --- | --- |")
-    for name in found[False][0]:
-        pairs = list(zip(*([each[name] for each in found[flooded]] for flooded in (False, True)), strict=True))
+    print(f"{rounds} phases of {seconds:g} s of each kind, in turns; p50 / p99, us; periods missed in all: {skipped}")
+    print(f"| | {' | '.join(kinds)} | p50 here over p50 at the other, each round |")
+    print("| --- | --- | --- | --- | --- |")
+    for name in found["without"][0]:
         cells = []
-        for share in (50, 99):
-            cells += [f"{np.percentile(np.concatenate(times), share):.0f}" for times in zip(*pairs, strict=True)]
-        ratios = " ".join(f"{np.median(after) / np.median(before):.2f}" for before, after in pairs)
+        for kind in kinds:
+            times = np.concatenate([each[name] for each in found[kind]])
+            cells.append(" / ".join(f"{np.percentile(times, share):.0f}" for share in (50, 99)))
+        pairs = zip(found["at another bridge"], found["at this bridge"], strict=True)
+        ratios = " ".join(f"{np.median(after[name]) / np.median(before[name]):.2f}" for before, after in pairs)
         print(f"| {name} | {' | '.join(cells)} | {ratios} |")
 
 

@@ -325,8 +325,8 @@ class Connection(asyncio.Protocol):
             if not self._closed:
                 _log.info("%s: a connection from %s ended by what came over it", self.account.name, self.host)
             self.close()
-        else:
-            self.turn_away()
+        elif not self._closed and "refused" not in self._held:
+            self._gate.refuse(self, "key", "no handshake of CURVE with the bridge's key")
 
     def turn_away(self) -> None:
         """Refused: nothing more is read, and the end comes soon."""

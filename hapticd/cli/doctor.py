@@ -37,7 +37,9 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
             return None
 
     servo = config.servo
-    needs = Needs(servo.realtime, servo.priority, servo.cpu, config.device.kind == "hid")
+    device = config.device.hid if config.device.kind == "hid" else None
+    described = device if device is not None and device.report is not None else None
+    needs = Needs(servo.realtime, servo.priority, servo.cpu, device is not None, described)
     findings = []
     for finding in diagnose(Machine(daemon=asked, version=__version__), needs):
         findings.append(finding)

@@ -25,16 +25,25 @@ def found(machine: Machine) -> list[Found]:
     return machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
 
 
+def drivable(machine: Machine, needs: Needs) -> list[Found]:
+    """Those that can be driven: by what they say of themselves, or by what the configuration says of them."""
+    from hapticd.hid.discover import is_meant
+
+    described = needs.described
+    return [device for device in found(machine) if device.usable or (described and is_meant(described, device))]
+
+
 def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
     """Whether the joysticks that can be driven may be."""
-    devices = found(machine)
-    usable = [device for device in devices if device.usable]
+    usable = drivable(machine, needs)
     if not usable:
-        other = f"; there are {len(devices)} other HID devices" if devices else ""
+        others = len(found(machine))
+        other = f"; there are {others} other HID devices" if others else ""
+        kind = "of the PID class" if needs.described is None else "that the configuration describes"
         yield Finding(
             "joystick",
             "warn" if needs.hid else "ok",
-            f"no force-feedback joystick of the PID class is connected{other}",
+            f"no force-feedback joystick {kind} is connected{other}",
             "plug it in; `hapticd devices` says what is there" if needs.hid else "",
         )
     for device in usable:
@@ -71,7 +80,7 @@ def rule(machine: Machine, needs: Needs) -> Iterator[Finding]:
         if path.exists():
             yield Finding("udev rule", "ok", f"/{folder}/udev/rules.d/{RULE}")
             return
-    if needs.hid or any(device.usable for device in found(machine)):
+    if needs.hid or drivable(machine, needs):
         yield Finding(
             "udev rule",
             "warn",
@@ -84,7 +93,7 @@ def rule(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
     """Who else has the nodes of the joysticks open, or could upload effects of their own."""
-    usable = [device for device in found(machine) if device.usable]
+    usable = drivable(machine, needs)
     if not usable:
         return
     users, hidden = _users(machine)

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 if TYPE_CHECKING:
+    from hapticd.hid.config import Hid
     from hapticd.hid.discover import Found
 
 _MOST_BYTES: Final = 1 << 18
@@ -54,6 +55,8 @@ class Needs:
     cpu: int | None = None
     hid: bool = False
     """A joystick is to be driven."""
+    described: Hid | None = None
+    """One with reports of its own, which the configuration describes."""
 
     def without(self) -> Verdict:
         """How bad it is when real time cannot be had."""

@@ -106,7 +106,7 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
         for key, value in (("vendor", hid.vendor), ("product", hid.product), ("serial", hid.serial), ("path", hid.path))
         if value is not None
     ]
-    meant = [item for item in found if _meant(hid, item)]
+    meant = [item for item in found if is_meant(hid, item)]
     text = f" with {', '.join(wanted)}" if wanted else ""
     if not meant:
         others = f"; there are {_listed(found)}" if found and wanted else ""
@@ -136,7 +136,8 @@ def _listed(found: Sequence[Found]) -> str:
     return ", ".join(map(str, found[:8])) + (", ..." if len(found) > 8 else "")
 
 
-def _meant(hid: Hid, item: Found) -> bool:
+def is_meant(hid: Hid, item: Found) -> bool:
+    """Whether a configuration may mean this device."""
     return (
         hid.vendor in (None, item.vendor)
         and hid.product in (None, item.product)

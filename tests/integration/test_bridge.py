@@ -6,7 +6,7 @@ import asyncio
 import json
 import os
 import random
-import shutil
+import re
 import signal
 import socket
 import subprocess
@@ -29,8 +29,16 @@ from hapticd import wire
 from hapticd.calls import DaemonNotRunning, KeyRefused, RemoteError
 from hapticd.client import connect
 from hapticd.errors import HapticdError
-from hapticd.keys import write_certificate
-from tests.bridge_process import FAILURES, Bridge, Peer, running_bridge
+from hapticd.keys import new_certificate, write_certificate
+from tests.bridge_process import (
+    FAILURES,
+    Bridge,
+    Elsewhere,
+    NoNamespaceError,
+    Peer,
+    network_namespace,
+    running_bridge,
+)
 from tests.daemon_process import Daemon, running_daemon
 from tests.fake_daemon import fake_daemon, result
 
@@ -61,18 +69,23 @@ def commands() -> list[bytes]:
         "update_materials": {"materials": {"mine": {"stiffness_n_per_m": 100}}},
         "set_forces": {"enabled": False},
         "lease": {"duration_s": 60},
+        "reload": {},
+        "dump_flight": {},
+        "get_config": {},
     }
     return [wire.request(number, method, each) for number, (method, each) in enumerate(params.items())]
 
 
 @contextmanager
 def nothing_passes(daemon: Daemon) -> Iterator[None]:
-    """Whatever happens meanwhile, scene, forces and lease of the daemon are as before."""
+    """Whatever happens meanwhile, scene, forces and lease of the daemon are as before, and no file was asked for."""
 
     def state() -> list[object]:
         with connect(daemon.directory) as client:
             status = client.get_status()
-            return [status[key] for key in ("revision", "forces", "lease_s")]  # type: ignore[literal-required]
+            flight = status["flight"]
+            files = flight["under_way"] + flight["written"]
+            return [files, *(status[key] for key in ("revision", "forces", "lease_s"))]  # type: ignore[literal-required]
 
     before = state()
     yield
@@ -99,6 +112,15 @@ def test_a_client_works_as_beside_the_daemon(daemon: Daemon, bridge: Bridge) -> 
         assert second["tick"][0] == first["tick"][-1] + 1
         with client.telemetry("state", "event", "status") as messages:
             assert {next(messages)[0] for _ in range(100)} >= {"state", "status"}
+
+
+def test_configuration_and_flight_recorder_of_a_commander(bridge: Bridge) -> None:
+    with connect(bridge.address, timeout_s=30, **bridge.as_client("alice")) as client:
+        assert client.call("get_config")["config"]["servo"]["rate_hz"] == 1000
+        before = client.set_scene({"objects": {"floor": FLOOR}})["revision"]
+        assert client.call("reload", {"wait": True})["revision"] > before
+        file = Path(client.call("dump_flight")["file"])
+    assert file.name.endswith("-asked.npz")
 
 
 def test_a_client_of_asyncio(bridge: Bridge) -> None:
@@ -171,8 +193,13 @@ def refused(bridge: Bridge, daemon: Daemon, peer: Peer) -> None:
         assert not peer.socket.poll(0)
 
 
-def test_without_a_key(bridge: Bridge, daemon: Daemon) -> None:
-    refused(bridge, daemon, Peer(zmq.DEALER, bridge.at("alice").command_endpoint))
+_NO_CURVE = "refused 127.0.0.1 at the command socket: no handshake of CURVE with the bridge's key"
+
+
+def test_without_a_key(daemon: Daemon, tmp_path: Path) -> None:
+    with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
+        refused(bridge, daemon, Peer(zmq.DEALER, bridge.at("alice").command_endpoint))
+        bridge.hears(_NO_CURVE)
 
 
 def test_with_a_password(bridge: Bridge, daemon: Daemon) -> None:
@@ -195,10 +222,12 @@ def test_with_a_key_that_nobody_knows(bridge: Bridge, daemon: Daemon) -> None:
         connect(bridge.address, **bridge.as_client("stranger"))
 
 
-def test_with_another_server_key(bridge: Bridge, daemon: Daemon) -> None:
-    refused(bridge, daemon, Peer(zmq.DEALER, bridge.address, bridge.at("alice", server="bob")))
-    with pytest.raises(HapticdError, match="not the server_key"):
-        connect(bridge.address, key=bridge.keys["alice"], server_key=bridge.keys["bob"].public_key)
+def test_with_another_server_key(daemon: Daemon, tmp_path: Path) -> None:
+    with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
+        refused(bridge, daemon, Peer(zmq.DEALER, bridge.address, bridge.at("alice", server="bob")))
+        bridge.hears(_NO_CURVE)
+        with pytest.raises(HapticdError, match="not the server_key"):
+            connect(bridge.address, key=bridge.keys["alice"], server_key=bridge.keys["bob"].public_key)
 
 
 def test_a_watcher_commands_nothing(bridge: Bridge, daemon: Daemon) -> None:
@@ -648,44 +677,23 @@ for public, secret in keys:
 
 
 @pytest.fixture
-def elsewhere() -> Iterator[str]:
-    """A network namespace that reaches ours at 10.213.0.1."""
-    if os.geteuid() != 0 or shutil.which("ip") is None:
-        pytest.skip("network namespaces need root and iproute2")
-    name = f"hapticd-{os.getpid()}"
-    ends = f"hd{os.getpid()}a", f"hd{os.getpid()}b"
-
-    def ip(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(["ip", *arguments], capture_output=True, text=True)
-
-    if ip("netns", "add", name).returncode:
-        pytest.skip("network namespaces are not allowed here")
+def elsewhere() -> Iterator[Elsewhere]:
     try:
-        if ip("link", "add", ends[0], "type", "veth", "peer", "name", ends[1], "netns", name).returncode:
-            pytest.skip("no virtual network interfaces here")
-        for command in (
-            ("addr", "add", "10.213.0.1/30", "dev", ends[0]),
-            ("link", "set", ends[0], "up"),
-            ("-n", name, "addr", "add", "10.213.0.2/30", "dev", ends[1]),
-            ("-n", name, "link", "set", ends[1], "up"),
-        ):
-            done = ip(*command)
-            assert done.returncode == 0, done.stderr
-        yield name
-    finally:
-        ip("netns", "del", name)
-        ip("link", "del", ends[0])
+        with network_namespace() as made:
+            yield made
+    except NoNamespaceError as error:
+        pytest.skip(str(error))
 
 
-def test_from_another_network_namespace(daemon: Daemon, tmp_path: Path, elsewhere: str) -> None:
-    with running_bridge(tmp_path, daemon.directory, CLIENTS, listen="tcp://10.213.0.1:0") as bridge:
-        assert bridge.host == "10.213.0.1"
+def test_from_another_network_namespace(daemon: Daemon, tmp_path: Path, elsewhere: Elsewhere) -> None:
+    with running_bridge(tmp_path, daemon.directory, CLIENTS, listen=f"tcp://{elsewhere.here}:0") as bridge:
+        assert bridge.host == elsewhere.here
 
         def says(*names: str, server: str = "server") -> list[str]:
             keys = [(bridge.keys[name].public_key, bridge.keys[name].secret_key) for name in names]
             told = json.dumps([bridge.address, bridge.keys[server].public_key, *keys])
             done = subprocess.run(
-                ["ip", "netns", "exec", elsewhere, sys.executable, "-c", _ELSEWHERE, told],
+                elsewhere.command("-c", _ELSEWHERE, told),
                 cwd=ROOT,
                 capture_output=True,
                 text=True,
@@ -704,13 +712,22 @@ def test_from_another_network_namespace(daemon: Daemon, tmp_path: Path, elsewher
             bridge.reload({"bob": "watch"})
             (revoked,) = says("alice")
             assert "refuses our key" in revoked
-            bare = subprocess.run(
-                ["ip", "netns", "exec", elsewhere, sys.executable, "-c", _BARE, bridge.address],
-                input=msgpack.packb(commands()),
-                capture_output=True,
-                timeout=60,
-            )
-            assert bare.stdout == b"nothing\n", bare.stderr
+            for mechanism in ("NULL", "PLAIN"):
+                bare = subprocess.run(
+                    elsewhere.command("-c", _BARE, bridge.address, mechanism),
+                    input=msgpack.packb(commands()),
+                    capture_output=True,
+                    timeout=60,
+                )
+                assert bare.stdout == b"nothing\n", bare.stderr
+            asked = metrics(bridge)["hapticd_bridge_requests_total"]
+            assert asked == {"bob": 0}
+        for told in (
+            'command socket: "bob" may watch, not command',
+            r"\w+ socket: key .{8}\.\.\. belongs to no client",
+            "command socket: no handshake of CURVE with the bridge's key",
+        ):
+            bridge.hears(f"refused {elsewhere.there} at the {told}")
         bridge.reload(CLIENTS)
         watches, commanded = says("alice")
         with connect(daemon.directory) as client:
@@ -722,6 +739,8 @@ import sys, msgpack, zmq
 from zmq.utils.monitor import recv_monitor_message
 socket = zmq.Context().socket(zmq.DEALER)
 socket.linger = 0
+if sys.argv[2] == "PLAIN":
+    socket.plain_username = socket.plain_password = b"alice"
 monitor = socket.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL)
 socket.connect(sys.argv[1])
 for body in msgpack.unpackb(sys.stdin.buffer.read()):
@@ -731,6 +750,107 @@ recv_monitor_message(monitor)
 print("something" if socket.poll(0) else "nothing")
 socket.disable_monitor()
 """
+
+
+def test_a_key_revoked_under_way_from_another_network_namespace(
+    daemon: Daemon, tmp_path: Path, elsewhere: Elsewhere
+) -> None:
+    """Of what waits at the bridge, and of what comes later, nothing is passed on."""
+    limits = {"requests_per_s": 1}
+    with running_bridge(
+        tmp_path, daemon.directory, CLIENTS, limits=limits, listen=f"tcp://{elsewhere.here}:0"
+    ) as bridge:
+        alice = bridge.keys["alice"]
+        told = [bridge.address, bridge.keys["server"].public_key, alice.public_key, alice.secret_key]
+        with subprocess.Popen(
+            elsewhere.command("-u", "-c", _REVOKED, json.dumps(told)),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        ) as sending:
+            assert sending.stdin is not None and sending.stdout is not None
+            body = msgpack.packb(
+                [wire.request(number, "set_scene", {"scene": {"objects": {}}}) for number in range(40)]
+            )
+            sending.stdin.write(len(body).to_bytes(4, "big") + body)
+            sending.stdin.flush()
+            assert sending.stdout.readline() == b"answered\n"
+            asked = metrics(bridge)["hapticd_bridge_requests_total"]["alice"]
+            assert asked < 40  # the rest waits
+            line = bridge.reload({"carol": "command"})
+            assert "1 connections ended" in line
+            with nothing_passes(daemon), connect(bridge.address, timeout_s=30, **bridge.as_client("carol")) as other:
+                other.get_status()
+                sending.stdin.write(b"more\n")
+                sending.stdin.flush()
+                assert sending.stdout.readline() == b"nothing\n"
+                other.get_status()
+            assert sending.wait(60) == 0
+        bridge.hears(f"refused {elsewhere.there} at the command socket: key .{{8}}... belongs to no client")
+
+
+_REVOKED = """
+import json, sys, msgpack, zmq
+from zmq.utils.monitor import recv_monitor_message
+address, server, public, secret = json.loads(sys.argv[1])
+socket = zmq.Context().socket(zmq.DEALER)
+socket.linger = 0
+socket.curve_serverkey, socket.curve_publickey, socket.curve_secretkey = (
+    key.encode() for key in (server, public, secret)
+)
+failures = (
+    zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+)
+monitor = socket.get_monitor_socket(zmq.EVENT_DISCONNECTED | failures)
+socket.connect(address)
+bodies = msgpack.unpackb(sys.stdin.buffer.read(int.from_bytes(sys.stdin.buffer.read(4), "big")))
+for body in bodies:
+    socket.send(body)
+socket.recv()
+print("answered")
+sys.stdin.buffer.readline()
+while socket.poll(0):
+    socket.recv()
+for body in bodies:
+    socket.send(body)
+# Its connection ended, and each new one is refused.
+assert recv_monitor_message(monitor)["event"] == zmq.EVENT_DISCONNECTED
+while not recv_monitor_message(monitor)["event"] & failures:
+    pass
+print("something" if socket.poll(0) else "nothing")
+socket.disable_monitor()
+"""
+
+
+def test_under_systemd_its_lines_go_to_the_journal(daemon: Daemon, tmp_path: Path) -> None:
+    journal = tmp_path / "journal"
+    program = (
+        "import sys; from hapticd import journal; set_up = journal.set_up; "
+        "journal.set_up = lambda: set_up(address=sys.argv[1]); "
+        "from hapticd.bridge.process import run; sys.exit(run(sys.argv[2], sys.argv[3]))"
+    )
+    keys = {name: new_certificate() for name in ("server", "stranger")}
+    write_certificate(keys["server"], "server", tmp_path / "keys")
+    file = tmp_path / "bridge.yaml"
+    file.write_text("{listen: 'tcp://127.0.0.1:0', metrics: null}\n")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as server, open(tmp_path / "stderr", "wb") as stderr:
+        server.bind(str(journal))
+        server.settimeout(60)
+        status = os.fstat(stderr.fileno())
+        environment = {**os.environ, "JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
+        command = [sys.executable, "-c", program, str(journal), str(file), str(daemon.directory)]
+        with subprocess.Popen(command, env=environment, stderr=stderr) as process:
+            try:
+                ready = server.recv(65536).decode()
+                address = re.search(r"ready: commands at (\S+),", ready)
+                assert address is not None and "PRIORITY=6\n" in ready
+                with pytest.raises(KeyRefused):
+                    connect(address[1], key=keys["stranger"], server_key=keys["server"].public_key).get_status()
+                refusal = server.recv(65536).decode()
+                assert re.search(r"MESSAGE=refused 127.0.0.1 at the \w+ socket: key", refusal)
+                assert "PRIORITY=4\n" in refusal and "SYSLOG_IDENTIFIER=hapticd\n" in refusal
+            finally:
+                process.terminate()
+    assert (tmp_path / "stderr").read_bytes() == b""
 
 
 def test_telemetry_that_piled_up_is_passed_on_whole(tmp_path: Path) -> None:

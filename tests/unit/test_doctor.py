@@ -18,6 +18,7 @@ from hapticd.doctor import CHECKS, devices, diagnose, kernel, limits, processors
 from hapticd.doctor.machine import Finding, Machine, Needs, listed
 from hapticd.doctor.machine import processors as numbers
 from hapticd.errors import HapticdError
+from hapticd.hid.config import Hid
 from hapticd.hid.discover import find
 from tests.hid_descriptors import Joystick
 
@@ -318,6 +319,26 @@ def test_a_joystick_that_may_be_driven(tmp_path: Path) -> None:
     put(tmp_path, {"etc/udev/rules.d/70-hapticd.rules": ""})
     assert told(tmp_path, devices.rule) == "ok /etc/udev/rules.d/70-hapticd.rules -> "
     assert told(tmp_path, devices.competitors) == "ok nobody else uses /dev/hidraw0 -> "
+
+
+def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
+    joystick(tmp_path)
+    descriptor = tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor"
+    descriptor.write_bytes(bytes.fromhex("05010904a10109301500 26ff0075089501 8102c0"))  # one axis, no forces
+    assert told(tmp_path, devices.permissions).startswith("ok no force-feedback joystick of the PID class")
+    report = {
+        "input": {name: {"bit_offset": at, "bit_size": 8, "counts_per_m": 1000} for name, at in (("x", 0), ("y", 8))},
+        "output": {
+            "length": 2,
+            **{name: {"bit_offset": at, "bit_size": 8, "counts_per_n": 10} for name, at in (("x", 0), ("y", 8))},
+        },
+    }
+    mine = Needs(hid=True, described=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
+    other = Needs(hid=True, described=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
+    assert told(tmp_path, devices.permissions, needs=mine) == "ok Stick at /dev/hidraw0 may be driven from here -> "
+    assert told(tmp_path, devices.competitors, needs=mine) == "ok nobody else uses /dev/hidraw0 -> "
+    missing = "warn no force-feedback joystick that the configuration describes is connected; there are 1 other"
+    assert told(tmp_path, devices.permissions, needs=other).startswith(missing)
 
 
 def test_a_joystick_without_permission(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 #!/bin/bash
 # run.sh [-k amd64|rt-amd64] [-t SECONDS] JOB.py...: jobs in a virtual machine, one after the other, as root, under Debian's
-# kernel.
+# kernel. run.sh -s [-t SECONDS] JOB.py: one job, under systemd and udev (systemd.sh).
 #
 # The machine's root is the host's, read only, with a layer in memory over it; what a job writes to $VM_OUT arrives in
 # build/vm/KERNEL. Time is virtual: an instruction takes 1 ns, and where nothing is to be done time jumps. So a busy host makes
@@ -13,9 +13,9 @@ set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd) tree=$(cd "$(dirname "$0")/../.." && pwd)
 lab=${HAPTICD_VM:-$HOME/.cache/hapticd-vm}
 python=${PYTHON:-$tree/.venv/bin/python}
-flavour=amd64 limit=240 within=60
-while getopts k:t: option; do
-    case $option in k) flavour=$OPTARG ;; t) limit=$OPTARG ;; *) exit 2 ;; esac
+flavour=amd64 limit=240 within=60 systemd=
+while getopts k:t:s option; do
+    case $option in k) flavour=$OPTARG ;; t) limit=$OPTARG ;; s) systemd=$lab/udev ;; *) exit 2 ;; esac
 done
 shift $((OPTIND - 1))
 jobs=$(IFS=,; echo "$*")
@@ -25,7 +25,7 @@ kernel=$lab/kernels/$flavour initramfs=$lab/initramfs-$flavour
 for source in "$here"/{init,spin.c,mkinitramfs.sh} "$kernel/ready"; do
     [ "$initramfs" -nt "$source" ] || { bash "$here/mkinitramfs.sh" "$kernel" "$initramfs" && break; }
 done
-out=$tree/build/vm/$flavour
+out=$tree/build/vm/${systemd:+systemd-}$flavour
 rm -rf "$out"
 mkdir -p "$out"
 "$python" -m compileall -q "$tree/hapticd" "$here"
@@ -44,7 +44,7 @@ timeout -k 5 "$limit" qemu-system-x86_64 -M q35 -smp 1 -m 1024 -cpu max,erms=off
     -kernel "$image" -initrd "$initramfs" \
     -append "console=ttyS0 quiet loglevel=3 panic=-1 mitigations=off tsc=reliable no_timer_check norandmaps nokaslr \
 noreplace-smp clearcpuid=rep_good,erms,fsrm vm_tree=$tree vm_out=$out vm_python=$python vm_udevadm=$lab/udev/bin/udevadm \
-vm_limit=$within vm_job=$jobs" \
+vm_limit=$within vm_systemd=$systemd ${systemd:+systemd.unit=job.service systemd.show_status=0} vm_job=$jobs" \
     $(share host / ,readonly=on) $(share out "$out" "") </dev/null || code=$?
 if [ -e "$out/code" ]; then exit "$(cat "$out/code")"; fi
 if [ "$code" = 124 ]; then

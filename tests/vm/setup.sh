@@ -1,5 +1,5 @@
 #!/bin/bash
-# setup.sh: QEMU, Debian's kernels, ordinary and PREEMPT_RT, and udevadm, into $HAPTICD_VM (default ~/.cache/hapticd-vm),
+# setup.sh: QEMU, Debian's kernels, ordinary and PREEMPT_RT, and udev, into $HAPTICD_VM (default ~/.cache/hapticd-vm),
 # from where apt is configured to fetch. Run again it does nothing. Where it cannot be done it prints why, in one line, and
 # ends with 77; the host keeps its own kernel.
 set -euo pipefail
@@ -76,13 +76,13 @@ for flavour in amd64 rt-amd64; do
     unpack_package "$package" &
     unpacking+=("$!:$package")
 done
-if [ ! -x "$lab/udev/bin/udevadm" ]; then
+if [ ! -e "$lab/udev/lib/udev" ]; then
     lists udevadm
     rm -rf "$lab/udev"
     mkdir -p "$lab/udev"
     cd "$lab/udev"
     as_root='' apt download udev || skip "no udevadm, and udev cannot be fetched: $(why)"
-    dpkg-deb --fsys-tarfile ./udev_*.deb | tar -x ./bin/udevadm
+    dpkg-deb --fsys-tarfile ./udev_*.deb | tar -x ./bin/udevadm ./lib/udev ./lib/systemd
     rm -f ./udev_*.deb
 fi
 for entry in "${unpacking[@]}"; do

@@ -59,13 +59,15 @@ def descriptor() -> bytes:
 class VendorJoystick:
     """The device, there while the context lasts."""
 
-    def __init__(self, interval_s: float = 0.002) -> None:
+    def __init__(self, interval_s: float = 0.002, holds_s: float = HOLDS_S) -> None:
+        """`holds_s`: how long it shows a force; infinity is a device that nobody should build."""
         self.motion: Callable[[float], tuple[float, float]] = lambda t_s: (0.0, 0.0)
         self.forces: list[tuple[float, float, float]] = []
         self.switched: list[bytes] = []
         self.faults: list[str] = []
         self.on = False
         self._interval_s = interval_s
+        self._holds_s = holds_s
         self._shown_s = 0.0
         self._end = threading.Event()
 
@@ -92,7 +94,7 @@ class VendorJoystick:
 
     def force(self) -> tuple[float, float]:
         """What the handle shows now."""
-        live = self.on and self.forces and time.monotonic() - self._shown_s < HOLDS_S
+        live = self.on and self.forces and time.monotonic() - self._shown_s < self._holds_s
         return self.forces[-1][1:] if live else (0.0, 0.0)
 
     def _report(self) -> None:
