@@ -1,8 +1,8 @@
 """The flight recorder: the last seconds of samples and events, kept, and written to a file on a fault or when asked.
 
-The telemetry thread leaves here what it sends, as it sends it: a list of batches, so that keeping them costs nothing
-but their memory (1.1 MB a second at 10 kHz). A thread of its own writes files; what it writes is a copy of that list,
-so that nobody waits for the disk. A fault's file is begun AFTER_S after the fault, so that it shows what became of it.
+The telemetry thread leaves here what it sends: samples go round in one array that never grows (1.1 MB a second at
+10 kHz). A thread of its own writes files; what it writes is a copy of that array, so that nobody waits for the disk. A
+fault's file is begun AFTER_S after the fault, so that it shows what became of it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError
@@ -28,19 +29,15 @@ AFTER_S: Final = 1.0
 """So much after a fault is in its file."""
 MOST_EVENTS: Final = 5000
 """Events that are kept; of a flood, the newest."""
-CHUNK: Final = 16
-"""Batches that are written at once: 360 kB at 10 kHz."""
+CHUNK: Final = 3200
+"""Samples that are written at once: 360 kB."""
+_PLAIN: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
+"""A sample without its members, which numpy would copy one by one."""
 SWITCH_S: Final = 0.0005
 """While a file is written, other threads wait at most about so long for the interpreter, instead of 5 ms."""
 
 _NAME: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
 _log = logging.getLogger("hapticd")
-
-
-@dataclass(frozen=True, slots=True)
-class _Batch:
-    first_tick: int
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +54,7 @@ class _Asked:
 @dataclass(frozen=True, slots=True)
 class _Job:
     asked: _Asked
-    batches: list[_Batch]
+    samples: npt.NDArray[np.void]
     events: list[dict[str, object]]
 
 
@@ -76,10 +73,10 @@ class Flight:
     ) -> None:
         """`keep`: files that stay; older ones are removed. `texts`: what else goes into a file, as in recordings."""
         self._directory, self._seconds, self._keep = directory, seconds, keep
-        self._most = round((seconds + AFTER_S) * rate_hz)
         self._now_ns, self._texts = now_ns, texts
-        self._batches: deque[_Batch] = deque()
-        self._held = 0
+        self._samples = np.zeros(round((seconds + AFTER_S) * rate_hz), _PLAIN)
+        self._count = 0
+        """Of samples that came; the next one's place, round the array."""
         self._events: deque[dict[str, object]] = deque(maxlen=MOST_EVENTS)
         self._lock = threading.Lock()
         self._asked: list[_Asked] = []
@@ -94,13 +91,17 @@ class Flight:
 
     # ---- The telemetry thread --------------------------------------------------------------------------------------
 
-    def keep_samples(self, first_tick: int, data: bytes) -> None:
-        """Takes a batch: records of SAMPLE_DTYPE, as they are sent."""
-        self._batches.append(_Batch(first_tick, data))
-        self._held += len(data) // SAMPLE_DTYPE.itemsize
-        while self._held - len(self._batches[0].data) // SAMPLE_DTYPE.itemsize >= self._most:
-            self._held -= len(self._batches.popleft().data) // SAMPLE_DTYPE.itemsize
-        while self._events and int(str(self._events[0]["tick"])) < self._batches[0].first_tick:
+    def keep_samples(self, samples: npt.NDArray[np.void]) -> None:
+        """Takes a batch, shape (n,), of SAMPLE_DTYPE; a copy of it is kept."""
+        most = len(self._samples)
+        batch = samples[-most:].view(_PLAIN)
+        place = self._count % most
+        until_end = most - place
+        self._samples[place : place + len(batch)] = batch[:until_end]
+        self._samples[: len(batch[until_end:])] = batch[until_end:]
+        self._count += len(batch)
+        oldest = int(self._samples.view(SAMPLE_DTYPE)["tick"][self._count % most if self._count > most else 0])
+        while self._events and int(str(self._events[0]["tick"])) < oldest:
             self._events.popleft()
 
     def keep_event(self, event: dict[str, object]) -> None:
@@ -134,7 +135,10 @@ class Flight:
 
     def _hand_over(self, due: list[_Asked]) -> None:
         for asked in due:
-            self._jobs.put(_Job(asked, list(self._batches), list(self._events)))
+            place = self._count % len(self._samples) if self._count > len(self._samples) else 0
+            kept = self._samples[: self._count]
+            samples = np.concatenate((kept[place:], kept[:place])).view(SAMPLE_DTYPE)
+            self._jobs.put(_Job(asked, samples, list(self._events)))
 
     # ---- Any thread ------------------------------------------------------------------------------------------------
 
@@ -204,10 +208,9 @@ class Flight:
             os.chmod(self._directory, 0o750)
         about = {"reason": job.asked.reason, "tick": job.asked.tick}
         with open_sink(job.asked.path) as sink:
-            # Not one by one: each write is a chance to wait for the interpreter, and has others wait for it.
-            for first in range(0, len(job.batches), CHUNK):
-                data = b"".join(batch.data for batch in job.batches[first : first + CHUNK])
-                sink.write(np.frombuffer(data, SAMPLE_DTYPE))
+            # Not in small pieces: each write is a chance to wait for the interpreter, and has others wait for it.
+            for first in range(0, len(job.samples), CHUNK):
+                sink.write(job.samples[first : first + CHUNK])
             for event in job.events:
                 sink.write_event(event)
             sink.finish({**self._texts(), "flight": about})

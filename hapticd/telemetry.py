@@ -138,16 +138,15 @@ class Telemetry:
         if self._held:
             batch = self._samples[: self._held]
             self._held = 0
-            first_tick, data = int(batch["tick"][0]), batch.tobytes()
             message: dict[str, object] = {
-                "first_tick": first_tick,
+                "first_tick": int(batch["tick"][0]),
                 "dropped": self._dropped,
                 "dtype": _DESCRIPTION,
-                "data": data,
+                "data": batch.tobytes(),
             }
             self._send("samples", message)
             if self._flight is not None:
-                self._flight.keep_samples(first_tick, data)
+                self._flight.keep_samples(batch)
 
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():

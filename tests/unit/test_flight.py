@@ -28,7 +28,7 @@ class Life:
         for _ in range(ticks // 20):
             batch = records(SAMPLE_DTYPE, 20)
             batch["tick"] = np.arange(self.tick, self.tick + 20)
-            self.flight.keep_samples(self.tick, batch.tobytes())
+            self.flight.keep_samples(batch)
             self.tick += 20
             self.flight.turn()
 
@@ -89,11 +89,30 @@ def test_what_is_kept_is_bounded(tmp_path: Path) -> None:
         life.go_on(200)
         for _ in range(50):
             life.flight.keep_event({"event": "release", "tick": life.tick, "time_ns": 0, "object": None})
-    assert len(life.flight._batches) == (2.0 + AFTER_S) * RATE_HZ / 20
     assert {int(str(event["tick"])) for event in life.flight._events} == set(range(7000, 10_001, 200))
     for _ in range(2 * MOST_EVENTS):
         life.flight.keep_event({"event": "release", "tick": life.tick, "time_ns": 0, "object": None})
     assert len(life.flight._events) == MOST_EVENTS
+    life.flight.dump()
+    life.end()
+    (path,) = tmp_path.iterdir()
+    with np.load(path) as file:
+        ticks = file["samples"]["tick"].astype(int)
+    assert np.array_equal(ticks, np.arange(7000, 10_000))
+
+
+@pytest.mark.parametrize("size", [7, 2999, 3000, 3001, 10_000])
+def test_batches_of_any_size_go_round(tmp_path: Path, size: int) -> None:
+    life = Life(tmp_path)
+    samples = records(SAMPLE_DTYPE, 20_000)
+    samples["tick"] = np.arange(len(samples))
+    for first in range(0, len(samples), size):
+        life.flight.keep_samples(samples[first : first + size])
+    life.flight.dump()
+    life.end()
+    (path,) = tmp_path.iterdir()
+    with np.load(path) as file:
+        assert np.array_equal(file["samples"], samples[-3000:])
 
 
 def test_a_directory_is_made_and_one_that_cannot_be_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
