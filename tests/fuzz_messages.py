@@ -59,6 +59,8 @@ HUGE: Final = 2e-4
 
 SCENE: Final = {"objects": {"floor": OBJECTS[0], "skin": OBJECTS[4], "peg": OBJECTS[3], "pull": OBJECTS[5]}}
 
+GRAIN: Final = {"peak_hz": 200, "mean_hz": 260, "velocity_gain_per_s": 20, "direction": "normal", "seed": 7}
+
 PARSE, INVALID, NO_METHOD, PARAMS = -32700, -32600, -32601, -32602
 CHANGES: Final = frozenset(("set_scene", "update_scene", "update_materials", "reload"))
 PARAMETERS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
@@ -326,6 +328,16 @@ def seeds() -> dict[str, list[bytes]]:
         *(("update_scene", {"objects": {"floor": item}}) for item in OBJECTS),
         *(("update_scene", {"objects": {"x": item, "peg": {"radius_m": 0.01}, "skin": None}}) for item in OBJECTS),
         *(("update_materials", {"materials": {"mine": item}}) for item in MATERIALS),
+        # Used by the scene, so that it is compiled: filters of noise, for example.
+        *(("update_scene", {"objects": {id: {"material": "mine"}}}) for id in ("floor", "skin", "peg")),
+        (
+            "update_scene",
+            {"objects": {"floor": OBJECTS[1] | {"material": "mine"}, "x": OBJECTS[2] | {"material": "mine"}}},
+        ),
+        *(
+            ("update_materials", {"materials": {"mine": item, "sandpaper_100": {"texture": GRAIN}}})
+            for item in MATERIALS
+        ),
         (
             "update_materials",
             {"materials": {"mine": None, "steel": {"tap": {"attack_slope_per_s": 300}}, "comb": None}},

@@ -92,7 +92,7 @@ MATERIALS: tuple[Tree, ...] = (
             "amplitudes": [[0.05, 10], [0.2, 50]],
             "angular_frequency_rad_per_s": 800,
             "decay_rate_per_s": 90,
-            "attack": "peak",
+            "attack": "first_peak",
             "second": {"frequency_hz": 300, "decay_time_s": 0.01, "ratio": 0.3},
         },
         "friction": {"coefficient": 0.3, "stiffness_n_per_m": 400},
@@ -101,7 +101,7 @@ MATERIALS: tuple[Tree, ...] = (
         "stiffness_n_per_m": 500,
         "texture": {
             "kind": "autoregressive",
-            "sample_rate_hz": 10000,
+            "rate_hz": 10000,
             "models": [
                 {"speed_m_per_s": 0.05, "force_n": 0.5, "coefficients": [-1.2, 0.5], "rms_m_per_s2": 1.0},
                 {"speed_m_per_s": 0.2, "force_n": 0.5, "coefficients": [-1.1, 0.4], "variance_m2_per_s4": 0.1},

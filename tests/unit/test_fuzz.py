@@ -12,9 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hapticd.config import load_config
 from hapticd.errors import HapticdError
+from hapticd.materials import validate_materials
+from hapticd.operator import parse_operator
 from hapticd.recorded import load_recorded
 from hapticd.replayed import replay
+from hapticd.scene import validate_scene
 from tests import fuzz_messages, fuzz_recordings, fuzz_yaml
 
 
@@ -42,6 +46,17 @@ def test_recordings() -> None:
     for form in fuzz_recordings.FORMS:
         assert outcomes[f"{form} refused"] > 0
     assert any(outcome.endswith("rendered") for outcome in outcomes)
+
+
+def test_what_they_begin_from_is_valid() -> None:
+    for material in fuzz_yaml.MATERIALS:
+        validate_materials({"mine": material})
+    for item in fuzz_yaml.OBJECTS:
+        validate_scene({"objects": {"mine": item}})
+    for device in fuzz_yaml.DEVICES:
+        load_config({"device": device})
+    for gesture in fuzz_yaml.GESTURES:
+        parse_operator(gesture)
 
 
 # ---- What our own oracles are worth ------------------------------------------------------------------------------
