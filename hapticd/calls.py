@@ -25,7 +25,7 @@ from typing import (
 
 from hapticd import wire
 from hapticd.errors import HapticdError, Problem
-from hapticd.paths import RuntimePaths, daemon_paths
+from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 from hapticd.remote import Remote, is_remote, remote
 
 if TYPE_CHECKING:
@@ -382,7 +382,10 @@ def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> 
             trial.connect(os.fspath(paths.command))
         except OSError as error:
             if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
-                raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run") from None
+                other = ""
+                if paths.directory != SYSTEM_DIRECTORY and SYSTEM_DIRECTORY.is_dir():
+                    other = f", or take the service's with: --runtime-dir {SYSTEM_DIRECTORY}"
+                raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run{other}") from None
             raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import logging
 import math
 import os
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Annotated, Any, Final, cast
@@ -40,6 +41,9 @@ from hapticd.scene import (
 )
 from hapticd.wire import PROTOCOL, Code
 
+LOAD_S: Final = 20.0
+"""So long the files of a configuration may take to be read; a watchdog is more patient."""
+_BEAT_S: Final = 0.1
 _log = logging.getLogger("hapticd")
 _FAULT_WORDS: Final = {
     Fault.NONFINITE: "a position or a force was not a number",
@@ -350,7 +354,7 @@ class Control:
         if self._load is None:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
         try:
-            config = self._load()
+            config = self._read_anew(self._load)
             engine.beat()
             fixed = _needing_restart(engine.config, config)
             if fixed:
@@ -372,6 +376,30 @@ class Control:
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
         _log.info("reloaded: revision %d, %d objects are others", revision, changed)
         return self._changed(revision, params)
+
+    def _read_anew(self, load: Callable[[], Config]) -> Config:
+        """Reads the files, and beats meanwhile: large ones take longer than the servo waits. Raises HapticdError."""
+        found: list[Config | BaseException] = []
+
+        def read() -> None:
+            try:
+                found.append(load())
+            except BaseException as error:
+                found.append(error)
+
+        # One that waits for a file for ever holds up neither commands nor the end.
+        reader = threading.Thread(target=read, name="reload", daemon=True)
+        reader.start()
+        until_ns = monotonic_ns() + int(LOAD_S * 1e9)
+        while reader.is_alive():
+            if monotonic_ns() > until_ns:
+                raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
+            self._engine.beat()
+            reader.join(_BEAT_S)
+        (result,) = found
+        if isinstance(result, BaseException):
+            raise result
+        return result
 
     def _dump_flight(self, _: _NoParams) -> dict[str, object]:
         if self._flight is None:

@@ -361,8 +361,8 @@ class Engine:
             raise
 
     def _start(self) -> Granted:
-        grant = ffi.new("struct hd_grant *")
-        return self._take_grant(lib.hd_servo_start(self._servo, grant), grant)
+        self._grant = ffi.new("struct hd_grant *")
+        return self._take_grant(lib.hd_servo_start(self._servo, self._grant), self._grant)
 
     def _take_grant(self, status: int, grant: CData) -> Granted:
         servo = self.config.servo
@@ -447,6 +447,8 @@ class Engine:
             _log.error("no step down to %g Hz: %s", after.rate_hz, problem)
             self._change_rate(before)
         grant = ffi.new("struct hd_grant *")
+        # Memory is locked once, at the start.
+        grant.memory, grant.memory_kind = self._grant.memory, self._grant.memory_kind
         faults = 0 if problem is None else int(Fault.OVERRUN)
         self._take_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
 

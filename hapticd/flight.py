@@ -80,6 +80,8 @@ class Flight:
         self._events: deque[dict[str, object]] = deque(maxlen=MOST_EVENTS)
         self._lock = threading.Lock()
         self._asked: list[_Asked] = []
+        self._dumping = False
+        """A file that somebody asked for is the writer's; another one waits, so that not many copies do."""
         self._number = max((int(match[1]) for _, match in self._files()), default=0)
         self._quiet_until_ns = 0
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
@@ -123,8 +125,10 @@ class Flight:
         """Hands over to the writer what is due."""
         with self._lock:
             now_ns = self._now_ns()
-            due = [asked for asked in self._asked if now_ns >= asked.due_ns]
-            self._asked = [asked for asked in self._asked if now_ns < asked.due_ns]
+            held = self._dumping
+            due = [asked for asked in self._asked if now_ns >= asked.due_ns and not (held and asked.reason == "asked")]
+            self._asked = [asked for asked in self._asked if asked not in due]
+            self._dumping = held or any(asked.reason == "asked" for asked in due)
         self._hand_over(due)
 
     def finish(self) -> None:
@@ -143,9 +147,11 @@ class Flight:
     # ---- Any thread ------------------------------------------------------------------------------------------------
 
     def dump(self) -> Path:
-        """Has a file written of what is kept now; its name. It is there once it is whole."""
+        """Has a file written of what is kept now; its name. It is there once it is whole. Until it is begun, it is
+        everybody's who asks."""
         with self._lock:
-            return self._ask("asked", None, self._now_ns())
+            waiting = next((asked.path for asked in self._asked if asked.reason == "asked"), None)
+            return waiting or self._ask("asked", None, self._now_ns())
 
     def _ask(self, reason: str, tick: int | None, due_ns: int) -> Path:
         self._number += 1
@@ -187,6 +193,8 @@ class Flight:
             sys.setswitchinterval(before)
         with self._lock:
             self._under_way -= 1
+            if job.asked.reason == "asked":
+                self._dumping = False
             self._problem = problem
             if problem is None:
                 self._written += 1

@@ -84,6 +84,19 @@ class JournalHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """A record's `fields`, a mapping, become fields of the line: `event` is HAPTICD_EVENT."""
+        try:
+            data = datagram(self._fields(record))
+        except Exception:
+            self.handleError(record)  # a line that cannot be made costs no thread
+            return
+        try:
+            self._socket.sendto(data, self._address)
+        except OSError:
+            self._lost += 1  # told with the next line that gets through
+        else:
+            self._lost = 0
+
+    def _fields(self, record: logging.LogRecord) -> dict[str, object]:
         priority = next(number for level, number in _PRIORITIES if record.levelno >= level)
         fields: dict[str, object] = {
             "MESSAGE": self.format(record),
@@ -97,12 +110,7 @@ class JournalHandler(logging.Handler):
         fields |= {PREFIX + name.upper(): value for name, value in told.items() if value is not None}
         if self._lost:
             fields[PREFIX + "LINES_LOST"] = self._lost
-        try:
-            self._socket.sendto(datagram(fields), self._address)
-        except OSError:
-            self._lost += 1  # told with the next line that gets through
-        else:
-            self._lost = 0
+        return fields
 
     def close(self) -> None:
         self._socket.close()

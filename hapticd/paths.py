@@ -12,8 +12,12 @@ import stat
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from hapticd.errors import HapticdError
+
+SYSTEM_DIRECTORY: Final = Path("/run/hapticd")
+"""The runtime directory of the service of the system. It is there while the service runs."""
 
 # sockaddr_un has room for 108 bytes, the last of which is NUL.
 _LONGEST_SOCKET_NAME = 107

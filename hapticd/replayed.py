@@ -139,12 +139,14 @@ def replay(path: str | os.PathLike[str]) -> Replay:
 
 def _replay(recorded: Recorded) -> Replay:
     samples, texts = recorded.samples, recorded.texts
-    config = load_config({"servo": texts["config"]["servo"], "device": texts["config"]["device"]})
+    servo, status = texts["config"]["servo"], texts.get("status") or {}
+    # A daemon that has stepped down has another rate than its configuration.
+    rate_hz = status.get("rate_hz", servo["rate_hz"])
+    config = load_config({"servo": {**servo, "rate_hz": rate_hz}, "device": texts["config"]["device"]})
     revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist())))
     known = [revision.number for revision in revisions]
     stretches, settled = _stretches(samples, np.isin(samples["revision"], known), texts)
-    rate_hz = config.servo.rate_hz
-    link_hz = ((texts.get("status") or {}).get("connection") or {}).get("link_hz")
+    link_hz = (status.get("connection") or {}).get("link_hz")
     output = output_of(config, rate_hz, None if link_hz is None or link_hz >= rate_hz else link_hz)
     rerun = Rerun(output, max((len(revision.scene.objects) for revision in revisions), default=0))
     periods = _periods(samples, rate_hz)

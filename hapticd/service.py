@@ -122,7 +122,8 @@ class Service:
         for target in targets:
             yield self._put(target)
         yield from self._commands(self._after_install())
-        yield Step("note", f"start it: {self._systemctl('enable', '--now', 'hapticd')}")
+        if self._root is None:
+            yield Step("note", f"start it: {self._systemctl('enable', '--now', 'hapticd')}")
 
     def uninstall(self) -> Iterator[Step]:
         """Takes away what `install` put there and nobody changed since."""
@@ -224,8 +225,8 @@ class Service:
             while not place.exists():
                 place = place.parent
             if not self._writable(place):
-                other = "" if self._user else ", or install it for yourself alone with --user"
-                raise HapticdError(f"{path}: no permission to write into {place}; run it as root{other}")
+                todo = "" if self._user else "; run it as root, or install it for yourself alone with --user"
+                raise HapticdError(f"{path}: no permission to write into {place}{todo}")
 
     # ---- Commands --------------------------------------------------------------------------------------------------
 
@@ -319,8 +320,9 @@ def _signed(body: str) -> str:
 
 def _sum_of(text: str) -> str | None:
     """The checksum that a file was written with; None without one."""
-    last = text.rstrip("\n").rpartition("\n")[2]
-    return last.partition(_SUM)[2] or None if last.startswith(_MARK) else None
+    # Not the last line alone: what somebody adds most often stands behind it.
+    marks = [line for line in text.splitlines() if line.startswith(_MARK)]
+    return marks[-1].partition(_SUM)[2] or None if marks else None
 
 
 def _is_ours(text: str) -> bool:

@@ -17,6 +17,7 @@ import os
 import socket as network
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, Literal
 
 import zmq
@@ -312,10 +313,8 @@ class Connection(asyncio.Protocol):
         """Bytes for the client; the first show that libzmq has taken the connection."""
         if self._closed:
             return
-        if self._path:
-            # Nobody else finds it; to unbind it would end this connection, too.
-            os.unlink(self._path)
-            self._path = ""
+        # Nobody else finds it; to unbind it would end this connection, too.
+        self._unlink()
         assert self._outer is not None
         self._outer.write(data)
 
@@ -440,12 +439,20 @@ class Connection(asyncio.Protocol):
             self.relay.close()
         elif self._front is not None:
             self._front.close()
+        self._unlink()
         for transport in (self._outer, self._inner):
             if transport is not None:
                 transport.abort()
         if self.account is None:
             self._gate.shown(self)
         self._gate.leave(self)
+
+    def _unlink(self) -> None:
+        """libzmq leaves the file of a socket that it closes."""
+        path, self._path = self._path, ""
+        if path:
+            with suppress(FileNotFoundError):
+                os.unlink(path)
 
 
 class _Inner(asyncio.Protocol):

@@ -61,8 +61,9 @@ class Relay:
         self._resting = False
         self._timer: asyncio.TimerHandle | None = None
         self._closed = False
-        self._loop.add_reader(int(front.getsockopt(zmq.FD)), self._look)
+        # First what may fail, where there are no descriptors left: the front is then closed by whoever opened it.
         self._back = self._open()
+        self._loop.add_reader(int(front.getsockopt(zmq.FD)), self._look)
         self._look()
 
     def _open(self) -> zmq.Socket[bytes]:

@@ -47,6 +47,27 @@ _HOMES: Final = {
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 
+_HERE_ALONE: Final = frozenset(
+    [
+        "run",
+        "replay",
+        "simulate",
+        "check",
+        "schema",
+        "devices",
+        "bench",
+        "calibrate",
+        "verify",
+        "fit",
+        "bridge",
+        "key",
+        "doctor",
+        "install-service",
+        "stop-device",
+    ]
+)
+"""Those that ask no daemon, or only this machine's: --connect means nothing to them."""
+
 
 class _LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> object:
@@ -91,9 +112,17 @@ def cli(
 ) -> None:
     """A haptic daemon: taps, combs, sandpaper, friction, solids and membranes on a joystick, commanded over ZeroMQ."""
     if connect is not None and runtime_dir is not None:
-        raise click.UsageError("--connect and --runtime-dir name two places: give one", ctx)
-    if connect is None and ctx.get_parameter_source("key") == click.core.ParameterSource.COMMANDLINE:
-        raise click.UsageError("--key is for --connect, which says where", ctx)
+        given = ctx.get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
+        name = "--connect" if given else "HAPTICD_CONNECT"
+        raise click.UsageError(f"{name} and --runtime-dir name two places: give one", ctx)
+    for option in ("key", "server_key"):
+        if connect is None and ctx.get_parameter_source(option) == click.core.ParameterSource.COMMANDLINE:
+            raise click.UsageError(f"--{option.replace('_', '-')} is for --connect, which says where", ctx)
+    if (
+        ctx.invoked_subcommand in _HERE_ALONE
+        and ctx.get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
+    ):
+        raise click.UsageError(f"{ctx.invoked_subcommand} is for this machine alone: leave --connect out", ctx)
     ctx.obj = runtime_dir
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

@@ -47,6 +47,9 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
         return connect(cast("str | None", root.obj), timeout_s)
     if not is_remote(place):
         raise HapticdError(f"{place}: must be tcp://HOST:PORT")
+    missing = [f"--{name.replace('_', '-')}" for name in ("key", "server_key") if root.params.get(name) is None]
+    if missing:
+        raise click.UsageError(f"--connect needs {' and '.join(missing)}, or the variables of both", root)
     return connect(place, timeout_s, key=root.params.get("key"), server_key=root.params.get("server_key"))
 
 

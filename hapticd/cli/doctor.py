@@ -6,12 +6,12 @@ from collections.abc import Mapping
 
 import click
 
-from hapticd.cli.common import config_option, daemon, json_option, print_json
+from hapticd.cli.common import config_option, json_option, print_json
 
 _ANSWER_S = 2.0
 
 
-@click.command("doctor")
+@click.command("doctor", short_help="Say what of this machine is ready.")
 @config_option
 @json_option
 @click.pass_context
@@ -22,19 +22,24 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     configuration needs.
     """
     from hapticd._version import __version__
-    from hapticd.client import DaemonNotRunning
+    from hapticd.client import DaemonNotRunning, connect
     from hapticd.config import default_config, load_config
     from hapticd.doctor import diagnose
     from hapticd.doctor.machine import Machine, Needs
+    from hapticd.paths import SYSTEM_DIRECTORY
 
     config = load_config(configs) if configs else default_config()
 
     def asked() -> Mapping[str, object] | None:
-        try:
-            with daemon(ctx, _ANSWER_S) as client:
-                return client.get_status()
-        except DaemonNotRunning:
-            return None
+        # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.
+        named = ctx.find_root().obj
+        for place in (named,) if named is not None else (None, SYSTEM_DIRECTORY):
+            try:
+                with connect(place, _ANSWER_S) as client:
+                    return client.get_status()
+            except DaemonNotRunning:
+                continue
+        return None
 
     servo = config.servo
     device = config.device.hid if config.device.kind == "hid" else None

@@ -17,8 +17,8 @@ def key_command() -> None:
 
 @key_command.command("new", short_help="Make a pair of keys.")
 @click.argument("name")
-@click.option("--watch", "may", flag_value="watch", help="For a client that may only watch.")
-@click.option("--command", "may", flag_value="command", help="For a client that may command, too.")
+@click.option("--watch", is_flag=True, help="For a client that may only watch.")
+@click.option("--command", is_flag=True, help="For a client that may command, too.")
 @click.option(
     "--dir",
     "directory",
@@ -27,7 +27,7 @@ def key_command() -> None:
     help="Where it goes [default: /etc/hapticd/keys of root, else ~/.config/hapticd/keys].",
 )
 @json_option
-def key_new(name: str, may: str | None, directory: Path | None, as_json: bool) -> None:
+def key_new(name: str, watch: bool, command: bool, directory: Path | None, as_json: bool) -> None:
     """Make a pair of keys: NAME.key, the public one, and NAME.key_secret, for nobody else.
 
     Without --watch or --command it is the bridge's own. With one of them the line that lets the client in is printed,
@@ -35,10 +35,14 @@ def key_new(name: str, may: str | None, directory: Path | None, as_json: bool) -
     """
     from hapticd import keys
 
+    if watch and command:
+        raise click.UsageError("--watch and --command are two rights: give one")
+    may = "watch" if watch else "command" if command else None
     certificate = keys.new_certificate()
     public, secret = keys.write_certificate(certificate, name, directory or keys.default_directory())
     if as_json:
-        print_json({"name": name, "public_key": certificate.public_key, "public": str(public), "secret": str(secret)})
+        about = {"name": name, "may": may, "public_key": certificate.public_key}
+        print_json({**about, "public": str(public), "secret": str(secret)})
         return
     click.echo(f"{secret}: the secret key; it stays with whoever it stands for", err=True)
     if may is None:

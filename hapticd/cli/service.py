@@ -11,7 +11,7 @@ from hapticd.cli.common import json_option, print_json
 from hapticd.errors import HapticdError
 
 
-@click.command("install-service")
+@click.command("install-service", short_help="Put the service of systemd in place.")
 @click.option("--user", is_flag=True, help="For yourself alone, without rights of the system's.")
 @click.option("--dry-run", is_flag=True, help="Say what would be done.")
 @click.option("--uninstall", is_flag=True, help="Take it away again, but for what somebody changed.")

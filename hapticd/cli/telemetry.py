@@ -92,14 +92,24 @@ def record_command(ctx: click.Context, file: str, duration_s: float | None, as_j
 @json_option
 @click.pass_context
 def flight_command(ctx: click.Context, file: str | None, as_json: bool) -> None:
-    """Have the flight recorder write the last seconds of samples and events to a file, and copy that to FILE."""
+    """Have the flight recorder write the last seconds of samples and events to a file, and copy that to FILE.
+
+    Through a bridge the file stays on the daemon's machine: FILE is for a daemon of this one.
+    """
+    from hapticd.remote import Remote
+
     with daemon(ctx) as client:
+        here = not isinstance(client.paths, Remote)
+        if file is not None and not here:
+            raise HapticdError(f"{file}: the flight recorder writes on the daemon's machine: copy it from there")
         written = client.dump_flight()["file"]
         # The file's name appears when it is whole; where it does not come, the status says why.
-        while not os.path.exists(written):
+        while not (here and os.path.exists(written)):
             told = client.get_status()["flight"]
-            if told is None or (told["under_way"] == 0 and not os.path.exists(written)):
+            if told is None or (told["under_way"] == 0 and not (here and os.path.exists(written))):
                 problem = told["problem"] if told else None
+                if told and not here and problem is None:
+                    break
                 raise HapticdError(f"the flight recorder did not write {written}: {problem or 'its log says why'}")
             time.sleep(0.05)
     if file is not None:

@@ -96,7 +96,7 @@ def throttling(machine: Machine, needs: Needs) -> Iterator[Finding]:
     else:
         yield Finding(
             "throttling",
-            "fail" if runtime == 0 else "warn",
+            needs.without() if runtime == 0 else "warn",
             f"real-time tasks may have {runtime} us of {period} us",
             "sysctl kernel.sched_rt_runtime_us=950000",
         )
@@ -115,7 +115,7 @@ def group_budget(machine: Machine, needs: Needs) -> Iterator[Finding]:
             for mount in ("cpu", controllers, "cpu,cpuacct"):
                 budget = machine.text(f"/sys/fs/cgroup/{mount}/{path.lstrip('/')}/cpu.rt_runtime_us")
                 if budget is not None and budget.lstrip("-").isdecimal():
-                    yield _budget(path, int(budget))
+                    yield _budget(path, int(budget), needs)
                     return
     built = config(machine)
     if built is None:
@@ -133,12 +133,12 @@ def group_budget(machine: Machine, needs: Needs) -> Iterator[Finding]:
         )
 
 
-def _budget(path: str, runtime_us: int) -> Finding:
+def _budget(path: str, runtime_us: int, needs: Needs) -> Finding:
     if runtime_us != 0:
         return Finding("cgroup", "ok", f"{path} has a real-time budget of {runtime_us} us")
     return Finding(
         "cgroup",
-        "fail",
+        needs.without(),
         f"{path} has no real-time budget: SCHED_FIFO is refused in it",
         f"write a budget into cpu.rt_runtime_us of {path} and the groups above it",
     )

@@ -46,7 +46,9 @@ def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
     try:
         status = machine.daemon()
     except HapticdError as error:
-        yield Finding("daemon", "fail", str(error), "is it stopped? restart it")
+        yield Finding(
+            "daemon", "fail", str(error), "restart it if it is stopped; whoever is refused joins the group hapticd"
+        )
         return
     if status is None:
         yield Finding("daemon", "warn", "none answers", "hapticd run, or systemctl start hapticd")

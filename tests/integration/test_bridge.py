@@ -9,6 +9,7 @@ import random
 import re
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
@@ -27,6 +28,7 @@ from prometheus_client.parser import text_string_to_metric_families
 import hapticd.aio
 from hapticd import wire
 from hapticd.calls import DaemonNotRunning, KeyRefused, RemoteError
+from hapticd.cli import main
 from hapticd.client import connect
 from hapticd.errors import HapticdError
 from hapticd.keys import new_certificate, write_certificate
@@ -264,6 +266,18 @@ def test_a_watcher_at_the_command_line(bridge: Bridge, tmp_path: Path) -> None:
     done = subprocess.run([*command, "status"], env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1
     assert "may only watch" in done.stderr
+
+
+def test_the_flight_recorder_is_on_the_other_machine(
+    bridge: Bridge, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, secret = write_certificate(bridge.keys["alice"], "alice", tmp_path)
+    there = ["--connect", bridge.address, "--key", str(secret), "--server-key", bridge.keys["server"].public_key]
+    assert main([*there, "flight"]) == 0
+    assert re.search(r"flight-\d+-asked\.npz$", capsys.readouterr().out.strip())
+    assert main([*there, "flight", str(tmp_path / "here.npz")]) == 1
+    assert "on the daemon's machine" in capsys.readouterr().err
+    assert not (tmp_path / "here.npz").exists()
 
 
 def test_who_does_not_listen_is_told_from_who_refuses(tmp_path: Path, bridge: Bridge) -> None:
@@ -590,6 +604,22 @@ def test_it_ends_with_connections_open(daemon: Daemon, tmp_path: Path) -> None:
         assert len(folders() - before) == 1
         assert bridge.stop() == 0
     assert folders() - before == set()
+
+
+def test_who_leaves_in_the_handshake_leaves_no_file(
+    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with tempfile.TemporaryDirectory() as place, monkeypatch.context() as patch:
+        patch.setenv("TMPDIR", place)
+        with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
+            (folder,) = Path(place).glob("hapticd-bridge-*")
+            for _ in range(10):  # fewer than may be without a key at once
+                with socket.create_connection((bridge.host, bridge.port)) as knock:
+                    knock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                    knock.sendall(b"\xff\0\0\0\0\0\0\0\x01\x7f")
+            with connect(bridge.address, timeout_s=30, **bridge.as_client("alice")) as client:
+                client.get_status()
+                assert list(folder.iterdir()) == []
 
 
 def test_two_on_one_port(daemon: Daemon, bridge: Bridge) -> None:

@@ -9,7 +9,7 @@ import resource
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -136,7 +136,7 @@ def test_preemption(tmp_path: Path, files: dict[str, str], verdict: str, words: 
 
 @pytest.mark.parametrize(
     ("runtime", "period", "verdict"),
-    [("-1", "1000000", "ok"), ("950000", "1000000", "ok"), ("100000", "1000000", "warn"), ("0", "1000000", "fail")],
+    [("-1", "1000000", "ok"), ("950000", "1000000", "ok"), ("100000", "1000000", "warn"), ("0", "1000000", "warn")],
 )
 def test_throttling(tmp_path: Path, runtime: str, period: str, verdict: str) -> None:
     files = {f"proc/sys/kernel/sched_rt_{name}_us": text for name, text in (("runtime", runtime), ("period", period))}
@@ -151,7 +151,7 @@ def test_throttling(tmp_path: Path, runtime: str, period: str, verdict: str) -> 
                 "proc/self/cgroup": "4:cpu,cpuacct:/user\n0::/\n",
                 "sys/fs/cgroup/cpu,cpuacct/user/cpu.rt_runtime_us": "0",
             },
-            "fail",
+            "warn",
         ),
         ({"proc/self/cgroup": "4:cpu:/user\n", "sys/fs/cgroup/cpu/user/cpu.rt_runtime_us": "950000\n"}, "ok"),
         ({"proc/self/cgroup": "0::/user.slice\n"}, "warn not known"),
@@ -169,6 +169,20 @@ def test_throttling(tmp_path: Path, runtime: str, period: str, verdict: str) -> 
 )
 def test_budget_of_the_control_group(tmp_path: Path, files: dict[str, str], verdict: str) -> None:
     assert told(tmp_path, kernel.group_budget, {"proc/sys/kernel/osrelease": "6.1\n", **files}).startswith(verdict)
+
+
+@pytest.mark.parametrize(("realtime", "verdict"), [("required", "fail"), ("preferred", "warn"), ("off", "ok")])
+@pytest.mark.parametrize("check", [kernel.throttling, kernel.group_budget])
+def test_no_time_for_real_time_is_as_bad_as_the_configuration_says(
+    tmp_path: Path, check: Check, realtime: Literal["required", "preferred", "off"], verdict: str
+) -> None:
+    files = {
+        "proc/sys/kernel/sched_rt_runtime_us": "0",
+        "proc/sys/kernel/sched_rt_period_us": "1000000",
+        "proc/self/cgroup": "4:cpu:/user\n",
+        "sys/fs/cgroup/cpu/user/cpu.rt_runtime_us": "0",
+    }
+    assert told(tmp_path, check, files, needs=Needs(realtime)).startswith(verdict)
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,24 @@ def test_a_directory_is_made_and_one_that_cannot_be_is_told(tmp_path: Path, capl
     assert str(told["problem"]) in caplog.text
 
 
+def test_whoever_asks_without_end_has_two_copies_kept_at_most(tmp_path: Path) -> None:
+    life = Life(tmp_path)
+    asked = []
+    for _ in range(50):  # the writer does not come to it
+        asked.append(life.flight.dump())
+        life.go_on(20)
+    assert len(set(asked)) == 2 and life.flight._jobs.qsize() == 1
+    life.fault("lease")  # has its own all the same
+    life.go_on(1020)
+    assert life.flight._jobs.qsize() == 2
+    life.end()
+    assert len(list(tmp_path.iterdir())) == 3
+    later = life.flight.dump()
+    life.flight.turn()
+    life.end()
+    assert later.exists() and life.flight.status()["under_way"] == 0
+
+
 def test_where_files_go() -> None:
     runtime = Path("/run/hapticd")
     assert directory_of(None, runtime, {}) == runtime

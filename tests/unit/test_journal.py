@@ -173,6 +173,13 @@ def test_what_cannot_be_added_up_is_told_by_its_last_with_the_number(said: pytes
     assert said.records[0].fields["event"] == "fault"  # type: ignore[attr-defined]
 
 
+def test_a_line_that_cannot_be_made_costs_no_thread(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    handler = JournalHandler(str(tmp_path / "journal"))
+    handler.handle(logging.LogRecord("hapticd", logging.INFO, "here.py", 1, "%d", ("no number",), None))
+    handler.close()
+    assert "here.py" in capsys.readouterr().err
+
+
 def test_events_of_consequence_have_words_and_others_none(said: pytest.LogCaptureFixture) -> None:
     event = records(EVENT_DTYPE, 1)[0]
     silent = {EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE, EventKind.GROOVE, EventKind.SATURATION}

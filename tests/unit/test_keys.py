@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 from pathlib import Path
@@ -158,7 +159,13 @@ def test_the_line_that_is_printed_lets_the_client_in(tmp_path: Path) -> None:
         (["--key", "x", "status"], "--key is for --connect"),
         (["--connect", "tcp://lab", "--runtime-dir", "x", "status"], "name two places"),
         (["--connect", "lab", "--key", "x", "--server-key", "y", "status"], "lab: must be tcp://HOST:PORT"),
-        (["--connect", "tcp://lab", "status"], "needs key"),
+        (["--server-key", "x", "status"], "--server-key is for --connect"),
+        (["--connect", "tcp://lab", "status"], "--connect needs --key and --server-key"),
+        (["--connect", "tcp://lab", "--key", "x", "status"], "--connect needs --server-key, or"),
+        (["--connect", "tcp://lab", "--key", "x", "--server-key", "y", "run", "-c", "none"], "for this machine alone"),
+        (["--connect", "tcp://lab", "bridge", "-c", "none"], "bridge is for this machine alone"),
+        (["--connect", "tcp://lab", "flight", "copy.npz"], "FILE is for a daemon of this machine"),
+        (["key", "new", "x", "--watch", "--command"], "give one"),
     ],
 )
 def test_what_the_command_line_refuses(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -166,3 +173,21 @@ def test_what_the_command_line_refuses(arguments: list[str], told: str, capsys: 
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert told in lines[0]
+
+
+def test_a_variable_that_names_a_bridge(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("HAPTICD_CONNECT", "tcp://lab")
+    assert main(["--runtime-dir", "x", "status"]) == 2
+    assert "HAPTICD_CONNECT and --runtime-dir name two places" in capsys.readouterr().err
+    assert main(["bridge", "-c", "/nowhere/bridge.yaml"]) == 1  # it means nothing to a command of this machine
+    assert "/nowhere/bridge.yaml: cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("option", "may"), [([], None), (["--watch"], "watch"), (["--command"], "command")])
+def test_a_new_key_for_programs(
+    tmp_path: Path, option: list[str], may: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["key", "new", "x", "--dir", str(tmp_path), "--json", *option]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["may"] == may
+    assert told["public_key"] == load_certificate(tmp_path / "x.key").public_key

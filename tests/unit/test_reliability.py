@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hapticd.config import load_config
+from hapticd.config import Config, load_config
 from hapticd.control import Control, MethodError
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.engine import Engine, monotonic_ns
@@ -376,6 +376,40 @@ def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
         watch.until(lambda: watch.full() or watch.faults() == ["overrun"])
     finally:
         engine.stop()
+
+
+def test_memory_stays_locked_when_it_steps_down() -> None:
+    overruns = {"threshold": 0.3, "action": "step_down"}
+    engine = simulated(
+        heavy(HEAVY),
+        servo={"rate_hz": 10_000, "realtime": "preferred", "overruns": overruns},
+        materials={"soft": {"stiffness_n_per_m": 0.01}},
+    )
+    before = engine.start()
+    try:
+        Watch(engine).until(lambda: engine.rate_hz < 10_000)
+        assert engine.granted is not None
+        assert engine.granted.memory == before.memory
+    finally:
+        engine.stop()
+
+
+def test_large_files_are_read_while_it_beats(monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = simulated()
+    beat, many, beats = engine.beat, threading.Event(), []
+
+    def counted() -> None:
+        beat()
+        beats.append(1)
+        if len(beats) == 5:
+            many.set()
+
+    def load() -> Config:
+        assert many.wait(15.0)
+        return engine.config
+
+    monkeypatch.setattr(engine, "beat", counted)
+    assert Control(engine, load).call("reload", {}) == {"revision": engine.revision}
 
 
 def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:

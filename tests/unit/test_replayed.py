@@ -134,6 +134,16 @@ def test_the_link_of_a_real_device_decides_what_it_can_display(tmp_path: Path) -
     assert again.differences["vibration_force_n"].largest_n > 0.01
 
 
+def test_the_rate_is_that_which_the_daemon_had_stepped_down_to(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run({**config, "servo": {"rate_hz": 5000}}, strokes(0.5)[::2], 5000)
+    write(tmp_path / "run.npz", run.samples, config, texts={"status": {"rate_hz": 5000.0}})
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == len(again.samples) > 2000
+    write(tmp_path / "run.npz", run.samples, config)
+    assert replay(tmp_path / "run.npz").differences["force_n"].largest_n > 0.01
+
+
 class Changing:
     """A run that changes on the way, by the calls that a daemon makes."""
 

@@ -124,6 +124,17 @@ def test_a_changed_file_whose_original_is_the_same_as_now_gets_no_new_one(system
     assert system.files() == FILES
 
 
+def test_lines_behind_the_checksum_do_not_hide_what_a_file_was_made_from(system: System) -> None:
+    system.install()
+    config = system.root / "etc/hapticd/config.yaml"
+    mine = config.read_text() + "flight: {keep: 3}\n"
+    config.write_text(mine)
+    assert system.install()["etc/hapticd/config.yaml"] == "kept"
+    assert system.files() == FILES
+    assert system.uninstall()["etc/hapticd/config.yaml"] == "kept"
+    assert config.read_text() == mine
+
+
 @pytest.mark.parametrize("what", ["link", "binary", "unsigned"])
 def test_what_is_not_ours_is_never_overwritten(system: System, what: str) -> None:
     path = system.root / "etc/systemd/system/hapticd.service"
