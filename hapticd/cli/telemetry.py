@@ -96,12 +96,10 @@ def flight_command(ctx: click.Context, file: str | None, as_json: bool) -> None:
 
     Through a bridge the file stays on the daemon's machine: FILE is for a daemon of this one.
     """
-    from hapticd.remote import Remote
-
+    here = ctx.find_root().params["connect"] is None
+    if file is not None and not here:
+        raise click.UsageError("FILE is for a daemon of this machine; through a bridge its file stays there", ctx)
     with daemon(ctx) as client:
-        here = not isinstance(client.paths, Remote)
-        if file is not None and not here:
-            raise HapticdError(f"{file}: the flight recorder writes on the daemon's machine: copy it from there")
         written = client.dump_flight()["file"]
         # The file's name appears when it is whole; where it does not come, the status says why.
         while not (here and os.path.exists(written)):
