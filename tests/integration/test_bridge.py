@@ -275,8 +275,8 @@ def test_the_flight_recorder_is_on_the_other_machine(
     there = ["--connect", bridge.address, "--key", str(secret), "--server-key", bridge.keys["server"].public_key]
     assert main([*there, "flight"]) == 0
     assert re.search(r"flight-\d+-asked\.npz$", capsys.readouterr().out.strip())
-    assert main([*there, "flight", str(tmp_path / "here.npz")]) == 1
-    assert "on the daemon's machine" in capsys.readouterr().err
+    assert main([*there, "flight", str(tmp_path / "here.npz")]) == 2
+    assert "through a bridge its file stays there" in capsys.readouterr().err
     assert not (tmp_path / "here.npz").exists()
 
 
