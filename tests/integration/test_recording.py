@@ -174,6 +174,10 @@ def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, t
     target = tmp_path / "run.npz"
     with connect(daemon.directory) as client, recording(daemon, target) as process:
         wait_until_it_records(client, target, process)
+        part = target.with_name(f".{target.name}.{process.pid}.part")
+        with client.samples() as batches:
+            while part.stat().st_size < 1000 * SAMPLE_DTYPE.itemsize:
+                next(batches)
         process.kill()
         process.communicate(timeout=60)
     assert len(os.listdir(tmp_path)) == 2
