@@ -2,7 +2,7 @@
 
 As a program (`launcher -m tests.sanitized.stick RUNTIME_DIR CONFIG`): it does what the lines on its standard input say
 until that is closed, and answers each with `done`: `plug`, `unplug`, `reset` (somebody else resets the joystick),
-`hold` and `move` (the handle), `commit` (the defect that the sanitizer is to find).
+`hold` (the handle, in the floor) and `move`, `commit` (the defect that the sanitizer is to find).
 """
 
 from __future__ import annotations
@@ -50,12 +50,13 @@ class Rig:
     def move(self) -> None:
         step = 0
         while not self.over.wait(PERIOD_S):
-            step += self.moving
+            step += 1
             stick = self.stick
             if stick is not None:
-                # HID's Y grows towards the user: into the floor.
                 away = 2 * math.pi * PERIOD_S * step
-                stick.report(round(COUNTS * 0.3 * math.sin(away)), round(COUNTS * DEPTH * math.sin(3 * away)))
+                # HID's Y grows towards the user: into the floor. There it is held: above it nothing pushes.
+                x, y = (math.sin(away), math.sin(3 * away)) if self.moving else (0.0, 1.0)
+                stick.report(round(COUNTS * 0.3 * x), round(COUNTS * DEPTH * y))
 
     def obey(self, line: str) -> None:
         match line.split():
