@@ -55,10 +55,10 @@ def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | 
     `config_paths` are merged in order; without one, the shipped default is used. Raises HapticdError (one line) where
     it cannot start: bad configuration, another daemon on the directory, real time required and refused.
     """
-    journal.set_up()
-    config = config_of(config_paths)
-    os.umask(0o117)
     with ExitStack() as stack:
+        stack.enter_context(journal.attached())
+        config = config_of(config_paths)
+        os.umask(0o117)
         signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
         return _run(config, lambda: config_of(config_paths), paths, signals, stack)

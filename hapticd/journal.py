@@ -12,7 +12,8 @@ import os
 import socket
 import struct
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
@@ -36,8 +37,9 @@ _PRIORITIES: Final = (
 _log = logging.getLogger("hapticd")
 
 
-def set_up(environ: Mapping[str, str] | None = None, address: str = SOCKET) -> None:
-    """Lines of the log go to the journal if stderr does and the journal can be spoken to, else to stderr."""
+@contextmanager
+def attached(environ: Mapping[str, str] | None = None, address: str = SOCKET) -> Iterator[None]:
+    """Meanwhile lines of the log go to the journal if stderr does and the journal can be spoken to, else to stderr."""
     environ = os.environ if environ is None else environ
     if is_stderr(environ.get("JOURNAL_STREAM", "")) and os.path.exists(address):
         handler: logging.Handler = JournalHandler(address)
@@ -46,8 +48,15 @@ def set_up(environ: Mapping[str, str] | None = None, address: str = SOCKET) -> N
         handler = logging.StreamHandler(sys.stderr)
         handler.setFormatter(logging.Formatter("hapticd: %(message)s"))
     root = logging.getLogger()
+    level = root.level
     root.addHandler(handler)
     root.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        root.setLevel(level)
+        root.removeHandler(handler)
+        handler.close()
 
 
 def is_stderr(stream: str) -> bool:

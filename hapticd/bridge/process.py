@@ -46,11 +46,10 @@ def run(config_path: str, runtime_dir: str | None, listen: str | None = None, me
 
     `listen` and `metrics` take the place of the configuration's. Raises HapticdError where it cannot start.
     """
-    journal.set_up()
     os.umask(0o077)
     _more_descriptors()
     loader = _loader(config_path, listen, metrics)
-    with tempfile.TemporaryDirectory(prefix="hapticd-bridge-") as folder:
+    with journal.attached(), tempfile.TemporaryDirectory(prefix="hapticd-bridge-") as folder:
         if len(os.fsencode(folder)) > _LONGEST_FOLDER:
             raise HapticdError(f"TMPDIR: {folder} is too long for sockets (at most {_LONGEST_FOLDER} bytes)")
         return asyncio.run(_Bridge(loader, daemon_paths(runtime_dir), folder).run())

@@ -854,8 +854,8 @@ socket.disable_monitor()
 def test_under_systemd_its_lines_go_to_the_journal(daemon: Daemon, tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     program = (
-        "import sys; from hapticd import journal; set_up = journal.set_up; "
-        "journal.set_up = lambda: set_up(address=sys.argv[1]); "
+        "import sys; from hapticd import journal; attached = journal.attached; "
+        "journal.attached = lambda: attached(address=sys.argv[1]); "
         "from hapticd.bridge.process import run; sys.exit(run(sys.argv[2], sys.argv[3]))"
     )
     keys = {name: new_certificate() for name in ("server", "stranger")}

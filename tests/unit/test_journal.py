@@ -115,12 +115,17 @@ def test_the_journal_is_spoken_to_where_stderr_is_its(journal: socket.socket, tm
     status = os.fstat(2)
     assert is_stderr(f"{status.st_dev}:{status.st_ino}")
     assert not is_stderr(f"{status.st_dev}:{status.st_ino + 1}")
-    program = (
-        "import logging, os; from hapticd import journal; s = os.fstat(2); "
-        f"journal.set_up({{'JOURNAL_STREAM': f'{{s.st_dev}}:{{s.st_ino}}'}}, {str(tmp_path / 'socket')!r}); "
-        "logging.getLogger('hapticd').warning('hello'); "
-        "logging.getLogger().handlers.clear(); journal.set_up({}); logging.getLogger('hapticd').info('plain')"
-    )
+    program = f"""
+import logging, os
+from hapticd import journal
+log, status = logging.getLogger("hapticd"), os.fstat(2)
+with journal.attached({{"JOURNAL_STREAM": f"{{status.st_dev}}:{{status.st_ino}}"}}, {str(tmp_path / "socket")!r}):
+    log.warning("hello")
+with journal.attached({{}}):
+    log.info("plain")
+log.info("to nobody")
+assert not logging.getLogger().handlers
+"""
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)
     assert fields_of(journal.recv(65536))["MESSAGE"] == "hello"
     assert run.stderr == "hapticd: plain\n"

@@ -239,7 +239,7 @@ def overloaded(action: str, objects: Mapping[str, object], threshold: float = 0.
     )
 
 
-HEAVY = 3000
+HEAVY = 6000
 """Contacts that no machine looks at in 0.1 ms."""
 
 
@@ -423,6 +423,7 @@ def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:
         watch.control.call("set_operator", puncture)
         watch.until(lambda: "puncture" in watch.kinds())
         slot = engine._compiler.slot_of("skin")
+        watch.control.call("set_operator", {"waypoints": [[0, 0, -0.02]]})  # stays down, in all of the floors to come
         watch.control.call("update_scene", {"objects": heavy(HEAVY), "wait": False})
         watch.until(lambda: "rate" in watch.kinds())
         watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
