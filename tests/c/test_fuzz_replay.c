@@ -233,7 +233,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
 int main(int argc, char **argv) {
     static uint8_t bytes[4096];
     uint64_t first = argc > 1 ? strtoull(argv[1], NULL, 10) : 0;
-    uint64_t count = argc > 2 ? strtoull(argv[2], NULL, 10) : 20000;
+    uint64_t count = argc > 2 ? strtoull(argv[2], NULL, 10) : 5000;
 
     for (uint64_t i = first; i < first + count; i++) {
         uint64_t seed = i;
