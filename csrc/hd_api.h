@@ -282,6 +282,12 @@ enum hd_fault {
     HD_FAULT_FROZEN = 32    /* the device reports the same position all the time, under force */
 };
 
+/* ---- Memory -------------------------------------------------------------------------------------------------- */
+
+/* From now on a block of `bytes` or more has pages of its own, from all threads, and gives them back when it is freed.
+ * HD_ERR_INVALID: more than malloc takes. */
+int hd_memory_large_from(size_t bytes);
+
 /* ---- State and offline rendering ----------------------------------------------------------------------------- */
 
 struct hd_state; /* opaque */

@@ -1,7 +1,11 @@
 /* See hd_memory.h. MCL_ONFAULT matters: without it a Python process locks three times the memory that it uses. */
 #include "hd_memory.h"
 
+#include "hd_core.h"
+
 #include <errno.h>
+#include <limits.h>
+#include <malloc.h>
 #include <stdint.h>
 #include <sys/mman.h>
 #include <unistd.h>
@@ -44,4 +48,16 @@ enum hd_memory_kind hd_memory_lock(const struct hd_region *regions, size_t count
         munlock(regions[i].start, regions[i].size);
     }
     return HD_MEMORY_NONE;
+}
+
+int hd_memory_large_from(size_t bytes) {
+#ifdef __GLIBC__
+    /* Unless told, glibc raises this limit to the largest such block that was ever freed, up to 32 MiB. */
+    if (bytes > INT_MAX || mallopt(M_MMAP_THRESHOLD, (int)bytes) == 0) {
+        return hd_invalid("memory: blocks of %zu bytes or more apart: too large", bytes);
+    }
+#else
+    (void)bytes; /* others have a limit that stays */
+#endif
+    return HD_OK;
 }

@@ -27,7 +27,7 @@ from typing import Final, TypeVar
 
 import zmq
 
-from hapticd import journal, notify, server
+from hapticd import journal, memory, notify, server
 from hapticd.config import Config, config_of
 from hapticd.control import Control
 from hapticd.engine import Engine, monotonic_ns
@@ -56,6 +56,7 @@ def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | 
     it cannot start: bad configuration, another daemon on the directory, real time required and refused.
     """
     with ExitStack() as stack:
+        memory.settle()
         stack.enter_context(journal.attached())
         config = config_of(config_paths)
         os.umask(0o117)

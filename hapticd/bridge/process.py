@@ -16,7 +16,7 @@ from typing import Any, Final
 import zmq.asyncio
 from pydantic import ValidationError
 
-from hapticd import journal, notify
+from hapticd import journal, memory, notify
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Accounts
 from hapticd.bridge.config import BridgeConfig, load_bridge, metrics_place
@@ -46,6 +46,7 @@ def run(config_path: str, runtime_dir: str | None, listen: str | None = None, me
 
     `listen` and `metrics` take the place of the configuration's. Raises HapticdError where it cannot start.
     """
+    memory.settle()
     os.umask(0o077)
     _more_descriptors()
     loader = _loader(config_path, listen, metrics)

@@ -1,0 +1,18 @@
+"""How a process that runs for months takes its memory (docs/adr/0022)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from hapticd.core import Status, invalid_reason, lib
+from hapticd.errors import HapticdError
+
+LARGE_BLOCK: Final = 128 * 1024
+"""Bytes; with what glibc begins. Larger buffers come and go whole, and smaller blocks cannot settle between them."""
+
+
+def settle(large_block: int = LARGE_BLOCK) -> None:
+    """For the whole process, from now on: blocks of `large_block` bytes or more are the kernel's, and go back to it at
+    once. Raises HapticdError where the C library does not take the size."""
+    if lib.hd_memory_large_from(large_block) != Status.OK:
+        raise HapticdError(invalid_reason())
