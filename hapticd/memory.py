@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from hapticd.core import Status, invalid_reason, lib
+# Not by way of hapticd.core, which needs numpy: 11 MB that a bridge does without.
+from hapticd._core import ffi, lib
 from hapticd.errors import HapticdError
 
 LARGE_BLOCK: Final = 128 * 1024
@@ -14,5 +15,5 @@ LARGE_BLOCK: Final = 128 * 1024
 def settle(large_block: int = LARGE_BLOCK) -> None:
     """For the whole process, from now on: blocks of `large_block` bytes or more are the kernel's, and go back to it at
     once. Raises HapticdError where the C library does not take the size."""
-    if lib.hd_memory_large_from(large_block) != Status.OK:
-        raise HapticdError(invalid_reason())
+    if lib.hd_memory_large_from(large_block) != lib.HD_OK:
+        raise HapticdError(ffi.string(lib.hd_invalid_reason()).decode())
