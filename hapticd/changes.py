@@ -31,6 +31,8 @@ class Revised(NamedTuple):
     materials: Mapping[str, Material | None]
     large: bool
     """More changed than is told."""
+    rate_hz: float | None = None
+    """The servo's from this revision on, where it is another one."""
 
 
 class Played(NamedTuple):
@@ -69,9 +71,11 @@ def change_map(change: Change) -> dict[str, object]:
             }
         case Reset(tick, objects):
             return {"tick": tick, "reset": {} if objects is None else {"objects": list(objects)}}
-        case Revised(revision, scene, objects, materials, large):
+        case Revised(revision, scene, objects, materials, large, rate_hz):
             if large:
                 return {"revision": revision, "large": True}
+            if rate_hz is not None:
+                return {"revision": revision, "rate_hz": rate_hz}
             parts: dict[str, dict[str, object]] = {
                 "scene": {name: _plain(value) for name, value in scene.items()},
                 "objects": {id: _plain(item) for id, item in objects.items()},

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.awake import Awake
-from hapticd.changes import Change, Played, Reset, revised
+from hapticd.changes import Change, Played, Reset, Revised, revised
 from hapticd.compile import Compiler, mode_record
 from hapticd.config import Config
 from hapticd.core import (
@@ -467,6 +467,7 @@ class Engine:
             self._compiler.turn_to(output)
             revision = (self.revision + 1) & 0xFFFFFFFF
             self._publish(self.scene, (), self.materials, revision)
+            self._changes.append(Revised(revision, {}, {}, {}, False, rate_hz))
             self.revision = revision
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------

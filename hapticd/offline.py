@@ -174,6 +174,11 @@ class Rerun:
         if muted:
             lib.hd_state_mute(self._state)
 
+    def change_rate(self, output: Output) -> None:
+        """Another output from the next `turn_to` on, which comes before any tick."""
+        self._output = output
+        self._compiler.turn_to(output)
+
     def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
         """Takes a validated scene, of which the objects `changed` are not those of the scene before."""
         self._world = new_world(self._compiler.update(scene, changed, materials, revision))

@@ -152,7 +152,7 @@ class _Take:
     def _begin(self) -> None:
         status = self._client.get_status()
         self._started_ns = status["started_ns"]
-        scene = self._scenes.begin()
+        scene = self._scenes.begin(status["rate_hz"])
         self._sink.begin({"status": status, "config": self._client.get_config()["config"], **scene})
         self._sink.write_change({"revision": self._scenes.revision})
 
@@ -218,14 +218,16 @@ class _Scenes:
         self._scene: dict[str, Any] = {}
         self._objects: dict[str, Any] = {}
         self._materials: dict[str, Any] = {}
+        self._rate_hz = 0.0
 
     @property
     def missing(self) -> list[int]:
         """Revisions that samples were rendered with, and nobody said what they are."""
         return sorted(self._shown - self._known)
 
-    def begin(self) -> dict[str, object]:
+    def begin(self, rate_hz: float) -> dict[str, object]:
         """Scene and materials at the start."""
+        self._rate_hz = rate_hz
         read = self._read()
         if read is None:
             raise HapticdError("the materials change too fast for a recording to begin")
@@ -251,6 +253,7 @@ class _Scenes:
             _merge(self._scene, change.get("scene", {}))
             _merge(self._objects, change.get("objects", {}))
             _merge(self._materials, change.get("materials", {}))
+            self._rate_hz = change.get("rate_hz", self._rate_hz)
             self._write(change)
         elif 0 < ahead < 0x80000000:
             self._read_again()
@@ -261,12 +264,14 @@ class _Scenes:
             read = self._read()
             if read is not None and read[0] not in self._known:
                 revision, scene, objects, materials = read
-                changed = {
+                rate_hz = self._client.get_status()["rate_hz"]
+                changed: dict[str, object] = {} if rate_hz == self._rate_hz else {"rate_hz": rate_hz}
+                changed |= {
                     "scene": _changes(self._scene, scene),
                     "objects": _changes(self._objects, objects),
                     "materials": _changes(self._materials, materials),
                 }
-                self._scene, self._objects, self._materials = scene, objects, materials
+                self._scene, self._objects, self._materials, self._rate_hz = scene, objects, materials, rate_hz
                 self._write({"revision": revision, **changed})
 
     def _write(self, change: dict[str, Any]) -> None:

@@ -3,8 +3,8 @@
 A tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether forces were
 on), a recording holds the scenes and what was played and reset, and the state is that of a servo as long as it began
 from the same. So a replay begins where nothing was left of what had been before: at tick 0, or at a tick at which
-nothing is touched, rings or ramps. It begins anew where ticks are missing, and after a fault. What it renders should be
-the recorded forces, bit for bit. Where it is not, something was not as the recording says it.
+nothing is touched, rings or ramps. It begins anew where ticks are missing, after a fault, and at another rate. What it
+renders should be the recorded forces, bit for bit. Where it is not, something was not as the recording says it.
 
 What a recording does not hold: the number of contacts that an object had before (which its noise begins from),
 membranes that had been punctured before, what a device played by itself, when in its period a real device's report
@@ -22,8 +22,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.config import Config, load_config
+from hapticd.config import Device, load_config
 from hapticd.core import Flag
+from hapticd.displayable import Output
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
@@ -142,15 +143,21 @@ def _replay(recorded: Recorded) -> Replay:
     servo, status = texts["config"]["servo"], texts.get("status") or {}
     # A daemon that has stepped down has another rate than its configuration.
     rate_hz = status.get("rate_hz", servo["rate_hz"])
-    config = load_config({"servo": {**servo, "rate_hz": rate_hz}, "device": texts["config"]["device"]})
-    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist())))
+    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz))
     known = [revision.number for revision in revisions]
-    stretches, settled = _stretches(samples, np.isin(samples["revision"], known), texts)
+    rates_hz = _rates(samples, revisions, rate_hz)
+    stretches, settled = _stretches(samples, rates_hz, np.isin(samples["revision"], known), texts)
     link_hz = (status.get("connection") or {}).get("link_hz")
-    output = output_of(config, rate_hz, None if link_hz is None or link_hz >= rate_hz else link_hz)
-    rerun = Rerun(output, max((len(revision.scene.objects) for revision in revisions), default=0))
-    periods = _periods(samples, rate_hz)
-    intervals = _intervals(samples, periods, config)
+
+    def output_at(rate_hz: float) -> Output:
+        config = load_config({"servo": {**servo, "rate_hz": rate_hz}, "device": texts["config"]["device"]})
+        return output_of(config, rate_hz, None if link_hz is None or link_hz >= rate_hz else link_hz)
+
+    outputs = {rate_hz: output_at(rate_hz) for rate_hz in {rate_hz, *(revision.rate_hz for revision in revisions)}}
+    rerun = Rerun(outputs[rate_hz], max((len(revision.scene.objects) for revision in revisions), default=0))
+    periods = _periods(samples, rates_hz)
+    device = load_config({"device": texts["config"]["device"]}).device
+    intervals = _intervals(samples, periods, rates_hz, device)
     commands = _commands(texts)
     place = -1
     given: list[slice] = []
@@ -158,6 +165,9 @@ def _replay(recorded: Recorded) -> Replay:
     events: list[dict[str, object]] = []
     for stretch, muted in stretches:
         rerun.restart(muted)
+        if rates_hz[stretch.start] != rate_hz:  # its first revision is turned to below
+            rate_hz = float(rates_hz[stretch.start])
+            rerun.change_rate(outputs[rate_hz])
         periods[stretch.start] = 1
         for part in _parts(samples, stretch, commands):
             number = int(samples["revision"][part.start])
@@ -207,9 +217,10 @@ class _Revision:
     materials: Mapping[str, Material]
     changed: frozenset[str]
     """Objects that are not those of the one before in this list."""
+    rate_hz: float
 
 
-def _revisions(texts: Mapping[str, Any], wanted: set[int]) -> Iterator[_Revision]:
+def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> Iterator[_Revision]:
     """Those of the recording that samples were rendered with, in order."""
     scene = validate_scene(texts["scene"], ("scene",))
     materials: dict[str, Material] = validate_materials(texts["materials"])
@@ -230,9 +241,19 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int]) -> Iterator[_Revision
             patch = change["materials"]
             new = validate_materials({name: item for name, item in patch.items() if item is not None})
             materials = {name: item for name, item in materials.items() if name not in patch} | new
+        rate_hz = change.get("rate_hz", rate_hz)
         if change["revision"] in wanted:
-            yield _Revision(change["revision"], scene, materials, frozenset(pending))
+            yield _Revision(change["revision"], scene, materials, frozenset(pending), rate_hz)
             pending = set()
+
+
+def _rates(samples: Samples, revisions: list[_Revision], rate_hz: float) -> npt.NDArray[np.float64]:
+    """Of the servo at each tick, Hz; where the revision is missing, the one at the start."""
+    rates = np.full(len(samples), rate_hz)
+    for revision in revisions:
+        if revision.rate_hz != rate_hz:
+            rates[samples["revision"] == revision.number] = revision.rate_hz
+    return rates
 
 
 def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
@@ -250,13 +271,14 @@ def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
 
 
 def _stretches(
-    samples: Samples, known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
+    samples: Samples, rates_hz: npt.NDArray[np.float64], known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
 ) -> tuple[list[tuple[slice, bool]], bool]:
     """Ticks that can be rendered one after the other, and whether the command is zero when they begin; and whether
     they begin where nothing is left of what was before."""
     flags = samples["flags"]
     usable = known & (flags & Flag.FAULT == 0)
     follows = np.diff(samples["tick"].astype(np.int64), prepend=-2) == 1
+    follows &= np.diff(rates_hz, prepend=rates_hz[:1]) == 0.0
     begins = np.flatnonzero(usable & ~(follows & np.roll(usable, 1)))
     ends = np.flatnonzero(usable & ~np.append((follows & usable)[1:], False)) + 1
     at_start = samples["tick"] == 0
@@ -306,22 +328,23 @@ def _carry_out(rerun: Rerun, command: Mapping[str, Any], time_ns: int) -> None:
         rerun.reset(command["reset"].get("objects"), time_ns)
 
 
-def _periods(samples: Samples, rate_hz: float) -> npt.NDArray[np.uint32]:
+def _periods(samples: Samples, rates_hz: npt.NDArray[np.float64]) -> npt.NDArray[np.uint32]:
     """Since the tick before: more than one where periods were missed."""
-    elapsed = np.diff(samples["time_ns"], prepend=samples["time_ns"][:1]) * (rate_hz / 1e9)
+    elapsed = np.diff(samples["time_ns"], prepend=samples["time_ns"][:1]) * (rates_hz / 1e9)
     missed = samples["flags"] & Flag.SKIPPED != 0
     return np.where(missed, np.clip(np.rint(elapsed), 1, _NO_TIME), 1).astype(np.uint32)
 
 
-def _intervals(samples: Samples, periods: npt.NDArray[np.uint32], config: Config) -> npt.NDArray[np.float64]:
+def _intervals(
+    samples: Samples, periods: npt.NDArray[np.uint32], rates_hz: npt.NDArray[np.float64], device: Device
+) -> npt.NDArray[np.float64]:
     """Between the report of each tick and the one before; 0 where none came."""
-    period_s = 1.0 / config.servo.rate_hz
-    report_s = config.device.sim.reports_s[0] if config.device.kind == "sim" else 0.0
+    report_s = device.sim.reports_s[0] if device.kind == "sim" else 0.0
     fresh = samples["flags"] & Flag.REPEATED == 0
     intervals = np.zeros(len(samples))
     places = np.flatnonzero(fresh)
     since = np.diff(np.cumsum(periods, dtype=np.int64)[places], prepend=0)
-    elapsed = since * period_s
+    elapsed = since * (1.0 / rates_hz[places])
     if report_s:
         elapsed = np.maximum(np.rint(elapsed / report_s), 1.0) * report_s
     intervals[places] = elapsed

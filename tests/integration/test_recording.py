@@ -225,7 +225,7 @@ class Told:
         match request["method"]:
             case "get_status":
                 started = self.started[0] if len(self.started) == 1 else self.started.pop(0)
-                return [result(request, {"started_ns": started})]
+                return [result(request, {"started_ns": started, "rate_hz": 1000.0})]
             case "get_config":
                 for topic, message in self._messages:
                     self.daemon.publish(topic, message)

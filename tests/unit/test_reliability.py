@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapticd.changes import Revised
 from hapticd.config import Config, load_config
 from hapticd.control import Control, MethodError
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
@@ -239,7 +240,7 @@ def overloaded(action: str, objects: Mapping[str, object], threshold: float = 0.
     )
 
 
-HEAVY = 6000
+HEAVY = 8000
 """Contacts that no machine looks at in 0.1 ms."""
 
 
@@ -306,6 +307,11 @@ def steps_down(row: list[str], _: World) -> None:
         expect(row, watch, but=set() if watch.faults() == [] else {"fault"})
         rates = [event["rate_hz"] for event in watch.events if event["event"] == "rate"]
         assert rates == [10_000 / 2 ** (n + 1) for n in range(len(rates))]
+        # Each is a revision, and told as one: a recording says which ticks had which rate.
+        changes = [change for change in engine.read_changes() if isinstance(change, Revised)]
+        assert [change.rate_hz for change in changes if change.rate_hz is not None] == rates
+        revisions = [change.revision for change in changes]
+        assert revisions == list(range(revisions[0], engine.revision + 1))
         status = watch.status()
         assert (status["rate_hz"], status["overruns"]["configured_rate_hz"]) == (rates[-1], 10_000)
         ticks = watch.samples["tick"].astype(np.int64)
@@ -415,7 +421,7 @@ def test_large_files_are_read_while_it_beats(monkeypatch: pytest.MonkeyPatch) ->
 def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:
     """A membrane that was punctured is still open at half the rate, and its name is known."""
     skin = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "cellophane"}
-    engine = overloaded("step_down", {"skin": skin})
+    engine = overloaded("step_down", {"skin": skin}, threshold=0.5)
     engine.start()
     try:
         watch = Watch(engine)

@@ -363,3 +363,38 @@ def replace_ticks(samples: np.ndarray) -> np.ndarray:
     backwards = samples.copy()
     backwards["tick"] = backwards["tick"][::-1]
     return backwards
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+def test_a_step_down_is_rendered_at_both_rates(tmp_path: Path, ending: str) -> None:
+    """The second half is what a run of its own gives at its rate; its first ticks ring on from before."""
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    positions = strokes(1.0)
+    fast = render_run(config, positions[:5000], RATE_HZ).samples
+    slow = render_run({**config, "servo": {"rate_hz": 5000}}, positions[5000::2], 5000).samples.copy()
+    slow["tick"] += 5000
+    slow["time_ns"] += 500_000_000
+    slow["revision"] = 2
+    samples = np.concatenate([fast, slow])
+    target = tmp_path / f"run.{ending}"
+    status = {"rate_hz": float(RATE_HZ)}
+    write(target, samples, config, {"revision": 2, "rate_hz": 5000.0}, texts={"status": status})
+    again = replay(target)
+    assert again.missing_revisions == ()
+    ticks = again.samples["tick"]
+    assert set(ticks.tolist()) >= set(range(5000)) and (ticks >= 5000).sum() > 2000
+    assert again.identical == len(again.samples)
+    # As if nobody had said so.
+    write(target, samples, config, {"revision": 2}, texts={"status": status})
+    again = replay(target)
+    assert again.first_different is not None and again.first_different >= 5000
+
+
+@pytest.mark.parametrize("rate_hz", ["fast", 0.0, -1.0, 1e300, None, [5000]])
+def test_a_rate_that_is_none_is_refused(tmp_path: Path, rate_hz: object) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run(config, strokes(0.1), RATE_HZ)
+    run.samples["revision"][500:] = 2
+    write(tmp_path / "run.npz", run.samples, config, {"revision": 2, "rate_hz": rate_hz})
+    with pytest.raises(HapticdError):
+        replay(tmp_path / "run.npz")
