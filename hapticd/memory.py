@@ -8,8 +8,9 @@ from typing import Final
 from hapticd._core import ffi, lib
 from hapticd.errors import HapticdError
 
-LARGE_BLOCK: Final = 128 * 1024
-"""Bytes; with what glibc begins. Larger buffers come and go whole, and smaller blocks cannot settle between them."""
+LARGE_BLOCK: Final = 16 * 1024
+"""Bytes; a message of telemetry at 10 kHz has 22 kB. Such buffers come and go whole, and smaller blocks cannot settle
+between them."""
 
 
 def settle(large_block: int = LARGE_BLOCK) -> None:

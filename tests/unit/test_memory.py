@@ -43,7 +43,7 @@ def apart(tmp_path: Path, how: str, *sizes: int) -> int:
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's limit moves, and only glibc tells")
 def test_large_blocks_are_kept_apart(tmp_path: Path) -> None:
-    sizes = (8 * LARGE_BLOCK, 16 * LARGE_BLOCK, 24 * LARGE_BLOCK)  # more than the heap has free
+    sizes = (1 << 20, 2 << 20, 3 << 20)  # more than the heap has free
     assert apart(tmp_path, "as it is", *sizes) == 0, "no need of it any more"
     assert apart(tmp_path, "settled", *sizes) == 3
     assert apart(tmp_path, "settled", LARGE_BLOCK // 2) == 0
