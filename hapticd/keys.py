@@ -78,17 +78,27 @@ def write_certificate(certificate: Certificate, name: str, directory: Path) -> t
         directory.mkdir(parents=True, exist_ok=True, mode=0o700)
         both = told % "secret key, for nobody else," + line + f'    secret-key = "{certificate.secret_key}"\n'
         _create(secret, both, 0o600)
-        _create(public, told % "public key" + line, 0o644)
+        try:
+            _create(public, told % "public key" + line, 0o644)
+        except OSError:
+            secret.unlink()
+            raise
     except OSError as error:
         raise HapticdError(f"{error.filename or directory}: cannot be written: {error.strerror}") from None
     return public, secret
 
 
 def _create(path: Path, text: str, mode: int) -> None:
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode), "w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
+    """A new file, whole or not at all."""
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)
+    try:
+        with os.fdopen(fd, "w") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        path.unlink()
+        raise
 
 
 def load_certificate(path: str | os.PathLike[str]) -> Certificate:

@@ -139,7 +139,7 @@ def load(path: Path) -> Record | None:
         text = os.read(fd, _LARGEST_BYTES + 1)
     try:
         return _record(text)
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise HapticdError(f"{path}: is no record of a device: {' '.join(str(error).split())}") from None
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
-from hapticd.errors import HapticdError
+from hapticd.errors import HapticdError, quoted
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -39,14 +39,16 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
     from hapticd.calls import TIMEOUT_S
     from hapticd.client import connect
-    from hapticd.remote import is_remote
+    from hapticd.remote import PORT, host_and_port
 
     root = ctx.find_root()
     place, timeout_s = root.params.get("connect"), TIMEOUT_S if timeout_s is None else timeout_s
     if place is None:
         return connect(cast("str | None", root.obj), timeout_s)
-    if not is_remote(place):
-        raise HapticdError(f"{place}: must be tcp://HOST:PORT")
+    try:
+        host_and_port(place, PORT)
+    except ValueError as error:
+        raise click.UsageError(f"--connect: {quoted(place)} {error}", root) from None
     missing = [f"--{name.replace('_', '-')}" for name in ("key", "server_key") if root.params.get(name) is None]
     if missing:
         raise click.UsageError(f"--connect needs {' and '.join(missing)}, or the variables of both", root)

@@ -6,6 +6,7 @@ import errno
 import fcntl
 import json
 import logging
+import math
 import os
 import pty
 import tty
@@ -260,6 +261,7 @@ def changed(told: Any, key: str, value: object) -> Any:
         ("identity", None),
         ("identity", {"major": 1, "minor": 2}),
         ("identity", {"major": "x", "minor": 2, "device": {}}),
+        ("identity", {"major": math.inf, "minor": 2, "device": {}}),
         ("identity", {"major": 1, "minor": 2, "device": {"HID_ID": 3}}),
         ("zero", "05"),
         ("zero", [5]),
