@@ -166,13 +166,16 @@ class Connection:
             for meaning in HidMeaning
             if raw.states_known >> (meaning - 1) & 1
         }
+        connected = live is not None and raw.connected
+        # C ends a connection before the thread hears of it; what is lost has a reason from the first moment.
+        problem = self._problem or (None if connected else _why(raw))
         report_hz, force_hz = self._rates
         link = None if live is None else live.link
         return {
             "name": None if live is None else live.opened.name,
             "path": None if live is None else live.opened.device.path,
-            "state": "connected" if live is not None and raw.connected else "lost",
-            "problem": self._problem,
+            "state": "connected" if connected else "lost",
+            "problem": problem,
             "link_hz": None if link is None else link.rate_hz,
             "endpoint_hz": None if link is None else link.endpoint_hz,
             "measured_hz": None if link is None else link.measured_hz,
@@ -202,7 +205,7 @@ class Connection:
                 break
             raw = self._raw()
             if not raw.connected:
-                self._lose(os.strerror(raw.error) if raw.error else "the connection ended")
+                self._lose(_why(raw))
             elif raw.reset:
                 self._try(self._recover)
             self._count()
@@ -219,10 +222,10 @@ class Connection:
             self._lose(f"{type(error).__name__}: {error}")
 
     def _lose(self, why: str) -> None:
-        self._let_go(orderly=False)
         if why != self._problem:
             _log.warning("device lost: %s", why)
         self._problem = why
+        self._let_go(orderly=False)
 
     def _let_go(self, *, orderly: bool) -> None:
         with self._hands:
@@ -321,6 +324,11 @@ class Connection:
         if now - since >= 0.5 * _RATE_EVERY_S:
             self._rates = ((raw.reports - reports) / (now - since), (raw.forces - forces) / (now - since))
             self._counted = (now, raw.reports, raw.forces)
+
+
+def _why(raw: CData) -> str:
+    """What ended a connection."""
+    return os.strerror(raw.error) if raw.error else "the connection ended"
 
 
 def link_of(plan: Plan, out_interval_s: float | None, measured_hz: float | None = None) -> Link:

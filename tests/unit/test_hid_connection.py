@@ -228,6 +228,17 @@ def test_unplugged_and_plugged_in_again_during_contact(world: World) -> None:
     assert connection.status()["connects"] == 2
 
 
+def test_what_is_lost_has_a_reason_before_the_thread_of_the_device_hears_of_it(world: World) -> None:
+    world.plug()
+    connection = connection_module.Connection(world.open)
+    connection.open()
+    assert (connection.status()["state"], connection.status()["problem"]) == ("connected", None)
+    world.unplug()
+    world.until(lambda: connection.status()["state"] == "lost")
+    assert isinstance(connection.status()["problem"], str)
+    connection.stop()
+
+
 def test_a_device_that_was_reset_is_set_up_anew(world: World) -> None:
     stick = world.plug()
     engine = world.start()
