@@ -472,12 +472,13 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     sample.work_ns = saturate(work_ns);
     servo->last_work_ns = work_ns;
     servo->last_force_n = hypot_of(sample.force_n);
-    leave_sample(servo, &sample);
-    hd_histogram_count(&servo->lateness, servo->late_ns);
-    hd_histogram_count(&servo->work, work_ns);
+    /* In this order: who has read a tick's sample finds its events. */
     if (state->event_count > 0) {
         leave_events(servo);
     }
+    leave_sample(servo, &sample);
+    hd_histogram_count(&servo->lateness, servo->late_ns);
+    hd_histogram_count(&servo->work, work_ns);
     hd_atomic_u64_store_relaxed(&servo->strikes, state->strikes_total);
     hd_atomic_u64_store_relaxed(&servo->glitches, state->glitches_total);
     hd_atomic_u64_store_relaxed(&servo->saturations, state->saturations_total);

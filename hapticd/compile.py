@@ -43,14 +43,12 @@ from hapticd.core import (
     records,
 )
 from hapticd.displayable import Output, displayed_mode, displayed_pair, struck_shape
+from hapticd.gone import Gone
 from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
 from hapticd.scene import Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
-
-HISTORY: Final = 65536
-"""Objects that are gone and still known by name: events speak of them a moment later."""
 
 _RECORD = struct.Struct("=8I6d")
 if _RECORD.size != OBJECT_DTYPE.itemsize:
@@ -528,7 +526,7 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 
 
 class Compiler:
-    """Keeps the table of one scene up to date. One thread at a time, but for `name_of`."""
+    """Keeps the table of one scene up to date. One thread at a time, but for `name_of` and `events_read`."""
 
     def __init__(
         self, output: Output, working: Callable[[], None] = lambda: None, effects: Effects | None = None
@@ -540,7 +538,7 @@ class Compiler:
         self._slots: dict[str, int] = {}
         self._owners: list[tuple[int, str] | None] = []
         """Generation and id, by slot."""
-        self._gone: dict[tuple[int, int], str] = {}
+        self._gone = Gone()
         self._lost: dict[str, tuple[int, int]] = {}
         """Slot and generation that ids lost at the last update."""
         self._patched: dict[int, _Pieces] = {}
@@ -586,11 +584,16 @@ class Compiler:
         return ["" if owner is None else owner[1] for owner in self._owners]
 
     def name_of(self, slot: int, generation: int) -> str | None:
-        """The id of the object that has, or had, a slot; None where it is too long ago. For any thread."""
+        """The id of the object that has, or had, a slot; None where its events were read. For any thread."""
         owner = self._owners[slot] if slot < len(self._owners) else None
         if owner is not None and owner[0] == generation:
             return owner[1]
-        return self._gone.get((slot, generation))
+        return self._gone.name_of(slot, generation)
+
+    def events_read(self, revision: int) -> None:
+        """Every event up to the tick that took this revision, and of that tick, was read: what went until then has no
+        name any more. For any one thread."""
+        self._gone.read(revision)
 
     def parts(self) -> Parts:
         """A copy of what of the table says how surfaces and fields push. Not while another thread updates it."""
@@ -628,6 +631,7 @@ class Compiler:
         generations included. The next table is to be taken whole."""
         self._table.all_changed = 1
         former, self._lost = self._lost, {}
+        self._gone.take_back(self._table.revision)
         self._update(scene, list(changed), materials, revision, former)
 
     def _update(
@@ -653,6 +657,7 @@ class Compiler:
             item = objects.get(id)
             if _is_surface(item):
                 self._put(id, item, former.get(id))
+        self._gone.close(revision, self._lost.values())
         if self._pieces_changed or self._materials.changed:
             table.parts_version = self._stamp
             self._write_parts()
@@ -721,11 +726,9 @@ class Compiler:
         """The slot has no owner any more; its name is kept for a while."""
         owner = self._owners[slot]
         assert owner is not None
-        self._gone[slot, owner[0]] = owner[1]
+        self._gone.add((slot, owner[0]), owner[1])
         self._lost[owner[1]] = (slot, owner[0])
         self._owners[slot] = None
-        if len(self._gone) > HISTORY:
-            del self._gone[next(iter(self._gone))]
 
     def _use_pieces(self, wall: Wall) -> _Pieces:
         """The pieces of a wall; where two meet, they share the shorter of the ramp and the stretches beside it."""

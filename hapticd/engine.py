@@ -544,6 +544,11 @@ class Engine:
         """The id of the object that an event speaks of; None where no object is meant."""
         return self._compiler.name_of(slot, generation)
 
+    def events_read(self, revision: int) -> None:
+        """Every event was read that is older than a sample of this revision, or of its tick: objects that are gone
+        since are not asked for by name any more."""
+        self._compiler.events_read(revision)
+
     def _take(self, scene: Scene, changed: Iterable[str], materials: Materials) -> int:
         revision = (self.revision + 1) & 0xFFFFFFFF
         changed = tuple(changed)

@@ -112,6 +112,8 @@ class Telemetry:
                 if self._flight is not None:
                     self._flight.keep_event(message)
             if count < len(self._events):
+                if self._newest is not None:
+                    self._engine.events_read(int(self._newest["revision"][0]))
                 break
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hapticd import compile as compiling
+from hapticd import gone as gone_module
 from hapticd.compile import Compiler
 from hapticd.core import OBJECT_DTYPE, CData, Shape, Status, Texture, ffi, invalid_reason, lib
 from hapticd.displayable import Output
@@ -119,24 +119,67 @@ def test_a_whole_scene_replaced_takes_no_more_room() -> None:
     assert {taken.slot(f"b{i}") for i in range(3000)} == set(range(3000))
 
 
-def test_names_of_the_gone_are_kept_for_a_while_and_those_of_the_present_for_ever(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(compiling, "HISTORY", 10)
+def gone(taken: Taken, *ids: str) -> list[tuple[int, int]]:
+    """Places of walls that come one by one and go at once, beside one that stays."""
+    places = []
+    for id in ids:
+        taken.take(scene(stays=WALL, **{id: WALL}), id)
+        place = taken.compiler.slot_of(id)
+        assert place is not None
+        places.append(place)
+        taken.take(scene(stays=WALL), id)
+    return places
+
+
+def test_names_of_the_gone_are_kept_until_their_events_were_read_and_those_of_the_present_for_ever() -> None:
     taken = Taken()
     compiler = taken.compiler
     taken.take(scene(stays=WALL))
     stays = compiler.slot_of("stays")
     assert stays is not None
-    gone = []
-    for index in range(25):
-        taken.take(scene(stays=WALL, **{f"a{index}": WALL}), f"a{index}")
-        gone.append(compiler.slot_of(f"a{index}"))
-        taken.take(scene(stays=WALL), f"a{index}")
+    before = gone(taken, "a", "b")
+    read = taken.revision
+    after = gone(taken, "c")
+    compiler.events_read(read - 1)
+    assert [compiler.name_of(*place) for place in before + after] == [None, "b", "c"]
+    compiler.events_read(read)
+    assert [compiler.name_of(*place) for place in before + after] == [None, None, "c"]
+    compiler.events_read(taken.revision)
+    assert [compiler.name_of(*place) for place in before + after] == [None] * 3
     assert compiler.name_of(*stays) == "stays"
-    known = [compiler.name_of(*place) for place in gone if place is not None]
-    assert known == [None] * 15 + [f"a{index}" for index in range(15, 25)]
     assert compiler.name_of(lib.HD_NO_SLOT, 0) is None
+
+
+def test_names_are_kept_over_the_end_of_revisions() -> None:
+    """They count modulo 2**32."""
+    taken = Taken()
+    taken.take(scene(stays=WALL))
+    taken.revision = 0xFFFFFFFC
+    places = gone(taken, "a")
+    last = taken.revision
+    taken.revision = -1
+    places += gone(taken, "b")
+    taken.compiler.events_read(last - 1)
+    assert [taken.compiler.name_of(*place) for place in places] == ["a", "b"]
+    taken.compiler.events_read(0)
+    assert [taken.compiler.name_of(*place) for place in places] == [None, "b"]
+    taken.compiler.events_read(1)
+    assert [taken.compiler.name_of(*place) for place in places] == [None, None]
+
+
+def test_where_nobody_reads_the_events_the_newest_names_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gone_module, "MOST", 10)
+    taken = Taken()
+    taken.take(scene(stays=WALL))
+    places = gone(taken, *(f"a{index}" for index in range(25)))
+    known = [taken.compiler.name_of(*place) for place in places]
+    assert known == [None] * 15 + [f"a{index}" for index in range(15, 25)]
+    many = [f"b{index}" for index in range(30)]
+    taken.take(scene(stays=WALL, **dict.fromkeys(many, WALL)), *many)
+    found = [taken.compiler.slot_of(id) for id in many]
+    taken.take(scene(stays=WALL), *many)
+    # Of one update all are kept: contacts with any of them end in the same tick.
+    assert [taken.compiler.name_of(*place) for place in found if place is not None] == many
 
 
 # ---- Versions ------------------------------------------------------------------------------------------------------
@@ -259,6 +302,7 @@ def test_what_was_refused_is_as_it_was_before() -> None:
     ids = sorted({*before.objects, *after.objects})
     taken.compiler.update(after, ids, library(own={"stiffness_n_per_m": 5}), 2)
     taken.compiler.restore(before, ids, materials, 1)
+    taken.compiler.events_read(2)
     table = taken.take(before, "a", materials=materials)
     assert table.all_changed
     assert {id: taken.compiler.slot_of(id) for id in before.objects} == places

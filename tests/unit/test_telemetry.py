@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 
 from hapticd.core import EVENT_DTYPE, EventKind, records
 from hapticd.engine import Engine
@@ -64,3 +65,46 @@ def test_what_is_no_flood_is_told_one_by_one() -> None:
         "puncture",
         "saturation",
     ]
+
+
+class Read(Names):
+    """An engine with so many events and samples; `said`: up to which revision events were read."""
+
+    def __init__(self, events: int, revisions: list[int]) -> None:
+        self.events, self.revisions = events, revisions
+        self.said: list[int] = []
+
+    def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
+        count, revisions = len(self.revisions), self.revisions
+        room["revision"][:count] = revisions
+        self.revisions = []
+        return count, 0
+
+    def read_events(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
+        count = min(len(room), self.events)
+        room["kind"][:count] = EventKind.OVERRUN
+        self.events -= count
+        return count, 0
+
+    def events_read(self, revision: int) -> None:
+        assert not self.events
+        self.said.append(revision)
+
+
+class Nowhere:
+    """A socket that takes everything."""
+
+    def send_multipart(self, parts: list[bytes]) -> None:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("events", "revisions", "said"),
+    [(0, [], []), (0, [3, 3, 4], [4]), (20, [7], [7]), (1500, [7, 8], [8]), (100_000, [7], [])],
+)
+def test_how_far_events_were_read_is_said_once_all_that_were_older_were(
+    events: int, revisions: list[int], said: list[int]
+) -> None:
+    engine = Read(events, revisions)
+    Telemetry(cast(Engine, engine), cast(Any, Nowhere()), dict)._drain()
+    assert engine.said == said
