@@ -285,7 +285,7 @@ enum hd_fault {
 /* ---- Memory -------------------------------------------------------------------------------------------------- */
 
 /* From now on a block of `bytes` or more has pages of its own, from all threads, and gives them back when it is freed.
- * HD_ERR_INVALID: more than malloc takes. */
+ * A C library without such a limit is left as it is. HD_ERR_INVALID: more than malloc takes. */
 int hd_memory_large_from(size_t bytes);
 
 /* ---- State and offline rendering ----------------------------------------------------------------------------- */
@@ -731,7 +731,8 @@ int hd_servo_stop(struct hd_servo *servo);
  * overload, or a rate that servo or simulated joystick refuse; all stays as it is. */
 int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_action action);
 /* After hd_servo_set_rate and, where the rate changed, hd_servo_publish: the thread goes on where it ended, as after a
- * stall; what was touched is met anew and the force comes in over the ramp. `faults` are latched. As hd_servo_start. */
+ * stall; what was touched is met anew and the force comes in over the ramp. `faults` are latched. As hd_servo_start;
+ * memory was locked then, and is told as it was. */
 int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *grant);
 void hd_servo_free(struct hd_servo *servo);
 

@@ -77,6 +77,8 @@ struct hd_servo {
     struct hd_changes changes[3]; /* of each world */
     uint32_t object_count;        /* of the table that was published last */
     struct hd_region locked[3][HD_WORLD_REGIONS];
+    int32_t memory_kind; /* of the grant: locked once, at the start */
+    int32_t memory_error;
     uint32_t locked_slots;
     uint8_t locking; /* only regions are locked, so that those that come later must be, too */
     struct hd_ring commands;
@@ -853,6 +855,8 @@ int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant) {
             return HD_ERR_DENIED;
         }
     }
+    servo->memory_kind = grant->memory_kind;
+    servo->memory_error = grant->memory;
     if (grant->memory_kind == HD_MEMORY_REGIONS) {
         servo->locking = 1;
         servo->locked_slots = hd_state_slot_count(servo->state);
@@ -902,6 +906,7 @@ int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_ac
 }
 
 int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *grant) {
+    *grant = (struct hd_grant){.memory = servo->memory_error, .memory_kind = servo->memory_kind};
     if (servo->started || !hd_atomic_u32_load_relaxed(&servo->overloaded)) {
         return hd_invalid("servo: restart it after an overload");
     }

@@ -41,8 +41,9 @@ from hapticd.scene import (
 )
 from hapticd.wire import PROTOCOL, Code
 
-LOAD_S: Final = 20.0
-"""So long the files of a configuration may take to be read; a watchdog is more patient."""
+LOAD_S: Final = 10.0
+"""So long the files of a configuration may take to be read. Commands and the end wait for it: the units' TimeoutStopSec
+and WatchdogSec are more."""
 _BEAT_S: Final = 0.1
 _log = logging.getLogger("hapticd")
 _FAULT_WORDS: Final = {
@@ -387,7 +388,7 @@ class Control:
             except BaseException as error:
                 found.append(error)
 
-        # One that waits for a file for ever holds up neither commands nor the end.
+        # A daemon's thread: one that waits for a file for ever does not hold up the end of the process.
         reader = threading.Thread(target=read, name="reload", daemon=True)
         reader.start()
         until_ns = monotonic_ns() + int(LOAD_S * 1e9)

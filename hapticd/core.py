@@ -1,8 +1,8 @@
 """The C core as Python sees it: `ffi`, `lib`, its records as numpy dtypes, its enums, and a few helpers.
 
-This module alone imports the compiled extension. Layouts and numbers come from the compiled code, never from
-a second definition here; that the enums are complete is tested. `csrc/hd_api.h` documents every function and
-field.
+This module alone imports the compiled extension, but for the one call of memory.py. Layouts and numbers come from the
+compiled code, never from a second definition here; that the enums are complete is tested. `csrc/hd_api.h` documents
+every function and field.
 """
 
 from enum import IntEnum, IntFlag

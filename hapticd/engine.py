@@ -361,8 +361,8 @@ class Engine:
             raise
 
     def _start(self) -> Granted:
-        self._grant = ffi.new("struct hd_grant *")
-        return self._take_grant(lib.hd_servo_start(self._servo, self._grant), self._grant)
+        grant = ffi.new("struct hd_grant *")
+        return self._take_grant(lib.hd_servo_start(self._servo, grant), grant)
 
     def _take_grant(self, status: int, grant: CData) -> Granted:
         servo = self.config.servo
@@ -447,14 +447,13 @@ class Engine:
             _log.error("no step down to %g Hz: %s", after.rate_hz, problem)
             self._change_rate(before)
         grant = ffi.new("struct hd_grant *")
-        # Memory is locked once, at the start.
-        grant.memory, grant.memory_kind = self._grant.memory, self._grant.memory_kind
         faults = 0 if problem is None else int(Fault.OVERRUN)
         self._take_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
 
     def _change_rate(self, output: Output) -> None:
         """Of a servo that has ended by overload. Raises HapticdError; then it is to be called with another one."""
         rate_hz = output.rate_hz
+        told_hz = None if rate_hz == self.rate_hz else rate_hz
         if lib.hd_servo_set_rate(self._servo, rate_hz, self._overrun_action(rate_hz)) != Status.OK:
             raise HapticdError(f"servo: {invalid_reason()}")
         if self._sim is not None:
@@ -467,7 +466,7 @@ class Engine:
             self._compiler.turn_to(output)
             revision = (self.revision + 1) & 0xFFFFFFFF
             self._publish(self.scene, (), self.materials, revision)
-            self._changes.append(Revised(revision, {}, {}, {}, False, rate_hz))
+            self._changes.append(Revised(revision, {}, {}, {}, False, told_hz))
             self.revision = revision
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------

@@ -150,10 +150,9 @@ class _Take:
         return None
 
     def _begin(self) -> None:
-        status = self._client.get_status()
-        self._started_ns = status["started_ns"]
-        scene = self._scenes.begin(status["rate_hz"])
-        self._sink.begin({"status": status, "config": self._client.get_config()["config"], **scene})
+        start = self._scenes.begin()
+        self._started_ns = start["status"]["started_ns"]
+        self._sink.begin({"config": self._client.get_config()["config"], **start})
         self._sink.write_change({"revision": self._scenes.revision})
 
     def _await_changes(self, messages: Subscription[tuple[Topic, dict[str, object]]]) -> None:
@@ -225,15 +224,16 @@ class _Scenes:
         """Revisions that samples were rendered with, and nobody said what they are."""
         return sorted(self._shown - self._known)
 
-    def begin(self, rate_hz: float) -> dict[str, object]:
-        """Scene and materials at the start."""
-        self._rate_hz = rate_hz
+    def begin(self) -> dict[str, Any]:
+        """Status, scene and materials at the start."""
         read = self._read()
         if read is None:
             raise HapticdError("the materials change too fast for a recording to begin")
-        self.revision, self._scene, self._objects, self._materials = read
+        self.revision, self._scene, self._objects, self._materials, status = read
+        self._rate_hz = status["rate_hz"]
         self._known.add(self.revision)
-        return {"scene": {**self._scene, "objects": dict(self._objects)}, "materials": dict(self._materials)}
+        scene = {**self._scene, "objects": dict(self._objects)}
+        return {"status": status, "scene": scene, "materials": dict(self._materials)}
 
     def reached(self, revisions: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
         """Those that are the newest one known, or come after it."""
@@ -263,8 +263,8 @@ class _Scenes:
         with suppress(HapticdError):
             read = self._read()
             if read is not None and read[0] not in self._known:
-                revision, scene, objects, materials = read
-                rate_hz = self._client.get_status()["rate_hz"]
+                revision, scene, objects, materials, status = read
+                rate_hz = status["rate_hz"]
                 changed: dict[str, object] = {} if rate_hz == self._rate_hz else {"rate_hz": rate_hz}
                 changed |= {
                     "scene": _changes(self._scene, scene),
@@ -279,16 +279,20 @@ class _Scenes:
         self._known.add(self.revision)
         self._sink.write_change({name: part for name, part in change.items() if part != {}})
 
-    def _read(self) -> tuple[int, dict[str, Any], dict[str, Any], dict[str, Any]] | None:
-        """Revision, scene, objects and materials; None where the materials never stood still."""
-        before = self._client.get_materials()["materials"]
+    def _read(self) -> tuple[int, dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]] | None:
+        """Revision, scene, objects, materials and status; None where materials or rate never stood still."""
+        materials, status = self._beside()
         for _ in range(_LOOKS):
-            scene, after = self._client.get_scene(), self._client.get_materials()["materials"]
-            if before == after:  # so they were in between, too
+            scene, after = self._client.get_scene(), self._beside()
+            if after[0] == materials and after[1]["rate_hz"] == status["rate_hz"]:  # so they were in between, too
                 rest = dict(scene["scene"])
-                return scene["revision"], rest, cast("dict[str, Any]", rest.pop("objects")), dict(after)
-            before = after
+                return scene["revision"], rest, cast("dict[str, Any]", rest.pop("objects")), materials, status
+            materials, status = after
         return None
+
+    def _beside(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What else a scene is rendered with: the materials, and the status, which has the rate."""
+        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status())
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:

@@ -24,7 +24,6 @@ import numpy.typing as npt
 
 from hapticd.config import Device, load_config
 from hapticd.core import Flag
-from hapticd.displayable import Output
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
@@ -149,15 +148,18 @@ def _replay(recorded: Recorded) -> Replay:
     stretches, settled = _stretches(samples, rates_hz, np.isin(samples["revision"], known), texts)
     link_hz = (status.get("connection") or {}).get("link_hz")
 
-    def output_at(rate_hz: float) -> Output:
-        config = load_config({"servo": {**servo, "rate_hz": rate_hz}, "device": texts["config"]["device"]})
-        return output_of(config, rate_hz, None if link_hz is None or link_hz >= rate_hz else link_hz)
-
-    outputs = {rate_hz: output_at(rate_hz) for rate_hz in {rate_hz, *(revision.rate_hz for revision in revisions)}}
+    device = texts["config"]["device"]
+    configs = {
+        hz: load_config({"servo": {**servo, "rate_hz": hz}, "device": device})
+        for hz in {rate_hz, *(revision.rate_hz for revision in revisions)}
+    }
+    outputs = {
+        hz: output_of(config, hz, None if link_hz is None or link_hz >= hz else link_hz)
+        for hz, config in configs.items()
+    }
     rerun = Rerun(outputs[rate_hz], max((len(revision.scene.objects) for revision in revisions), default=0))
     periods = _periods(samples, rates_hz)
-    device = load_config({"device": texts["config"]["device"]}).device
-    intervals = _intervals(samples, periods, rates_hz, device)
+    intervals = _intervals(samples, periods, rates_hz, configs[rate_hz].device)
     commands = _commands(texts)
     place = -1
     given: list[slice] = []

@@ -531,7 +531,10 @@ static uint32_t steps_down(void) {
     CHECK(hd_sim_set_period(sim, &joystick, 1.0 / RATE_HZ) == HD_OK);
     make_scene(&scene, 2);
     CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    memset(&grant, 0x55, sizeof grant);
     CHECK(hd_servo_restart(servo, HD_FAULT_OVERRUN, &grant) == HD_OK);
+    CHECK(grant.scheduler == 0 && grant.affinity == 0 && grant.priority == 0); /* nothing was asked for */
+    CHECK(grant.memory == 0 && grant.memory_kind == 0);
     CHECK(hd_servo_wait_revision(servo, 2, PATIENCE_NS, &tick) == HD_OK && tick == ended);
     do {
         hd_servo_beat(servo);

@@ -217,6 +217,9 @@ class Told:
         self._messages = messages
         self._revisions = list(revisions)
         self.started = [1]
+        self.rates_hz = [1000.0]
+        """Before the scene is read, after it was once, twice; the last one stays."""
+        self._reads = 0
         self.daemon: FakeDaemon | None = None
 
     def _answer(self, request: dict[str, Any]) -> list[bytes]:
@@ -225,13 +228,15 @@ class Told:
         match request["method"]:
             case "get_status":
                 started = self.started[0] if len(self.started) == 1 else self.started.pop(0)
-                return [result(request, {"started_ns": started, "rate_hz": 1000.0})]
+                rate_hz = self.rates_hz[min(self._reads, len(self.rates_hz) - 1)]
+                return [result(request, {"started_ns": started, "rate_hz": rate_hz})]
             case "get_config":
                 for topic, message in self._messages:
                     self.daemon.publish(topic, message)
                 return [result(request, {"config": {"servo": {}, "device": {}}})]
             case "get_scene":
                 revision = self._revisions[0] if last else self._revisions.pop(0)
+                self._reads += 1
                 objects = {f"object{number}": FLOOR for number in range(revision)}
                 return [result(request, {"scene": {"ramp_s": 0.02, "objects": objects}, "revision": revision})]
             case _:
@@ -326,6 +331,34 @@ def test_it_begins_with_the_scene_that_was_read(tmp_path: Path, directory: Path)
     assert kept.missing_revisions == () and recorded.texts["changes"] == [{"revision": 5}]
     assert recorded.samples["tick"].tolist() == list(range(50, 150))
     assert recorded.texts["scene"]["objects"].keys() == {f"object{number}" for number in range(5)}
+
+
+def test_the_rate_is_that_of_the_scene_that_was_read(tmp_path: Path, directory: Path) -> None:
+    """The servo steps down, which is revision 2, while a recording begins."""
+    told = Told(directory, samples(0, 100, revision=2), revisions=(2,))
+    told.rates_hz = [1000.0, 500.0]
+    assert told.record(tmp_path / "run.npz", 100).missing_revisions == ()
+    texts = load_recorded(tmp_path / "run.npz").texts
+    assert texts["status"]["rate_hz"] == 500.0 and texts["changes"] == [{"revision": 2}]
+
+
+def test_the_rate_is_that_of_the_scene_that_was_read_again(tmp_path: Path, directory: Path) -> None:
+    """Revision 2 cannot be told, and while it is read the servo steps down, which is revision 3."""
+    told = Told(
+        directory,
+        samples(0, 50),
+        ("change", {"revision": 2, "large": True}),
+        ("change", {"revision": 3, "rate_hz": 500.0}),
+        samples(50, 100, revision=3),
+        revisions=(1, 2, 3),
+    )
+    told.rates_hz = [1000.0, 1000.0, 500.0]
+    assert told.record(tmp_path / "run.npz", 150).missing_revisions == ()
+    changes = load_recorded(tmp_path / "run.npz").texts["changes"]
+    assert changes == [
+        {"revision": 1},
+        {"revision": 3, "rate_hz": 500.0, "objects": {"object1": FLOOR, "object2": FLOOR}},
+    ]
 
 
 def test_the_change_of_the_last_samples_is_waited_for(tmp_path: Path, directory: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 import os
 import subprocess
@@ -15,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import hapticd.cli
 from hapticd import __version__
 from hapticd.cli import main
 from hapticd.cli.common import duration, print_yaml
@@ -64,6 +66,13 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     for command in COMMANDS:
         assert main([command, "--help"]) == 0
         assert "Usage: hapticd " + command in capsys.readouterr().out
+
+
+def test_commands_for_this_machine_alone_are_those_that_ask_no_daemon() -> None:
+    homes, alone = hapticd.cli._HOMES, hapticd.cli._HERE_ALONE
+    assert alone < homes.keys()
+    asking = {home for home in homes.values() if hasattr(importlib.import_module(f"hapticd.cli.{home}"), "daemon")}
+    assert asking == {home for command, home in homes.items() if command not in alone}
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

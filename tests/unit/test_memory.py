@@ -13,6 +13,7 @@ import pytest
 from hapticd.errors import HapticdError
 from hapticd.memory import LARGE_BLOCK, settle
 
+pytestmark = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's limit moves, and is set")
 ROOT = Path(__file__).parents[2]
 PROGRAM = """
 import ctypes, json, re, sys
@@ -41,7 +42,6 @@ def apart(tmp_path: Path, how: str, *sizes: int) -> int:
     return int(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's limit moves, and only glibc tells")
 def test_large_blocks_are_kept_apart(tmp_path: Path) -> None:
     sizes = (1 << 20, 2 << 20, 3 << 20)  # more than the heap has free
     assert apart(tmp_path, "as it is", *sizes) == 0, "no need of it any more"

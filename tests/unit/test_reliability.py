@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapticd import control as control_module
 from hapticd.changes import Revised
 from hapticd.config import Config, load_config
 from hapticd.control import Control, MethodError
@@ -20,7 +21,8 @@ from hapticd.engine import Engine, monotonic_ns
 from hapticd.events import event_map
 from tests.unit.test_hid_connection import World
 
-PAGE = (Path(__file__).parents[2] / "docs" / "reliability.md").read_text()
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "reliability.md").read_text()
 ROWS = [
     [cell.strip() for cell in line.strip("|").split(" | ")]
     for line in re.search(r"^\| what happens .*\n\| ---.*\n((?:\|.*\n)+)", PAGE, re.M)[1].splitlines()  # type: ignore[index]
@@ -374,6 +376,7 @@ def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
         watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
         watch.look()
         assert "rate" not in watch.kinds()
+        assert {change.rate_hz for change in engine.read_changes() if isinstance(change, Revised)} == {None}
         assert watch.status()["rate_hz"] == 10_000
         assert engine.counters().running
         with pytest.raises(MethodError, match="missed too many periods"):
@@ -396,6 +399,8 @@ def test_memory_stays_locked_when_it_steps_down() -> None:
         Watch(engine).until(lambda: engine.rate_hz < 10_000)
         assert engine.granted is not None
         assert engine.granted.memory == before.memory
+        locked = [[one for one in told.missing if one.startswith("locked memory")] for told in (before, engine.granted)]
+        assert locked[0] == locked[1]
     finally:
         engine.stop()
 
@@ -416,6 +421,25 @@ def test_large_files_are_read_while_it_beats(monkeypatch: pytest.MonkeyPatch) ->
 
     monkeypatch.setattr(engine, "beat", counted)
     assert Control(engine, load).call("reload", {}) == {"revision": engine.revision}
+
+
+def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    engine, over = simulated(), threading.Event()
+
+    def load() -> Config:
+        over.wait()
+        return engine.config
+
+    monkeypatch.setattr(control_module, "LOAD_S", 0.0)
+    with pytest.raises(MethodError, match="were not read within 0 s"):
+        Control(engine, load).call("reload", {})
+    over.set()
+
+
+@pytest.mark.parametrize("unit", ["hapticd.service", "hapticd.user.service"])
+def test_no_unit_gives_up_before_a_reload_does(unit: str) -> None:
+    limits = dict(re.findall(r"^(TimeoutStopSec|WatchdogSec)=(\d+)$", (ROOT / "systemd" / unit).read_text(), re.M))
+    assert len(limits) == 2 and all(int(limit) > control_module.LOAD_S for limit in limits.values())
 
 
 def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:

@@ -15,6 +15,7 @@ import pytest
 from hapticd.cli import main
 from hapticd.config import default_config, load_config
 from hapticd.errors import HapticdError
+from hapticd.paths import SYSTEM_DIRECTORY
 from hapticd.service import Installation, Service, unit_word
 
 ROOT = Path(__file__).parents[2]
@@ -133,6 +134,12 @@ def test_lines_behind_the_checksum_do_not_hide_what_a_file_was_made_from(system:
     assert system.files() == FILES
     assert system.uninstall()["etc/hapticd/config.yaml"] == "kept"
     assert config.read_text() == mine
+
+
+def test_clients_are_told_the_directory_of_the_units() -> None:
+    daemon, bridge = ((ROOT / "systemd" / name).read_text() for name in UNITS)
+    assert f"\nRuntimeDirectory={SYSTEM_DIRECTORY.relative_to('/run')}\n" in daemon
+    assert f" --runtime-dir {SYSTEM_DIRECTORY} bridge\n" in bridge
 
 
 @pytest.mark.parametrize("what", ["link", "binary", "unsigned"])
