@@ -492,10 +492,10 @@ class Engine:
 
     def wait_revision(self, revision: int) -> int:
         """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
-        status = lib.hd_servo_wait_revision(self._servo, revision, int(WAIT_S * 1e9), self._tick)
-        if status != Status.OK:
-            raise WaitTimeoutError(f"revision {revision} was not in force within {WAIT_S:g} s")
-        return int(self._tick[0])
+        return self._wait(
+            lambda timeout_ns: lib.hd_servo_wait_revision(self._servo, revision, timeout_ns, self._tick),
+            f"revision {revision} was not in force",
+        )
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
         """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
@@ -658,8 +658,19 @@ class Engine:
         sequence = self._sequence[0]
         if keep is not None:
             self._operators.append((sequence, keep))
-        if lib.hd_servo_wait_command(self._servo, sequence, int(WAIT_S * 1e9), self._tick) != Status.OK:
-            raise WaitTimeoutError(f"the servo did not take the command within {WAIT_S:g} s")
+        return self._wait(
+            lambda timeout_ns: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, self._tick),
+            "the servo did not take the command",
+        )
+
+    def _wait(self, taken: Callable[[int], int], late: str) -> int:
+        """The tick that took something. Looks after the servo meanwhile: one that steps down goes on by this thread's
+        doing, and would be waited for in vain."""
+        until_ns = monotonic_ns() + int(WAIT_S * 1e9)
+        while taken(max(0, min(LOOK_EVERY_NS, until_ns - monotonic_ns()))) != Status.OK:
+            if monotonic_ns() >= until_ns:
+                raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
+            self.look_after()
         return int(self._tick[0])
 
     # ---- What the servo says ---------------------------------------------------------------------------------------

@@ -1,7 +1,10 @@
 """Set up for every test: nothing random from run to run in CI, no window, nothing that depends on load."""
 
+import gc
 import os
+from collections.abc import Iterator
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 # Before anything imports matplotlib.
@@ -12,3 +15,18 @@ _CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("local", _CALM)
 settings.register_profile("ci", _CALM, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+def pytest_collection_finish() -> None:
+    """What thousands of tests are made of stays. A collection that went through all of it would hold up every thread of
+    Python for longer than a device of this process may be late."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _a_servo_of_this_process_may_be_held_up() -> Iterator[None]:
+    """A command waits for the servo's thread until it comes to run; the bound only keeps a broken test from hanging."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hapticd.engine.WAIT_S", 60.0)
+        yield

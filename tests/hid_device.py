@@ -257,6 +257,10 @@ class FakePid:
     def force(self) -> tuple[float, float]:
         """What it displays, as parts of its largest magnitude, [x, y]: by the specification, a force comes from its
         direction, which is counted clockwise from the north."""
+        with self.changed:
+            return self._force()
+
+    def _force(self) -> tuple[float, float]:
         effect_to, force_to = self.layout.set_effect, self.layout.constant_force
         assert effect_to is not None and force_to is not None
         x = y = 0.0
@@ -304,7 +308,7 @@ class FakePid:
         angle = 2 * math.pi * _turns(number(strike.set_effect, place), place)
         return np.outer(value, [-math.sin(angle), -math.cos(angle)])
 
-    def wait(self, until: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    def wait(self, until: Callable[[], bool], timeout_s: float = 60.0) -> None:
         """Waits until something holds after a report; the bound only keeps a broken test from hanging."""
         with self.changed:
             assert self.changed.wait_for(until, timeout_s), self.log[-20:]
@@ -313,7 +317,7 @@ class FakePid:
         if not self.gone:
             self.unplug()
         self.ours.close()
-        self._thread.join(5)
+        self._thread.join(60)
 
 
 class FakeDevice:

@@ -252,11 +252,12 @@ class Connection:
         except BaseException:
             opened.device.close()
             raise
-        self._live = live = _Live(opened, plan, link)
         self._connects += 1
         if self._problem is not None:
             _log.info("device found: %s at %s", opened.name, opened.device.path)
         self._problem = None
+        # Last: whoever hears that it is connected hears of no problem, and has it counted.
+        self._live = live = _Live(opened, plan, link)
         return live
 
     def _hand_over(self, device: Device, plan: Plan) -> None:
@@ -291,7 +292,7 @@ class Connection:
         plan = replace(live.opened.driver.set_up(live.opened.device), on_change=live.plan.on_change)
         if plan != live.plan:
             self._hand_over(live.opened.device, plan)
-            self._live = _Live(live.opened, plan, live.link)
+            self._live, self._problem = _Live(live.opened, plan, live.link), None
             return
         # The set-up itself resets the device, which it reports too.
         deadline = time.monotonic() + RECOVERY_S

@@ -277,11 +277,11 @@ def test_metrics_without_a_daemon() -> None:
 
 async def _says(port: int, *pieces: bytes) -> bytes:
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    for piece in pieces:
-        writer.write(piece)
-        await writer.drain()
     answer = b""
-    with contextlib.suppress(ConnectionResetError):
+    with contextlib.suppress(ConnectionResetError, BrokenPipeError):
+        for piece in pieces:
+            writer.write(piece)
+            await writer.drain()
         answer = await reader.read(-1)
     writer.transport.abort()
     return answer
@@ -314,26 +314,47 @@ def test_requests_of_http(request_: bytes, status: bytes) -> None:
 
 def test_who_is_slow_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     """So many may be silent at once; the next is told so, and all are shown the door when their time is over."""
-    monkeypatch.setattr(http, "REQUEST_S", 3.0)
+    timeout, given = asyncio.timeout, []
 
-    async def ask() -> tuple[bytes, list[bytes], bytes]:
+    def until_said(seconds: float) -> asyncio.Timeout:
+        """Their time is over when the test says so."""
+        assert seconds == http.REQUEST_S
+        given.append(timeout(None))
+        return given[-1]
+
+    monkeypatch.setattr(asyncio, "timeout", until_said)
+
+    async def ask() -> tuple[list[bytes], list[bytes], list[bytes], bytes]:
         endpoint = http.Endpoint(lambda: "")
+
+        async def opened(count: int) -> None:
+            while endpoint._open != count:
+                await asyncio.sleep(0)
+
         async with await endpoint.listen("127.0.0.1", 0) as server:
             port = server.sockets[0].getsockname()[1]
             slow = [asyncio.create_task(_says(port, b"GET /met")) for _ in range(http.AT_ONCE)]
-            while endpoint._open < http.AT_ONCE:
-                await asyncio.sleep(0)
-            busy = await _says(port, b"GET /metrics HTTP/1.1\r\n\r\n")
-            slow += [asyncio.create_task(_says(port, b"GET /met")) for _ in range(3 * http.AT_ONCE)]
+            await opened(http.AT_ONCE)
+            busy = [await _says(port, b"GET /metrics HTTP/1.1\r\n\r\n")]
+            await opened(http.AT_ONCE)
+            # Told so, and still there.
+            staying = [await asyncio.open_connection("127.0.0.1", port) for _ in range(http.AT_ONCE)]
+            await opened(2 * http.AT_ONCE)
+            more = [await _says(port, b"GET /metrics HTTP/1.1\r\n\r\n") for _ in range(http.AT_ONCE)]
+            await opened(2 * http.AT_ONCE)
+            for one in given:
+                with contextlib.suppress(RuntimeError):  # it is over
+                    one.reschedule(asyncio.get_running_loop().time())
             ended = await asyncio.gather(*slow)
-            return busy, ended, await _says(port, b"GET /metrics HTTP/1.1\r\n\r\n")
+            for reader, writer in staying:
+                busy.append(await reader.read(4096))
+                writer.transport.abort()
+            await opened(0)
+            return busy, more, ended, await _says(port, b"GET /metrics HTTP/1.1\r\n\r\n")
 
-    busy, ended, after = asyncio.run(ask())
-    assert busy.startswith(b"HTTP/1.1 503")
-    assert ended[: http.AT_ONCE] == [b""] * http.AT_ONCE
-    told = [answer.split(b"\r\n")[0] for answer in ended[http.AT_ONCE :]]
-    assert set(told) <= {b"HTTP/1.1 503 Service Unavailable", b""}
-    assert b"" in told
+    busy, more, ended, after = asyncio.run(ask())
+    assert [answer.split(b"\r\n")[0] for answer in busy] == [b"HTTP/1.1 503 Service Unavailable"] * len(busy)
+    assert more == ended == [b""] * http.AT_ONCE
     assert after.startswith(b"HTTP/1.1 200")
 
 

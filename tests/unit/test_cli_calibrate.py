@@ -6,11 +6,12 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hapticd.calibration import handle
+from hapticd.calibration import rig
 from hapticd.calibration.accelerometer import load_recording
 from hapticd.cli import main
 from hapticd.config import load_config
@@ -194,6 +195,7 @@ def test_a_real_device_needs_a_recording(capsys: pytest.CaptureFixture[str]) -> 
 def stick(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakePid]:
     """A joystick whose handle is stuck in the middle."""
     fake = FakePid(bytes(Joystick()))
+    monkeypatch.setattr(rig, "STALLED_S", 60.0)
     monkeypatch.setattr(
         sources,
         "open_hid",
@@ -221,26 +223,22 @@ def test_a_stuck_handle_is_pushed_told_and_let_go(capsys: pytest.CaptureFixture[
 def test_ctrl_c_takes_the_force_away(
     capsys: pytest.CaptureFixture[str], stick: FakePid, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calibrate = handle.calibrate
-    seen: list[float] = []
+    strike = rig.ServoRig.strike
+    shown: list[tuple[float, float]] = []
+    stick.on_log = lambda _: shown.append(stick.force())
 
-    def interrupted(*arguments: object, **more: object) -> object:
-        progress = arguments[4]
-        assert callable(progress)
+    def interrupted(self: rig.ServoRig, *arguments: Any) -> int:
+        """In the middle of the first burst after one that was felt."""
+        felt = any(force != (0.0, 0.0) for force in shown)
+        tick = strike(self, *arguments)
+        if felt:
+            raise KeyboardInterrupt
+        return tick
 
-        def until(text: str) -> None:
-            progress(text)
-            if "60 Hz, 0.8 N" in text:
-                stick.wait(lambda: stick.force() != (0.0, 0.0))
-                seen.append(stick.force()[0])
-                raise KeyboardInterrupt
-
-        return calibrate(*arguments[:4], until, **more)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(handle, "calibrate", interrupted)
+    monkeypatch.setattr(rig.ServoRig, "strike", interrupted)
     assert main(["calibrate", "-c", "hid.yaml", "--yes"]) == 130
     assert capsys.readouterr().err == "hapticd: interrupted; the force is zero, nothing was written\n"
-    assert seen and seen[0] != 0.0
+    assert any(force != (0.0, 0.0) for force in shown)
     stick.wait(lambda: not stick.enabled)
     assert stick.force() == (0.0, 0.0)
 

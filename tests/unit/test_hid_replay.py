@@ -122,7 +122,7 @@ def test_rounds_that_take_no_time_are_held_apart(path: str, monkeypatch: pytest.
     monkeypatch.setattr(ReplayDevice, "_wait_until", next_round)
     at_once = Recording("stick", 0x1209, 0x5AFF, STICK, ((0.0, report(0, 1)),))
     device = ReplayDevice(at_once, Replay(path=path, loop=True, speed=0.5))
-    device._thread.join(10)
+    device._thread.join(60)
     device.close()
     assert np.diff(due) == pytest.approx([2e-3] * 3)
 
@@ -178,8 +178,18 @@ def test_configuration() -> None:
     assert str(caught.value) == "device: kind replay needs device.replay.path, a recording of `hapticd devices dump`"
 
 
-def test_an_engine_follows_a_recording(path: str) -> None:
+def test_an_engine_follows_a_recording(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Into a wall and to the recording's end, which is a device that is gone."""
+    wait_until, seen = ReplayDevice._wait_until, threading.Event()
+    waited = 0
+
+    def until_seen(self: ReplayDevice, when: float) -> bool:
+        """The last report comes once the servo has seen one, however late it began."""
+        nonlocal waited
+        waited += 1
+        return (waited < 400 or seen.wait(60)) and wait_until(self, when)
+
+    monkeypatch.setattr(ReplayDevice, "_wait_until", until_seen)
     save(path, moving(400))
     config = {
         "servo": {"realtime": "off", "rate_hz": 1000},
@@ -188,11 +198,17 @@ def test_an_engine_follows_a_recording(path: str) -> None:
     }
     engine = Engine(load_config(config))
     engine.start()
+    taken = []
+    room = records(SAMPLE_DTYPE, 16384)
     try:
-        pause, deadline = threading.Event(), time.monotonic() + 20
+        pause, deadline = threading.Event(), time.monotonic() + 60
         while Fault.DEVICE not in engine.faults():
             assert time.monotonic() < deadline
             engine.beat()
+            count, _ = engine.read_samples(room)
+            taken.append(room[:count].copy())
+            if count and room["position_m"][count - 1, 1] < 0.0:
+                seen.set()
             pause.wait(0.01)
         connection = engine.connection
         assert connection is not None
@@ -200,10 +216,10 @@ def test_an_engine_follows_a_recording(path: str) -> None:
             assert time.monotonic() < deadline
             pause.wait(0.01)
     finally:
+        seen.set()
         engine.stop()
-    room = records(SAMPLE_DTYPE, 16384)
     count, _ = engine.read_samples(room)
-    heights = room["position_m"][:count, 1]
+    heights = np.concatenate([*taken, room[:count]])["position_m"][:, 1]
     counts = heights / (0.05 / 32767)
     assert np.all(np.diff(counts) <= 1e-9)
     assert counts[-1] < -1 and counts == pytest.approx(np.round(counts), abs=1e-6)

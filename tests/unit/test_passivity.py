@@ -315,5 +315,6 @@ def test_the_running_servo_tells_what_was_given() -> None:
         found = engine.counters().energy
     finally:
         engine.stop()
-    assert found.contacts == 1
+    # After a stall longer than the ramp it is met anew.
+    assert 1 <= found.contacts <= 1 + engine.counters().overruns
     assert found.energy_j != 0

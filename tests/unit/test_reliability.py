@@ -62,7 +62,7 @@ class Watch:
         if self.beats:
             self.engine.beat()
             self.engine.look_after()
-        # Events of a tick are in their ring before its sample is in its own.
+        # Events of a tick are in their ring before its sample is in its own, and both before its faults are known.
         count, _ = self.engine.read_samples(self._room)
         self.samples = np.concatenate([self.samples, self._room[:count]])[-30_000:]
         count, _ = self.engine.read_events(self._places)
@@ -112,7 +112,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
 def expect(row: list[str], watch: Watch, *, but: set[str] = frozenset()) -> None:  # type: ignore[assignment]
     """What was said is what the row says."""
     quiet = {"contact", "release", "overrun", "saturation", "glitch"}
-    assert watch.kinds() - quiet == told(row[3]) - quiet - but
+    assert watch.kinds() - quiet - but == told(row[3]) - quiet - but
 
 
 def unplugged(row: list[str], world: World) -> None:
@@ -124,6 +124,7 @@ def unplugged(row: list[str], world: World) -> None:
     watch.events.clear()
     world.unplug()
     watch.until(lambda: watch.faults() == ["device"] and watch.status()["connection"]["state"] == "lost")
+    watch.look()
     expect(row, watch)
     lost = int(next(event["tick"] for event in watch.events if event["event"] == "device_lost"))
     watch.until(lambda: int(watch.samples["tick"][-1]) > lost)
@@ -139,6 +140,7 @@ def unplugged(row: list[str], world: World) -> None:
 
 def silent(row: list[str], world: World) -> None:
     stick = world.plug()
+    world.late_after_s = 1.0  # more than whoever reports for it is held up
     watch = Watch(world.start(overruns=ANY))
     world.hold(0.004)
     watch.control.call("set_forces", {"enabled": True})
@@ -166,7 +168,9 @@ def late(row: list[str], _: World) -> None:
         watch.until(lambda: engine.counters().ticks > 500)
         expect(row, watch)
         repeated = (watch.samples["flags"] & Flag.REPEATED) != 0
-        assert 0.9 < repeated.mean() < 1.0
+        # A tick that was late may have missed some.
+        elapsed_s = (int(watch.samples["time_ns"][-1]) - int(watch.samples["time_ns"][0])) * 1e-9
+        assert 1 <= np.count_nonzero(~repeated[1:]) <= elapsed_s / 0.09 + 1
         assert not np.any(
             watch.samples["position_m"][1:][repeated[1:]] != watch.samples["position_m"][:-1][repeated[1:]]
         )
@@ -285,13 +289,10 @@ def too_many_is_a_fault(row: list[str], _: World) -> None:
         watch.control.call("set_scene", {"scene": {"objects": {}}, "wait": True})
         watch.events.clear()
         watch.control.call("set_forces", {"enabled": True})
-        watch.until(lambda: {"event": "fault", "faults": []}.items() <= _last(watch, "fault").items())
+        # A machine that is busy with something else may well miss too many again.
+        watch.until(lambda: any({"event": "fault", "faults": []}.items() <= event.items() for event in watch.events))
     finally:
         engine.stop()
-
-
-def _last(watch: Watch, kind: str) -> dict[str, Any]:
-    return next((event for event in reversed(watch.events) if event["event"] == kind), {})
 
 
 def steps_down(row: list[str], _: World) -> None:
@@ -307,6 +308,7 @@ def steps_down(row: list[str], _: World) -> None:
         watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
         watch.until(lambda: bool(watch.status()["faults"]) or watch.full())
         expect(row, watch, but=set() if watch.faults() == [] else {"fault"})
+        watch.look()  # the samples of these events, too
         rates = [event["rate_hz"] for event in watch.events if event["event"] == "rate"]
         assert rates == [10_000 / 2 ** (n + 1) for n in range(len(rates))]
         # Each is a revision, and told as one: a recording says which ticks had which rate.
@@ -378,11 +380,29 @@ def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
         assert "rate" not in watch.kinds()
         assert {change.rate_hz for change in engine.read_changes() if isinstance(change, Revised)} == {None}
         assert watch.status()["rate_hz"] == 10_000
-        assert engine.counters().running
+        watch.until(lambda: engine.counters().running)  # it may have ended to try once more
         with pytest.raises(MethodError, match="missed too many periods"):
             watch.control.call("play", {"material": "wood", "direction": [0, 1], "amplitude_m_per_s2": 1})
         watch.control.call("set_forces", {"enabled": True})
         watch.until(lambda: watch.full() or watch.faults() == ["overrun"])
+    finally:
+        engine.stop()
+
+
+def test_a_command_is_not_in_vain_while_the_servo_steps_down() -> None:
+    """The thread that waits for the servo is the one by whose doing it goes on."""
+    engine = overloaded("step_down", heavy(HEAVY))
+    engine.start()
+    try:
+        watch = Watch(engine)
+        ended = threading.Event()
+        while engine.counters().running:
+            engine.beat()
+            ended.wait(0.002)
+        watch.control.call("set_forces", {"enabled": True})
+        assert engine.rate_hz == 5000
+        changed = watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
+        assert engine.counters().revision >= int(str(changed["revision"]))
     finally:
         engine.stop()
 
@@ -449,8 +469,9 @@ def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:
     engine.start()
     try:
         watch = Watch(engine)
-        puncture = {"gesture": {"kind": "puncture", "object": "skin", "speed_m_per_s": 0.1}}
-        watch.control.call("set_operator", puncture)
+        # Again and again: a skin that is met in a stall is not felt.
+        strokes = [[0.4 * n + t_s, 0, y_m] for n in range(50) for t_s, y_m in ((0.0, 0.01), (0.3, -0.02))]
+        watch.control.call("set_operator", {"waypoints": strokes})
         watch.until(lambda: "puncture" in watch.kinds())
         slot = engine._compiler.slot_of("skin")
         watch.control.call("set_operator", {"waypoints": [[0, 0, -0.02]]})  # stays down, in all of the floors to come
@@ -466,7 +487,8 @@ def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:
         watch.until(lambda: monotonic_ns() > over_ns)
         assert "contact" not in watch.kinds()
         watch.control.call("reset", {})
-        watch.control.call("set_operator", {"waypoints": [[0, 0, 0.01], [0.2, 0, -0.001]]})
+        taps = [[0.4 * n + t_s, 0, y_m] for n in range(50) for t_s, y_m in ((0.0, 0.01), (0.2, -0.001))]
+        watch.control.call("set_operator", {"waypoints": taps})
         watch.until(lambda: "contact" in watch.kinds())
     finally:
         engine.stop()

@@ -36,10 +36,10 @@ def test_it_ends_without_a_request_or_a_beat(monkeypatch: pytest.MonkeyPatch, tm
     with server.bind(context, f"ipc://{tmp_path}/command") as socket:
         thread = threading.Thread(target=server.serve, args=(socket, cast(Engine, engine), control, stop), daemon=True)
         thread.start()
-        assert engine.begun.wait(10)
+        assert engine.begun.wait(60)
         stop.set()
         server.wake(context)
-        thread.join(10)
+        thread.join(60)
         assert not thread.is_alive()
         # Nor does waking keep anything from ending where nobody serves any more.
         server.wake(context)

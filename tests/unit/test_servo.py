@@ -60,18 +60,20 @@ def test_device_that_reports_as_rarely_as_it_says_is_not_lost() -> None:
 
 
 def test_engine_that_is_dropped_without_a_stop_ends_its_thread() -> None:
-    def threads() -> int:
-        return len(os.listdir("/proc/self/task"))
+    def threads() -> set[str]:
+        return set(os.listdir("/proc/self/task"))
 
+    before = threads()
     servo = engine()
     servo.start()
-    with_servo = threads()
+    begun = threads() - before
+    assert begun
     del servo
     gc.collect()
     # A joined thread may stay in /proc for a moment.
     pause = threading.Event()
-    for _ in range(1000):
-        if threads() < with_servo:
+    for _ in range(6000):
+        if not begun & threads():
             return
         pause.wait(0.01)
     raise AssertionError("the servo's thread goes on")

@@ -9,9 +9,12 @@ import logging
 import math
 import os
 import pty
+import select
 import termios
+import time
 import tty
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +60,16 @@ class Node:
     def identify(self, fd: int) -> Identity | None:
         return identity_of(os.fstat(fd), self.sysfs)
 
-    def written(self) -> bytes:
-        try:
-            return os.read(self.ours, 65536)
-        except BlockingIOError:
-            return b""
+    def written(self, count: int = 0) -> bytes:
+        """What has arrived; waits for so many bytes, which the kernel brings in pieces and in its own time."""
+        found, deadline = b"", time.monotonic() + 60.0
+        while True:
+            with suppress(BlockingIOError):
+                found += os.read(self.ours, 65536)
+            if len(found) >= count:
+                return found
+            assert time.monotonic() < deadline, found
+            select.select([self.ours], [], [], 1.0)
 
     def close(self) -> None:
         os.close(self.ours)
@@ -89,7 +97,7 @@ def record(tmp_path: Path, node: Node) -> Path:
 def test_zero_then_stop(record: Path, node: Node) -> None:
     assert os.stat(record).st_mode & 0o777 == 0o600
     said = stop_device(record, sysfs=node.sysfs)
-    assert node.written() == b"".join(ZERO + STOP)
+    assert node.written(len(b"".join(ZERO + STOP))) == b"".join(ZERO + STOP)
     assert said == f'{node.path} ("A stick"): force zero, effects stopped, 3 reports'
     assert not record.exists()
     assert stop_device(record, sysfs=node.sysfs) is None
@@ -345,7 +353,7 @@ def test_the_record_of_a_joystick_stops_it(tmp_path: Path, monkeypatch: pytest.M
     """What stands in it while the daemon drives is enough: the device's own state machine is at rest after it."""
     driven = Driven(tmp_path, monkeypatch)
     stick = driven.stick
-    assert stick.enabled and len(stick.effects) == 2
+    stick.wait(lambda: stick.enabled and len(stick.effects) == 2)
     kept = tmp_path / "copy"
     kept.write_bytes(driven.record.read_bytes())
     kept.chmod(0o600)
