@@ -474,11 +474,6 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     sample.work_ns = saturate(work_ns);
     servo->last_work_ns = work_ns;
     servo->last_force_n = hypot_of(sample.force_n);
-    /* In this order: who has read a tick's sample finds its events. */
-    if (state->event_count > 0) {
-        leave_events(servo);
-    }
-    leave_sample(servo, &sample);
     hd_histogram_count(&servo->lateness, servo->late_ns);
     hd_histogram_count(&servo->work, work_ns);
     hd_atomic_u64_store_relaxed(&servo->strikes, state->strikes_total);
@@ -489,6 +484,12 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     }
     hd_atomic_u32_store_relaxed(&servo->faults, state->faults);
     hd_atomic_u32_store_relaxed(&servo->forces_on, state->enabled);
+    /* In this order: who has read a tick's sample finds its events, and who has read an event finds what it tells of in
+     * the counters; the rings release what was stored before. */
+    if (state->event_count > 0) {
+        leave_events(servo);
+    }
+    leave_sample(servo, &sample);
     hd_atomic_u64_store_release(&servo->ticks, state->tick);
 }
 

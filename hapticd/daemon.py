@@ -87,7 +87,7 @@ def _run(
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
     publisher.setsockopt(zmq.LINGER, 200)
     stack.callback(publisher.close)
-    _bind(lambda: publisher.bind(paths.telemetry_endpoint), paths.telemetry)
+    _bind(publisher.bind, paths.telemetry)
     failures: list[BaseException] = []
     telemetry = Telemetry(engine, publisher, control.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
@@ -100,7 +100,7 @@ def _run(
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = _bind(lambda: server.bind(context, paths.command_endpoint), paths.command)
+    router = _bind(lambda endpoint: server.bind(context, endpoint), paths.command)
     stack.callback(router.close)
     watch = notify.Watch(lambda: _progress(engine))
     _thread(
@@ -207,13 +207,19 @@ def _thread(
     stack.callback(stop.set)
 
 
-def _bind(bind: Callable[[], _T], path: Path) -> _T:
-    """Binds a socket in place of a file that a daemon which is gone left behind: we hold the lock."""
-    path.unlink(missing_ok=True)
+def _bind(bind: Callable[[str], _T], path: Path) -> _T:
+    """Binds a socket in place of a file that a daemon which is gone left behind: we hold the lock.
+
+    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come.
+    """
+    unnamed = path.with_name(".new")
+    unnamed.unlink(missing_ok=True)
     try:
-        return bind()
+        bound = bind(f"ipc://{unnamed}")
     except zmq.ZMQError as error:
         raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
+    unnamed.replace(path)
+    return bound
 
 
 @contextmanager

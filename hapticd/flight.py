@@ -121,12 +121,11 @@ class Flight:
             self._quiet_until_ns = now_ns + round((self._seconds + AFTER_S) * 1e9)
             self._ask("fault", tick, now_ns + round(AFTER_S * 1e9))
 
-    def turn(self) -> None:
-        """Hands over to the writer what is due."""
+    def turn(self, kept_ns: int) -> None:
+        """Hands over to the writer what is due at `kept_ns`: the time until which everything is kept, or on its way."""
         with self._lock:
-            now_ns = self._now_ns()
             held = self._dumping
-            due = [asked for asked in self._asked if now_ns >= asked.due_ns and not (held and asked.reason == "asked")]
+            due = [asked for asked in self._asked if kept_ns >= asked.due_ns and not (held and asked.reason == "asked")]
             self._asked = [asked for asked in self._asked if asked not in due]
             self._dumping = held or any(asked.reason == "asked" for asked in due)
         self._hand_over(due)

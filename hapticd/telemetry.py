@@ -77,6 +77,7 @@ class Telemetry:
         }
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
         while not stop.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9)):
+            drained_ns = monotonic_ns()
             self._drain()
             self._log.flush()
             self._send_changes()
@@ -88,7 +89,7 @@ class Telemetry:
                     late = now - time
                     due[topic] = time + every[topic] if late < every[topic] else now + every[topic]
             if self._flight is not None:
-                self._flight.turn()
+                self._flight.turn(drained_ns)
         self._drain()
         self._send_changes()
         self._send_samples()

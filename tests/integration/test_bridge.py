@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,7 +30,7 @@ import hapticd.aio
 from hapticd import wire
 from hapticd.calls import DaemonNotRunning, KeyRefused, RemoteError
 from hapticd.cli import main
-from hapticd.client import connect
+from hapticd.client import Client
 from hapticd.errors import HapticdError
 from hapticd.keys import new_certificate, write_certificate
 from tests.bridge_process import (
@@ -41,7 +42,7 @@ from tests.bridge_process import (
     network_namespace,
     running_bridge,
 )
-from tests.daemon_process import Daemon, running_daemon
+from tests.daemon_process import Daemon, connect, running_daemon
 from tests.fake_daemon import fake_daemon, result
 
 CLIENTS = {"alice": "command", "carol": "command", "bob": "watch"}
@@ -127,7 +128,7 @@ def test_configuration_and_flight_recorder_of_a_commander(bridge: Bridge) -> Non
 
 def test_a_client_of_asyncio(bridge: Bridge) -> None:
     async def several() -> None:
-        async with hapticd.aio.connect(bridge.address, **bridge.as_client("alice")) as client:
+        async with hapticd.aio.connect(bridge.address, 60.0, **bridge.as_client("alice")) as client:
             statuses = await asyncio.gather(*(client.get_status() for _ in range(20)))
             assert all(status["protocol"] == 1 for status in statuses)
             async with client.samples() as samples:
@@ -232,10 +233,15 @@ def test_with_another_server_key(daemon: Daemon, tmp_path: Path) -> None:
             connect(bridge.address, key=bridge.keys["alice"], server_key=bridge.keys["bob"].public_key)
 
 
-def test_a_watcher_commands_nothing(bridge: Bridge, daemon: Daemon) -> None:
-    since = bridge.spoken
+def test_a_watcher_commands_nothing(daemon: Daemon, tmp_path: Path) -> None:
+    # Its own one: it tells of the same refusal once a minute.
+    with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
+        watches_and_no_more(daemon, bridge)
+
+
+def watches_and_no_more(daemon: Daemon, bridge: Bridge) -> None:
     refused(bridge, daemon, Peer(zmq.DEALER, bridge.address, bridge.at("bob")))
-    bridge.hears('refused 127.0.0.1 at the command socket: "bob" may watch, not command', since)
+    bridge.hears('refused 127.0.0.1 at the command socket: "bob" may watch, not command')
     # Nor by the other socket: what is sent up there is no subscription.
     with nothing_passes(daemon), Peer(zmq.XSUB, bridge.at("bob").telemetry_endpoint, bridge.at("bob")) as peer:
         for body in commands():
@@ -412,13 +418,13 @@ def test_too_many_bytes_wait(daemon: Daemon, tmp_path: Path) -> None:
         running_bridge(tmp_path, daemon.directory, CLIENTS, limits=limits) as bridge,
         Peer(zmq.DEALER, bridge.address, bridge.at("alice")) as peer,
     ):
-        for _ in range(4):
+        for _ in range(6):
             peer.socket.send(b"\xc1" * 60_000)
-        for _ in range(4):
+        for _ in range(6):
             assert msgpack.unpackb(peer.socket.recv())["error"]["code"] == wire.Code.PARSE
         found = metrics(bridge)
-        assert found["hapticd_bridge_received_bytes_total"]["alice"] > 240_000
-        # 240 kB at 100 kB/s, of which the first 100 kB came at once.
+        assert found["hapticd_bridge_received_bytes_total"]["alice"] > 360_000
+        # 360 kB at 100 kB/s, of which the first 100 kB came at once, and of the rest half while we were held up.
         assert found["hapticd_bridge_limited_seconds_total"]["alice,bytes"] > 1.3
         assert found["hapticd_bridge_limited_seconds_total"]["alice,requests"] == 0
 
@@ -488,8 +494,24 @@ def _noise(random: random.Random) -> bytes:
             return _GREETING[: random.randrange(1, 64)] + tail
 
 
-def test_bytes_of_nobody_do_no_harm(bridge: Bridge, daemon: Daemon) -> None:
+def test_bytes_of_nobody_do_no_harm(daemon: Daemon, tmp_path: Path) -> None:
+    # Those who are refused are held for a second, and would have the next test shut out.
+    with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
+        no_harm(bridge, daemon)
 
+
+def let_in(bridge: Bridge, name: str) -> Client:
+    """A client of the bridge, once those that knocked before do not take all the room any more."""
+    deadline, pause = time.monotonic() + 60, threading.Event()
+    while True:
+        try:
+            return connect(bridge.address, **bridge.as_client(name))
+        except KeyRefused:
+            assert time.monotonic() < deadline
+            pause.wait(0.1)
+
+
+def no_harm(bridge: Bridge, daemon: Daemon) -> None:
     def knock(seed: int) -> None:
         source = random.Random(seed)
         for number in range(50):
@@ -510,12 +532,16 @@ def test_bytes_of_nobody_do_no_harm(bridge: Bridge, daemon: Daemon) -> None:
             thread.start()
         for thread in threads:
             thread.join()
-        with connect(bridge.address, timeout_s=30, **bridge.as_client("alice")) as client:
+        with let_in(bridge, "alice"), let_in(bridge, "carol") as client:
             assert client.get_status()["state"] == "running"
 
 
-def test_who_says_nothing_is_shown_the_door(bridge: Bridge) -> None:
-    with bridge.raw() as silent, bridge.raw(telemetry=True) as halfway:
+def test_who_says_nothing_is_shown_the_door(daemon: Daemon, tmp_path: Path) -> None:
+    with (
+        running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge,
+        bridge.raw() as silent,
+        bridge.raw(telemetry=True) as halfway,
+    ):
         halfway.sendall(_GREETING)
         assert silent.recv(1) == b""
         with pytest.raises(ConnectionError):
@@ -525,8 +551,13 @@ def test_who_says_nothing_is_shown_the_door(bridge: Bridge) -> None:
         bridge.hears("no key within 5 s")
 
 
-def test_many_that_say_nothing_are_not_waited_for(bridge: Bridge) -> None:
+def test_many_that_say_nothing_are_not_waited_for(daemon: Daemon, tmp_path: Path) -> None:
     """So many of one address wait at most; the rest is closed at once."""
+    with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
+        not_waited_for(bridge)
+
+
+def not_waited_for(bridge: Bridge) -> None:
     waiting = [bridge.raw() for _ in range(40)]
     try:
         bridge.hears("too many connections at once that have not shown a key")
@@ -536,7 +567,7 @@ def test_many_that_say_nothing_are_not_waited_for(bridge: Bridge) -> None:
     finally:
         for each in waiting:
             each.close()
-    with connect(bridge.address, timeout_s=30, **bridge.as_client("alice")) as client:
+    with let_in(bridge, "alice") as client:
         client.get_status()
 
 
@@ -555,7 +586,7 @@ def test_without_a_daemon_it_says_so_and_comes_back(tmp_path: Path) -> None:
             client.get_status()
         seen: list[Any] = []
         with fake_daemon(directory, lambda request: [result(request, len(seen))]) as daemon:
-            assert client.call("here") == 0
+            assert when_it_is_there(client, "here") == 0
             bridge_knows(bridge)
             # Nobody answers, and then nobody is there.
             asked = threading.Event()
@@ -575,12 +606,22 @@ def test_without_a_daemon_it_says_so_and_comes_back(tmp_path: Path) -> None:
 
             asking = threading.Thread(target=ask)
             asking.start()
-            assert asked.wait(30)
-        asking.join(30)
+            assert asked.wait(60)
+        asking.join(60)
         assert "may have been carried out" in str(failures[0])
         with fake_daemon(directory, lambda request: [result(request, "again")]) as second:
-            assert client.call("after") == "again"
+            assert when_it_is_there(client, "after") == "again"
             assert [request["method"] for request in second.requests] == ["after"]
+
+
+def when_it_is_there(client: Client, method: str) -> object:
+    """The answer of a daemon that has just come. A bridge that is held up may find it later than it waits for one."""
+    deadline = time.monotonic() + 60
+    while True:
+        try:
+            return client.call(method)
+        except DaemonNotRunning as error:
+            assert "nothing was carried out" in str(error) and time.monotonic() < deadline
 
 
 def bridge_knows(bridge: Bridge) -> None:
@@ -589,21 +630,19 @@ def bridge_knows(bridge: Bridge) -> None:
         next(states)
 
 
-def test_it_ends_with_connections_open(daemon: Daemon, tmp_path: Path) -> None:
-    def folders() -> set[Path]:
-        return set(Path(tempfile.gettempdir()).glob("hapticd-bridge-*"))
-
-    before = folders()
-    with (
-        running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge,
-        connect(bridge.address, **bridge.as_client("alice")) as client,
-        client.states() as states,
-    ):
-        next(states)
-        client.get_status()
-        assert len(folders() - before) == 1
-        assert bridge.stop() == 0
-    assert folders() - before == set()
+def test_it_ends_with_connections_open(daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory() as place, monkeypatch.context() as patch:
+        patch.setenv("TMPDIR", place)  # where no other test has bridges
+        with (
+            running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge,
+            connect(bridge.address, **bridge.as_client("alice")) as client,
+            client.states() as states,
+        ):
+            next(states)
+            client.get_status()
+            assert len(list(Path(place).glob("hapticd-bridge-*"))) == 1
+            assert bridge.stop() == 0
+        assert os.listdir(place) == []
 
 
 def test_who_leaves_in_the_handshake_leaves_no_file(
@@ -696,7 +735,7 @@ from hapticd.keys import Certificate
 address, server, *keys = json.loads(sys.argv[1])
 for public, secret in keys:
     try:
-        with connect(address, key=Certificate(public, secret), server_key=server) as client:
+        with connect(address, 60, key=Certificate(public, secret), server_key=server) as client:
             with client.states() as states:
                 next(states)
             print("watches", flush=True)

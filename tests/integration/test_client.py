@@ -19,13 +19,12 @@ import pytest
 
 import hapticd.aio
 from hapticd import calls, client
-from hapticd.calls import DaemonNotRunning, RemoteError, TelemetryLoss
-from hapticd.client import connect
+from hapticd.calls import DaemonNotRunning, RemoteError, Status, TelemetryLoss
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError, InvalidError
 from hapticd.scene import Scene
 from hapticd.wire import Code, WireError
-from tests.daemon_process import Daemon, running_daemon
+from tests.daemon_process import Daemon, connect, running_daemon
 from tests.fake_daemon import FakeDaemon, fake_daemon, result
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
@@ -70,9 +69,9 @@ def test_every_method(daemon: Daemon, tmp_path: Path) -> None:
         assert client.set_operator(np.array(DOWN), interpolation="minimum_jerk")["duration_s"] == pytest.approx(0.3)
         gesture = {"kind": "tap", "object": "floor", "speed_m_per_s": 0.1}
         assert client.set_operator(gesture=gesture)["duration_s"] > 0
-        token = client.lease(5.0)["token"]
+        token = client.lease(60.0)["token"]
         assert token is not None
-        assert client.lease(5.0, token)["token"] == token
+        assert client.lease(60.0, token)["token"] == token
         assert client.lease(0, token)["token"] is None
         assert client.call("get_scene")["revision"] == revision + 2  # type: ignore[index]
 
@@ -148,8 +147,9 @@ def test_samples_are_structured_arrays_without_gaps(daemon: Daemon) -> None:
 def test_events_and_states(daemon: Daemon) -> None:
     with connect(daemon.directory) as client, client.events() as events, client.states() as states:
         client.set_scene(SCENE, wait=True)
-        client.set_operator(DOWN)
-        contact = next(event for event in events if event["event"] == "contact")
+        # What the hand did before may still be on its way here.
+        begin = client.set_operator(DOWN)["tick"]
+        contact = next(event for event in events if event["event"] == "contact" and event["tick"] > begin)
         assert contact["object"] == "floor"
         assert isinstance(contact["speed_m_per_s"], float) and contact["speed_m_per_s"] > 0.05
         release = next(event for event in events if event["event"] == "release")
@@ -164,8 +164,9 @@ def test_a_subscription_is_in_effect_when_it_is_made(daemon: Daemon) -> None:
         for _ in range(10):
             with client.events() as events:
                 revision = client.set_scene(SCENE)["revision"]
-                wanted = (event for event in events if event["event"] == "revision")
-                assert next(wanted)["revision"] == revision
+                # That of a change before it may still be on its way.
+                wanted = (each["revision"] for each in events if each["event"] == "revision")
+                assert next(each for each in wanted if each >= revision) == revision
 
 
 def test_a_client_may_be_shared_by_threads(daemon: Daemon) -> None:
@@ -191,13 +192,18 @@ def test_a_client_may_be_shared_by_threads(daemon: Daemon) -> None:
 
 
 def test_a_held_lease_outlasts_its_duration_and_ends_with_the_block(daemon: Daemon) -> None:
+    def passed_s(status: Status) -> float:
+        """By the servo's clock."""
+        return (status["counters"]["ticks"] + status["counters"]["skipped"]) / status["rate_hz"]
+
+    # Renewed every second: whoever renews it may be held up for two.
     with connect(daemon.directory) as client, client.statuses() as statuses:
-        with client.hold_lease(0.4):
+        with client.hold_lease(3.0):
+            begin_s = passed_s(client.get_status())
             with pytest.raises(RemoteError) as caught:
                 client.lease(1.0)
             assert caught.value.code == Code.LEASE_HELD
-            for _ in range(3):  # a status a second: several times the lease
-                status = next(statuses)
+            status = next(status for status in statuses if passed_s(status) > begin_s + 4.0)
             assert status["lease_s"] is not None and status["forces"] == "on"
         assert client.get_status()["lease_s"] is None
         assert client.get_status()["forces"] == "on", "ending a lease is not losing it"
@@ -218,7 +224,7 @@ def test_a_lease_of_a_killed_client_lapses(daemon: Daemon) -> None:
         with holder, holder.stdout:
             assert holder.stdout.readline() == "held\n"
             holder.send_signal(signal.SIGKILL)
-        fault = next(event for event in events if event["event"] == "fault")
+        fault = next(event for event in events if event["event"] == "fault" and event["faults"])
         assert fault["faults"] == ["lease"]
         assert client.get_status()["forces"] == "faulted"
         with pytest.raises(RemoteError) as caught:
@@ -229,20 +235,19 @@ def test_a_lease_of_a_killed_client_lapses(daemon: Daemon) -> None:
 
 def test_a_lost_lease_is_told_at_the_end_of_the_block(daemon: Daemon) -> None:
     with connect(daemon.directory) as client:
-        with pytest.raises(RemoteError) as caught, client.hold_lease(0.2) as token, client.events() as events:
+        with pytest.raises(RemoteError) as caught, client.hold_lease(3.0) as token:
             client.lease(0, token)  # somebody who has the token ends it
             threads = [thread for thread in threading.enumerate() if thread.name == "hapticd-lease"]
-            del events
-            threads[0].join(30)
+            threads[0].join(60)
         assert caught.value.code == Code.LEASE_LAPSED
-        with pytest.raises(ZeroDivisionError), client.hold_lease(1.0):
+        with pytest.raises(ZeroDivisionError), client.hold_lease(60.0):
             raise ZeroDivisionError
         assert client.get_status()["lease_s"] is None
 
 
 def test_asyncio_has_every_method_too(daemon: Daemon) -> None:
     async def main() -> None:
-        async with hapticd.aio.connect(daemon.directory) as client:
+        async with hapticd.aio.connect(daemon.directory, 60.0) as client:
             revision = (await client.set_scene(SCENE))["revision"]
             answers = await asyncio.gather(*(client.get_status() for _ in range(20)), client.get_scene())
             assert answers[-1] == {"scene": Scene.model_validate(SCENE).to_dict(), "revision": revision}
@@ -263,7 +268,7 @@ def test_asyncio_has_every_method_too(daemon: Daemon) -> None:
                 assert (np.diff(np.concatenate([batch["tick"] for batch in taken])) == 1).all()
             assert len((await anext(client.states()))["position_m"]) == 2
             assert (await anext(client.statuses()))["protocol"] == 1
-            async with client.hold_lease(0.4):
+            async with client.hold_lease(60.0):
                 with pytest.raises(RemoteError) as caught:
                     await client.lease(1.0)
                 assert caught.value.code == Code.LEASE_HELD
@@ -303,7 +308,7 @@ def test_no_daemon(tmp_path: Path) -> None:
         with pytest.raises(DaemonNotRunning, match=f"no daemon at {directory}; start one with: hapticd run"):
             connect(directory)
         with pytest.raises(DaemonNotRunning, match="start one with"):
-            in_asyncio(lambda client: client.get_status(), directory, 5.0)
+            in_asyncio(lambda client: client.get_status(), directory, 60.0)
 
 
 def test_a_socket_that_a_dead_daemon_left(fake: FakeDaemon, tmp_path: Path) -> None:
@@ -319,6 +324,7 @@ def test_somebody_who_does_not_answer(fake: FakeDaemon) -> None:
     with connect(fake.directory, timeout_s=0.1) as client:
         with pytest.raises(DaemonNotRunning, match=r"did not answer within 0\.1 s"):
             client.get_status()
+        client.timeout_s = 60.0
         fake.answer = lambda request: [result(request, {"fine": True})]
         assert client.call("get_status") == {"fine": True}, "the client goes on"
     fake.answer = unanswering
@@ -341,7 +347,7 @@ def test_late_answers_are_not_taken_for_others(fake: FakeDaemon) -> None:
     async def ask(client: hapticd.aio.Client) -> None:
         assert await client.call("x") == "mine"
 
-    in_asyncio(ask, fake.directory, 5.0)
+    in_asyncio(ask, fake.directory, 60.0)
 
 
 def test_asyncio_takes_answers_in_any_order(fake: FakeDaemon) -> None:
@@ -358,7 +364,7 @@ def test_asyncio_takes_answers_in_any_order(fake: FakeDaemon) -> None:
     async def ask(client: hapticd.aio.Client) -> None:
         assert await asyncio.gather(*(client.call("x", {"n": n}) for n in range(10))) == list(range(10))
 
-    in_asyncio(ask, fake.directory, 5.0)
+    in_asyncio(ask, fake.directory, 60.0)
 
 
 @pytest.mark.parametrize(
@@ -369,7 +375,7 @@ def test_answers_that_are_none(fake: FakeDaemon, body: bytes) -> None:
     with connect(fake.directory) as client, pytest.raises(WireError):
         client.get_status()
     with pytest.raises(WireError):
-        in_asyncio(lambda client: client.get_status(), fake.directory, 5.0)
+        in_asyncio(lambda client: client.get_status(), fake.directory, 60.0)
 
 
 def test_an_interrupted_call_does_not_confuse_the_next(fake: FakeDaemon) -> None:
@@ -391,13 +397,16 @@ def test_an_interrupted_call_does_not_confuse_the_next(fake: FakeDaemon) -> None
 
 def test_what_was_told_to_a_dead_daemon_never_reaches_the_next(tmp_path: Path) -> None:
     with fake_daemon(tmp_path, lambda request: [result(request, None)]) as first:
-        client = connect(tmp_path, timeout_s=0.2)
+        client = connect(tmp_path)
         client.call("before")
         first.close()
+    # It is impatient only now that it has a connection, which may have taken its time.
+    assert client._socket is not None
+    client._socket.SNDTIMEO = client._socket.RCVTIMEO = 200
     with pytest.raises(DaemonNotRunning, match="start one with"):
         client.call("meanwhile")
     with fake_daemon(tmp_path, lambda request: [result(request, "here")]) as second:
-        client.timeout_s = 30.0
+        client.timeout_s = 60.0
         with pytest.raises(DaemonNotRunning):
             connect(tmp_path / "nowhere")
         assert client.call("after") == "here"
@@ -447,8 +456,10 @@ def test_loss_is_told(fake: FakeDaemon) -> None:
 
 def test_silent_telemetry_is_a_lost_daemon(fake: FakeDaemon) -> None:
     with connect(fake.directory) as client:
-        with client.samples(timeout_s=0.1) as batches:
+        with client.samples() as batches:
             fake.silent.set()
+            client.call("quiet")  # what it was about to publish is out by its answer
+            batches._timeout_s = 0.1  # only now: that it begins may take longer
             with pytest.raises(DaemonNotRunning, match=r"no telemetry from .* for 0\.1 s"):
                 next(batches)
         with pytest.raises(DaemonNotRunning, match="no telemetry"):
@@ -458,7 +469,7 @@ def test_silent_telemetry_is_a_lost_daemon(fake: FakeDaemon) -> None:
             await anext(client.events(timeout_s=0.1))
 
         with pytest.raises(DaemonNotRunning, match="no telemetry"):
-            in_asyncio(listen, fake.directory, 5.0)
+            in_asyncio(listen, fake.directory, 60.0)
         fake.close()
         with pytest.raises(DaemonNotRunning, match="start one with"):
             client.states(timeout_s=0.1)

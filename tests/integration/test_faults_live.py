@@ -20,10 +20,9 @@ import msgpack
 import numpy as np
 import pytest
 
-import hapticd
 from hapticd.client import Client
 from hapticd.samples import SampleStream
-from tests.daemon_process import Daemon, running_daemon, wired
+from tests.daemon_process import Daemon, connect, running_daemon, wired
 
 ROOT = Path(__file__).parents[2]
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
@@ -75,7 +74,7 @@ def clocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Clocks:
 
 def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path, clocks: Clocks) -> None:
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
-    with running_daemon("-c", str(config)) as daemon, hapticd.connect(daemon.directory) as client:
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
         assert client.get_status()["counters"]["suspends"] == 0
         with client.telemetry("samples", "event") as messages:
             parts: list[np.ndarray] = []
@@ -97,7 +96,9 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
         at = int(np.flatnonzero(data["tick"] == event["tick"])[0])
         force = data["force_n"][:, 1]
         assert force[at - 1] == pytest.approx(0.5)
-        assert force[at] <= 0.5 / 20 * 1.001
+        # A twentieth of the ramp in a period; a machine that is busy may have missed some just then.
+        passed_s = 1e-9 * float(data["time_ns"][at] - data["time_ns"][at - 1])
+        assert force[at] <= 0.5 * passed_s / 0.02 * 1.001
         assert force[at + 25] == pytest.approx(0.5)
         status = client.get_status()
         assert status["counters"]["suspends"] == 1
@@ -108,7 +109,7 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
 def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> None:
     clocks.ahead(realtime_ns=-30 * 365 * DAY_NS)  # a machine whose battery is empty
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
-    with running_daemon("-c", str(config)) as daemon, hapticd.connect(daemon.directory) as client:
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
         lease = client.lease(3600.0)["token"]
         with client.telemetry("event", "status") as messages:
             statuses = []
@@ -153,9 +154,10 @@ def written(client: Client, count: int) -> dict[str, Any]:
 
 
 def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Path) -> None:
-    scene = f"flight: {{keep: 2}}\nscene: {json.dumps({'objects': PUSH})}\n"
+    # So long that the second fault is soon after the first, however slow we are.
+    scene = f"flight: {{keep: 2, seconds: 60}}\nscene: {json.dumps({'objects': PUSH})}\n"
     config = str(with_config(tmp_path, scene))
-    with running_daemon("-c", config) as daemon, hapticd.connect(daemon.directory) as client:
+    with running_daemon("-c", config) as daemon, connect(daemon.directory) as client:
         with client.events() as events:
             client.lease(0.3)
             fault = next(event for event in events if event["event"] == "fault")
@@ -195,7 +197,7 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
 def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -> None:
     """The limit of a file's size stands for a disk that is full."""
     with running_daemon("-c", str(with_config(tmp_path, ""))) as daemon:
-        with hapticd.connect(daemon.directory) as client:
+        with connect(daemon.directory) as client:
             before = resource.prlimit(daemon.process.pid, resource.RLIMIT_FSIZE)
             resource.prlimit(daemon.process.pid, resource.RLIMIT_FSIZE, (10_000, before[1]))
             file = client.dump_flight()["file"]
@@ -218,6 +220,7 @@ def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -
 
 # ---- Reload ----------------------------------------------------------------------------------------------------------
 
+# A stall that is longer than the ramp, while the hand goes through, would leave the membrane whole.
 SKIN = "{kind: membrane, center_m: [0, 0], normal: [0, 1], width_m: 0.1, material: cellophane}"
 
 
@@ -225,28 +228,34 @@ PEG = "{kind: disc, center_m: [0.05, 0], radius_m: 0.005, material: gum}"
 
 
 def through(client: Client) -> set[str]:
-    """Moves the hand from above the membrane to below it; what happened on the way."""
+    """Moves the hand from above the membrane to below it; what happened on the way. It stays at both ends, so that
+    they are seen."""
     with client.telemetry("state", "event") as messages:
-        client.set_operator([[0, 0, 0.01], [0.3, 0, 0.01], [0.6, 0, -0.02], [0.8, 0, -0.02]])
-        kinds, above = set(), False
-        for topic, message in messages:
-            if topic == "event":
-                kinds.add(message["event"])
-                continue
-            above = above or message["position_m"][1] > 0.008
-            if above and message["position_m"][1] < -0.015:
-                return kinds
-    raise AssertionError("telemetry ended")
+
+        def arrived(way: list[list[float]], there: Callable[[float], bool]) -> set[str]:
+            begin, kinds, seen = client.set_operator(way)["tick"], set(), 0
+            for topic, message in messages:
+                if topic == "event":
+                    kinds.add(message["event"])
+                # Of the tick of a state events may come after it, and before the next one.
+                elif message["tick"] > begin and there(message["position_m"][1]):
+                    seen += 1
+                    if seen == 2:
+                        return kinds
+            raise AssertionError("telemetry ended")
+
+        arrived([[0, 0, 0.01]], lambda y: y > 0.008)
+        return arrived([[0, 0, 0.01], [0.3, 0, -0.02]], lambda y: y < -0.015)
 
 
 def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path) -> None:
-    config = with_config(tmp_path, f"scene: {{objects: {{skin: {SKIN}}}}}\n")
-    with running_daemon("-c", str(config)) as daemon, hapticd.connect(daemon.directory) as client:
+    config = with_config(tmp_path, f"scene: {{ramp_s: 1, objects: {{skin: {SKIN}}}}}\n")
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
         assert "puncture" in through(client)
         client.update_scene({"guest": {"kind": "viscous", "damping_n_s_per_m": 1}})
         config.write_text(
             QUIET + "materials: {gum: {stiffness_n_per_m: 300}}\n"
-            f"scene: {{objects: {{skin: {SKIN}, peg: {PEG}}}}}\n"
+            f"scene: {{ramp_s: 1, objects: {{skin: {SKIN}, peg: {PEG}}}}}\n"
         )
         before = client.get_scene()["revision"]
         daemon.process.send_signal(signal.SIGHUP)
@@ -274,7 +283,7 @@ def test_reload_is_all_or_nothing(live: tuple[Daemon, Path], text: str | None, w
         config.unlink()
     else:
         config.write_text(text)
-    with hapticd.connect(daemon.directory) as client:
+    with connect(daemon.directory) as client:
         before = client.get_scene()
         command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "reload"]
         refused = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -317,7 +326,7 @@ def test_a_client_of_protocol_1_0_works(tmp_path: Path) -> None:
                 assert set(FIRST["counters"]) <= answer["result"]["counters"].keys()
         for exchange in FIRST["errors"]:
             assert wire.body(bytes.fromhex(exchange["request"]))["error"]["code"] == exchange["code"], exchange
-        with hapticd.connect(daemon.directory) as client, client.telemetry("samples", "state", "event") as messages:
+        with connect(daemon.directory) as client, client.telemetry("samples", "state", "event") as messages:
             seen: dict[str, Any] = {}
             while not {"samples", "state"} <= seen.keys():
                 topic, message = next(messages)

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -111,6 +112,17 @@ def load(runtime: Path) -> Iterator[Wire]:
         wire.close()
 
 
+def push(wire: Wire, stick: FakePid) -> None:
+    """Forces on, until there is one: a hand of ours that is held up for 0.1 s is a device that does not report."""
+    deadline = time.monotonic() + 60
+    pause = threading.Event()
+    while stick.force() == (0.0, 0.0):
+        assert time.monotonic() < deadline, wire.result("get_status")["faults"]
+        if wire.result("get_status")["forces"] != "on":
+            wire.call("set_forces", enabled=True)
+        pause.wait(0.02)
+
+
 def set_up(stick: FakePid) -> None:
     """The joystick's effects, as a daemon's set-up leaves them."""
     PidDriver(stick.layout, Hid()).set_up(stick.device)
@@ -148,9 +160,9 @@ def test_killed_at_random_moments_under_load() -> None:
                 pid = nursery.daemon()
                 wire = Wire(nursery.runtime)
                 # A socket that was left behind answers nobody: the connection is made when the daemon binds anew.
-                wire.result("set_forces", enabled=True)
+                wire.result("get_status")
+                push(wire, stick)
                 wire.close()
-                stick.wait(lambda: stick.force() != (0.0, 0.0))
                 with load(nursery.runtime):
                     reports = len(stick.log) + dice.randrange(60)
                     stick.wait(lambda reports=reports: len(stick.log) >= reports)  # type: ignore[misc]

@@ -7,22 +7,21 @@ import threading
 import msgpack
 import numpy as np
 
-import hapticd
-from tests.daemon_process import running_daemon, wired
+from tests.daemon_process import connect, running_daemon, wired
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
 UPDATES = 3000
+RAMP_NS = 20_000_000
 EVERY = 100  # of them is a play, and one a reset of another object
 
 
 def test_updates_lose_nothing_and_step_nothing() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         wire.result("set_scene", scene={"objects": {"floor": FLOOR, "far": {**FLOOR, "point_m": [0, -0.06]}}})
-        wire.result("set_operator", waypoints=[[0.05, 0, 0.002], [0.3, 0, -0.004], [0.6, 0, -0.004]])
         batches: list[np.ndarray] = []
         done = threading.Event()
         end = 0
-        with hapticd.connect(daemon.directory) as client, client.samples() as samples:
+        with connect(daemon.directory) as client, client.samples() as samples:
 
             def listen() -> None:
                 for batch in samples:
@@ -34,6 +33,7 @@ def test_updates_lose_nothing_and_step_nothing() -> None:
             with client.events() as events:
                 listener = threading.Thread(target=listen)
                 listener.start()
+                wire.result("set_operator", waypoints=[[0.05, 0, 0.002], [0.3, 0, -0.004], [0.6, 0, -0.004]])
                 while True:
                     event = next(events)
                     if event["event"] == "contact":
@@ -63,12 +63,22 @@ def test_updates_lose_nothing_and_step_nothing() -> None:
         # In contact throughout: the force never falls to nothing, and steps by no more than a ramp of the whole force.
         contact = span["contact_force_n"][:, 1]
         largest = contact.max()
-        assert contact.min() > 0.3 * largest
+        # Whoever did not let the servo run for longer than the ramp has the contact come in anew, over the ramp.
+        stalls = np.flatnonzero(np.diff(span["time_ns"]) > RAMP_NS) + 1
+        stalled = np.zeros(len(span), bool)
+        for stall in stalls.tolist():
+            stalled |= (span["time_ns"] >= span["time_ns"][stall]) & (
+                span["time_ns"] <= span["time_ns"][stall] + 2 * RAMP_NS
+            )
+        assert contact[~stalled].min() > 0.3 * largest
         moved = 800 * np.abs(np.diff(span["position_m"][:, 1]))  # what the hand itself moved
-        allowed = moved + largest * np.diff(span["time_ns"]) / 20e6
+        whole = 800 * (1e-5 - span["position_m"][:, 1].min())  # what the deepest place calls for
+        allowed = moved + whole * np.diff(span["time_ns"]) / RAMP_NS
         assert np.all(np.abs(np.diff(contact)) <= allowed + 1e-9)
         assert wire.result("get_status")["counters"]["samples_dropped"] == 0
         for tick in ticks:
+            if np.any((span["tick"][stalls] > tick) & (span["tick"][stalls] < tick + 60)):
+                continue  # it has rung out meanwhile
             ringing = span[(span["tick"] > tick) & (span["tick"] < tick + 60)]["vibration_force_n"][:, 0]
             assert np.any(ringing != 0.0)
 

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,11 +18,10 @@ import numpy as np
 import pytest
 import zmq
 
-import hapticd
 from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.engine import Engine
-from tests.daemon_process import Daemon, Wire, running_daemon, wired
+from tests.daemon_process import Daemon, Wire, connect, running_daemon, wired
 
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 
@@ -53,12 +53,14 @@ def test_signal_fades_the_force_and_exits_with_0(number: int) -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         wire.result("set_scene", scene={"objects": PUSH}, wait=True)
         batches = []
-        with hapticd.connect(daemon.directory) as client, client.samples(timeout_s=2) as samples:
-            for _ in range(3):
+        with connect(daemon.directory) as client, client.samples() as samples:
+            deadline = time.monotonic() + 60
+            while not batches or batches[-1]["force_n"][-1, 1] != pytest.approx(0.5):
+                assert time.monotonic() < deadline, wire.result("get_status")["faults"]
                 batches.append(np.array(next(samples)))
-            assert batches[-1]["force_n"][-1, 1] == pytest.approx(0.5)
             assert daemon.stop(number) == 0
-            while (batch := samples.receive(0.5)) is not None:
+            # What shows that the force is zero may still be on its way from one thread of ours to another.
+            while (batch := samples.receive(0.5 if batches[-1]["force_n"][-1, 1] == 0.0 else 60.0)) is not None:
                 batches.append(np.array(batch))
         data = np.concatenate(batches)
         assert data["force_n"][-1, 1] == 0.0
@@ -191,7 +193,7 @@ def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Pa
         assert not any("all objects" in line for line in status["realtime"]["missing"])
         disc = {"kind": "disc", "radius_m": 1e-3, "material": "wood"}
         discs = {f"d{i}": {**disc, "center_m": [0.01 * (i % 100), 0.1 + 0.01 * (i // 100)]} for i in range(15_000)}
-        with hapticd.connect(tmp_path / "run") as client, client.events() as events:
+        with connect(tmp_path / "run") as client, client.events() as events:
             for half in (list(discs.items())[::2], list(discs.items())[1::2]):
                 wire.result("update_scene", objects=dict(half), wait=True)
             refused = next(event for event in events if event["event"] == "memory_refused")
@@ -206,14 +208,14 @@ def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         wire.result("set_scene", scene={"objects": PUSH}, wait=True)
         before = wire.result("get_status")["counters"]
-        with hapticd.connect(daemon.directory) as client, client.samples() as samples:
-            next(samples)
+        with connect(daemon.directory) as client, client.samples() as samples:
+            parts = [np.array(next(samples))]  # of before, whatever else comes of it
             daemon.process.send_signal(signal.SIGSTOP)
             os.waitpid(daemon.process.pid, os.WUNTRACED)
             stopped = threading.Event()
             stopped.wait(1.0)  # the stall itself
             daemon.process.send_signal(signal.SIGCONT)
-            parts = [np.array(next(samples)) for _ in range(30)]
+            parts += [np.array(next(samples)) for _ in range(30)]
         data = np.concatenate(parts)
         gaps = np.diff(data["time_ns"])
         stall = int(np.argmax(gaps))

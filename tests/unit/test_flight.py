@@ -30,7 +30,7 @@ class Life:
             batch["tick"] = np.arange(self.tick, self.tick + 20)
             self.flight.keep_samples(batch)
             self.tick += 20
-            self.flight.turn()
+            self.flight.turn(self.tick * 1_000_000)
 
     def fault(self, *faults: str) -> None:
         self.flight.keep_event({"event": "fault", "tick": self.tick, "time_ns": 0, "faults": list(faults)})
@@ -146,7 +146,7 @@ def test_whoever_asks_without_end_has_two_copies_kept_at_most(tmp_path: Path) ->
     life.end()
     assert len(list(tmp_path.iterdir())) == 3
     later = life.flight.dump()
-    life.flight.turn()
+    life.flight.turn(life.tick * 1_000_000)
     life.end()
     assert later.exists() and life.flight.status()["under_way"] == 0
 
@@ -172,7 +172,7 @@ def test_what_was_written_is_let_go(tmp_path: Path) -> None:
     writer.start()
     try:
         path = life.flight.dump()
-        life.flight.turn()
+        life.flight.turn(life.tick * 1_000_000)
         life.go_on(4000)  # it is too old to be kept
         pause, deadline = threading.Event(), time.monotonic() + 60.0
         while kept() is not None and time.monotonic() < deadline:
