@@ -397,9 +397,9 @@ def sim(run: Run) -> None:
 
         load.client(disturb)
         wanted = {"contact", "release", "puncture", "groove", "fault", "revision", "overrun"}
-        with load.running():
-            load.last(0.45 * run.seconds, lambda: wanted <= load.events)
         methods = known_methods()
+        with load.running():
+            load.last(0.45 * run.seconds, lambda: wanted <= load.events and methods <= load.methods)
         assert load.methods == methods, methods ^ load.methods
         # And taken down in the middle of it.
         load = Load(daemon, run, timeout_s=5.0)
