@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 
 from hapticd.errors import HapticdError, quoted
+from hapticd.journal import LEVELS
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -70,6 +72,22 @@ def config_option(command: _F) -> _F:
 def json_option(command: _F) -> _F:
     """The option `--json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")(command)
+
+
+def log_options(command: _F) -> _F:
+    """The options of what runs until it is ended: how much stands in its log, as the parameter `log_level`."""
+
+    @click.option("-q", "--quiet", is_flag=True, help="Log warnings and errors alone.")
+    @click.option("-v", "--verbose", is_flag=True, help="Log each command and each event, too.")
+    @click.option("--log-level", type=click.Choice(LEVELS), help="The least important line of the log [default: info].")
+    @functools.wraps(command)
+    def with_level(*args: Any, quiet: bool, verbose: bool, log_level: str | None, **options: Any) -> Any:
+        if quiet + verbose + (log_level is not None) > 1:
+            raise click.UsageError("-q, -v and --log-level say the same: give one")
+        level = log_level or ("warning" if quiet else "debug" if verbose else "info")
+        return command(*args, log_level=level, **options)
+
+    return cast(_F, with_level)
 
 
 def change_options(command: _F) -> _F:
