@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
+from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, quoted
 from hapticd.journal import LEVELS
 
@@ -108,14 +109,22 @@ def print_json(value: object) -> None:
     click.echo(json.dumps(value, ensure_ascii=False))
 
 
+def note(text: str) -> None:
+    """A line for people beside the result: on stderr, since stdout is the result's."""
+    click.echo(f"hapticd: {shell_words(text)}", err=True)
+
+
 def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None:
-    """The result as JSON, or `text`; a warning in the result goes to stderr."""
+    """The result as JSON, which holds its warnings, or `text`, and the warnings on stderr."""
     if as_json:
         print_json(result)
-    else:
-        click.echo(text)
+        return
+    click.echo(text)
     if "warning" in result:
-        click.echo(f"hapticd: {result['warning']}", err=True)
+        note(str(result["warning"]))
+    warnings = result.get("warnings")
+    for warning in warnings if isinstance(warnings, list) else ():
+        note(f"{warning['where']}: {warning['problem']}")
 
 
 def check_new(target: str, overwrite: bool) -> None:
@@ -193,8 +202,8 @@ def _flow(value: object) -> str:
 
 def changed(result: Mapping[str, object]) -> str:
     """What a change of the scene did, in words."""
-    tick = f", in force from tick {result['tick']} on" if "tick" in result else ""
-    return f"revision {result['revision']}{tick}"
+    tick = f", in force from tick {result['tick']:,} on" if "tick" in result else ""
+    return f"revision {result['revision']:,}{tick}"
 
 
 def duration(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:
