@@ -27,7 +27,7 @@ from typing import Final, TypeVar
 
 import zmq
 
-from hapticd import journal, memory, notify, server
+from hapticd import journal, memory, notify, server, words
 from hapticd.config import Config, config_of
 from hapticd.control import Control
 from hapticd.engine import Engine, monotonic_ns
@@ -119,9 +119,9 @@ def _run(
     gc.freeze()
     gc.enable()
     _log.info(
-        "ready: %s at %g Hz, %s%s, commands at %s",
+        "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
-        config.servo.rate_hz,
+        words.si(config.servo.rate_hz, "Hz"),
         f"SCHED_FIFO {granted.priority}" if granted.priority else "no real-time priority",
         f", memory locked: {granted.memory}",
         paths.command,
@@ -180,7 +180,10 @@ def _progress(engine: Engine) -> tuple[int, str]:
     forces = "on" if counters.forces_on else "off"
     if counters.faults:
         forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
-    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
+    return (
+        counters.ticks,
+        f"{device} at {words.si(engine.rate_hz, 'Hz')}; scene revision {engine.revision}; forces {forces}",
+    )
 
 
 def _thread(

@@ -83,7 +83,7 @@ def test_status(shell: Shell) -> None:
     status = json.loads(shell("status", "--json"))
     assert status["rate_hz"] == 1000
     text = shell("status")
-    assert "sim at 1000 Hz" in text and "forces" in text
+    assert "sim at 1 kHz" in text and "forces" in text
 
 
 def test_the_runtime_directory_may_come_from_the_environment(
@@ -91,7 +91,7 @@ def test_the_runtime_directory_may_come_from_the_environment(
 ) -> None:
     monkeypatch.setenv("RUNTIME_DIRECTORY", str(daemon.directory))
     assert main(["status"]) == 0
-    assert "sim at 1000 Hz" in capsys.readouterr().out
+    assert "sim at 1 kHz" in capsys.readouterr().out
 
 
 def test_a_scene_goes_round(shell: Shell) -> None:
