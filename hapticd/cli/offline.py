@@ -6,13 +6,15 @@ import json
 
 import click
 
-from hapticd.cli.common import duration, json_option, print_json, yaml_file
+from hapticd.cli.common import duration, json_option, operator_file, print_json, scene_file
 from hapticd.errors import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
 @click.argument("scene")
-@click.option("--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV).")
+@click.option(
+    "--operator", required=True, metavar="FILE", help="What the hand does (YAML or CSV), or a shipped operator's name."
+)
 @click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz, .csv or .mcap).")
 @click.option(
     "--for",
@@ -24,17 +26,17 @@ from hapticd.errors import undisplayable_text
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
 @json_option
 def simulate_command(
-    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
+    scene: str, operator: str, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
 ) -> None:
-    """Run SCENE (YAML: a scene or a whole configuration) with the simulated joystick, without daemon and
-    clock.
+    """Run SCENE (YAML: a scene or a whole configuration; or the name of a shipped scene) with the simulated joystick,
+    without daemon and clock.
 
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
     from hapticd.cli.simulation import simulate_to_file
 
-    result = simulate_to_file(yaml_file(scene), yaml_file(operator_file), output, duration_s, rate_hz)
+    result = simulate_to_file(scene_file(scene), operator_file(operator), output, duration_s, rate_hz)
     for mode in result["undisplayable"]:
         click.echo(f"hapticd: {undisplayable_text(mode)}", err=True)
     for warning in result["warnings"]:
