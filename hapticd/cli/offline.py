@@ -13,7 +13,9 @@ from hapticd.errors import undisplayable_text
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
 @click.argument("scene")
 @click.option(
-    "--operator", required=True, metavar="FILE", help="What the hand does (YAML or CSV), or a shipped operator's name."
+    "--operator",
+    metavar="FILE",
+    help="What the hand does (YAML or CSV), or a shipped operator's name  [default: of a shipped scene, its own]",
 )
 @click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz, .csv or .mcap).")
 @click.option(
@@ -26,7 +28,7 @@ from hapticd.errors import undisplayable_text
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
 @json_option
 def simulate_command(
-    scene: str, operator: str, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
+    scene: str, operator: str | None, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
 ) -> None:
     """Run SCENE (YAML: a scene or a whole configuration; or the name of a shipped scene) with the simulated joystick,
     without daemon and clock.
@@ -36,7 +38,11 @@ def simulate_command(
     """
     from hapticd.cli.simulation import simulate_to_file
 
-    result = simulate_to_file(scene_file(scene), operator_file(operator), output, duration_s, rate_hz)
+    file = scene_file(scene)
+    operator = operator or _own_operator(file)
+    if operator is None:
+        raise click.UsageError("Missing option '--operator'.")
+    result = simulate_to_file(file, operator_file(operator), output, duration_s, rate_hz)
     for mode in result["undisplayable"]:
         click.echo(f"hapticd: {undisplayable_text(mode)}", err=True)
     for warning in result["warnings"]:
@@ -46,6 +52,13 @@ def simulate_command(
     else:
         length = f"{result['ticks']} ticks in {result['duration_s']:.3f} s"
         click.echo(f"{result['file']}: {length}, {result['events']} events")
+
+
+def _own_operator(scene: str) -> str | None:
+    """The operator of a shipped scene."""
+    from hapticd.shipped_files import shipped_scenes
+
+    return next((each.operator for each in shipped_scenes() if each.file == scene), None)
 
 
 @click.command("replay", short_help="Render a recording again, and compare.")
