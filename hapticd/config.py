@@ -304,13 +304,13 @@ def chosen_config(chosen: Chosen) -> Config:
 
 
 def _load(documents: Sequence[Document]) -> Config:
-    merged = _Merged()
+    merged = Merged()
     for given in documents:
         document = _whole(given)
         if not isinstance(document.data, dict):
             known = ", ".join(Config.model_fields)
             raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
-        merged.add(document, document.data, merged.data, ())
+        merged.add(document, document.data)
     try:
         config = Config.model_validate(merged.data)
     except ValidationError as error:
@@ -328,14 +328,18 @@ def _whole(document: Document) -> Document:
     return document.below("scene") if likely_kind_of(document.data) == "bare scene" else document
 
 
-class _Merged:
+class Merged:
     """Several documents as one, and which of them each part comes from."""
 
     def __init__(self) -> None:
         self.data: dict[str, Json] = {}
         self._owners: dict[Path, Document] = {}
 
-    def add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
+    def add(self, document: Document, data: dict[str, Json]) -> None:
+        """Lays what a document holds over what was there: key by key, but each material and each object whole."""
+        self._add(document, data, self.data, ())
+
+    def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
         self._owners[path] = document
         for key, value in source.items():
             here = (*path, key)
@@ -343,7 +347,7 @@ class _Merged:
             if isinstance(value, dict) and not whole:
                 old = target.get(key)
                 inner = target[key] = old if isinstance(old, dict) else {}
-                self.add(document, value, inner, here)
+                self._add(document, value, inner, here)
             else:
                 target[key] = value
                 self._owners[here] = document

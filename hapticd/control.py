@@ -595,7 +595,8 @@ class Control:
             )
         operator = parse_operator(params)
         engine.beat()
-        waypoints = operator.waypoints_for(self._target, grip_of(engine.config.device.sim), self._wish)
+        grip = grip_of(engine.config.device.sim)
+        waypoints = operator.waypoints_for(self._target, grip, self._wish, engine.scene.objects)
         tick = engine.set_operator(waypoints, operator.interpolation)
         self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
         return {"duration_s": float(waypoints[-1, 0]), "tick": tick}

@@ -4,11 +4,12 @@ Every reader asks `refuse_other_kinds` before it looks at single keys, so that a
 another command is answered with that command, not with a list of unknown keys.
 """
 
+import os
 from collections.abc import Collection, Iterable, Sequence
 from typing import Final, Literal, TypeAlias
 
 from hapticd.errors import InvalidError, Problem, near_names
-from hapticd.yaml_source import Document, Json, one_line
+from hapticd.yaml_source import Document, Json, load_path, one_line
 
 Kind: TypeAlias = Literal[
     "configuration",
@@ -115,6 +116,15 @@ def refuse_other_kinds(document: Document, *taken: Kind) -> None:
     kind = kind_of(document.data)
     if kind is not None and kind not in taken:
         raise InvalidError([Problem(_name(document), _other(kind, document.name))])
+
+
+def refuse_documents(path: str | os.PathLike[str]) -> None:
+    """Raises InvalidError for a YAML or JSON file where a recording is to be read: it names the command that takes it.
+
+    HapticdError for one that cannot be read. Other files are not looked at.
+    """
+    if os.path.splitext(os.fspath(path))[1].lower() in (".yaml", ".yml", ".json"):
+        refuse_other_kinds(load_path(path))
 
 
 def refuse_other_keys(document: Document, path: Sequence[str], others: Iterable[str], what: str) -> None:

@@ -18,7 +18,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
@@ -27,7 +27,7 @@ import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
 from hapticd.document_kinds import refuse_other_kinds
-from hapticd.errors import InvalidError, Path, Problem, path_text, quoted, shown
+from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted, shown
 from hapticd.model import Coordinate, Model, Name, faults_of, plain
 from hapticd.yaml_source import load_path, load_text, one_line, read_file, refuse_recording
 
@@ -177,18 +177,20 @@ class Operator:
     interpolation: Interpolation = "linear"
 
     def waypoints_for(
-        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point
+        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point, ids: Iterable[str] = ()
     ) -> npt.NDArray[np.float64]:
         """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `wish_m` now.
 
-        `target_of` gives what can be touched of an id, None for anything else. Raises InvalidError (`where`
-        is inside `gesture`) for an object that is none or that the gesture does not fit.
+        `target_of` gives what can be touched of an id, None for anything else; `ids` are those of the scene. Raises
+        InvalidError (`where` is inside `gesture`) for an object that is none or that the gesture does not fit.
         """
         if self.gesture is None:
             return np.array(self.waypoints, dtype=np.float64)
         target = target_of(self.gesture.object)
         if target is None:
-            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(self.gesture.object)}"
+            wanted = self.gesture.object
+            known = known_names(wanted, (id for id in ids if target_of(id) is not None))
+            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(wanted)}; {known}"
             raise InvalidError([Problem("gesture.object", problem)])
         return gesture_waypoints(self.gesture, target, grip, wish_m)
 
