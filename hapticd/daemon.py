@@ -47,17 +47,22 @@ _log = logging.getLogger("hapticd")
 _T = TypeVar("_T")
 
 
-def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | os.PathLike[str] | None = None) -> int:
+def run(
+    config_paths: Sequence[str | os.PathLike[str]] = (),
+    runtime_dir: str | os.PathLike[str] | None = None,
+    log_level: str = "info",
+) -> int:
     """Runs the daemon until SIGTERM or SIGINT; returns its exit code.
 
     SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which is gone then.
 
-    `config_paths` are merged in order; without one, the shipped default is used. Raises HapticdError (one line) where
-    it cannot start: bad configuration, another daemon on the directory, real time required and refused.
+    `config_paths` are merged in order; without one, the shipped default is used. `log_level`: one of journal.LEVELS.
+    Raises HapticdError (one line) where it cannot start: bad configuration, another daemon on the directory, real time
+    required and refused.
     """
     with ExitStack() as stack:
         memory.settle()
-        stack.enter_context(journal.attached())
+        stack.enter_context(journal.attached(log_level))
         config = config_of(config_paths)
         os.umask(0o117)
         signals = stack.enter_context(_signals())
