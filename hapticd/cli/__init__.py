@@ -96,7 +96,8 @@ class _LazyGroup(click.Group):
     "--runtime-dir",
     type=click.Path(file_okay=False),
     metavar="DIR",
-    help="Where the sockets are [default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd or /tmp/hapticd-UID].",
+    help="Where the sockets are [default: $HAPTICD_RUNTIME_DIR, else $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR/hapticd, "
+    "else /tmp/hapticd-UID].",
 )
 @click.option(
     "--connect",
