@@ -1,8 +1,8 @@
 """Where a daemon and its clients meet: the runtime directory, and the names in it.
 
 The directory is the one that was named, else `$HAPTICD_RUNTIME_DIR`, else `$RUNTIME_DIRECTORY` where systemd gives one,
-else `$XDG_RUNTIME_DIR/hapticd`, else `/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so that whoever connects to a name
-in it talks to the daemon of that owner.
+else `$XDG_RUNTIME_DIR/hapticd`, else `/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so that
+whoever connects to a name in it talks to the daemon of that owner.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ os.environ["MPLBACKEND"] = "Agg"
 for _name in [name for name in os.environ if name.startswith("HAPTICD_")]:
     del os.environ[_name]
 
-# A job that a script put in the background ignores interrupts, and one under nohup the end of its terminal. Every process
-# that a test starts would inherit that, and the test that interrupts it would wait for ever.
+# A job that a script put in the background ignores interrupts, and one under nohup the end of its terminal. Every
+# process that a test starts would inherit that, and the test that interrupts it would wait for ever.
 for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, _handler)

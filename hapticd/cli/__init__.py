@@ -1,13 +1,12 @@
 """The command line. Each command stands in a module of its own, which is loaded when it is used.
 
 A command ends with exit code 0, or with another and one line on stderr: 1 for what was asked but could not
-be done, 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
+be done (output that nobody takes among it), 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
 """
 
 from __future__ import annotations
 
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 from typing import Final
@@ -15,6 +14,7 @@ from typing import Final
 import click
 
 from hapticd._version import __version__
+from hapticd.cli.streams import guarded
 from hapticd.errors import HapticdError
 
 _HOMES: Final = {
@@ -76,6 +76,9 @@ class _LazyGroup(click.Group):
         except KeyboardInterrupt:
             # Told to click as an ordinary end, since it would print something for an interrupt.
             raise click.exceptions.Exit(130) from None
+        except BrokenPipeError as error:
+            # For which click would end us without a word.
+            raise HapticdError(str(error.strerror)) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_HOMES)
@@ -96,8 +99,8 @@ class _LazyGroup(click.Group):
     "--runtime-dir",
     type=click.Path(file_okay=False),
     metavar="DIR",
-    help="Where the sockets are [default: $HAPTICD_RUNTIME_DIR, else $RUNTIME_DIRECTORY, else $XDG_RUNTIME_DIR/hapticd, "
-    "else /tmp/hapticd-UID].",
+    help="Where the sockets are [default: $HAPTICD_RUNTIME_DIR, else $RUNTIME_DIRECTORY, else "
+    "$XDG_RUNTIME_DIR/hapticd, else /tmp/hapticd-UID].",
 )
 @click.option(
     "--connect",
@@ -131,6 +134,12 @@ def cli(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
+    with guarded() as told:
+        code = _run(arguments)
+    return code or int(told.lost)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     try:
         result = cli.main(
             args=None if arguments is None else list(arguments), prog_name="hapticd", standalone_mode=False
@@ -147,10 +156,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _told(error.format_message() + hint, error.exit_code)
     except (KeyboardInterrupt, click.Abort):
         return 130
-    except BrokenPipeError:
-        # Whoever read our output has had enough. Nothing more can be written, not even at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except MemoryError:
         return _told("there is not enough memory for this; a shorter run or a lower rate needs less", 1)
     except OSError as error:

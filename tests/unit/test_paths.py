@@ -15,7 +15,10 @@ from hapticd.paths import check_directory, daemon_paths, make_directory, runtime
 @pytest.mark.parametrize(
     ("environment", "directory"),
     [
-        ({"HAPTICD_RUNTIME_DIR": "/mine", "RUNTIME_DIRECTORY": "/run/hapticd", "XDG_RUNTIME_DIR": "/run/user/7"}, "/mine"),
+        (
+            {"HAPTICD_RUNTIME_DIR": "/mine", "RUNTIME_DIRECTORY": "/run/hapticd", "XDG_RUNTIME_DIR": "/run/user/7"},
+            "/mine",
+        ),
         ({"HAPTICD_RUNTIME_DIR": "", "RUNTIME_DIRECTORY": "/run/hapticd"}, "/run/hapticd"),
         ({"RUNTIME_DIRECTORY": "/run/hapticd", "XDG_RUNTIME_DIR": "/run/user/7"}, "/run/hapticd"),
         ({"RUNTIME_DIRECTORY": "/run/hapticd:/run/other"}, "/run/hapticd"),
