@@ -64,7 +64,7 @@ def run(
         memory.settle()
         stack.enter_context(journal.attached(log_level))
         config = config_of(config_paths)
-        os.umask(0o117)
+        os.umask(0o007)
         signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
         return _run(config, lambda: config_of(config_paths), paths, signals, stack)
@@ -215,7 +215,8 @@ def _thread(
 def _bind(bind: Callable[[str], _T], path: Path) -> _T:
     """Binds a socket in place of a file that a daemon which is gone left behind: we hold the lock.
 
-    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come.
+    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come,
+    and its mode.
     """
     unnamed = path.with_name(".new")
     unnamed.unlink(missing_ok=True)
@@ -223,6 +224,7 @@ def _bind(bind: Callable[[str], _T], path: Path) -> _T:
         bound = bind(f"ipc://{unnamed}")
     except zmq.ZMQError as error:
         raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
+    unnamed.chmod(0o660)
     unnamed.replace(path)
     return bound
 

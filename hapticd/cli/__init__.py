@@ -1,14 +1,13 @@
 """The command line. Each command stands in a module of its own, which is loaded when it is used.
 
 A command ends with exit code 0, or with another and one line on stderr (see `failure`): 1 for what was asked but could
-not be done, 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
+not be done (output that nobody takes among it), 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
 """
 
 from __future__ import annotations
 
 import difflib
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 from typing import Final
@@ -17,6 +16,7 @@ import click
 
 from hapticd._version import __version__
 from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.streams import guarded
 from hapticd.errors import HapticdError
 
 _HOMES: Final = {
@@ -78,6 +78,9 @@ class _LazyGroup(click.Group):
         except KeyboardInterrupt:
             # Told to click as an ordinary end, since it would print something for an interrupt.
             raise click.exceptions.Exit(130) from None
+        except BrokenPipeError as error:
+            # For which click would end us without a word.
+            raise HapticdError(str(error.strerror)) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_HOMES)
@@ -108,7 +111,8 @@ class _LazyGroup(click.Group):
     "--runtime-dir",
     type=click.Path(file_okay=False),
     metavar="DIR",
-    help="Where the sockets are [default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd or /tmp/hapticd-UID].",
+    help="Where the sockets are [default: $HAPTICD_RUNTIME_DIR, else $RUNTIME_DIRECTORY, else "
+    "$XDG_RUNTIME_DIR/hapticd, else /tmp/hapticd-UID].",
 )
 @click.option(
     "--connect",
@@ -142,6 +146,12 @@ def cli(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
+    with guarded() as told:
+        code = _run(arguments)
+    return code or int(told.lost)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
     as_json = asks_for_json(sys.argv[1:] if arguments is None else arguments)
     try:
         result = cli.main(
@@ -156,10 +166,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return tell(error, error.exit_code, as_json)
     except (KeyboardInterrupt, click.Abort):
         return 130
-    except BrokenPipeError:
-        # Whoever read our output has had enough. Nothing more can be written, not even at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except MemoryError:
         return tell("there is not enough memory for this; a shorter run or a lower rate needs less", 1, as_json)
     except OSError as error:
