@@ -8,13 +8,16 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import Field, ValidationError, model_validator
 
 from hapticd.compensation import Compensation
+from hapticd.config_files import Chosen, choose
 from hapticd.core import SIM_FORCES
+from hapticd.document_kinds import likely_kind_of, refuse_other_kinds
 from hapticd.dynamics import Dynamics, Grip, Handle
 from hapticd.errors import InvalidError, Path, Problem, shown
 from hapticd.hid.config import Hid, Replay
 from hapticd.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
 from hapticd.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
 from hapticd.scene import Scene, reference_faults
+from hapticd.shipped_files import file_of
 from hapticd.yaml_source import Document, Json, load_path
 
 DEFAULT = "default.yaml"
@@ -284,18 +287,26 @@ def load_config(source: ConfigSource) -> Config:
 
 @cache
 def default_config() -> Config:
-    """What the daemon runs without a configuration file: `config/default.yaml`."""
+    """What the daemon runs where no configuration file is found: `config/default.yaml`."""
     return _load([shipped_document(DEFAULT)])
 
 
-def config_of(paths: Sequence[str | os.PathLike[str]]) -> Config:
-    """These files merged in order, as load_config; without one, default_config."""
-    return load_config(tuple(paths)) if paths else default_config()
+def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
+    """The configuration of a command: that of the files it names, or else as config_files.choose finds it."""
+    return chosen_config(choose(paths))
+
+
+def chosen_config(chosen: Chosen) -> Config:
+    """These files merged in order, as load_config, where the name of a shipped scene does for its file; of none,
+    default_config."""
+    files = [file_of(file, "scenes") for file in chosen.files]
+    return load_config(files) if files else default_config()
 
 
 def _load(documents: Sequence[Document]) -> Config:
     merged = _Merged()
-    for document in documents:
+    for given in documents:
+        document = _whole(given)
         if not isinstance(document.data, dict):
             known = ", ".join(Config.model_fields)
             raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
@@ -309,6 +320,12 @@ def _load(documents: Sequence[Document]) -> Config:
     if unknown:
         raise merged.invalid([(("scene", *path), text) for path, text in unknown])
     return config.model_copy(update={"materials": materials})
+
+
+def _whole(document: Document) -> Document:
+    """A document as a configuration: a scene alone is one, too. Raises InvalidError for what is neither."""
+    refuse_other_kinds(document, "configuration", "change", "scene", "bare scene", "materials")
+    return document.below("scene") if likely_kind_of(document.data) == "bare scene" else document
 
 
 class _Merged:
@@ -332,8 +349,8 @@ class _Merged:
                 self._owners[here] = document
 
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
-        return InvalidError(Problem(self._where(path), text) for path, text in faults)
+        return InvalidError(self._problem(path, text) for path, text in faults)
 
-    def _where(self, path: Path) -> str:
+    def _problem(self, path: Path, text: str) -> Problem:
         owner = next(self._owners[path[:n]] for n in range(len(path), -1, -1) if path[:n] in self._owners)
-        return owner.where(path)
+        return owner.problem(path, text)

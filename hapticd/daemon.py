@@ -28,7 +28,8 @@ from typing import Final, TypeVar
 import zmq
 
 from hapticd import journal, memory, notify, server
-from hapticd.config import Config, config_of
+from hapticd.config import Config, chosen_config
+from hapticd.config_files import choose
 from hapticd.control import Control
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
@@ -56,18 +57,21 @@ def run(
 
     SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which is gone then.
 
-    `config_paths` are merged in order; without one, the shipped default is used. `log_level`: one of journal.LEVELS.
-    Raises HapticdError (one line) where it cannot start: bad configuration, another daemon on the directory, real time
-    required and refused.
+    `config_paths` are merged in order; without one, the configuration is looked for (config_files). A reload reads the
+    same files again; where none was found, it looks again. `log_level`: one of journal.LEVELS. Raises HapticdError (one
+    line) where the daemon cannot start: bad configuration, another daemon on the directory, real time required and
+    refused.
     """
     with ExitStack() as stack:
         memory.settle()
         stack.enter_context(journal.attached(log_level))
-        config = config_of(config_paths)
+        chosen = choose(config_paths)
+        config = chosen_config(chosen)
+        _log.info("configuration: %s", chosen)
         os.umask(0o007)
         signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
-        return _run(config, lambda: config_of(config_paths), paths, signals, stack)
+        return _run(config, lambda: chosen_config(chosen if chosen.files else choose()), paths, signals, stack)
 
 
 def _run(

@@ -26,9 +26,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
+from hapticd.document_kinds import refuse_other_kinds
 from hapticd.errors import InvalidError, Path, Problem, path_text, quoted, shown
 from hapticd.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.yaml_source import load_path, load_text, one_line, read_file
+from hapticd.yaml_source import load_path, load_text, one_line, read_file, refuse_recording
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
@@ -216,9 +217,12 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
         return _load_csv(name)
     # JSON is YAML, but for tabs, which in JSON can only be white space.
     document = load_text(_read(name).replace("\t", " "), name) if ending == ".json" else load_path(name)
+    refuse_other_kinds(document, "waypoints", "gesture")
+    if isinstance(document.data, dict) and "kind" in document.data:
+        document = document.below("gesture")
     faults, operator = _parse(document.data)
     if operator is None:
-        raise InvalidError(Problem(document.where(path), text) for path, text in faults)
+        raise InvalidError(document.problem(path, text) for path, text in faults)
     return operator
 
 
@@ -446,6 +450,7 @@ def _line(name: str, line: int) -> str:
 
 def _read(name: str) -> str:
     content = read_file(name, MAX_BYTES)
+    refuse_recording(content, name)
     if len(content) > MAX_BYTES:
         raise InvalidError([Problem(_line(name, 1), f"larger than {MAX_BYTES} bytes")])
     try:

@@ -35,6 +35,7 @@ _HOMES: Final = {
     "replay": "offline",
     "simulate": "offline",
     "check": "check",
+    "paths": "paths",
     "schema": "offline",
     "devices": "devices",
     "bench": "bench",
@@ -55,6 +56,7 @@ _HERE_ALONE: Final = frozenset(
         "replay",
         "simulate",
         "check",
+        "paths",
         "schema",
         "devices",
         "bench",
@@ -105,23 +107,40 @@ class _LazyGroup(click.Group):
         return command
 
 
-@click.group(cls=_LazyGroup, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+_ENVIRONMENT: Final = """\b
+Environment:
+  HAPTICD_CONFIG       Configuration files where no -c is given; several are separated by colons.
+  HAPTICD_RUNTIME_DIR  Where the sockets are, as --runtime-dir.
+  HAPTICD_CONNECT, HAPTICD_KEY, HAPTICD_SERVER_KEY
+                       As --connect, --key and --server-key.
+"""
+
+
+@click.group(
+    cls=_LazyGroup,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=_ENVIRONMENT,
+)
 @click.version_option(__version__, "-V", "--version", message="hapticd %(version)s")
 @click.option(
     "--runtime-dir",
     type=click.Path(file_okay=False),
     metavar="DIR",
-    help="Where the sockets are [default: $HAPTICD_RUNTIME_DIR, else $RUNTIME_DIRECTORY, else "
-    "$XDG_RUNTIME_DIR/hapticd, else /tmp/hapticd-UID].",
+    help="Where the sockets are  [env var: HAPTICD_RUNTIME_DIR; default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd "
+    "or /tmp/hapticd-UID]",
 )
 @click.option(
     "--connect",
     metavar="tcp://HOST[:PORT]",
     envvar="HAPTICD_CONNECT",
+    show_envvar=True,
     help="A bridge to a daemon on another machine, instead; needs both keys.",
 )
-@click.option("--key", metavar="FILE", envvar="HAPTICD_KEY", help="Our secret key.")
-@click.option("--server-key", metavar="FILE", envvar="HAPTICD_SERVER_KEY", help="The bridge's public key.")
+@click.option("--key", metavar="FILE", envvar="HAPTICD_KEY", show_envvar=True, help="Our secret key.")
+@click.option(
+    "--server-key", metavar="FILE", envvar="HAPTICD_SERVER_KEY", show_envvar=True, help="The bridge's public key."
+)
 @click.pass_context
 def cli(
     ctx: click.Context, runtime_dir: str | None, connect: str | None, key: str | None, server_key: str | None

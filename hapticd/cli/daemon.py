@@ -20,8 +20,7 @@ from hapticd.cli.common import (
     print_result,
 )
 from hapticd.errors import offload_text, undisplayable_text
-
-_SHOWN_MARGINS = 5
+from hapticd.stability_words import stability_words
 
 
 @click.command("run")
@@ -148,20 +147,7 @@ def _connection(told: object) -> list[tuple[str, str]]:
 
 
 def _stability(told: object) -> list[tuple[str, str]]:
-    if not isinstance(told, dict):
-        return []
-    if told["unknown"] is not None:
-        return [("stability", f"not known: {told['unknown']}")]
-    lines = [("stability", f"{told['sets'] - told['unsafe']} of {told['sets']} sets of objects safe in any hand")]
-    for margin in told["worst"][:_SHOWN_MARGINS]:
-        lines.append(
-            (
-                margin["verdict"],
-                f"{', '.join(margin['objects'][:4])}: {margin['stiffness_n_per_m']:.4g} N/m, at most "
-                f"{margin['limit_n_per_m']:.4g} ({margin['limited_by']})",
-            )
-        )
-    return lines
+    return stability_words(told) if isinstance(told, dict) else []
 
 
 def _realtime(granted: object) -> str:
