@@ -48,22 +48,27 @@ _log = logging.getLogger("hapticd")
 _T = TypeVar("_T")
 
 
-def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | os.PathLike[str] | None = None) -> int:
+def run(
+    config_paths: Sequence[str | os.PathLike[str]] = (),
+    runtime_dir: str | os.PathLike[str] | None = None,
+    log_level: str = "info",
+) -> int:
     """Runs the daemon until SIGTERM or SIGINT; returns its exit code.
 
     SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which is gone then.
 
     `config_paths` are merged in order; without one, the configuration is looked for (config_files). A reload reads the
-    same files again; where none was found, it looks again. Raises HapticdError (one line) where the daemon cannot
-    start: bad configuration, another daemon on the directory, real time required and refused.
+    same files again; where none was found, it looks again. `log_level`: one of journal.LEVELS. Raises HapticdError (one
+    line) where the daemon cannot start: bad configuration, another daemon on the directory, real time required and
+    refused.
     """
     with ExitStack() as stack:
         memory.settle()
-        stack.enter_context(journal.attached())
+        stack.enter_context(journal.attached(log_level))
         chosen = choose(config_paths)
         config = chosen_config(chosen)
         _log.info("configuration: %s", chosen)
-        os.umask(0o117)
+        os.umask(0o007)
         signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
         return _run(config, lambda: chosen_config(chosen if chosen.files else choose()), paths, signals, stack)
@@ -214,7 +219,8 @@ def _thread(
 def _bind(bind: Callable[[str], _T], path: Path) -> _T:
     """Binds a socket in place of a file that a daemon which is gone left behind: we hold the lock.
 
-    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come.
+    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come,
+    and its mode.
     """
     unnamed = path.with_name(".new")
     unnamed.unlink(missing_ok=True)
@@ -222,6 +228,7 @@ def _bind(bind: Callable[[str], _T], path: Path) -> _T:
         bound = bind(f"ipc://{unnamed}")
     except zmq.ZMQError as error:
         raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
+    unnamed.chmod(0o660)
     unnamed.replace(path)
     return bound
 

@@ -86,12 +86,22 @@ def test_status(shell: Shell) -> None:
     assert "sim at 1000 Hz" in text and "forces" in text
 
 
+@pytest.mark.parametrize("name", ["HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY"])
 def test_the_runtime_directory_may_come_from_the_environment(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(daemon.directory))
+    monkeypatch.setenv(name, str(daemon.directory))
     assert main(["status"]) == 0
     assert "sim at 1000 Hz" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["status"], ["scene", "get"], ["watch"], ["watch", "--json"]])
+def test_a_full_disk_ends_what_prints_in_one_line(daemon: Daemon, arguments: list[str]) -> None:
+    words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), *arguments]
+    with open("/dev/full", "wb") as full:
+        process = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    line = "hapticd: standard output: cannot be written: No space left on device\n"
+    assert (process.returncode, process.stderr) == (1, line)
 
 
 def test_a_scene_goes_round(shell: Shell) -> None:
@@ -239,6 +249,27 @@ def test_an_interrupted_recording_is_kept(
     with np.load(target) as archive:
         assert len(archive["samples"]) > 0
     assert os.listdir(tmp_path) == ["run.npz"]
+
+
+def test_an_interrupt_ends_a_recording_that_a_script_put_in_the_background(daemon: Daemon, tmp_path: Path) -> None:
+    """The shell has it ignore interrupts; who sends it one means it."""
+    target = tmp_path / "run.npz"
+    words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "record", str(target)]
+    ignoring = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *words]
+    with (
+        connect(daemon.directory) as client,
+        client.samples() as batches,
+        subprocess.Popen(ignoring, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True) as process,
+    ):
+        part = target.with_name(f".run.npz.{process.pid}.part")
+        for _ in batches:
+            if part.exists() and part.stat().st_size > 0:
+                break
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    assert target.exists() and "run.npz" in out
 
 
 def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
