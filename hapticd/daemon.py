@@ -29,7 +29,7 @@ import zmq
 
 from hapticd import journal, memory, notify, server
 from hapticd.config import Config, chosen_config
-from hapticd.config_files import choose
+from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
@@ -67,16 +67,13 @@ def run(
         stack.enter_context(journal.attached(log_level))
         chosen = choose(config_paths)
         config = chosen_config(chosen)
-        _log.info("configuration: %s", chosen)
         os.umask(0o007)
         signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
-        return _run(config, lambda: chosen_config(chosen if chosen.files else choose()), paths, signals, stack)
+        return _run(config, chosen, paths, signals, stack)
 
 
-def _run(
-    config: Config, load: Callable[[], Config], paths: RuntimePaths, signals: socket.socket, stack: ExitStack
-) -> int:
+def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.socket, stack: ExitStack) -> int:
     stop_file = StopFile(paths.device)
     _stop_what_was_left(stop_file.path)
     engine = Engine(config, stop_file)
@@ -88,7 +85,9 @@ def _run(
         monotonic_ns,
         lambda: _about(engine, control),
     )
-    control = Control(engine, load, flight, lambda: telemetry.ask_state())
+    control = Control(
+        engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
+    )
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
     publisher = context.socket(zmq.PUB)
@@ -104,6 +103,7 @@ def _run(
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
     stack.callback(engine.stop)
+    _log.info("configuration: %s", chosen)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
     undisplayable, warnings = engine.limits()
