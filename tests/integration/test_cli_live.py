@@ -183,7 +183,7 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     Path("tap.yaml").write_text("gesture: {kind: tap, object: floor, speed_m_per_s: 0.1}\n")
     assert shell("operator", "tap.yaml").startswith("under way for ")
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0.5,0,0.02\n")
-    assert shell("operator", "way.csv") == "under way for 0.5 s\n"
+    assert shell("operator", "way.csv") == "under way for 500 ms\n"
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0,0,0.02\n")
     assert "way.csv:3" in shell.fails("operator", "way.csv")
 
