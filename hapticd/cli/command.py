@@ -7,7 +7,7 @@ import re
 import click
 
 from hapticd import words
-from hapticd.cli.common import Finite, daemon, json_option, print_result, yaml_file
+from hapticd.cli.common import Finite, daemon, json_option, operator_file, print_result
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")
@@ -115,10 +115,11 @@ def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -
 @json_option
 @click.pass_context
 def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
-    """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints)."""
+    """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints; or
+    the name of a shipped operator)."""
     from hapticd.operator import load_operator
 
-    operator = load_operator(yaml_file(file))
+    operator = load_operator(operator_file(file))
     with daemon(ctx) as client:
         if operator.gesture is not None:
             result = client.set_operator(gesture=operator.gesture.to_dict())

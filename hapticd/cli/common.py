@@ -66,7 +66,9 @@ def config_option(command: _F) -> _F:
         "configs",
         multiple=True,
         metavar="FILE",
-        help="Configuration; later files override earlier ones [default: the simulated joystick].",
+        help="Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
+        "HAPTICD_CONFIG; default: ~/.config/hapticd/config.yaml, /etc/hapticd/config.yaml or, without these, the "
+        "simulated joystick]",
     )(command)
 
 
@@ -102,6 +104,20 @@ def change_options(command: _F) -> _F:
 def yaml_file(name: str) -> str:
     """The path of a file that a command reads; `-` is the standard input."""
     return "/dev/stdin" if name == "-" else name
+
+
+def scene_file(name: str) -> str:
+    """As yaml_file, where the name of a shipped scene does too. Raises HapticdError for a name that is neither."""
+    from hapticd.shipped_files import file_of
+
+    return file_of(name, "scenes")
+
+
+def operator_file(name: str) -> str:
+    """As scene_file, of operators."""
+    from hapticd.shipped_files import file_of
+
+    return file_of(name, "operators")
 
 
 def print_json(value: object) -> None:

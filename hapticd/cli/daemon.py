@@ -19,8 +19,6 @@ from hapticd.cli.common import (
 )
 from hapticd.cli.status import lines, text_of
 
-_SHOWN_MARGINS = 5
-
 
 @click.command("run")
 @config_option
@@ -61,21 +59,4 @@ def status_command(ctx: click.Context, as_json: bool) -> None:
     if as_json:
         print_json(status)
         return
-    click.echo(text_of([*lines(status), *_stability(status.get("stability"))]))
-
-
-def _stability(told: object) -> list[tuple[str, str]]:
-    if not isinstance(told, dict):
-        return []
-    if told["unknown"] is not None:
-        return [("stability", f"not known: {told['unknown']}")]
-    lines = [("stability", f"{told['sets'] - told['unsafe']} of {told['sets']} sets of objects safe in any hand")]
-    for margin in told["worst"][:_SHOWN_MARGINS]:
-        lines.append(
-            (
-                margin["verdict"],
-                f"{', '.join(margin['objects'][:4])}: {margin['stiffness_n_per_m']:.4g} N/m, at most "
-                f"{margin['limit_n_per_m']:.4g} ({margin['limited_by']})",
-            )
-        )
-    return lines
+    click.echo(text_of(list(lines(status))))

@@ -8,6 +8,7 @@ from typing import Any, Final
 from hapticd import words
 from hapticd.calls import Status
 from hapticd.errors import offload_text, undisplayable_text
+from hapticd.stability_words import stability_words
 
 Line = tuple[str, str]
 """What it is about, and what is said of it. Without a name it goes on with the line before."""
@@ -57,6 +58,9 @@ def lines(status: Status) -> Iterator[Line]:
         yield "offload", offload_text(told)
     for warning in status["warnings"]:
         yield "warning", f"{warning['where']}: {warning['problem']}"
+    stability = status.get("stability")
+    if isinstance(stability, dict):
+        yield from stability_words(stability)
     yield "daemon", f"hapticd {status['version']}, protocol {status['protocol']}, {status['state']}"
 
 

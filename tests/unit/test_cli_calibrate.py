@@ -66,7 +66,7 @@ def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
 def test_calibrate_without_matplotlib(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     error = said(capsys, 1, "calibrate", "-c", "sim.yaml", "--plot", "response.png")
-    assert error == "hapticd: a plot needs matplotlib: pip install 'hapticd[plots]'\n"
+    assert error == "hapticd: a plot needs matplotlib: pip install 'hapticd[fit]'\n"
 
 
 @pytest.mark.parametrize(

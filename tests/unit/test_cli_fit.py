@@ -368,7 +368,7 @@ def test_without_what_the_extra_brings(
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
     told = said(capsys, 1, "fit", "tap", "a.csv", "--report", "x.html")
-    assert f"needs {missing}: pip install 'hapticd[plots]'" in told
+    assert f"needs {missing}: pip install 'hapticd[fit]'" in told
 
 
 # ---- Reports ---------------------------------------------------------------------------------------------------------
