@@ -6,7 +6,7 @@ import json
 
 import click
 
-from hapticd.cli.common import duration, json_option, operator_file, print_json, scene_file
+from hapticd.cli.common import duration, json_option, note, operator_file, print_json, scene_file
 from hapticd.errors import undisplayable_text
 
 
@@ -44,9 +44,9 @@ def simulate_command(
         raise click.UsageError("Missing option '--operator'.")
     result = simulate_to_file(file, operator_file(operator), output, duration_s, rate_hz)
     for mode in result["undisplayable"]:
-        click.echo(f"hapticd: {undisplayable_text(mode)}", err=True)
+        note(undisplayable_text(mode))
     for warning in result["warnings"]:
-        click.echo(f"hapticd: {warning['where']}: {warning['problem']}", err=True)
+        note(f"{warning['where']}: {warning['problem']}")
     if as_json:
         print_json(result)
     else:
