@@ -91,13 +91,15 @@ def print_json(value: object) -> None:
 
 
 def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None:
-    """The result as JSON, or `text`; a warning in the result goes to stderr."""
+    """The result as JSON, or `text`; warnings in the result go to stderr."""
     if as_json:
         print_json(result)
     else:
         click.echo(text)
     if "warning" in result:
         click.echo(f"hapticd: {result['warning']}", err=True)
+    for warned in cast("list[Mapping[str, str]]", result.get("warnings", [])):
+        click.echo(f"hapticd: warning: {warned['where']}: {warned['problem']}", err=True)
 
 
 def check_new(target: str, overwrite: bool) -> None:
