@@ -237,9 +237,10 @@ def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iter
             f"shown are {_hz(shown.peak_hz)} and {_hz(shown.mean_hz)}"
         )
         yield _texture_problem(name, "mean_hz", problem)
-    above = power_above(shown, DISPLAYABLE * output.carried_hz, output.rate_hz)
-    if output.carried_hz < output.rate_hz and above > MAX_LOSS:
-        yield _texture_problem(name, "mean_hz", _above_problem(above, output))
+    if output.carried_hz < output.rate_hz:
+        above = power_above(shown, DISPLAYABLE * output.carried_hz, output.rate_hz)
+        if above > MAX_LOSS:
+            yield _texture_problem(name, "mean_hz", _above_problem(above, output))
 
 
 def _above_problem(above: float, output: Output) -> str:
