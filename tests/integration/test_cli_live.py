@@ -128,10 +128,10 @@ def test_the_standard_input_is_a_file(daemon: Daemon) -> None:
 
 def test_scene_update(shell: Shell) -> None:
     shell("scene", "set", "scene.yaml")
-    Path("update.yaml").write_text("objects:\n  floor: {material: steel}\n  skin: null\n")
+    Path("update.yaml").write_text("objects:\n  floor: {material: acrylic}\n  skin: null\n")
     shell("scene", "update", "update.yaml")
     scene = json.loads(shell("scene", "get", "--json"))["scene"]
-    assert list(scene["objects"]) == ["floor"] and scene["objects"]["floor"]["material"] == "steel"
+    assert list(scene["objects"]) == ["floor"] and scene["objects"]["floor"]["material"] == "acrylic"
 
 
 def test_a_scene_that_is_wrong_changes_nothing(shell: Shell) -> None:
