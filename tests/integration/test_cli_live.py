@@ -83,7 +83,7 @@ def test_status(shell: Shell) -> None:
     status = json.loads(shell("status", "--json"))
     assert status["rate_hz"] == 1000
     text = shell("status")
-    assert "sim at 1000 Hz" in text and "forces" in text
+    assert "sim at 1 kHz" in text and "forces" in text
 
 
 @pytest.mark.parametrize("name", ["HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY"])
@@ -92,7 +92,7 @@ def test_the_runtime_directory_may_come_from_the_environment(
 ) -> None:
     monkeypatch.setenv(name, str(daemon.directory))
     assert main(["status"]) == 0
-    assert "sim at 1000 Hz" in capsys.readouterr().out
+    assert "sim at 1 kHz" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("arguments", [["status"], ["scene", "get"], ["watch"], ["watch", "--json"]])
@@ -174,7 +174,8 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     assert json.loads(played)["tick"] > 0
     assert "unknown material" in shell.fails("play", "cheese", "--amplitude", "2")
     assert shell("force", "off") == "forces off\n"
-    assert "forces are off" in shell.fails("play", "wood", "--amplitude", "2")
+    off = "hapticd: forces are off: `hapticd force on` turns them on\n"
+    assert shell.fails("play", "wood", "--amplitude", "2") == off
     assert json.loads(shell("force", "on", "--json"))["forces"] == "on"
     assert shell("reset", "skin").startswith("reset at tick ")
     assert shell("reset").startswith("reset at tick ")
