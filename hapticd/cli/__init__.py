@@ -44,6 +44,7 @@ _HOMES: Final = {
     "doctor": "doctor",
     "install-service": "service",
     "stop-device": "service",
+    "completion": "completion",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 
@@ -64,6 +65,7 @@ _HERE_ALONE: Final = frozenset(
         "doctor",
         "install-service",
         "stop-device",
+        "completion",
     ]
 )
 """Those that ask no daemon, or only this machine's: --connect means nothing to them."""
@@ -104,8 +106,10 @@ class _LazyGroup(click.Group):
     envvar="HAPTICD_CONNECT",
     help="A bridge to a daemon on another machine, instead; needs both keys.",
 )
-@click.option("--key", metavar="FILE", envvar="HAPTICD_KEY", help="Our secret key.")
-@click.option("--server-key", metavar="FILE", envvar="HAPTICD_SERVER_KEY", help="The bridge's public key.")
+@click.option("--key", type=click.Path(), metavar="FILE", envvar="HAPTICD_KEY", help="Our secret key.")
+@click.option(
+    "--server-key", type=click.Path(), metavar="FILE", envvar="HAPTICD_SERVER_KEY", help="The bridge's public key."
+)
 @click.pass_context
 def cli(
     ctx: click.Context, runtime_dir: str | None, connect: str | None, key: str | None, server_key: str | None

@@ -62,6 +62,7 @@ def config_option(command: _F) -> _F:
         "--config",
         "configs",
         multiple=True,
+        type=click.Path(),
         metavar="FILE",
         help="Configuration; later files override earlier ones [default: the simulated joystick].",
     )(command)

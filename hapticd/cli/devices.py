@@ -53,7 +53,7 @@ def _verdict(item: Found) -> str:
 
 @devices_command.command("dump")
 @click.argument("device", metavar="DEVICE")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where the recording goes.")
+@click.option("-o", "--output", required=True, type=click.Path(), metavar="FILE", help="Where the recording goes.")
 @click.option(
     "--for", "duration_s", callback=duration, default="5s", show_default=True, metavar="TIME", help="How long."
 )
@@ -84,7 +84,15 @@ def _named(device: str, found: Sequence[Found]) -> Found:
 
 
 @devices_command.command("calibrate")
-@click.option("-c", "--config", "configs", multiple=True, metavar="FILE", help="Configuration that names the device.")
+@click.option(
+    "-c",
+    "--config",
+    "configs",
+    multiple=True,
+    type=click.Path(),
+    metavar="FILE",
+    help="Configuration that names the device.",
+)
 @click.option(
     "--force",
     "force_n",
@@ -92,7 +100,7 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     metavar="N",
     help="Force to push with [default: 5 % of full].",
 )
-@click.option("-o", "--output", metavar="FILE", help="Write the section there, too.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the section there, too.")
 @click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
 def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: str | None, yes: bool) -> None:
     """Find out which way a device pushes, and print the configuration that says so.

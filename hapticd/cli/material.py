@@ -35,7 +35,7 @@ def material_list(ctx: click.Context, as_json: bool) -> None:
 
 
 @material_command.command("set")
-@click.argument("file")
+@click.argument("file", type=click.Path())
 @change_options
 @json_option
 @click.pass_context

@@ -6,14 +6,29 @@ import json
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.common import duration, json_option, print_json, yaml_file
 from hapticd.errors import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
-@click.argument("scene")
-@click.option("--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV).")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz, .csv or .mcap).")
+@click.argument("scene", shell_complete=names.scenes)
+@click.option(
+    "--operator",
+    "operator_file",
+    required=True,
+    type=click.Path(),
+    metavar="FILE",
+    help="What the hand does (YAML or CSV).",
+)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(),
+    metavar="FILE",
+    help="Where the samples go (.npz, .csv or .mcap).",
+)
 @click.option(
     "--for",
     "duration_s",
@@ -48,7 +63,9 @@ def simulate_command(
 
 @click.command("replay", short_help="Render a recording again, and compare.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option("-o", "--output", metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap).")
+@click.option(
+    "-o", "--output", type=click.Path(), metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap)."
+)
 @json_option
 def replay_command(file: str, output: str | None, as_json: bool) -> int:
     """Render what FILE (.npz, .csv or .mcap of `record` or `simulate`) was rendered with again, without daemon and

@@ -36,7 +36,7 @@ def scene_get(ctx: click.Context, as_json: bool) -> None:
 
 
 @scene_command.command("set")
-@click.argument("file")
+@click.argument("file", type=click.Path())
 @change_options
 @json_option
 @click.pass_context
@@ -48,7 +48,7 @@ def scene_set(ctx: click.Context, file: str, expect_revision: int | None, wait: 
 
 
 @scene_command.command("update")
-@click.argument("file")
+@click.argument("file", type=click.Path())
 @change_options
 @json_option
 @click.pass_context
