@@ -94,6 +94,10 @@ test-systemd: build ## the installed service under systemd and udev, in a virtua
 bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
 	@$(BIN)/python -m bench
 
+.PHONY: man
+man: build ## man pages and completion scripts of the commands, into build/share
+	@$(BIN)/python setup.py -q build_share
+
 .PHONY: format
 format: build ## lay out C and Python
 	@$(BIN)/clang-format -i $(C_FILES)
