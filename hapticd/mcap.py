@@ -56,12 +56,15 @@ SAMPLE_TYPE: Final = "hapticd_msgs/msg/Sample"
 _ROS_TYPES: Final = {"u8": "uint64", "i8": "int64", "f8": "float64", "u4": "uint32", "i4": "int32", "f4": "float32"}
 _TEXT, _NUMBER, _INTEGER, _TRUTH = ({"type": name} for name in ("string", "number", "integer", "boolean"))
 EVENT_MEMBERS: Final[dict[str, object]] = {
-    **dict.fromkeys(("event", "object", "problem"), _TEXT),
-    **dict.fromkeys(("tick", "time_ns", "onset_time_ns", "count", "grooves", "missed", "revision"), _INTEGER),
+    **dict.fromkeys(("event", "object", "problem", "text"), _TEXT),
+    **dict.fromkeys(
+        ("tick", "time_ns", "onset_time_ns", "count", "grooves", "missed", "revision", "started_tick"), _INTEGER
+    ),
     **dict.fromkeys(("before_tick_s", "speed_m_per_s", "true_speed_m_per_s", "amplitude_m_per_s2"), _NUMBER),
     **dict.fromkeys(("scale", "depth_m", "wanted_n", "missed_share", "rate_hz", "suspended_s"), _NUMBER),
-    "appeared": _TRUTH,
+    **dict.fromkeys(("appeared", "completed"), _TRUTH),
     "faults": {"type": "array", "items": _TEXT},
+    "data": {},
 }
 _JSON_SCHEMAS: Final[dict[int, tuple[str, dict[str, object]]]] = {
     EVENT: ("hapticd.Event", EVENT_MEMBERS),

@@ -495,7 +495,7 @@ class CsvSink(Sink):
                 yield text.getvalue()
                 text.seek(0)
                 text.truncate()
-            writer.writerow({name: _cell(value) for name, value in event.items()})
+            writer.writerow({name: _cell(value) for name, value in _columns(event).items()})
         yield text.getvalue()
 
     def _shorten(self) -> bool:
@@ -608,7 +608,7 @@ def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArra
     - truth values: i1, 0 or 1; -1
     - whole numbers: i8; 0, or NO_TIME where the key ends in `_ns`
     - numbers, and nothing but None: f8; NaN
-    - texts, and as JSON whatever else there is: text; ""
+    - texts, and as JSON whatever else there is, and data of marks: text; ""
 
     `events` is called twice.
     """
@@ -617,15 +617,20 @@ def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArra
     total = 0
     for event in events():
         total += 1
-        for name, value in event.items():
+        for name, value in _columns(event).items():
             kinds.setdefault(name, set()).add(type(value))
             if not isinstance(value, int | float):
                 widths[name] = max(widths.get(name, 1), len(_text(value)))
     columns = [(name, *_column(name, found - {type(None)}, widths.get(name, 1))) for name, found in kinds.items()]
     array = np.zeros(total, np.dtype([(name, form) for name, form, _ in columns]))
-    for index, event in enumerate(events()):
+    for index, event in enumerate(map(_columns, events())):
         array[index] = tuple(_value(event.get(name), form, absent) for name, form, absent in columns)
     return array
+
+
+def _columns(event: Mapping[str, Any]) -> Mapping[str, Any]:
+    """An event with the data of a mark as JSON: whatever they are, they are one column."""
+    return event if event.get("data") is None else {**event, "data": json.dumps(event["data"])}
 
 
 def _column(name: str, kinds: set[type], width: int) -> tuple[str, object]:
@@ -634,8 +639,8 @@ def _column(name: str, kinds: set[type], width: int) -> tuple[str, object]:
         return "i1", -1
     if kinds == {int}:
         return "<i8", NO_TIME if name.endswith("_ns") else 0
-    # The id of an object is a text, also where all of them are gone.
-    if kinds <= {int, float} and name != "object":
+    # The id of an object is a text, also where all of them are gone, and so are the data of a mark.
+    if kinds <= {int, float} and name not in ("object", "data"):
         return "<f8", math.nan
     return f"<U{width}", ""
 

@@ -9,16 +9,25 @@ from typing import Any
 
 import click
 
-from hapticd.cli.common import change_options, changed, config_option, daemon, json_option, print_json, print_result
+from hapticd.cli.common import (
+    change_options,
+    changed,
+    config_option,
+    daemon,
+    json_option,
+    log_options,
+    print_json,
+    print_result,
+)
 from hapticd.errors import offload_text, undisplayable_text
-
-_SHOWN_MARGINS = 5
+from hapticd.stability_words import stability_words
 
 
 @click.command("run")
 @config_option
+@log_options
 @click.pass_context
-def run_command(ctx: click.Context, configs: tuple[str, ...]) -> int:
+def run_command(ctx: click.Context, configs: tuple[str, ...], log_level: str) -> int:
     """Run the daemon in the foreground."""
     # What is loaded now stays: looking for garbage among it would only take time. The daemon turns it on again.
     gc.disable()
@@ -26,7 +35,7 @@ def run_command(ctx: click.Context, configs: tuple[str, ...]) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.daemon import run
 
-    return run(configs, ctx.find_root().obj)
+    return run(configs, ctx.find_root().obj, log_level)
 
 
 @click.command("reload", short_help="Read the configuration anew.")
@@ -138,20 +147,7 @@ def _connection(told: object) -> list[tuple[str, str]]:
 
 
 def _stability(told: object) -> list[tuple[str, str]]:
-    if not isinstance(told, dict):
-        return []
-    if told["unknown"] is not None:
-        return [("stability", f"not known: {told['unknown']}")]
-    lines = [("stability", f"{told['sets'] - told['unsafe']} of {told['sets']} sets of objects safe in any hand")]
-    for margin in told["worst"][:_SHOWN_MARGINS]:
-        lines.append(
-            (
-                margin["verdict"],
-                f"{', '.join(margin['objects'][:4])}: {margin['stiffness_n_per_m']:.4g} N/m, at most "
-                f"{margin['limit_n_per_m']:.4g} ({margin['limited_by']})",
-            )
-        )
-    return lines
+    return stability_words(told) if isinstance(told, dict) else []
 
 
 def _realtime(granted: object) -> str:

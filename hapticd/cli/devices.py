@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import Finite, duration, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.common import Finite, config_option, duration, json_option, print_json, write_whole, yaml_text
 from hapticd.errors import HapticdError, quoted
 
 if TYPE_CHECKING:
@@ -84,15 +84,7 @@ def _named(device: str, found: Sequence[Found]) -> Found:
 
 
 @devices_command.command("calibrate")
-@click.option(
-    "-c",
-    "--config",
-    "configs",
-    multiple=True,
-    type=click.Path(),
-    metavar="FILE",
-    help="Configuration that names the device.",
-)
+@config_option
 @click.option(
     "--force",
     "force_n",

@@ -23,12 +23,12 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     """
     from hapticd._version import __version__
     from hapticd.client import DaemonNotRunning, connect
-    from hapticd.config import default_config, load_config
+    from hapticd.config import config_of
     from hapticd.doctor import diagnose
     from hapticd.doctor.machine import Machine, Needs
     from hapticd.paths import SYSTEM_DIRECTORY
 
-    config = load_config(configs) if configs else default_config()
+    config = config_of(configs)
 
     def asked() -> Mapping[str, object] | None:
         # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.

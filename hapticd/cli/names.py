@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -19,6 +18,7 @@ from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.client import Client
+    from hapticd.shipped_files import Folder
 
 Items: TypeAlias = "list[CompletionItem[str]]"
 
@@ -29,9 +29,12 @@ _PLAIN: Final = re.compile(r"[\w.+-]+")
 
 def scenes(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
     """Shipped scenes and YAML files of this folder; where neither begins so, any file."""
-    shipped = [file.name.removesuffix(".yaml") for file in _shipped("scenes")]
-    here = [path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name)]
-    return _beginning(incomplete, sorted(shipped) + sorted(here)) or [CompletionItem(incomplete, type="file")]
+    return _files(incomplete, "scenes")
+
+
+def operators(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """As scenes, of operators."""
+    return _files(incomplete, "operators")
 
 
 def materials(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
@@ -49,6 +52,13 @@ def shipped_materials(ctx: click.Context, parameter: click.Parameter, incomplete
 def objects(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
     """Objects of the daemon's scene."""
     return _beginning(incomplete, _asked(ctx, lambda client: client.get_scene()["scene"].get("objects")))
+
+
+def _files(incomplete: str, folder: Folder) -> Items:
+    from hapticd.shipped_files import shipped
+
+    here = [path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name)]
+    return _beginning(incomplete, [*shipped(folder), *sorted(here)]) or [CompletionItem(incomplete, type="file")]
 
 
 def _beginning(incomplete: str, names: Iterable[str]) -> Items:
@@ -70,19 +80,15 @@ def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
 
 
 def _shipped_materials() -> list[str]:
+    from hapticd.shipped_files import shipped
     from hapticd.yaml_source import load_bytes
 
     found: list[str] = []
-    for file in _shipped("materials"):
-        library = load_bytes(file.read_bytes(), file.name).data
+    for file in shipped("materials").values():
+        library = load_bytes(Path(file).read_bytes(), file).data
         found += _names(library["materials"] if isinstance(library, dict) else None)
     return found
 
 
 def _names(mapping: object) -> list[str]:
     return list(mapping) if isinstance(mapping, dict) else []
-
-
-def _shipped(folder: str) -> list[Path]:
-    with resources.as_file(resources.files("hapticd.shipped").joinpath(folder)) as path:
-        return sorted(path.glob("*.yaml"))

@@ -7,7 +7,7 @@ import json
 import click
 
 from hapticd.cli import names
-from hapticd.cli.common import duration, json_option, print_json, yaml_file
+from hapticd.cli.common import duration, json_option, operator_file, print_json, scene_file
 from hapticd.errors import undisplayable_text
 
 
@@ -15,11 +15,9 @@ from hapticd.errors import undisplayable_text
 @click.argument("scene", shell_complete=names.scenes)
 @click.option(
     "--operator",
-    "operator_file",
-    required=True,
-    type=click.Path(),
     metavar="FILE",
-    help="What the hand does (YAML or CSV).",
+    shell_complete=names.operators,
+    help="What the hand does (YAML or CSV), or a shipped operator's name  [default: of a shipped scene, its own]",
 )
 @click.option(
     "-o",
@@ -39,17 +37,21 @@ from hapticd.errors import undisplayable_text
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
 @json_option
 def simulate_command(
-    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
+    scene: str, operator: str | None, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
 ) -> None:
-    """Run SCENE (YAML: a scene or a whole configuration) with the simulated joystick, without daemon and
-    clock.
+    """Run SCENE (YAML: a scene or a whole configuration; or the name of a shipped scene) with the simulated joystick,
+    without daemon and clock.
 
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
     from hapticd.cli.simulation import simulate_to_file
 
-    result = simulate_to_file(yaml_file(scene), yaml_file(operator_file), output, duration_s, rate_hz)
+    file = scene_file(scene)
+    operator = operator or _own_operator(file)
+    if operator is None:
+        raise click.UsageError("Missing option '--operator'.")
+    result = simulate_to_file(file, operator_file(operator), output, duration_s, rate_hz)
     for mode in result["undisplayable"]:
         click.echo(f"hapticd: {undisplayable_text(mode)}", err=True)
     for warning in result["warnings"]:
@@ -59,6 +61,13 @@ def simulate_command(
     else:
         length = f"{result['ticks']} ticks in {result['duration_s']:.3f} s"
         click.echo(f"{result['file']}: {length}, {result['events']} events")
+
+
+def _own_operator(scene: str) -> str | None:
+    """The operator of a shipped scene."""
+    from hapticd.shipped_files import shipped_scenes
+
+    return next((each.operator for each in shipped_scenes() if each.file == scene), None)
 
 
 @click.command("replay", short_help="Render a recording again, and compare.")

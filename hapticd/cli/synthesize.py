@@ -234,14 +234,13 @@ def _run(
     full_scale_m_per_s2: float | None,
     **stylus: Any,
 ) -> None:
-    from hapticd.config import load_config
+    from hapticd.config import config_of
     from hapticd.fit.recording import save
     from hapticd.fit.synthesize import Stylus
-    from hapticd.materials import shipped_materials
 
     if os.path.splitext(output)[1].lower() != ENDING:
         raise HapticdError(f"{output}: is no recording: must end in {ENDING}")
-    materials: Mapping[str, Material] = load_config(configs).materials if configs else shipped_materials()
+    materials: Mapping[str, Material] = config_of(configs).materials
     if name not in materials:
         raise HapticdError(f"unknown material {quoted(name)}; {known_names(name, materials)}")
     made = Stylus(**stylus, full_scale_m_per_s2=math.inf if full_scale_m_per_s2 is None else full_scale_m_per_s2)

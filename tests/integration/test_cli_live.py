@@ -86,12 +86,26 @@ def test_status(shell: Shell) -> None:
     assert "sim at 1000 Hz" in text and "forces" in text
 
 
+@pytest.mark.parametrize("name", ["HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY"])
 def test_the_runtime_directory_may_come_from_the_environment(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(daemon.directory))
+    monkeypatch.setenv(name, str(daemon.directory))
     assert main(["status"]) == 0
     assert "sim at 1000 Hz" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["status"], ["scene", "get"], ["watch"], ["watch", "--json"]])
+def test_a_full_disk_ends_what_prints_in_one_line(daemon: Daemon, arguments: list[str]) -> None:
+    words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), *arguments]
+    with open("/dev/full", "wb") as full:
+        process = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    lost = "standard output: cannot be written: No space left on device"
+    assert process.returncode == 1
+    if "--json" in arguments:
+        assert json.loads(process.stderr)["error"]["message"] == lost
+    else:
+        assert process.stderr == f"hapticd: {lost}\n"
 
 
 def test_a_scene_goes_round(shell: Shell) -> None:
@@ -145,14 +159,9 @@ def test_materials(shell: Shell) -> None:
 def test_a_whole_configuration_is_no_change_of_a_part(shell: Shell) -> None:
     Path("all.yaml").write_text("materials:\n  moss: {stiffness_n_per_m: 90}\n" + SCENE)
     before = json.loads(shell("status", "--json"))["revision"]
-    assert shell.fails("material", "set", "all.yaml") == (
-        "hapticd: all.yaml:3: scene: does not belong to materials, which are all that is taken here; "
-        "that is for hapticd scene set\n"
-    )
-    assert shell.fails("scene", "set", "all.yaml") == (
-        "hapticd: all.yaml:1: materials: does not belong to a scene, which is all that is taken here; "
-        "that is for hapticd material set\n"
-    )
+    told = "hapticd: all.yaml: holds materials and a scene; use: hapticd apply all.yaml\n"
+    assert shell.fails("material", "set", "all.yaml") == told
+    assert shell.fails("scene", "set", "all.yaml") == told
     assert json.loads(shell("status", "--json"))["revision"] == before
 
 
@@ -170,11 +179,11 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     assert shell("reset", "skin").startswith("reset at tick ")
     assert shell("reset").startswith("reset at tick ")
     assert 'no object "nothing"' in shell.fails("reset", "nothing")
-    assert shell("operator", "operator.yaml") == "under way for 0.3 s\n"
+    assert shell("operator", "operator.yaml") == "under way for 300 ms\n"
     Path("tap.yaml").write_text("gesture: {kind: tap, object: floor, speed_m_per_s: 0.1}\n")
     assert shell("operator", "tap.yaml").startswith("under way for ")
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0.5,0,0.02\n")
-    assert shell("operator", "way.csv") == "under way for 0.5 s\n"
+    assert shell("operator", "way.csv") == "under way for 500 ms\n"
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0,0,0.02\n")
     assert "way.csv:3" in shell.fails("operator", "way.csv")
 
@@ -244,6 +253,27 @@ def test_an_interrupted_recording_is_kept(
     with np.load(target) as archive:
         assert len(archive["samples"]) > 0
     assert os.listdir(tmp_path) == ["run.npz"]
+
+
+def test_an_interrupt_ends_a_recording_that_a_script_put_in_the_background(daemon: Daemon, tmp_path: Path) -> None:
+    """The shell has it ignore interrupts; who sends it one means it."""
+    target = tmp_path / "run.npz"
+    words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "record", str(target)]
+    ignoring = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *words]
+    with (
+        connect(daemon.directory) as client,
+        client.samples() as batches,
+        subprocess.Popen(ignoring, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True) as process,
+    ):
+        part = target.with_name(f".run.npz.{process.pid}.part")
+        for _ in batches:
+            if part.exists() and part.stat().st_size > 0:
+                break
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    assert target.exists() and "run.npz" in out
 
 
 def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:

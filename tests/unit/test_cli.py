@@ -8,6 +8,8 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -243,21 +245,66 @@ def test_simulate_says_what_is_wrong(
     assert sorted(os.listdir()) == ["operator.yaml", "scene.yaml"]
 
 
-def test_a_broken_pipe_is_quiet() -> None:
-    reader, writer = os.pipe()
-    os.close(reader)
+@contextmanager
+def nowhere(kind: str) -> Iterator[int]:
+    """What takes no output: a pipe that nobody reads, or a disk that is full."""
+    if kind == "full":
+        descriptor = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reader, descriptor = os.pipe()
+        os.close(reader)
     try:
-        process = subprocess.run(
-            [sys.executable, "-m", "hapticd", "schema"],
-            stdout=writer,
-            stderr=subprocess.PIPE,
-            cwd=ROOT,
-            text=True,
-            timeout=60,
-        )
+        yield descriptor
     finally:
-        os.close(writer)
-    assert (process.returncode, process.stderr) == (1, "")
+        os.close(descriptor)
+
+
+PRINTING = ["--help", "--version", "check --help", "schema", "check", "check --json"]
+"""A command for each way in which something is printed: by click, by rich, as JSON."""
+
+
+@pytest.mark.parametrize("command", PRINTING)
+@pytest.mark.parametrize(("kind", "why"), [("pipe", "Broken pipe"), ("full", "No space left on device")])
+def test_output_that_nobody_takes_is_one_line(command: str, kind: str, why: str) -> None:
+    words = [sys.executable, "-m", "hapticd", *command.split()]
+    with nowhere(kind) as stdout:
+        process = subprocess.run(words, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60)
+    lost = f"standard output: cannot be written: {why}"
+    assert process.returncode == 1
+    if "--json" in words:
+        assert json.loads(process.stderr)["error"]["message"] == lost
+    else:
+        assert process.stderr == f"hapticd: {lost}\n"
+
+
+@pytest.mark.parametrize("kind", ["pipe", "full"])
+@pytest.mark.parametrize(("command", "code"), [("status", 1), ("nonsense", 2), ("status --help", 0)])
+def test_errors_that_nobody_takes_change_no_exit_code(kind: str, command: str, code: int) -> None:
+    words = [sys.executable, "-m", "hapticd", *command.split()]
+    with nowhere(kind) as stderr:
+        process = subprocess.run(words, stdout=subprocess.PIPE, stderr=stderr, timeout=60)
+    assert process.returncode == code
+
+
+@pytest.mark.parametrize("command", ["schema", "status"])
+def test_nothing_that_can_be_written_to(command: str) -> None:
+    words = [sys.executable, "-m", "hapticd", command]
+    with nowhere("full") as stream:
+        process = subprocess.run(words, stdout=stream, stderr=stream, timeout=60)
+    assert process.returncode == 1
+
+
+def test_a_warning_that_nobody_takes_is_no_success() -> None:
+    program = (
+        "import click, hapticd.cli\n"
+        "hapticd.cli.cli.add_command(click.Command('warn', callback=lambda: click.echo('x', err=True)))\n"
+        "hapticd.cli._HOMES.clear()\n"
+        "hapticd.cli._LazyGroup.get_command = click.Group.get_command\n"
+        "raise SystemExit(hapticd.cli.main(['warn']))\n"
+    )
+    with nowhere("full") as stderr:
+        process = subprocess.run([sys.executable, "-c", program], stderr=stderr, timeout=60)
+    assert process.returncode == 1
 
 
 @pytest.mark.parametrize("command", ["--version", "--help", "status"])
