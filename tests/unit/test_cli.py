@@ -52,6 +52,7 @@ COMMANDS = [
     "doctor",
     "install-service",
     "stop-device",
+    "completion",
 ]
 
 
