@@ -393,6 +393,7 @@ def test_an_interrupt_ends_a_recording_that_a_script_put_in_the_background(daemo
     assert target.exists() and "run.npz" in out
 
 
+@pytest.mark.slow
 def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with (
