@@ -20,11 +20,12 @@ DEFAULT_FORCE_N = 1.0
 
 @click.command("calibrate", short_help="Measure handle and grip.")
 @config_option
-@click.option("-o", "--output", metavar="FILE", help="Write the device section there, too.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the device section there, too.")
 @click.option("--overwrite", is_flag=True, help="Replace what is there.")
-@click.option("--plot", metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
+@click.option("--plot", type=click.Path(), metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
 @click.option(
     "--accelerometer",
+    type=click.Path(),
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2).",
 )

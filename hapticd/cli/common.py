@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, quoted
 from hapticd.journal import LEVELS
@@ -66,6 +67,7 @@ def config_option(command: _F) -> _F:
         "configs",
         multiple=True,
         metavar="FILE",
+        shell_complete=names.scenes,
         help="Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
         "HAPTICD_CONFIG; default: ~/.config/hapticd/config.yaml, /etc/hapticd/config.yaml or, without these, the "
         "simulated joystick]",
@@ -143,10 +145,9 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         return
     click.echo(text)
     if "warning" in result:
-        note(str(result["warning"]))
-    warnings = result.get("warnings")
-    for warning in warnings if isinstance(warnings, list) else ():
-        note(f"{warning['where']}: {warning['problem']}")
+        note(f"warning: {result['warning']}")
+    for warned in cast("list[Mapping[str, str]]", result.get("warnings", [])):
+        note(f"warning: {warned['where']}: {warned['problem']}")
 
 
 def check_new(target: str, overwrite: bool) -> None:

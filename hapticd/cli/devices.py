@@ -63,7 +63,7 @@ def _verdict(item: Found) -> str:
 
 @devices_command.command("dump")
 @click.argument("device", metavar="DEVICE")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where the recording goes.")
+@click.option("-o", "--output", required=True, type=click.Path(), metavar="FILE", help="Where the recording goes.")
 @click.option(
     "--for", "duration_s", callback=duration, default="5s", show_default=True, metavar="TIME", help="How long."
 )
@@ -106,7 +106,7 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     metavar="N",
     help="Force to push with [default: 5 % of full].",
 )
-@click.option("-o", "--output", metavar="FILE", help="Write the section there, too.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the section there, too.")
 @click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
 @json_option
 def calibrate_command(

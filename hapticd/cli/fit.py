@@ -69,10 +69,12 @@ def _options(command: _F) -> _F:
             metavar="N/M",
             help=f"Stiffness of the material where the recordings do not tell it [default: {STIFFNESS_N_PER_M:g}].",
         ),
-        click.option("--report", metavar="FILE.html|.png", help="Draw recording and model (needs matplotlib)."),
+        click.option(
+            "--report", type=click.Path(), metavar="FILE.html|.png", help="Draw recording and model (needs matplotlib)."
+        ),
         click.option("--name", metavar="NAME", help="Name of the material [default: the output's, without .yaml]."),
-        click.option("-o", "--output", metavar="FILE", help="Write the material there, as YAML."),
-        click.argument("files", nargs=-1, required=True, metavar="FILES..."),
+        click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the material there, as YAML."),
+        click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILES..."),
     ):
         command = option(command)
     return command

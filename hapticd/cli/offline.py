@@ -6,18 +6,27 @@ import json
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.common import duration, json_option, note, operator_file, print_json, scene_file
 from hapticd.errors import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
-@click.argument("scene")
+@click.argument("scene", shell_complete=names.scenes)
 @click.option(
     "--operator",
     metavar="FILE",
+    shell_complete=names.operators,
     help="What the hand does (YAML or CSV), or a shipped operator's name  [default: of a shipped scene, its own]",
 )
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz, .csv or .mcap).")
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(),
+    metavar="FILE",
+    help="Where the samples go (.npz, .csv or .mcap).",
+)
 @click.option(
     "--for",
     "duration_s",
@@ -63,7 +72,9 @@ def _own_operator(scene: str) -> str | None:
 
 @click.command("replay", short_help="Render a recording again, and compare.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option("-o", "--output", metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap).")
+@click.option(
+    "-o", "--output", type=click.Path(), metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap)."
+)
 @json_option
 def replay_command(file: str, output: str | None, as_json: bool) -> int:
     """Render what FILE (.npz, .csv or .mcap of `record` or `simulate`) was rendered with again, without daemon and

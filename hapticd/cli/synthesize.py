@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import click
 
 from hapticd import words
+from hapticd.cli import names
 from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json
 from hapticd.errors import HapticdError, known_names, quoted
 
@@ -52,7 +53,9 @@ def _stylus_options(command: _F) -> _F:
         _number("--noise", "noise_rms", 0.0, 10.0, "PART", "RMS of the noise, of the largest acceleration.", 0.02),
         _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples a second.", 25_000.0),
         config_option,
-        click.option("-o", "--output", required=True, metavar=f"FILE{ENDING}", help="Where it goes."),
+        click.option(
+            "-o", "--output", required=True, type=click.Path(), metavar=f"FILE{ENDING}", help="Where it goes."
+        ),
     ):
         command = option(command)
     return command
@@ -74,7 +77,15 @@ def _several(flag: str, name: str, high: float, unit: str, text: str, default: S
 
 
 def _material_option(default: str) -> Callable[[_F], _F]:
-    return click.option("--material", "name", default=default, show_default=True, metavar="NAME", help="Of what.")
+    return click.option(
+        "--material",
+        "name",
+        default=default,
+        show_default=True,
+        metavar="NAME",
+        shell_complete=names.shipped_materials,
+        help="Of what.",
+    )
 
 
 _stroke_options: Final = (

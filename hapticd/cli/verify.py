@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 @config_option
 @click.option(
     "--recording",
+    type=click.Path(),
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2); a real "
     "device needs one.",

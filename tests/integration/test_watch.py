@@ -356,6 +356,7 @@ def test_on_a_terminal(daemon: Daemon, number: int, code: int) -> None:
         assert terminal.output.endswith(b"\x1b[?25h\x1b[?1049l"), "the cursor and the screen of before are back"
 
 
+@pytest.mark.slow
 def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str) -> None:
     with Terminal(arguments(daemon)) as terminal:
         terminal.read_until("touching")

@@ -22,6 +22,7 @@ import hapticd.cli
 from hapticd import __version__
 from hapticd.cli import main
 from hapticd.cli.common import duration, print_yaml
+from hapticd.materials import shipped_materials
 from hapticd.yaml_source import load_text
 from tests.cli import said
 
@@ -33,13 +34,16 @@ COMMANDS = [
     "status",
     "scene",
     "material",
+    "apply",
     "play",
     "force",
     "reset",
     "operator",
+    "mark",
     "watch",
     "record",
     "simulate",
+    "paths",
     "schema",
     "devices",
     "calibrate",
@@ -48,6 +52,7 @@ COMMANDS = [
     "doctor",
     "install-service",
     "stop-device",
+    "completion",
 ]
 
 
@@ -85,7 +90,8 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ["status"],
         ["scene", "get"],
-        ["material", "list"],
+        ["apply", "comb"],
+        ["mark", "trial 3"],
         ["play", "wood", "--amplitude", "1"],
         ["force", "on"],
         ["reset"],
@@ -124,6 +130,27 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
 def test_commands_that_are_not_understood(capsys: pytest.CaptureFixture[str], arguments: list[str], told: str) -> None:
     line = said(capsys, 2, *arguments)
     assert told in line and "--help)" in line
+
+
+def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    note = (
+        f"hapticd: no daemon at {tmp_path}/hapticd; start one with: hapticd run; these are the materials of the shipped"
+    )
+    for arguments, names in ((["list"], list(shipped_materials())), (["get", "steel"], ["steel"])):
+        assert main(["material", *arguments]) == 0
+        captured = capsys.readouterr()
+        assert captured.err == f"{note} library\n"
+        printed = load_text(captured.out, "printed").data
+        assert printed == {"materials": {name: shipped_materials()[name].to_dict() for name in names}}
+        assert main(["material", *arguments, "--offline", "--json"]) == 0
+        captured = capsys.readouterr()
+        assert captured.err == "" and json.loads(captured.out) == {**printed, "revision": None}
+    told = said(capsys, 1, "material", "get", "stel", "--offline")
+    assert told.startswith('hapticd: unknown material "stel"; did you mean steel? known: wood, ')
+
+
+def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--data {a}: is not JSON: " in said(capsys, 2, "mark", "x", "--data", "{a}")
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> Non
     assert "response.png: is there already" in said(capsys, 1, "calibrate", "--plot", "response.png")
 
 
+@pytest.mark.slow
 def test_calibrate_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
     Path("old.yaml").write_text("old")
     assert main(["calibrate", "-c", "sim.yaml", "--json", "-o", "old.yaml", "--overwrite", "--axis", "y"]) == 0
