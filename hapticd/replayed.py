@@ -30,6 +30,7 @@ from hapticd.events import event_map
 from hapticd.materials import Material, validate_materials
 from hapticd.mode import Mode
 from hapticd.offline import Rerun
+from hapticd.place import displaced
 from hapticd.recorded import Recorded, Samples, load_recorded
 from hapticd.scene import Scene, validate_object, validate_scene
 from hapticd.sink import open_sink
@@ -93,16 +94,20 @@ class Replay:
             text += f"; {len(self.missing_revisions)} revisions of the scene are missing"
         return text
 
-    def write(self, target: str | os.PathLike[str]) -> None:
-        """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it."""
-        with open_sink(target) as sink:
-            sink.begin({name: text for name, text in self.texts.items() if name not in ("changes", "recording")})
+    def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it, or
+        the target is there already."""
+        with open_sink(target, overwrite) as sink:
+            last = ("changes", "recording", "flight")
+            sink.begin({name: text for name, text in self.texts.items() if name not in last})
             for change in self.texts["changes"]:
                 sink.write_change(change)
             sink.write(self.samples)
             for event in self.events:
                 sink.write_event(event)
             sink.finish()
+            if sink.displaced:
+                raise HapticdError(displaced(target, sink.target))
 
     def to_dict(self) -> dict[str, object]:
         """As plain data, without samples and events."""

@@ -21,7 +21,7 @@ import pytest
 from hapticd.client import Client
 from hapticd.config import default_config, load_config
 from hapticd.core import SAMPLE_DTYPE
-from hapticd.record import Recording, record
+from hapticd.record import RecordSummary, record
 from hapticd.recorded import load_recorded
 from hapticd.replayed import replay
 from tests.daemon_process import Daemon, connect, running_daemon
@@ -244,7 +244,7 @@ class Told:
             case _:
                 return [result(request, {"materials": {}, "revision": 1})]
 
-    def record(self, target: Path, ticks: int) -> Recording:
+    def record(self, target: Path, ticks: int) -> RecordSummary:
         stop = threading.Event()
 
         def progress(recorded_s: float) -> None:
