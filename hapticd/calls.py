@@ -90,6 +90,22 @@ class TelemetryLoss(UserWarning):
 # ---- results, named as in docs/protocol.md -----------------------------------------------------------------
 
 
+class GestureEnd(TypedDict):
+    """The end of what the hand was told to do, `completed` or replaced; `started_tick` is that of `set_operator`."""
+
+    tick: int
+    time_ns: int
+    started_tick: int
+    completed: bool
+
+
+class OperatorStatus(TypedDict):
+    """The tick that took the last operator (None: none so far), and the last gestures that ended, oldest first."""
+
+    started_tick: int | None
+    ends: list[GestureEnd]
+
+
 class Status(TypedDict):
     """What the daemon is and does."""
 
@@ -115,6 +131,7 @@ class Status(TypedDict):
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]
     stability: dict[str, Json]
+    operator: OperatorStatus | None
 
 
 class ConfigResult(TypedDict):
@@ -257,13 +274,25 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
 
 
 def change_params(key: str, value: Mapping[str, object], expect_revision: int | None, wait: bool) -> dict[str, object]:
-    """Params of set_scene, update_scene and update_materials."""
+    """Params of set_scene, update_scene, set_materials and update_materials."""
     params: dict[str, object] = {key: value}
     if expect_revision is not None:
         params["expect_revision"] = expect_revision
     if wait:
         params["wait"] = True
     return params
+
+
+def apply_params(
+    materials: PatchSource | None, scene: SceneSource | None, expect_revision: int | None, wait: bool
+) -> dict[str, object]:
+    """Params of apply."""
+    params: dict[str, object] = {}
+    if materials is not None:
+        params["materials"] = patch_tree(materials, "materials")
+    if scene is not None:
+        params["scene"] = scene_tree(scene)
+    return {**params, **reload_params(expect_revision, wait)}
 
 
 def reload_params(expect_revision: int | None, wait: bool) -> dict[str, object]:

@@ -49,6 +49,7 @@ from hapticd.remote import Remote
 
 if TYPE_CHECKING:
     from hapticd.samples import SampleBatch
+    from hapticd.yaml_source import Json
 
 __all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
 
@@ -178,6 +179,10 @@ class Client:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, self.call("get_status"))
 
+    def get_state(self) -> State:
+        """The newest sample, as `states` yields it."""
+        return cast(State, self.call("get_state"))
+
     def get_config(self) -> ConfigResult:
         """The configuration's servo and device."""
         return cast(ConfigResult, self.call("get_config"))
@@ -208,6 +213,15 @@ class Client:
         """All materials by name, the shipped ones among them."""
         return cast(MaterialsResult, self.call("get_materials"))
 
+    def set_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
+        YAML file."""
+        tree = calls.patch_tree(materials, "materials")
+        params = calls.change_params("materials", tree, expect_revision, wait)
+        return cast(RevisionResult, self.call("set_materials", params))
+
     def update_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
@@ -215,6 +229,19 @@ class Client:
         patch = calls.patch_tree(materials, "materials")
         params = calls.change_params("materials", patch, expect_revision, wait)
         return cast(RevisionResult, self.call("update_materials", params))
+
+    def apply(
+        self,
+        *,
+        materials: PatchSource | None = None,
+        scene: SceneSource | None = None,
+        expect_revision: int | None = None,
+        wait: bool = False,
+    ) -> RevisionResult:
+        """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
+        nothing."""
+        params = calls.apply_params(materials, scene, expect_revision, wait)
+        return cast(RevisionResult, self.call("apply", params))
 
     def play(
         self,
@@ -231,6 +258,13 @@ class Client:
         """Heals membranes and clears contact state, of the objects with these ids or of all."""
         params = None if objects is None else {"objects": list(objects)}
         return cast(TickResult, self.call("reset", params))
+
+    def mark(self, text: str, data: Json = None) -> TickResult:
+        """Leaves a mark in the event stream and in every recording; the result has its `tick`.
+
+        `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
+        """
+        return cast(TickResult, self.call("mark", {"text": text, "data": data}))
 
     def set_forces(self, enabled: bool) -> ForcesResult:
         """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""

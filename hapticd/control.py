@@ -10,6 +10,8 @@ import math
 import os
 import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated, Any, Final, cast
 
@@ -26,7 +28,8 @@ from hapticd.events import fault_names
 from hapticd.flight import Flight
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
-from hapticd.materials import MAX_MATERIALS, Material, shipped_materials, validate_materials
+from hapticd.marks import Mark, MarkParams, checked_data
+from hapticd.materials import MAX_MATERIALS, Material, Materials, shipped_materials, validate_materials
 from hapticd.merge_patch import merge_patch
 from hapticd.mode import ModeKeys
 from hapticd.model import MAX_FAULTS, Model, Name, Position, problems_of
@@ -89,6 +92,15 @@ class _UpdateScene(_Change):
 
 class _UpdateMaterials(_Change):
     materials: dict[str, object]
+
+
+class _SetMaterials(_Change):
+    materials: dict[str, object]
+
+
+class _Apply(_Change):
+    materials: dict[str, object] | None = None
+    scene: object = None
 
 
 class _Reload(_Change):
@@ -155,11 +167,18 @@ def _differences(path: Path, old: object, new: object) -> list[Problem]:
 class Control:
     """Acts on one engine. One thread at a time."""
 
-    def __init__(self, engine: Engine, load: Callable[[], Config] | None = None, flight: Flight | None = None) -> None:
-        """`load` reads the configuration anew, for `reload`."""
+    def __init__(
+        self,
+        engine: Engine,
+        load: Callable[[], Config] | None = None,
+        flight: Flight | None = None,
+        ask_state: Callable[[], Future[dict[str, object]]] | None = None,
+    ) -> None:
+        """`load` reads the configuration anew, for `reload`; `ask_state` asks telemetry for the newest sample."""
         self._engine = engine
         self._load = load
         self._flight = flight
+        self._ask_state = ask_state
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._started_ns = monotonic_ns()
         self._wish = engine.config.device.sim.start_m
@@ -229,6 +248,7 @@ class Control:
             "passivity": {"mode": engine.scene.passivity, **counters.energy._asdict()},
             **self._find_limits(),
             "stability": engine.stability().to_dict(),
+            "operator": engine.operator(),
         }
 
     def _find_limits(self) -> dict[str, object]:
@@ -249,6 +269,20 @@ class Control:
 
     def _get_status(self, _: _NoParams) -> dict[str, object]:
         return self.status()
+
+    def _get_state(self, _: _NoParams) -> dict[str, object]:
+        if self._ask_state is None:
+            raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
+        answer = self._ask_state()
+
+        def answered(timeout_ns: int) -> bool:
+            self._engine.beat()
+            with suppress(TimeoutError):
+                answer.result(1e-9 * timeout_ns)
+            return answer.done()
+
+        self._engine.wait_for(answered, "no tick was rendered")
+        return answer.result()
 
     def _get_config(self, _: _NoParams) -> dict[str, object]:
         config = self._engine.config
@@ -296,13 +330,16 @@ class Control:
         engine.beat()
         return self._changed(engine.update_objects(changes), params)
 
-    def _problems_of(self, objects: Mapping[str, SceneObject], root: Path = ()) -> list[Problem]:
+    def _problems_of(
+        self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
+    ) -> list[Problem]:
         """Materials that these objects name and nobody defines, or no signal of this rate has."""
         engine = self._engine
-        problems = reference_problems(objects, engine.materials, root)[:MAX_FAULTS]
+        materials = engine.materials if materials is None else materials
+        problems = reference_problems(objects, materials, root)[:MAX_FAULTS]
         if problems:
             return problems
-        used = {name: engine.materials[name] for name in used_materials(objects.values())}
+        used = {name: materials[name] for name in used_materials(objects.values())}
         refused = {
             name: faults
             for name, material in used.items()
@@ -320,6 +357,57 @@ class Control:
     def _get_materials(self, _: _NoParams) -> dict[str, object]:
         materials = {name: material.to_dict() for name, material in self._engine.materials.items()}
         return {"materials": materials, "revision": self._engine.revision}
+
+    def _set_materials(self, params: _SetMaterials) -> dict[str, object]:
+        self._expect(params)
+        engine = self._engine
+        materials = self._materials_with(params.materials)
+        refused = rate_faults(engine.scene.objects, materials, engine.output)
+        if refused:
+            raise _faulty(refused)
+        return self._changed(engine.set_materials(materials), params)
+
+    def _apply(self, params: _Apply) -> dict[str, object]:
+        """Every fault of either part is told; materials and scene change at one tick, or neither does."""
+        self._expect(params)
+        engine = self._engine
+        problems: list[Problem] = []
+        materials, scene = engine.materials, engine.scene
+        if params.materials is None and "scene" not in params.model_fields_set:
+            raise _faulty([Problem("", "needs materials, scene or both")])
+        if params.materials is not None:
+            try:
+                materials = self._materials_with(params.materials)
+            except InvalidError as error:
+                problems += error.problems
+        if "scene" in params.model_fields_set:
+            try:
+                scene = validate_scene(params.scene, ("scene",))
+            except InvalidError as error:
+                problems += error.problems
+        engine.beat()
+        if not problems:
+            sent = {name: materials[name] for name in params.materials or ()}
+            problems = rate_faults(scene.objects, sent, engine.output)
+        if not problems:
+            problems = self._problems_of(scene.objects, ("scene",), materials)
+        if problems:
+            raise _faulty(problems)
+        engine.beat()
+        return self._changed(engine.replace(scene, materials), params)
+
+    def _materials_with(self, given: Mapping[str, object]) -> dict[str, Material]:
+        """All materials once those given took their places, whole. Raises InvalidError."""
+        gone = [name for name, material in given.items() if material is None]
+        if gone:
+            problem = "must be a mapping, is null; update_materials removes a material"
+            raise InvalidError([Problem(path_text(("materials", name)), problem) for name in gone])
+        materials = dict(self._engine.materials)
+        materials.update(validate_materials(given, working=self._engine.beat))
+        if len(materials) > MAX_MATERIALS:
+            problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}"
+            raise InvalidError([Problem("materials", problem)])
+        return materials
 
     def _update_materials(self, params: _UpdateMaterials) -> dict[str, object]:
         self._expect(params)
@@ -466,6 +554,9 @@ class Control:
                 raise _faulty(unknown)
         return {"tick": self._engine.reset(params.objects)}
 
+    def _mark(self, params: MarkParams) -> dict[str, object]:
+        return {"tick": self._engine.mark(Mark(params.text, checked_data(params.data)))}
+
     def _set_forces(self, params: _SetForces) -> dict[str, object]:
         self._lease.forget_lapsed()
         tick = self._engine.set_forces(params.enabled)
@@ -532,14 +623,18 @@ class Control:
 # `set_operator` takes what an operator file holds, which hapticd.operator validates.
 _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (_NoParams, Control._get_status),
+    "get_state": (_NoParams, Control._get_state),
     "get_config": (_NoParams, Control._get_config),
     "get_scene": (_NoParams, Control._get_scene),
     "set_scene": (_SetScene, Control._set_scene),
     "update_scene": (_UpdateScene, Control._update_scene),
     "get_materials": (_NoParams, Control._get_materials),
+    "set_materials": (_SetMaterials, Control._set_materials),
     "update_materials": (_UpdateMaterials, Control._update_materials),
+    "apply": (_Apply, Control._apply),
     "play": (_Play, Control._play),
     "reset": (_Reset, Control._reset),
+    "mark": (MarkParams, Control._mark),
     "set_forces": (_SetForces, Control._set_forces),
     "set_operator": (None, Control._set_operator),
     "lease": (_LeaseParams, Control._lease_request),

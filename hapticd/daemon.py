@@ -79,7 +79,7 @@ def _run(
         monotonic_ns,
         lambda: _about(engine, control),
     )
-    control = Control(engine, load, flight)
+    control = Control(engine, load, flight, lambda: telemetry.ask_state())
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
     publisher = context.socket(zmq.PUB)
@@ -92,7 +92,7 @@ def _run(
     telemetry = Telemetry(engine, publisher, control.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
-    _thread("telemetry", telemetry.run, failures, stack)
+    _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
     stack.callback(engine.stop)
     for missing in granted.missing:
