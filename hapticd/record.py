@@ -224,7 +224,7 @@ class _Take:
     def _restarted(self) -> bool:
         """Whether those whose samples are missing are another daemon's. Where nobody answers, silence will tell."""
         with suppress(calls.DaemonNotRunning):
-            return self._client.get_status()["started_ns"] != self._status["started_ns"]
+            return bool(self._client.get_status()["started_ns"] != self._status["started_ns"])
         return False
 
     def _take(self, batch: SampleBatch) -> None:
@@ -414,7 +414,7 @@ class _Span:
         """Nothing more is to be taken."""
         if not self.ends:
             return self._complete
-        return self._complete or bool(self._end_tick > self._last_tick) or time.monotonic() > self._give_up_at
+        return self._complete or self._end_tick > self._last_tick or time.monotonic() > self._give_up_at
 
     def end_at(self, tick: int | None) -> None:
         """It is over once this tick was taken, or soon; None: at once."""
