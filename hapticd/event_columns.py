@@ -150,31 +150,36 @@ def members_of(event: str) -> frozenset[str] | None:
 
 
 def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
-    """The events in rows of a .npz."""
+    """The events in rows of a .npz. One of a kind that this version does not know has the members that are not 0."""
     names = rows.dtype.names or ()
-    forms = [rows.dtype[name].kind for name in names]
+    forms = [rows.dtype[name].str[1:] for name in names]
     for row in zip(*(rows[name].tolist() for name in names), strict=True):
         members = members_of(str(row[names.index("event")]))
         event = {}
         for name, form, value in zip(names, forms, row, strict=True):
-            absent = value == ("" if form == "U" else -1 if form == "i" and rows.dtype[name].itemsize == 1 else None)
-            absent = absent or value == NO_TIME or (form == "f" and math.isnan(value))
-            if name not in members if members is not None else absent:
-                continue
-            event[name] = _restored(name, value, absent)
+            absent = _is_absent(name, form, value)
+            if name in members if members is not None else not absent:
+                event[name] = _restored(name, form, value, absent)
         yield event
 
 
-def _restored(name: str, value: Any, absent: bool) -> object:
+def _is_absent(name: str, form: str, value: Any) -> bool:
+    """Whether a cell holds what stands for nothing; of a whole number it may be 0 all the same."""
+    match form[0]:
+        case "U":
+            return bool(value == "")
+        case "f":
+            return math.isnan(value)
+        case _:
+            return value == -1 if form == "i1" else value in (0, NO_TIME) and name not in ("tick", "time_ns")
+
+
+def _restored(name: str, form: str, value: Any, absent: bool) -> object:
     if absent and name in _MAY_BE_NONE:
         return None
-    match MEMBERS.get(name):
-        case Kind.JSON:
-            return json.loads(value)
-        case Kind.TRUTH:
-            return bool(value)
-        case _:
-            return cast(object, value)
+    if form == "i1":
+        return bool(value)
+    return json.loads(value) if MEMBERS.get(name) is Kind.JSON else cast(object, value)
 
 
 def cell_of(name: str, value: object) -> object:

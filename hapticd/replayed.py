@@ -39,7 +39,7 @@ from hapticd.place import displaced
 from hapticd.recorded import Recorded, Samples, load_recorded
 from hapticd.scene import Scene, materials_of, validate_object, validate_scene
 from hapticd.sink import open_sink
-from hapticd.texture import Grooves
+from hapticd.texture import Autoregressive, Stochastic
 
 FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
 """What is compared."""
@@ -257,18 +257,16 @@ def _complete_from(texts: Mapping[str, Any]) -> int:
 
 def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
     """Which of the things that no recording says may matter in this one."""
-    used = {
-        material
+    noise = any(
+        isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
         for revision in revisions
         for item in revision.scene.objects.values()
         for name in materials_of(item)
-        if (material := revision.materials.get(name)) is not None
-        and material.texture is not None
-        and not isinstance(material.texture, Grooves)
-    }
+        if name in revision.materials
+    )
     membranes = any(item.kind == "membrane" for revision in revisions for item in revision.scene.objects.values())
     doubts = []
-    if used:
+    if noise:
         doubts.append("noise of textures depends on how often an object had been touched before")
     if membranes:
         doubts.append("membranes may have been punctured before")
