@@ -27,7 +27,7 @@ from typing import Final, TypeVar
 
 import zmq
 
-from hapticd import journal, memory, notify, server
+from hapticd import journal, memory, notify, server, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
@@ -123,9 +123,9 @@ def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.so
     gc.freeze()
     gc.enable()
     _log.info(
-        "ready: %s at %g Hz, %s%s, commands at %s",
+        "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
-        config.servo.rate_hz,
+        words.si(config.servo.rate_hz, "Hz"),
         f"SCHED_FIFO {granted.priority}" if granted.priority else "no real-time priority",
         f", memory locked: {granted.memory}",
         paths.command,
@@ -184,7 +184,10 @@ def _progress(engine: Engine) -> tuple[int, str]:
     forces = "on" if counters.forces_on else "off"
     if counters.faults:
         forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
-    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
+    return (
+        counters.ticks,
+        f"{device} at {words.si(engine.rate_hz, 'Hz')}; scene revision {engine.revision}; forces {forces}",
+    )
 
 
 def _thread(

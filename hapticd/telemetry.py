@@ -115,6 +115,7 @@ class Telemetry:
         self._send_changes()
         self._send_samples()
         self._send_state()
+        self._log.finish()
         if self._flight is not None:
             self._flight.finish()
 

@@ -139,10 +139,9 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         return
     click.echo(text)
     if "warning" in result:
-        note(str(result["warning"]))
-    warnings = result.get("warnings")
-    for warning in warnings if isinstance(warnings, list) else ():
-        note(f"{warning['where']}: {warning['problem']}")
+        note(f"warning: {result['warning']}")
+    for warned in cast("list[Mapping[str, str]]", result.get("warnings", [])):
+        note(f"warning: {warned['where']}: {warned['problem']}")
 
 
 def check_new(target: str, overwrite: bool) -> None:

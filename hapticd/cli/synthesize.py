@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
+from hapticd import words
 from hapticd.cli import names
-from hapticd.cli.common import Finite, check_new, config_option, json_option, print_json
+from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json
 from hapticd.errors import HapticdError, known_names, quoted
 
 if TYPE_CHECKING:
@@ -258,13 +259,11 @@ def _run(
         return
     from hapticd.schema import unit_of
 
-    click.echo(f"the truth of {name}:")
     for key, value in truth.items():
-        click.echo(f"  {key}: {value:.6g} {unit_of(key) or ''}".rstrip())
+        click.echo(f"{key}: {value:.6g} {unit_of(key) or ''}".rstrip())
     if not truth:
-        click.echo("  its models")
-    for target in targets:
-        click.echo(target)
+        note(f"the truth of {name} is its models")
+    note(f"{words.count(len(targets), 'recording')} of {name}: {', '.join(targets)}")
 
 
 def _targets(output: str, count: int) -> list[str]:

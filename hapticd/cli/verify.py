@@ -94,4 +94,4 @@ def _table(verdicts: list[Verdict]) -> None:
             f"{each.strength:.3f}",
             f"{100 * each.error:.1f} %",
         )
-    Console().print(table)
+    Console(soft_wrap=True).print(table)
