@@ -48,6 +48,6 @@ def completion_command(shell: str) -> None:
     \b
     hapticd completion fish > ~/.config/fish/completions/hapticd.fish
 
-    An installation into /usr, /usr/local or ~/.local brings the scripts with it, where the shells look for them.
+    An installation into /usr or /usr/local brings the scripts with it, where the shells look for them.
     """
     click.echo(script(shell), nl=False)
