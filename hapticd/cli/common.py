@@ -144,6 +144,35 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         note(f"warning: {warned['where']}: {warned['problem']}")
 
 
+def overwrite_option(command: _F) -> _F:
+    """The option `--overwrite`."""
+    return click.option("--overwrite", is_flag=True, help="Replace a file that is there.")(command)
+
+
+def notes_option(command: _F) -> _F:
+    """The option `--note`: the notes as a dictionary."""
+    return click.option(
+        "--note",
+        "notes",
+        multiple=True,
+        metavar="KEY=VALUE",
+        callback=_notes,
+        help="Keep a note in the recording; may be given several times.",
+    )(command)
+
+
+def _notes(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, str]:
+    notes: dict[str, str] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise click.BadParameter(f"{text!r} is not of the form KEY=VALUE", ctx, param)
+        if key.strip() in notes:
+            raise click.BadParameter(f"{key.strip()!r} is given twice", ctx, param)
+        notes[key.strip()] = value
+    return notes
+
+
 def check_new(target: str, overwrite: bool) -> None:
     """Raises HapticdError for an output that would replace a file unasked, or has no folder to go to."""
     if os.path.exists(target) and not overwrite and (os.path.isfile(target) or os.path.isdir(target)):
