@@ -134,7 +134,13 @@ def print_json(value: object) -> None:
 
 
 def note(text: str) -> None:
-    """A line for people beside the result: on stderr, since stdout is the result's."""
+    """A line for people beside the result: on stderr, since stdout is the result's.
+
+    With --json it is left out: the result says the same, and stderr holds nothing but the object of an error.
+    """
+    ctx = click.get_current_context(silent=True)
+    if ctx is not None and ctx.params.get("as_json"):
+        return
     click.echo(f"hapticd: {shell_words(text)}", err=True)
 
 
