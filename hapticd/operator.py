@@ -19,7 +19,7 @@ import io
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
 import numpy as np
@@ -29,7 +29,7 @@ from pydantic import Field, ValidationError, model_validator
 from hapticd.document_kinds import refuse_other_kinds
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted, shown
 from hapticd.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.yaml_source import load_path, load_text, one_line, read_file, refuse_recording
+from hapticd.yaml_source import Document, load_path, load_text, one_line, read_file, refuse_recording
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
@@ -175,6 +175,8 @@ class Operator:
     waypoints: tuple[tuple[float, float, float], ...] | None
     gesture: TapGesture | StrokeGesture | PunctureGesture | None
     interpolation: Interpolation = "linear"
+    document: Document | None = field(default=None, compare=False, repr=False)
+    """What it was read from, if that was YAML or JSON."""
 
     def waypoints_for(
         self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point, ids: Iterable[str] = ()
@@ -225,7 +227,7 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
     faults, operator = _parse(document.data)
     if operator is None:
         raise InvalidError(document.problem(path, text) for path, text in faults)
-    return operator
+    return replace(operator, document=document)
 
 
 def gesture_waypoints(

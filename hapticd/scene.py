@@ -249,8 +249,11 @@ def load_scene(source: SceneSource) -> Scene:
     Whether its materials exist is not checked here: see reference_problems. Raises InvalidError, with file
     and line for a file; HapticdError for a file that cannot be read.
     """
-    if isinstance(source, Scene):
-        return source
+    return source if isinstance(source, Scene) else read_scene(source)[0]
+
+
+def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
+    """As load_scene; also the document that it stands in, and where."""
     document = Document(plain(source)) if isinstance(source, Mapping) else load_path(source)
     refuse_other_kinds(document, "scene", "bare scene")
     data = document.data
@@ -259,7 +262,7 @@ def load_scene(source: SceneSource) -> Scene:
         refuse_other_keys(document, (), (key for key in data if key != "scene"), "a scene, which is all")
         data, root = data["scene"], ("scene",)
     try:
-        return Scene.model_validate(data)
+        return Scene.model_validate(data), document, root
     except ValidationError as error:
         faults = faults_of(error)
         raise InvalidError(document.problem(root + path, text) for path, text in faults) from None

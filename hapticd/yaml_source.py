@@ -40,9 +40,10 @@ _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U000100
 
 @dataclass(slots=True)
 class _Marks:
-    """Line of a value (of its key, in a mapping), and the marks of what it holds."""
+    """Line and column of a value (of its key, in a mapping), from 1, and the marks of what it holds."""
 
     line: int
+    column: int
     children: dict[str | int, "_Marks"] = field(default_factory=dict)
 
 
@@ -68,21 +69,31 @@ class Document:
     def line_of(self, path: Sequence[str | int]) -> int | None:
         """The line, from 1, of the key or list item at `path`; None where the document has no such place."""
         marks = self._marks
-        for element in path[len(self._above) :]:
+        for element in self.own(path):
             if marks is None:
                 return None
             marks = marks.children.get(element)
         return None if marks is None else marks.line
 
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN` of the key or list item at `path`, or of the nearest one around it."""
+        marks = near = self._marks
+        for element in self.own(path):
+            marks = None if marks is None else marks.children.get(element)
+            near = near if marks is None else marks
+        line, column = (1, 1) if near is None else (near.line, near.column)
+        return f"{one_line(self.name or '')}:{line}:{column}"
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file, without the keys that the document was put below."""
+        return path[len(self._above) :]
+
     def where(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE: servo.rate_hz`; where `path` is missing, the nearest line there is."""
-        path_here = path[len(self._above) :]
+        """`FILE:LINE:COLUMN: servo.rate_hz`; without a file the path alone."""
+        told = path_text(self.own(path))
         if self.name is None:
-            return path_text(path_here)
-        lines = (self.line_of(path[:length]) for length in range(len(path), -1, -1))
-        line = next((line for line in lines if line is not None), 1)
-        place = f"{one_line(self.name)}:{line}"
-        return f"{place}: {path_text(path_here)}" if path_here else place
+            return told
+        return f"{self.place(path)}: {told}" if told else self.place(path)
 
 
 @dataclass(slots=True)
@@ -92,7 +103,7 @@ class _Open:
     data: "list[Json] | dict[str, Json]"
     marks: _Marks
     key: str | None = None
-    key_line: int = 0
+    key_at: tuple[int, int] = (0, 0)
 
 
 def load_path(path: "str | os.PathLike[str]") -> Document:
@@ -182,14 +193,14 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                 value = _value(event, refuse)
                 top = stack[-1] if stack else None
                 if top is not None and isinstance(top.data, dict) and top.key is None:
-                    top.key, top.key_line = _key(value, top.data, refuse), line + 1
+                    top.key, top.key_at = _key(value, top.data, refuse), (line + 1, column + 1)
                     continue
-                marks = _Marks(line + 1)
+                marks = _Marks(line + 1, column + 1)
                 if top is None:
                     root = Document(value, name, marks)
                 elif isinstance(top.data, dict):
                     assert top.key is not None
-                    marks.line = top.key_line
+                    marks.line, marks.column = top.key_at
                     top.data[top.key] = value
                     top.marks.children[top.key] = marks
                     top.key = None
@@ -200,7 +211,7 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                     if len(stack) == MAX_DEPTH:
                         raise refuse(f"nested deeper than {MAX_DEPTH} levels")
                     stack.append(_Open(value, marks))
-    return root or Document(None, name, _Marks(1))
+    return root or Document(None, name, _Marks(1, 1))
 
 
 def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError]) -> str:

@@ -117,12 +117,7 @@ def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -
 def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
     """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints; or
     the name of a shipped operator)."""
-    from hapticd.operator import load_operator
-
-    operator = load_operator(operator_file(file))
+    source = operator_file(file)
     with daemon(ctx) as client:
-        if operator.gesture is not None:
-            result = client.set_operator(gesture=operator.gesture.to_dict())
-        else:
-            result = client.set_operator(operator.waypoints, interpolation=operator.interpolation)
+        result = client.set_operator(source)
     print_result(result, as_json, f"under way for {words.duration(result['duration_s'])}")
