@@ -112,6 +112,7 @@ class Status(TypedDict):
     version: str
     protocol: int
     started_ns: int
+    clock: dict[str, int]
     state: str
     device: str
     rate_hz: float

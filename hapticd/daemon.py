@@ -23,11 +23,11 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import TypeVar
 
 import zmq
 
-from hapticd import journal, memory, notify, server
+from hapticd import journal, memory, notify, server, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
@@ -35,14 +35,13 @@ from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
 from hapticd.flight import Flight, directory_of
+from hapticd.flight_scene import FlightScene
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import RuntimePaths, make_directory, runtime_paths
 from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-MOST_OBJECTS_WRITTEN: Final = 2000
-"""A larger scene stays out of the flight recorder's files: putting it into words would hold up commands."""
 
 _log = logging.getLogger("hapticd")
 _T = TypeVar("_T")
@@ -83,6 +82,7 @@ def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.so
         config.flight.keep,
         engine.rate_hz,
         monotonic_ns,
+        FlightScene(engine.scene, engine.materials, engine.revision, engine.rate_hz),
         lambda: _about(engine, control),
     )
     control = Control(
@@ -123,9 +123,9 @@ def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.so
     gc.freeze()
     gc.enable()
     _log.info(
-        "ready: %s at %g Hz, %s%s, commands at %s",
+        "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
-        config.servo.rate_hz,
+        words.si(config.servo.rate_hz, "Hz"),
         f"SCHED_FIFO {granted.priority}" if granted.priority else "no real-time priority",
         f", memory locked: {granted.memory}",
         paths.command,
@@ -155,13 +155,11 @@ def _on_terminal() -> bool:
 
 
 def _about(engine: Engine, control: Control) -> dict[str, object]:
-    """What goes into a file of the flight recorder beside the telemetry."""
-    scene, materials = engine.scene, engine.materials
-    small = len(scene.objects) <= MOST_OBJECTS_WRITTEN
+    """What goes into a file of the flight recorder beside the telemetry and what that was rendered with."""
+    config = engine.config
     return {
+        "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
         "status": control.status(),
-        "scene": scene.to_dict() if small else None,
-        "materials": {name: material.to_dict() for name, material in materials.items()} if small else None,
     }
 
 
@@ -184,7 +182,10 @@ def _progress(engine: Engine) -> tuple[int, str]:
     forces = "on" if counters.forces_on else "off"
     if counters.faults:
         forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
-    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
+    return (
+        counters.ticks,
+        f"{device} at {words.si(engine.rate_hz, 'Hz')}; scene revision {engine.revision}; forces {forces}",
+    )
 
 
 def _thread(

@@ -237,6 +237,10 @@ class EventLog:
         """Tells what was held back and is due."""
         self._repeats.flush()
 
+    def finish(self) -> None:
+        """Tells all that was held back, at the end."""
+        self._repeats.finish()
+
     def _tell(self, event: Mapping[str, object], since: Since) -> None:
         level, words_of = _TOLD[str(event["event"])]
         if event.get("faults") == []:

@@ -122,6 +122,12 @@ class Repeats:
             elif known.over(now_s):
                 del self._kinds[kind]
 
+    def finish(self) -> None:
+        """Tells all that is held back, at the end."""
+        now_s = self._now_s()
+        for known in self._kinds.values():
+            self._tell(known, now_s)
+
     def _tell(self, known: _Kind, now_s: float, at_once: bool = False) -> None:
         if known.held is None or not self._may_tell():
             return

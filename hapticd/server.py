@@ -122,7 +122,7 @@ def serve(
         except zmq.Again:
             continue
         if stop.is_set():
-            return
+            break
         delimited, body = wire.open_envelope(frames)
         reply = answer(control, body, repeats)
         if reply is not None:
@@ -130,6 +130,7 @@ def serve(
                 socket.send_multipart([identity, *wire.close_envelope(delimited, reply)], zmq.NOBLOCK)
             except zmq.Again:
                 repeats.note("unread", _tell_unread)
+    repeats.finish()
 
 
 def _tell_unread(since: Since) -> None:

@@ -115,6 +115,7 @@ class Telemetry:
         self._send_changes()
         self._send_samples()
         self._send_state()
+        self._log.finish()
         if self._flight is not None:
             self._flight.finish()
 
@@ -175,6 +176,8 @@ class Telemetry:
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
             self._send("change", change_map(change))
+            if self._flight is not None:
+                self._flight.keep_change(change)
 
     def _answer(self, count: int) -> None:
         """Answers the first who asked for the state: those who did before the rings were drained."""

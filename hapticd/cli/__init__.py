@@ -49,6 +49,7 @@ _HOMES: Final = {
     "doctor": "doctor",
     "install-service": "service",
     "stop-device": "service",
+    "completion": "completion",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 
@@ -70,6 +71,7 @@ _HERE_ALONE: Final = frozenset(
         "doctor",
         "install-service",
         "stop-device",
+        "completion",
     ]
 )
 """Those that ask no daemon, or only this machine's: --connect means nothing to them."""
@@ -139,9 +141,16 @@ Environment:
     show_envvar=True,
     help="A bridge to a daemon on another machine, instead; needs both keys.",
 )
-@click.option("--key", metavar="FILE", envvar="HAPTICD_KEY", show_envvar=True, help="Our secret key.")
 @click.option(
-    "--server-key", metavar="FILE", envvar="HAPTICD_SERVER_KEY", show_envvar=True, help="The bridge's public key."
+    "--key", type=click.Path(), metavar="FILE", envvar="HAPTICD_KEY", show_envvar=True, help="Our secret key."
+)
+@click.option(
+    "--server-key",
+    type=click.Path(),
+    metavar="FILE",
+    envvar="HAPTICD_SERVER_KEY",
+    show_envvar=True,
+    help="The bridge's public key.",
 )
 @click.pass_context
 def cli(

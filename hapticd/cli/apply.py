@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.common import change_options, changed, daemon, json_option, print_result, yaml_file
 
 
 @click.command("apply", short_help="Change materials and scene at once.")
-@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", shell_complete=names.scenes)
 @change_options
 @json_option
 @click.pass_context

@@ -10,7 +10,15 @@ _DEFAULT = "/etc/hapticd/bridge.yaml"
 
 
 @click.command("bridge", short_help="Let clients in over TCP, by their keys.")
-@click.option("-c", "--config", default=_DEFAULT, show_default=True, metavar="FILE", help="Clients, key and limits.")
+@click.option(
+    "-c",
+    "--config",
+    type=click.Path(),
+    default=_DEFAULT,
+    show_default=True,
+    metavar="FILE",
+    help="Clients, key and limits.",
+)
 @click.option("--listen", metavar="tcp://HOST:PORT", help="Where commands are taken, instead of the file's.")
 @click.option("--metrics", metavar="HOST:PORT", help="Where Prometheus asks, instead of the file's.")
 @log_options

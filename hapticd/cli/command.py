@@ -7,11 +7,12 @@ import re
 import click
 
 from hapticd import words
+from hapticd.cli import names
 from hapticd.cli.common import Finite, daemon, json_option, operator_file, print_result
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")
-@click.argument("material", required=False)
+@click.argument("material", required=False, shell_complete=names.materials)
 @click.option(
     "--mode",
     "mode_text",
@@ -100,7 +101,7 @@ def force_command(ctx: click.Context, state: str, as_json: bool) -> None:
 
 
 @click.command("reset", short_help="Heal membranes and clear contacts.")
-@click.argument("objects", nargs=-1)
+@click.argument("objects", nargs=-1, shell_complete=names.objects)
 @json_option
 @click.pass_context
 def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -> None:
@@ -111,7 +112,7 @@ def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -
 
 
 @click.command("operator", short_help="Move the simulated joystick's hand.")
-@click.argument("file")
+@click.argument("file", shell_complete=names.operators)
 @json_option
 @click.pass_context
 def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:

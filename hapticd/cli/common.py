@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, quoted
 from hapticd.journal import LEVELS
@@ -66,6 +67,7 @@ def config_option(command: _F) -> _F:
         "configs",
         multiple=True,
         metavar="FILE",
+        shell_complete=names.scenes,
         help="Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
         "HAPTICD_CONFIG; default: ~/.config/hapticd/config.yaml, /etc/hapticd/config.yaml or, without these, the "
         "simulated joystick]",
@@ -137,10 +139,38 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
         return
     click.echo(text)
     if "warning" in result:
-        note(str(result["warning"]))
-    warnings = result.get("warnings")
-    for warning in warnings if isinstance(warnings, list) else ():
-        note(f"{warning['where']}: {warning['problem']}")
+        note(f"warning: {result['warning']}")
+    for warned in cast("list[Mapping[str, str]]", result.get("warnings", [])):
+        note(f"warning: {warned['where']}: {warned['problem']}")
+
+
+def overwrite_option(command: _F) -> _F:
+    """The option `--overwrite`."""
+    return click.option("--overwrite", is_flag=True, help="Replace a file that is there.")(command)
+
+
+def notes_option(command: _F) -> _F:
+    """The option `--note`: the notes as a dictionary."""
+    return click.option(
+        "--note",
+        "notes",
+        multiple=True,
+        metavar="KEY=VALUE",
+        callback=_notes,
+        help="Keep a note in the recording; may be given several times.",
+    )(command)
+
+
+def _notes(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, str]:
+    notes: dict[str, str] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise click.BadParameter(f"{text!r} is not of the form KEY=VALUE", ctx, param)
+        if key.strip() in notes:
+            raise click.BadParameter(f"{key.strip()!r} is given twice", ctx, param)
+        notes[key.strip()] = value
+    return notes
 
 
 def check_new(target: str, overwrite: bool) -> None:

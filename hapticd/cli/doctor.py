@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import click
 
-from hapticd.cli.common import config_option, json_option, print_json
+from hapticd import words
+from hapticd.cli.common import config_option, json_option, note, print_json
 
 _ANSWER_S = 2.0
 
@@ -55,5 +56,6 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     failed = [finding.name for finding in findings if finding.verdict == "fail"]
     if not failed:
         return 0
-    click.echo(f"hapticd: not ready: {', '.join(dict.fromkeys(failed))}", err=True)
+    if not as_json:
+        note(f"not ready: {words.listed(list(dict.fromkeys(failed)))}")
     return 1

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.common import (
     change_options,
     changed,
@@ -44,7 +45,7 @@ def material_list(ctx: click.Context, offline: bool, as_json: bool) -> None:
 
 
 @material_command.command("get")
-@click.argument("name")
+@click.argument("name", shell_complete=names.materials)
 @_OFFLINE
 @json_option
 @click.pass_context
@@ -81,7 +82,7 @@ def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:
 
 
 @material_command.command("set")
-@click.argument("file")
+@click.argument("file", type=click.Path())
 @change_options
 @json_option
 @click.pass_context
@@ -93,7 +94,7 @@ def material_set(ctx: click.Context, file: str, expect_revision: int | None, wai
 
 
 @material_command.command("update")
-@click.argument("file")
+@click.argument("file", type=click.Path())
 @change_options
 @json_option
 @click.pass_context

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.common import (
     change_options,
     changed,
@@ -53,7 +54,7 @@ def scene_get(ctx: click.Context, as_json: bool) -> None:
 
 
 @scene_command.command("set")
-@click.argument("file")
+@click.argument("file", shell_complete=names.scenes)
 @change_options
 @json_option
 @click.pass_context
@@ -66,7 +67,7 @@ def scene_set(ctx: click.Context, file: str, expect_revision: int | None, wait: 
 
 
 @scene_command.command("update")
-@click.argument("file")
+@click.argument("file", type=click.Path())
 @change_options
 @json_option
 @click.pass_context

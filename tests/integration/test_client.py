@@ -189,6 +189,7 @@ def test_a_client_may_be_shared_by_threads(daemon: Daemon) -> None:
         assert isinstance(objects, dict) and {f"field{index}" for index in range(4)} <= objects.keys()
 
 
+@pytest.mark.slow
 def test_a_held_lease_outlasts_its_duration_and_ends_with_the_block(daemon: Daemon) -> None:
     def passed_s(status: Status) -> float:
         """By the servo's clock."""

@@ -106,6 +106,7 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
         until(lambda: "the machine was suspended for 3600.0 s" in daemon.said())
 
 
+@pytest.mark.slow
 def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> None:
     clocks.ahead(realtime_ns=-30 * 365 * DAY_NS)  # a machine whose battery is empty
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")

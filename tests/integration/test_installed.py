@@ -10,9 +10,14 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 from pathlib import Path
 
 import pytest
+
+from hapticd import __version__
+from hapticd._share import man_pages
+from hapticd.cli.completion import SHELLS
 
 ROOT = Path(__file__).parents[2]
 SHOW = "import hapticd; print(hapticd.connect.__module__, hapticd.__file__)"
@@ -78,3 +83,56 @@ def test_python_beside_a_clone_finds_the_package(tmp_path: Path) -> None:
     for folder in (tmp_path, tree, Path("/")):
         assert environment.run("hapticd", "--version", cwd=folder).startswith("hapticd ")
         assert environment.run("python", "-m", "hapticd", "--version", cwd=folder).startswith("hapticd ")
+
+
+def test_a_wheel_made_of_the_sdist_is_whole(tmp_path: Path) -> None:
+    """Built without the tree it came from, installed without the tree it was built of, and used."""
+    tree = clone(tmp_path / "tree")
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", tmp_path, tree]
+    done = subprocess.run(build, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (wheel,) = tmp_path.glob("hapticd-*-cp311-abi3-linux_*.whl")
+    (sdist,) = tmp_path.glob("hapticd-*.tar.gz")
+    shutil.rmtree(tree)
+    environment = Environment(tmp_path / "environment")
+    environment.install(wheel, cwd=tmp_path)
+    package = environment.packages / "hapticd"
+
+    # Data: all that the tree has.
+    for link, folder in (("shipped", "config"), ("units", "systemd")):
+        wanted = {path.relative_to(ROOT / folder) for path in (ROOT / folder).rglob("*") if path.is_file()}
+        found = {path.relative_to(package / link) for path in (package / link).rglob("*") if path.is_file()}
+        assert found == wanted, link
+    assert (package / "py.typed").exists() and (package / "_core.pyi").exists()
+    assert not [name for name in ("tests", "bench", "config", "csrc") if (environment.packages / name).exists()]
+    with tarfile.open(sdist) as archive:
+        packed = {name.partition("/")[2] for name in archive.getnames()}
+    assert {"csrc/hd_api.h", "config/default.yaml", "docs/protocol.md", "tests/conftest.py", "Makefile"} < packed
+
+    # Commands.
+    home = tmp_path / "home"
+    home.mkdir()
+    assert environment.run("hapticd", "--version", cwd=home) == f"hapticd {__version__}\n"
+    (home / "tap.yaml").write_text("gesture: {kind: tap, object: wood, speed_m_per_s: 0.1}\n")
+    scene = package / "shipped" / "scenes" / "materials.yaml"
+    environment.run("hapticd", "simulate", scene, "--operator", "tap.yaml", "-o", "tap.npz", cwd=home)
+    assert (home / "tap.npz").stat().st_size > 1000
+    floor = "{'kind': 'wall', 'point_m': [0, 0], 'normal': [0, 1], 'material': 'wood'}"
+    render = (
+        f"import hapticd; s = hapticd.render({{'scene': {{'objects': {{'floor': {floor}}}}}}}, [[0, -0.001]] * 300)"
+    )
+    assert float(environment.run("python", "-c", f"{render}; print(s['force_n'].max())", cwd=home)) > 0.5
+
+    # Man pages and completion, where the prefix has them.
+    for shell, place in SHELLS.items():
+        assert (environment.folder / place).read_text() == environment.run("hapticd", "completion", shell, cwd=home)
+    assert {path.stem for path in (environment.folder / "share/man/man1").iterdir()} == man_pages().keys()
+    if shutil.which("man") is None:
+        pytest.skip("all but man itself, which is not installed")
+    found_at = subprocess.run(
+        ["man", "-w", "hapticd-simulate"],
+        env={**os.environ, "MANPATH": str(environment.folder / "share/man")},
+        capture_output=True,
+        text=True,
+    )
+    assert found_at.stdout.strip() == str(environment.folder / "share/man/man1/hapticd-simulate.1")

@@ -204,6 +204,7 @@ def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Pa
         assert not status["faults"]
 
 
+@pytest.mark.slow
 def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         wire.result("set_scene", scene={"objects": PUSH}, wait=True)

@@ -22,8 +22,6 @@ import hapticd.cli
 from hapticd import __version__
 from hapticd.cli import main
 from hapticd.cli.common import duration, print_yaml
-from hapticd.cli.daemon import _realtime
-from hapticd.engine import Granted
 from hapticd.materials import shipped_materials
 from hapticd.yaml_source import load_text
 from tests.cli import said
@@ -54,6 +52,7 @@ COMMANDS = [
     "doctor",
     "install-service",
     "stop-device",
+    "completion",
 ]
 
 
@@ -234,14 +233,6 @@ def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixt
         assert (result["ticks"], result["duration_s"]) == (ticks, 0.1)
     assert main(["simulate", "--help"]) == 0
     assert "[default: the configuration's]" in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.mark.parametrize(("cpu", "told"), [(None, "cpu any"), (3, "cpu 3"), (0, "cpu 0")])
-def test_the_processor_of_the_status(cpu: int | None, told: str) -> None:
-    granted = Granted("fifo", 80, cpu, "all", False, ()).to_dict()
-    assert _realtime(granted) == (
-        f"scheduler fifo, priority 80, {told}, memory locked all, idle states held no, missing none"
-    )
 
 
 @pytest.mark.parametrize(

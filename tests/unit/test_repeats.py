@@ -83,6 +83,17 @@ def test_nothing_is_lost_and_no_two_lines_come_close(steps: list[tuple[float, in
     assert all(after - before >= SHORTEST_S for before, after in pairwise(at))
 
 
+def test_at_the_end_all_is_told() -> None:
+    clock, told = Clock(), list[Since]()
+    repeats = Repeats(clock)
+    for _ in range(5):
+        repeats.note("a", told.append)
+        clock.s += 0.1
+    repeats.finish()
+    repeats.finish()
+    assert [since.times for since in told] == [1, 4]
+
+
 def test_where_there_is_no_room_a_line_waits_and_nothing_grows() -> None:
     clock, told = Clock(), list[Since]()
     room = False

@@ -175,6 +175,7 @@ def test_bad_ids() -> None:
     assert faults("", WALL) == {'objects.""': "must have at least 1 character"}
 
 
+@pytest.mark.slow
 def test_number_of_objects_is_limited() -> None:
     one = validate_object("one", VISCOUS)
     objects: dict[str, object] = {f"o{i}": one for i in range(MAX_OBJECTS)}
