@@ -92,7 +92,7 @@ test-systemd: build ## the installed service under systemd and udev, in a virtua
 
 .PHONY: bench
 bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
-	@$(BIN)/python -m bench
+	@$(BIN)/python -m bench --overwrite
 
 .PHONY: format
 format: build ## lay out C and Python

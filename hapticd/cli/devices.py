@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import Finite, duration, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.common import (
+    Finite,
+    check_new,
+    duration,
+    json_option,
+    overwrite_option,
+    print_json,
+    write_whole,
+    yaml_text,
+)
 from hapticd.errors import HapticdError, quoted
 
 if TYPE_CHECKING:
@@ -57,19 +66,21 @@ def _verdict(item: Found) -> str:
 @click.option(
     "--for", "duration_s", callback=duration, default="5s", show_default=True, metavar="TIME", help="How long."
 )
-def dump_command(device: str, output: str, duration_s: float) -> None:
+@overwrite_option
+def dump_command(device: str, output: str, duration_s: float, overwrite: bool) -> None:
     """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
     or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
     from hapticd.hid.discover import find
-    from hapticd.hid.replay import Recording, record, save
+    from hapticd.hid.replay import Recording, record, text_of
 
+    check_new(output, overwrite)
     item = _named(device, find())
     fd = os.open(item.path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         reports = record(fd, duration_s)
     finally:
         os.close(fd)
-    save(output, Recording(item.name, item.vendor, item.product, item.descriptor, reports))
+    write_whole(output, text_of(Recording(item.name, item.vendor, item.product, item.descriptor, reports)), overwrite)
     click.echo(f"{len(reports)} reports of {item} in {output}")
 
 
@@ -93,8 +104,11 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     help="Force to push with [default: 5 % of full].",
 )
 @click.option("-o", "--output", metavar="FILE", help="Write the section there, too.")
+@overwrite_option
 @click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
-def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: str | None, yes: bool) -> None:
+def calibrate_command(
+    configs: tuple[str, ...], force_n: float | None, output: str | None, overwrite: bool, yes: bool
+) -> None:
     """Find out which way a device pushes, and print the configuration that says so.
 
     The handle is pushed gently along each axis, both ways; nobody may hold it.
@@ -106,6 +120,8 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
         raise click.UsageError(f"-o {output}: would take the place of the configuration; name another file")
+    if output is not None:
+        check_new(output, overwrite)
     config = config_of(configs)
     hid = config.device.hid
     most_n = MOST_OF_FULL * hid.full_scale_force_n
@@ -126,7 +142,7 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
     # Whatever becomes of the file, what was found is told.
     click.echo(text)
     if output is not None:
-        write_whole(output, text + "\n")
+        write_whole(output, text + "\n", overwrite)
 
 
 @devices_command.command("parse")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
-from hapticd.cli.common import Finite, check_new, config_option, json_option, print_json
+from hapticd.cli.common import Finite, check_new, config_option, json_option, print_json, write_whole
 from hapticd.errors import HapticdError, known_names, quoted
 
 if TYPE_CHECKING:
@@ -224,7 +224,7 @@ def _run(
     **stylus: Any,
 ) -> None:
     from hapticd.config import load_config
-    from hapticd.fit.recording import save
+    from hapticd.fit.recording import npz_of
     from hapticd.fit.synthesize import Stylus
     from hapticd.materials import shipped_materials
 
@@ -242,7 +242,7 @@ def _run(
     for target in targets:
         check_new(target, overwrite)
     for target, recording in zip(targets, recordings, strict=True):
-        save(recording, target)
+        write_whole(target, npz_of(recording), overwrite)
     if as_json:
         print_json({"kind": kind, "material": name, "truth": truth, "files": targets})
         return
