@@ -34,7 +34,7 @@ def scene() -> FlightScene:
 
 
 def told(scene: FlightScene) -> tuple[list[int | None], set[str], int]:
-    """Revisions of the changes (None: of commands), ids at the beginning, and the tick from which all commands are told."""
+    """Revisions of the changes (None: of commands), ids at the beginning, and where all commands are told from."""
     stretch = scene.stretch()
     objects = stretch.texts()["scene"]["objects"]  # type: ignore[index]
     return [change.get("revision") for change in stretch.change_maps()], set(objects), stretch.complete_from  # type: ignore[misc]
