@@ -42,6 +42,7 @@ from hapticd.calls import (
     TelemetryLoss,
     TickResult,
     Topic,
+    WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
@@ -167,9 +168,7 @@ class Client:
             raise await asyncio.to_thread(calls.unanswered, self.paths, self.timeout_s) from None
         finally:
             self._waiting.pop(id, None)
-        if isinstance(result, RemoteError | DaemonNotRunning):
-            raise result
-        return result
+        return calls.outcome(result, params)
 
     # ---- methods -------------------------------------------------------------------------------------------
 
@@ -273,12 +272,13 @@ class Client:
 
     async def set_operator(
         self,
-        waypoints: Iterable[Iterable[float]] | None = None,
+        waypoints: WaypointsSource | None = None,
         *,
         interpolation: Interpolation | None = None,
         gesture: Mapping[str, object] | None = None,
     ) -> OperatorResult:
-        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
+        (YAML, JSON, CSV) that holds either."""
         params = calls.operator_params(waypoints, interpolation, gesture)
         return cast(OperatorResult, await self.call("set_operator", params))
 

@@ -43,6 +43,7 @@ from hapticd.calls import (
     TelemetryLoss,
     TickResult,
     Topic,
+    WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
@@ -162,9 +163,7 @@ class Client:
                 socket.close()
                 self._socket = None
                 raise calls.unanswered(self.paths, self.timeout_s) from None
-        if isinstance(result, RemoteError | DaemonNotRunning):
-            raise result
-        return result
+        return calls.outcome(result, params)
 
     def _skip_to(self, socket: zmq.Socket[bytes], id: int) -> object | RemoteError | DaemonNotRunning:
         """The answer to `id`, past those to calls that were interrupted."""
@@ -274,12 +273,13 @@ class Client:
 
     def set_operator(
         self,
-        waypoints: Iterable[Iterable[float]] | None = None,
+        waypoints: WaypointsSource | None = None,
         *,
         interpolation: Interpolation | None = None,
         gesture: Mapping[str, object] | None = None,
     ) -> OperatorResult:
-        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
+        (YAML, JSON, CSV) that holds either."""
         return cast(
             OperatorResult,
             self.call("set_operator", calls.operator_params(waypoints, interpolation, gesture)),

@@ -9,7 +9,7 @@ import logging
 import math
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import asdict
@@ -43,6 +43,7 @@ from hapticd.scene import (
     validate_object,
     validate_scene,
 )
+from hapticd.sent_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.wire import PROTOCOL, Code
 
 LOAD_S: Final = 10.0
@@ -135,6 +136,11 @@ def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     data = [{"where": problem.where, "problem": problem.problem} for problem in problems]
     return MethodError(Code.INVALID_PARAMS, f"{first}{more}", data)
+
+
+def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
+    """A result, with what is not displayed as it was meant if there is anything."""
+    return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
 
 
 def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
@@ -299,7 +305,7 @@ class Control:
         if problems:
             raise _faulty(problems)
         self._engine.beat()
-        return self._changed(self._engine.set_scene(scene), params)
+        return self._changed(self._engine.set_scene(scene), params, self._warnings(scene.objects, ("scene", "objects")))
 
     def _update_scene(self, params: _UpdateScene) -> dict[str, object]:
         self._expect(params)
@@ -322,13 +328,13 @@ class Control:
                 changes[id] = validate_object(id, merged)
             except InvalidError as error:
                 problems += error.problems
+        present = {id: item for id, item in changes.items() if item is not None}
         if not problems:
-            present = {id: item for id, item in changes.items() if item is not None}
             problems = self._problems_of(present)
         if problems:
             raise _faulty(problems)
         engine.beat()
-        return self._changed(engine.update_objects(changes), params)
+        return self._changed(engine.update_objects(changes), params, self._warnings(present, ("objects",)))
 
     def _problems_of(
         self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
@@ -365,7 +371,7 @@ class Control:
         refused = rate_faults(engine.scene.objects, materials, engine.output)
         if refused:
             raise _faulty(refused)
-        return self._changed(engine.set_materials(materials), params)
+        return self._changed(engine.set_materials(materials), params, self._material_warnings(params.materials))
 
     def _apply(self, params: _Apply) -> dict[str, object]:
         """Every fault of either part is told; materials and scene change at one tick, or neither does."""
@@ -394,7 +400,10 @@ class Control:
         if problems:
             raise _faulty(problems)
         engine.beat()
-        return self._changed(engine.replace(scene, materials), params)
+        revision = engine.replace(scene, materials)
+        objects = scene.objects if "scene" in params.model_fields_set else {}
+        warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
+        return self._changed(revision, params, warnings)
 
     def _materials_with(self, given: Mapping[str, object]) -> dict[str, Material]:
         """All materials once those given took their places, whole. Raises InvalidError."""
@@ -436,7 +445,8 @@ class Control:
         refused = rate_faults(engine.scene.objects, materials, engine.output)
         if refused:
             raise _faulty(refused)
-        return self._changed(engine.set_materials(materials), params)
+        revision = engine.set_materials(materials)
+        return self._changed(revision, params, self._material_warnings(patched))
 
     def _reload(self, params: _Reload) -> dict[str, object]:
         """All or nothing: what needs a restart refuses the rest, too."""
@@ -466,7 +476,7 @@ class Control:
         old, new = before.objects, config.scene.objects
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
         _log.info("reloaded: revision %d, %d objects are others", revision, changed)
-        return self._changed(revision, params)
+        return self._changed(revision, params, self._warnings(new, ("scene", "objects"), used_materials(new.values())))
 
     def _read_anew(self, load: Callable[[], Config]) -> Config:
         """Reads the files, and beats meanwhile: large ones take longer than the servo waits. Raises HapticdError."""
@@ -506,8 +516,16 @@ class Control:
                 {"revision": revision},
             )
 
-    def _changed(self, revision: int, params: _Change) -> dict[str, object]:
-        result: dict[str, object] = {"revision": revision}
+    def _warnings(self, objects: Mapping[str, SceneObject], root: Path, sent: Collection[str] = ()) -> list[Problem]:
+        """What of these objects and materials, which are in force, is not displayed as it was meant."""
+        engine = self._engine
+        return change_warnings(objects, sent, engine.materials, engine.output, root, engine.played(), engine.beat)
+
+    def _material_warnings(self, sent: Collection[str]) -> list[Problem]:
+        return self._warnings({}, (), sent)
+
+    def _changed(self, revision: int, params: _Change, warnings: list[Problem]) -> dict[str, object]:
+        result = _with_warnings({"revision": revision}, warnings)
         if params.wait:
             result["tick"] = self._engine.wait_revision(revision)
         faults = self._engine.faults()
@@ -540,7 +558,12 @@ class Control:
                 )
         self._need_forces()
         tick, shown_hz = self._engine.play(mode, cast(Any, attack), params.direction, params.amplitude_m_per_s2)
-        return {"tick": tick, "displayed_hz": shown_hz}
+        wanted_hz = mode.frequency_hz
+        warnings = []
+        if shown_hz is None or abs(shown_hz - wanted_hz) > 1e-9 * wanted_hz:
+            where = "material" if params.mode is None else "mode"
+            warnings.append(Problem(where, above_rate(wanted_hz, shown_hz, self._engine.output)))
+        return _with_warnings({"tick": tick, "displayed_hz": shown_hz}, warnings)
 
     def _reset(self, params: _Reset) -> dict[str, object]:
         if params.objects is not None:
@@ -597,10 +620,13 @@ class Control:
             )
         operator = parse_operator(params)
         engine.beat()
-        waypoints = operator.waypoints_for(self._target, grip_of(engine.config.device.sim), self._wish)
+        grip = grip_of(engine.config.device.sim)
+        waypoints = operator.waypoints_for(self._target, grip, self._wish, engine.scene.objects)
         tick = engine.set_operator(waypoints, operator.interpolation)
         self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
-        return {"duration_s": float(waypoints[-1, 0]), "tick": tick}
+        where = None if operator.gesture is None else "gesture"
+        warnings = operator_warnings(waypoints, engine.config.device.sim.workspace_m, where)
+        return _with_warnings({"duration_s": float(waypoints[-1, 0]), "tick": tick}, warnings)
 
     def _target(self, id: str) -> Target | None:
         item = self._engine.scene.objects.get(id)

@@ -510,8 +510,12 @@ class Engine:
         objects = _of_all_materials(self.scene.objects)
         shown = materials_in(objects, self.materials)
         lacking = undisplayable(shown, self.output)
-        played = {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
+        played = self.played()
         return [one for one in lacking if (one.material, one.mode) not in played], warnings(objects, shown, self.output)
+
+    def played(self) -> set[tuple[str, str]]:
+        """Materials of the scene and modes of theirs that the device plays by itself. For any thread."""
+        return {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
 
     @property
     def offload_version(self) -> int:

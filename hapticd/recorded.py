@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.core import SAMPLE_DTYPE
+from hapticd.document_kinds import refuse_documents
 from hapticd.errors import HapticdError
 from hapticd.event_columns import ROWS_BYTES, event_of_cells, events_of_rows
 from hapticd.yaml_source import one_line
@@ -76,6 +77,7 @@ def load_recorded(path: str | os.PathLike[str]) -> Recorded:
     name = os.fspath(path)
     load = forms.get(Path(path).suffix.lower())
     if load is None:
+        refuse_documents(name)
         raise HapticdError(f"{name}: must end in .npz, .csv or .mcap")
     try:
         return load(Path(path))

@@ -69,7 +69,7 @@ def duration(seconds: float) -> str:
     if seconds < 120 or not math.isfinite(seconds):
         return si(seconds, "s") if seconds < 1 else quantity(seconds, "s")
     whole = round(seconds)
-    if whole < 7200:
+    if whole < 3600:
         return _two(whole // 60, "min", whole % 60, "s")
     whole = round(seconds / 60)
     if whole < 48 * 60:

@@ -7,11 +7,11 @@ from dataclasses import asdict
 from typing import TypedDict
 
 from hapticd.config import Config, load_config
+from hapticd.document_kinds import refuse_other_kinds
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
 from hapticd.offline import simulate_run
 from hapticd.place import displaced
-from hapticd.scene import load_scene
 from hapticd.sink import open_sink
 from hapticd.yaml_source import load_path
 
@@ -80,7 +80,5 @@ def simulate_to_file(
 
 
 def _config(path: str) -> Config:
-    data = load_path(path).data
-    if isinstance(data, dict) and not data.keys() & Config.model_fields.keys():
-        return load_config({"scene": load_scene(path)})
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
     return load_config(path)

@@ -23,10 +23,17 @@ if TYPE_CHECKING:
 
 
 @click.command("watch", short_help="Show what happens, live.")
+@click.option(
+    "--for",
+    "duration_s",
+    metavar="TIME",
+    callback=duration,
+    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
+)
 @json_option
 @click.pass_context
-def watch_command(ctx: click.Context, as_json: bool) -> None:
-    """Show position, forces, contacts and faults live, until Ctrl-C.
+def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -> None:
+    """Show position, forces, contacts and faults live, for some time or until Ctrl-C.
 
     Into a file or a pipe it prints a line a second, and one for each event.
     """
@@ -37,7 +44,7 @@ def watch_command(ctx: click.Context, as_json: bool) -> None:
 
     signal.signal(signal.SIGTERM, end)  # so that the terminal is put back as it was
     with daemon(ctx) as client:
-        watch(client, as_json)
+        watch(client, as_json, duration_s=duration_s)
 
 
 @click.command("record", short_help="Record telemetry to a file.")

@@ -75,7 +75,9 @@ def wait_until_it_records(client: Client, target: Path, process: subprocess.Pope
                 return
 
 
-@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+@pytest.mark.parametrize(
+    "ending", ["npz", pytest.param("csv", marks=pytest.mark.slow), pytest.param("mcap", marks=pytest.mark.slow)]
+)
 def test_what_a_daemon_rendered_is_rendered_again_bit_for_bit(daemon: Daemon, tmp_path: Path, ending: str) -> None:
     target = tmp_path / f"run.{ending}"
     with connect(daemon.directory) as client:
@@ -200,6 +202,7 @@ def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, t
     assert replay(tmp_path / "run.recovered.npz").missing_revisions == ()
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_a_recording_that_is_kept(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with recording(daemon, target, limit=700_000) as process:

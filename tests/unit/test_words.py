@@ -44,7 +44,7 @@ from hapticd import words
         (words.duration(4.0), "4 s"),
         (words.duration(64), "64 s"),
         (words.duration(320), "5 min 20 s"),
-        (words.duration(3600), "60 min"),
+        (words.duration(3600), "1 h"),
         (words.duration(11100), "3 h 5 min"),
         (words.duration(187200), "2 days 4 h"),
         (words.duration(0), "0 s"),
