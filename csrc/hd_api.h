@@ -245,11 +245,13 @@ enum hd_event_kind {
     HD_EVENT_GLITCH = 8,     /* value: the speed that the jump implied, m/s */
     HD_EVENT_DEVICE_LOST = 9,
     HD_EVENT_DEVICE_FOUND = 10,
-    HD_EVENT_GROOVE = 11,        /* speed: tangential, signed along t; value: grooves struck in this contact so far */
-    HD_EVENT_OVERLOAD = 12,      /* value: part of the last second's periods that were missed, above the threshold */
-    HD_EVENT_RATE = 13,          /* value: the servo's rate from this tick on, Hz */
-    HD_EVENT_RESUMED = 14,       /* value: how long the machine was suspended, s */
-    HD_EVENT_MEMORY_REFUSED = 15 /* code: errno; from this table on not all memory is locked */
+    HD_EVENT_GROOVE = 11,         /* speed: tangential, signed along t; value: grooves struck in this contact so far */
+    HD_EVENT_OVERLOAD = 12,       /* value: part of the last second's periods that were missed, above the threshold */
+    HD_EVENT_RATE = 13,           /* value: the servo's rate from this tick on, Hz */
+    HD_EVENT_RESUMED = 14,        /* value: how long the machine was suspended, s */
+    HD_EVENT_MEMORY_REFUSED = 15, /* code: errno; from this table on not all memory is locked */
+    HD_EVENT_MARK = 16,           /* code: the command's value */
+    HD_EVENT_GESTURE_END = 17 /* value: the tick that took the path; code: 1 through, 0 another one took its place */
 };
 
 struct hd_event {
@@ -663,11 +665,16 @@ struct hd_grant {
 };
 
 enum hd_command_kind {
-    HD_COMMAND_PLAY = 1,    /* mode, direction, amplitude (in the mode's unit) */
-    HD_COMMAND_RESET = 2,   /* slot and generation, or HD_NO_SLOT for all */
-    HD_COMMAND_FORCES = 3,  /* value 0 or 1; 1 clears latched faults whose cause is gone */
-    HD_COMMAND_OPERATOR = 4 /* path; simulated device only */
+    HD_COMMAND_PLAY = 1,     /* mode, direction, amplitude (in the mode's unit) */
+    HD_COMMAND_RESET = 2,    /* slot and generation, or HD_NO_SLOT for all */
+    HD_COMMAND_FORCES = 3,   /* value 0 or 1; 1 clears latched faults whose cause is gone */
+    HD_COMMAND_OPERATOR = 4, /* path; simulated device only */
+    HD_COMMAND_MARK = 5      /* value: given back by an event at the tick that takes it */
 };
+
+/* Of so many marks at a time, from the command to the reading of its event, no event is lost: it has room in the ring
+ * that others leave free. Whoever sends keeps to it. */
+#define HD_MARKS 64
 
 struct hd_command {
     uint32_t kind;

@@ -3,6 +3,7 @@
     with hapticd.connect() as daemon: ...         talk to a running daemon (hapticd.aio.connect for asyncio)
     hapticd.render(config, position_m)            forces for a path of positions, open loop
     hapticd.simulate(config, waypoints, 2.0)      closed loop with the simulated joystick
+    hapticd.load("tap.npz")                       a recording: samples, events, marks, scene, materials
 
 Names are loaded when they are first used, so that a client pays for no more than it needs.
 """
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from hapticd.errors import HapticdError, InvalidError, Problem
     from hapticd.materials import Material
     from hapticd.offline import render, simulate
+    from hapticd.recording import Recording, load
     from hapticd.replayed import replay
     from hapticd.samples import SampleBatch
     from hapticd.scene import Scene, load_scene
@@ -34,6 +36,7 @@ __all__ = [
     "InvalidError",
     "Material",
     "Problem",
+    "Recording",
     "RemoteError",
     "SampleBatch",
     "Scene",
@@ -41,6 +44,7 @@ __all__ = [
     "__version__",
     "aio",
     "connect",
+    "load",
     "load_config",
     "load_scene",
     "render",
@@ -62,6 +66,8 @@ _HOMES = {
     "Problem": "errors",
     "Material": "materials",
     "render": "offline",
+    "Recording": "recording",
+    "load": "recording",
     "replay": "replayed",
     "simulate": "offline",
     "Scene": "scene",

@@ -42,12 +42,15 @@ from hapticd.calls import (
     TelemetryLoss,
     TickResult,
     Topic,
+    WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
 
 if TYPE_CHECKING:
+    from hapticd.background import Recorder
     from hapticd.samples import SampleBatch
+    from hapticd.yaml_source import Json
 
 __all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
 
@@ -165,15 +168,17 @@ class Client:
             raise await asyncio.to_thread(calls.unanswered, self.paths, self.timeout_s) from None
         finally:
             self._waiting.pop(id, None)
-        if isinstance(result, RemoteError | DaemonNotRunning):
-            raise result
-        return result
+        return calls.outcome(result, params)
 
     # ---- methods -------------------------------------------------------------------------------------------
 
     async def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, await self.call("get_status"))
+
+    async def get_state(self) -> State:
+        """The newest sample, as `states` yields it."""
+        return cast(State, await self.call("get_state"))
 
     async def get_config(self) -> ConfigResult:
         """The configuration's servo and device."""
@@ -207,6 +212,15 @@ class Client:
         """All materials by name, the shipped ones among them."""
         return cast(MaterialsResult, await self.call("get_materials"))
 
+    async def set_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
+        YAML file."""
+        tree = calls.patch_tree(materials, "materials")
+        params = calls.change_params("materials", tree, expect_revision, wait)
+        return cast(RevisionResult, await self.call("set_materials", params))
+
     async def update_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
@@ -214,6 +228,19 @@ class Client:
         patch = calls.patch_tree(materials, "materials")
         params = calls.change_params("materials", patch, expect_revision, wait)
         return cast(RevisionResult, await self.call("update_materials", params))
+
+    async def apply(
+        self,
+        *,
+        materials: PatchSource | None = None,
+        scene: SceneSource | None = None,
+        expect_revision: int | None = None,
+        wait: bool = False,
+    ) -> RevisionResult:
+        """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
+        nothing."""
+        params = calls.apply_params(materials, scene, expect_revision, wait)
+        return cast(RevisionResult, await self.call("apply", params))
 
     async def play(
         self,
@@ -232,18 +259,26 @@ class Client:
         params = None if objects is None else {"objects": list(objects)}
         return cast(TickResult, await self.call("reset", params))
 
+    async def mark(self, text: str, data: Json = None) -> TickResult:
+        """Leaves a mark in the event stream and in every recording; the result has its `tick`.
+
+        `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
+        """
+        return cast(TickResult, await self.call("mark", {"text": text, "data": data}))
+
     async def set_forces(self, enabled: bool) -> ForcesResult:
         """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
         return cast(ForcesResult, await self.call("set_forces", {"enabled": enabled}))
 
     async def set_operator(
         self,
-        waypoints: Iterable[Iterable[float]] | None = None,
+        waypoints: WaypointsSource | None = None,
         *,
         interpolation: Interpolation | None = None,
         gesture: Mapping[str, object] | None = None,
     ) -> OperatorResult:
-        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
+        (YAML, JSON, CSV) that holds either."""
         params = calls.operator_params(waypoints, interpolation, gesture)
         return cast(OperatorResult, await self.call("set_operator", params))
 
@@ -294,6 +329,27 @@ class Client:
         if lost:
             raise lost[0]
         await self.lease(0, token)
+
+    @contextlib.asynccontextmanager
+    async def record(
+        self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
+    ) -> AsyncIterator[Recorder]:
+        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+
+        A thread records, so that the event loop may be held up. The rest is as for `hapticd.client.Client.record`.
+        """
+        from hapticd.background import Recorder
+        from hapticd.client import Client as Blocking
+
+        recorder = Recorder(lambda: Blocking.at(self.paths, self.timeout_s), path, overwrite, notes)
+        try:
+            await asyncio.to_thread(recorder.begin)
+            yield recorder
+        except BaseException:
+            with contextlib.suppress(HapticdError):  # what went wrong in the block is what is told
+                await asyncio.to_thread(recorder.end)
+            raise
+        await asyncio.to_thread(recorder.end)
 
     # ---- telemetry -----------------------------------------------------------------------------------------
 

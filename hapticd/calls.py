@@ -90,12 +90,29 @@ class TelemetryLoss(UserWarning):
 # ---- results, named as in docs/protocol.md -----------------------------------------------------------------
 
 
+class GestureEnd(TypedDict):
+    """The end of what the hand was told to do, `completed` or replaced; `started_tick` is that of `set_operator`."""
+
+    tick: int
+    time_ns: int
+    started_tick: int
+    completed: bool
+
+
+class OperatorStatus(TypedDict):
+    """The tick that took the last operator (None: none so far), and the last gestures that ended, oldest first."""
+
+    started_tick: int | None
+    ends: list[GestureEnd]
+
+
 class Status(TypedDict):
     """What the daemon is and does."""
 
     version: str
     protocol: int
     started_ns: int
+    clock: dict[str, int]
     state: str
     device: str
     rate_hz: float
@@ -114,6 +131,7 @@ class Status(TypedDict):
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]
     stability: dict[str, Json]
+    operator: OperatorStatus | None
 
 
 class ConfigResult(TypedDict):
@@ -129,12 +147,23 @@ class SceneResult(TypedDict):
     revision: int
 
 
+class Warned(TypedDict):
+    """What of a message is not displayed as it was meant: a place in its params, or in the file that they came from."""
+
+    where: str
+    problem: str
+
+
 class RevisionResult(TypedDict):
-    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one."""
+    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one.
+
+    `warning`: why forces are off. `warnings`: what of the change is not displayed as it was meant.
+    """
 
     revision: int
     tick: NotRequired[int]
     warning: NotRequired[str]
+    warnings: NotRequired[list[Warned]]
 
 
 class MaterialsResult(TypedDict):
@@ -154,6 +183,7 @@ class PlayResult(TickResult):
     """Also the frequency that is shown, where the rate does not carry the mode's own."""
 
     displayed_hz: float | None
+    warnings: NotRequired[list[Warned]]
 
 
 class ForcesResult(TickResult):
@@ -166,6 +196,7 @@ class OperatorResult(TickResult):
     """Also how long the hand will be under way."""
 
     duration_s: float
+    warnings: NotRequired[list[Warned]]
 
 
 class LeaseResult(TypedDict):
@@ -214,6 +245,8 @@ class Model(Protocol):
 
 SceneSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str] | Model"
 """A scene: the mapping itself, the path of a YAML file, or a `hapticd.Scene`."""
+WaypointsSource: TypeAlias = "Iterable[Iterable[float]] | str | os.PathLike[str]"
+"""Waypoints [[t_s, x_m, y_m], ...], or the path of a file with what the hand does: YAML, JSON or CSV."""
 PatchSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str]"
 """A merge patch: the mapping itself, or the path of a YAML file."""
 
@@ -226,9 +259,11 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
     if isinstance(scene, Mapping):
         return scene
     if isinstance(scene, str | os.PathLike):
-        from hapticd.scene import load_scene
+        from hapticd.from_file import FromFile
+        from hapticd.scene import read_scene
 
-        return load_scene(scene).to_dict()
+        read, document, root = read_scene(scene)
+        return FromFile(read.to_dict(), document, root)
     return scene.to_dict()
 
 
@@ -240,29 +275,44 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     """
     if isinstance(patch, Mapping):
         return patch
-    from hapticd.yaml_source import load_path, refuse_others
+    from hapticd.document_kinds import PATCHES, refuse_other_keys, refuse_other_kinds
+    from hapticd.from_file import FromFile
+    from hapticd.yaml_source import load_path
 
     document = load_path(patch)
+    refuse_other_kinds(document, *PATCHES[path[-1]])
     found: tuple[str, ...] = ()
     data: object = document.data
     for key in path:
         if isinstance(data, dict) and key in data:
-            refuse_others(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
+            refuse_other_keys(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
             data = data[key]
             found += (key,)
     if not isinstance(data, dict):
         raise HapticdError(f"{document.where(found)}: must be a mapping, the {path[-1]} by their names")
-    return data
+    return FromFile(data, document, found)
 
 
 def change_params(key: str, value: Mapping[str, object], expect_revision: int | None, wait: bool) -> dict[str, object]:
-    """Params of set_scene, update_scene and update_materials."""
+    """Params of set_scene, update_scene, set_materials and update_materials."""
     params: dict[str, object] = {key: value}
     if expect_revision is not None:
         params["expect_revision"] = expect_revision
     if wait:
         params["wait"] = True
     return params
+
+
+def apply_params(
+    materials: PatchSource | None, scene: SceneSource | None, expect_revision: int | None, wait: bool
+) -> dict[str, object]:
+    """Params of apply."""
+    params: dict[str, object] = {}
+    if materials is not None:
+        params["materials"] = patch_tree(materials, "materials")
+    if scene is not None:
+        params["scene"] = scene_tree(scene)
+    return {**params, **reload_params(expect_revision, wait)}
 
 
 def reload_params(expect_revision: int | None, wait: bool) -> dict[str, object]:
@@ -290,11 +340,15 @@ def play_params(
 
 
 def operator_params(
-    waypoints: Iterable[Iterable[float]] | None,
+    waypoints: WaypointsSource | None,
     interpolation: Interpolation | None,
     gesture: Mapping[str, object] | None,
 ) -> dict[str, object]:
-    """Params of set_operator."""
+    """Params of set_operator. Raises HapticdError for a file that holds no operator."""
+    if isinstance(waypoints, str | os.PathLike):
+        if interpolation is not None or gesture is not None:
+            raise HapticdError(f"{os.fspath(waypoints)}: a file says all of it: interpolation and gesture, too")
+        return _operator_of(waypoints)
     params: dict[str, object] = {}
     if waypoints is not None:
         params["waypoints"] = [[float(number) for number in waypoint] for waypoint in waypoints]
@@ -303,6 +357,18 @@ def operator_params(
     if gesture is not None:
         params["gesture"] = dict(gesture)
     return params
+
+
+def _operator_of(file: str | os.PathLike[str]) -> dict[str, object]:
+    from hapticd.from_file import FromFile
+    from hapticd.operator import load_operator
+
+    operator = load_operator(file)
+    if operator.gesture is not None:
+        params = operator_params(None, None, operator.gesture.to_dict())
+    else:
+        params = operator_params(operator.waypoints, operator.interpolation, None)
+    return params if operator.document is None else FromFile(params, operator.document)
 
 
 def lease_params(duration_s: float, token: str | None) -> dict[str, object]:
@@ -327,6 +393,24 @@ def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes
     if len(body) > wire.MAX_BODY:
         raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {wire.MAX_BODY})")
     return body
+
+
+def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
+    """The result of a call, or its error raised; places in params that came from a file are told as they are in it."""
+    if isinstance(result, DaemonNotRunning):
+        raise result
+    if isinstance(result, RemoteError):
+        if params and result.problems:
+            from hapticd.from_file import placed
+
+            result.problems = tuple(Problem(placed(each.where, params), each.problem) for each in result.problems)
+        raise result
+    if params and isinstance(result, dict) and result.get("warnings"):
+        from hapticd.from_file import placed
+
+        warnings = [{**each, "where": placed(str(each["where"]), params)} for each in result["warnings"]]
+        return {**result, "warnings": warnings}
+    return result
 
 
 def place_of(

@@ -43,12 +43,15 @@ from hapticd.calls import (
     TelemetryLoss,
     TickResult,
     Topic,
+    WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
 
 if TYPE_CHECKING:
+    from hapticd.background import Recorder
     from hapticd.samples import SampleBatch
+    from hapticd.yaml_source import Json
 
 __all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
 
@@ -101,11 +104,12 @@ class Client:
         self._socket: zmq.Socket[bytes] | None = None
         calls.probe(self.paths, timeout_s)
 
-    def _again(self, timeout_s: float) -> Client:
-        """Another client of the same daemon."""
-        other = Client.__new__(type(self))
-        other._begin(self.paths, timeout_s)
-        return other
+    @classmethod
+    def at(cls, place: Place, timeout_s: float) -> Self:
+        """A client of the daemon at a place that is known."""
+        client = cls.__new__(cls)
+        client._begin(place, timeout_s)
+        return client
 
     def _open(self) -> zmq.Socket[bytes]:
         if isinstance(self.paths, Remote):
@@ -159,9 +163,7 @@ class Client:
                 socket.close()
                 self._socket = None
                 raise calls.unanswered(self.paths, self.timeout_s) from None
-        if isinstance(result, RemoteError | DaemonNotRunning):
-            raise result
-        return result
+        return calls.outcome(result, params)
 
     def _skip_to(self, socket: zmq.Socket[bytes], id: int) -> object | RemoteError | DaemonNotRunning:
         """The answer to `id`, past those to calls that were interrupted."""
@@ -177,6 +179,10 @@ class Client:
     def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, self.call("get_status"))
+
+    def get_state(self) -> State:
+        """The newest sample, as `states` yields it."""
+        return cast(State, self.call("get_state"))
 
     def get_config(self) -> ConfigResult:
         """The configuration's servo and device."""
@@ -208,6 +214,15 @@ class Client:
         """All materials by name, the shipped ones among them."""
         return cast(MaterialsResult, self.call("get_materials"))
 
+    def set_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
+        YAML file."""
+        tree = calls.patch_tree(materials, "materials")
+        params = calls.change_params("materials", tree, expect_revision, wait)
+        return cast(RevisionResult, self.call("set_materials", params))
+
     def update_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
@@ -215,6 +230,19 @@ class Client:
         patch = calls.patch_tree(materials, "materials")
         params = calls.change_params("materials", patch, expect_revision, wait)
         return cast(RevisionResult, self.call("update_materials", params))
+
+    def apply(
+        self,
+        *,
+        materials: PatchSource | None = None,
+        scene: SceneSource | None = None,
+        expect_revision: int | None = None,
+        wait: bool = False,
+    ) -> RevisionResult:
+        """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
+        nothing."""
+        params = calls.apply_params(materials, scene, expect_revision, wait)
+        return cast(RevisionResult, self.call("apply", params))
 
     def play(
         self,
@@ -232,18 +260,26 @@ class Client:
         params = None if objects is None else {"objects": list(objects)}
         return cast(TickResult, self.call("reset", params))
 
+    def mark(self, text: str, data: Json = None) -> TickResult:
+        """Leaves a mark in the event stream and in every recording; the result has its `tick`.
+
+        `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
+        """
+        return cast(TickResult, self.call("mark", {"text": text, "data": data}))
+
     def set_forces(self, enabled: bool) -> ForcesResult:
         """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
         return cast(ForcesResult, self.call("set_forces", {"enabled": enabled}))
 
     def set_operator(
         self,
-        waypoints: Iterable[Iterable[float]] | None = None,
+        waypoints: WaypointsSource | None = None,
         *,
         interpolation: Interpolation | None = None,
         gesture: Mapping[str, object] | None = None,
     ) -> OperatorResult:
-        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
+        (YAML, JSON, CSV) that holds either."""
         return cast(
             OperatorResult,
             self.call("set_operator", calls.operator_params(waypoints, interpolation, gesture)),
@@ -274,7 +310,7 @@ class Client:
 
         def renew() -> None:
             try:
-                with self._again(duration_s / 3) as renewer:
+                with self.at(self.paths, duration_s / 3) as renewer:
                     while not stop.wait(duration_s / 3):
                         # A daemon that is away may come back in time; if not, its answer says that the
                         # lease lapsed.
@@ -298,6 +334,27 @@ class Client:
         if lost:
             raise lost[0]
         self.lease(0, token)
+
+    @contextmanager
+    def record(self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object) -> Iterator[Recorder]:
+        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+
+        A thread with a connection of its own records. The first sample is taken before the block begins, and what the
+        block did last is in the file. `notes` are kept in it as texts. Gives a Recorder, whose `result` is there after
+        the block. Raises HapticdError before the block where `path` is there already (unless `overwrite`) or cannot be
+        written, and at its end where the recording ended before.
+        """
+        from hapticd.background import Recorder
+
+        recorder = Recorder(lambda: self.at(self.paths, self.timeout_s), path, overwrite, notes)
+        try:
+            recorder.begin()
+            yield recorder
+        except BaseException:
+            with suppress(HapticdError):  # what went wrong in the block is what is told
+                recorder.end()
+            raise
+        recorder.end()
 
     # ---- telemetry -----------------------------------------------------------------------------------------
 

@@ -902,7 +902,7 @@ def test_under_systemd_its_lines_go_to_the_journal(daemon: Daemon, tmp_path: Pat
     journal = tmp_path / "journal"
     program = (
         "import sys; from hapticd import journal; attached = journal.attached; "
-        "journal.attached = lambda: attached(address=sys.argv[1]); "
+        "journal.attached = lambda level: attached(level, address=sys.argv[1]); "
         "from hapticd.bridge.process import run; sys.exit(run(sys.argv[2], sys.argv[3]))"
     )
     keys = {name: new_certificate() for name in ("server", "stranger")}

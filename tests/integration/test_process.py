@@ -118,7 +118,7 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
             ["c.yaml:3", "wood"],
         ),
         ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
-        ("servo: [\n", ["c.yaml:2"]),
+        ("servo: [\n", ["c.yaml:1:8", "not closed"]),
     ],
 )
 def test_bad_configuration_is_one_line(tmp_path: Path, text: str, words: list[str]) -> None:

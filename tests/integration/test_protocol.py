@@ -384,12 +384,16 @@ trees = st.recursive(
 )
 METHODS = [
     "get_status",
+    "get_state",
     "get_config",
     "get_scene",
     "set_scene",
     "update_scene",
     "get_materials",
+    "set_materials",
     "update_materials",
+    "apply",
+    "mark",
     "play",
     "reset",
     "lease",

@@ -22,8 +22,7 @@ import hapticd.cli
 from hapticd import __version__
 from hapticd.cli import main
 from hapticd.cli.common import duration, print_yaml
-from hapticd.cli.daemon import _realtime
-from hapticd.engine import Granted
+from hapticd.materials import shipped_materials
 from hapticd.yaml_source import load_text
 from tests.cli import said
 
@@ -35,13 +34,16 @@ COMMANDS = [
     "status",
     "scene",
     "material",
+    "apply",
     "play",
     "force",
     "reset",
     "operator",
+    "mark",
     "watch",
     "record",
     "simulate",
+    "paths",
     "schema",
     "devices",
     "calibrate",
@@ -50,6 +52,7 @@ COMMANDS = [
     "doctor",
     "install-service",
     "stop-device",
+    "completion",
 ]
 
 
@@ -87,7 +90,8 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ["status"],
         ["scene", "get"],
-        ["material", "list"],
+        ["apply", "comb"],
+        ["mark", "trial 3"],
         ["play", "wood", "--amplitude", "1"],
         ["force", "on"],
         ["reset"],
@@ -126,6 +130,27 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
 def test_commands_that_are_not_understood(capsys: pytest.CaptureFixture[str], arguments: list[str], told: str) -> None:
     line = said(capsys, 2, *arguments)
     assert told in line and "--help)" in line
+
+
+def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    note = (
+        f"hapticd: no daemon at {tmp_path}/hapticd; start one with: hapticd run; these are the materials of the shipped"
+    )
+    for arguments, names in ((["list"], list(shipped_materials())), (["get", "steel"], ["steel"])):
+        assert main(["material", *arguments]) == 0
+        captured = capsys.readouterr()
+        assert captured.err == f"{note} library\n"
+        printed = load_text(captured.out, "printed").data
+        assert printed == {"materials": {name: shipped_materials()[name].to_dict() for name in names}}
+        assert main(["material", *arguments, "--offline", "--json"]) == 0
+        captured = capsys.readouterr()
+        assert captured.err == "" and json.loads(captured.out) == {**printed, "revision": None}
+    told = said(capsys, 1, "material", "get", "stel", "--offline")
+    assert told.startswith('hapticd: unknown material "stel"; did you mean steel? known: wood, ')
+
+
+def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--data {a}: is not JSON: " in said(capsys, 2, "mark", "x", "--data", "{a}")
 
 
 @pytest.mark.parametrize(
@@ -210,14 +235,6 @@ def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixt
     assert "[default: the configuration's]" in " ".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize(("cpu", "told"), [(None, "cpu any"), (3, "cpu 3"), (0, "cpu 0")])
-def test_the_processor_of_the_status(cpu: int | None, told: str) -> None:
-    granted = Granted("fifo", 80, cpu, "all", False, ()).to_dict()
-    assert _realtime(granted) == (
-        f"scheduler fifo, priority 80, {told}, memory locked all, idle states held no, missing none"
-    )
-
-
 @pytest.mark.parametrize(
     ("scene", "operator", "output", "told"),
     [
@@ -268,8 +285,12 @@ def test_output_that_nobody_takes_is_one_line(command: str, kind: str, why: str)
     words = [sys.executable, "-m", "hapticd", *command.split()]
     with nowhere(kind) as stdout:
         process = subprocess.run(words, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60)
-    line = f"hapticd: standard output: cannot be written: {why}\n"
-    assert (process.returncode, process.stderr) == (1, line)
+    lost = f"standard output: cannot be written: {why}"
+    assert process.returncode == 1
+    if "--json" in words:
+        assert json.loads(process.stderr)["error"]["message"] == lost
+    else:
+        assert process.stderr == f"hapticd: {lost}\n"
 
 
 @pytest.mark.parametrize("kind", ["pipe", "full"])
