@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from hapticd import words
-from hapticd.calls import Status
 from hapticd.errors import offload_text, undisplayable_text
 from hapticd.stability_words import stability_words
+
+if TYPE_CHECKING:
+    from hapticd.calls import Status
 
 Line = tuple[str, str]
 """What it is about, and what is said of it. Without a name it goes on with the line before."""
