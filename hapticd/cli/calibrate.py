@@ -105,9 +105,9 @@ def calibrate_command(
         if output is None:
             click.echo(yaml_text(section))
     if output is not None:
-        write_whole(output, yaml_text(section) + "\n")
+        write_whole(output, yaml_text(section) + "\n", overwrite)
     if plot is not None:
-        drawing.save(plot, found.curves())
+        write_whole(plot, drawing.drawn(plot, found.curves()), overwrite)
 
 
 @contextmanager
