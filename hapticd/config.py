@@ -312,7 +312,7 @@ def _load(documents: Sequence[Document]) -> Config:
             raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
         merged.add(document, document.data)
     try:
-        config = Config.model_validate(merged.data)
+        config = Config.parsed(merged.data)
     except ValidationError as error:
         raise merged.invalid(faults_of(error)) from None
     materials = {**shipped_materials(), **config.materials}
