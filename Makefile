@@ -53,6 +53,10 @@ install: prerequisites
 	@echo "setting up $(VENV) (a minute or two, once)"
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(share)
+
+# setuptools leaves out of an editable install what a wheel puts below the prefix.
+share = $(BIN)/python setup.py -q build_share && cp -R build/share $(VENV)
 
 # One clear line for each thing that is missing.
 .PHONY: prerequisites
@@ -93,6 +97,10 @@ test-systemd: build ## the installed service under systemd and udev, in a virtua
 .PHONY: bench
 bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
 	@$(BIN)/python -m bench
+
+.PHONY: man
+man: build ## man pages and completion scripts of the commands, into .venv/share, where man looks
+	@$(share)
 
 .PHONY: format
 format: build ## lay out C and Python

@@ -3,6 +3,7 @@
     with hapticd.connect() as daemon: ...         talk to a running daemon (hapticd.aio.connect for asyncio)
     hapticd.render(config, position_m)            forces for a path of positions, open loop
     hapticd.simulate(config, waypoints, 2.0)      closed loop with the simulated joystick
+    hapticd.load("tap.npz")                       a recording: samples, events, marks, scene, materials
 
 Names are loaded when they are first used, so that a client pays for no more than it needs.
 """
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
     from hapticd.materials import Friction, Material, Rupture, Tap
     from hapticd.mode import Mode
     from hapticd.offline import render, simulate
+    from hapticd.recording import Recording, load
     from hapticd.replayed import replay
     from hapticd.samples import SampleBatch
     from hapticd.scene import Box, Constant, Disc, Membrane, Scene, SceneObject, Spring, Viscous, Wall, load_scene
@@ -83,6 +85,7 @@ __all__ = [
     "OperatorStatus",
     "PlayResult",
     "Problem",
+    "Recording",
     "RemoteError",
     "RevisionResult",
     "Rupture",
@@ -106,6 +109,7 @@ __all__ = [
     "__version__",
     "aio",
     "connect",
+    "load",
     "load_config",
     "load_scene",
     "render",
@@ -153,6 +157,8 @@ _HOMES = {
     "Mode": "mode",
     "render": "offline",
     "simulate": "offline",
+    "Recording": "recording",
+    "load": "recording",
     "replay": "replayed",
     "SampleBatch": "samples",
     "Box": "scene",

@@ -51,6 +51,7 @@ from hapticd.errors import HapticdError
 from hapticd.remote import Remote
 
 if TYPE_CHECKING:
+    from hapticd.background import Recorder
     from hapticd.samples import SampleBatch
     from hapticd.yaml_source import Json
 
@@ -407,6 +408,27 @@ class Client:
         if lost:
             raise lost[0]
         await self.lease(0, token)
+
+    @contextlib.asynccontextmanager
+    async def record(
+        self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
+    ) -> AsyncIterator[Recorder]:
+        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+
+        A thread records, so that the event loop may be held up. The rest is as for `hapticd.client.Client.record`.
+        """
+        from hapticd.background import Recorder
+        from hapticd.client import Client as Blocking
+
+        recorder = Recorder(lambda: Blocking.at(self.paths, self.timeout_s), path, overwrite, notes)
+        try:
+            await asyncio.to_thread(recorder.begin)
+            yield recorder
+        except BaseException:
+            with contextlib.suppress(HapticdError):  # what went wrong in the block is what is told
+                await asyncio.to_thread(recorder.end)
+            raise
+        await asyncio.to_thread(recorder.end)
 
     # ---- telemetry -----------------------------------------------------------------------------------------
 

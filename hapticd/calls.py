@@ -121,6 +121,7 @@ class Status(TypedDict):
     version: str
     protocol: int
     started_ns: int
+    clock: dict[str, int]
     state: str
     device: str
     rate_hz: float
@@ -283,15 +284,17 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     """
     if isinstance(patch, Mapping):
         return patch
+    from hapticd.document_kinds import PATCHES, refuse_other_keys, refuse_other_kinds
     from hapticd.from_file import FromFile
-    from hapticd.yaml_source import load_path, refuse_others
+    from hapticd.yaml_source import load_path
 
     document = load_path(patch)
+    refuse_other_kinds(document, *PATCHES[path[-1]])
     found: tuple[str, ...] = ()
     data: object = document.data
     for key in path:
         if isinstance(data, dict) and key in data:
-            refuse_others(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
+            refuse_other_keys(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
             data = data[key]
             found += (key,)
     if not isinstance(data, dict):

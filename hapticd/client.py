@@ -52,6 +52,7 @@ from hapticd.errors import HapticdError
 from hapticd.remote import Remote
 
 if TYPE_CHECKING:
+    from hapticd.background import Recorder
     from hapticd.samples import SampleBatch
     from hapticd.yaml_source import Json
 
@@ -119,11 +120,12 @@ class Client:
         self._socket: zmq.Socket[bytes] | None = None
         calls.probe(self.paths, timeout_s)
 
-    def _again(self, timeout_s: float) -> Client:
-        """Another client of the same daemon."""
-        other = Client.__new__(type(self))
-        other._begin(self.paths, timeout_s)
-        return other
+    @classmethod
+    def at(cls, place: Place, timeout_s: float) -> Self:
+        """A client of the daemon at a place that is known."""
+        client = cls.__new__(cls)
+        client._begin(place, timeout_s)
+        return client
 
     def _open(self) -> zmq.Socket[bytes]:
         if isinstance(self.paths, Remote):
@@ -353,7 +355,7 @@ class Client:
 
         def renew() -> None:
             try:
-                with self._again(duration_s / 3) as renewer:
+                with self.at(self.paths, duration_s / 3) as renewer:
                     while not stop.wait(duration_s / 3):
                         # A daemon that is away may come back in time; if not, its answer says that the
                         # lease lapsed.
@@ -377,6 +379,27 @@ class Client:
         if lost:
             raise lost[0]
         self.lease(0, token)
+
+    @contextmanager
+    def record(self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object) -> Iterator[Recorder]:
+        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+
+        A thread with a connection of its own records. The first sample is taken before the block begins, and what the
+        block did last is in the file. `notes` are kept in it as texts. Gives a Recorder, whose `result` is there after
+        the block. Raises HapticdError before the block where `path` is there already (unless `overwrite`) or cannot be
+        written, and at its end where the recording ended before.
+        """
+        from hapticd.background import Recorder
+
+        recorder = Recorder(lambda: self.at(self.paths, self.timeout_s), path, overwrite, notes)
+        try:
+            recorder.begin()
+            yield recorder
+        except BaseException:
+            with suppress(HapticdError):  # what went wrong in the block is what is told
+                recorder.end()
+            raise
+        recorder.end()
 
     # ---- telemetry -----------------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final, cast
 
 from pydantic import Field, ValidationError
 
+from hapticd import clock
 from hapticd._version import __version__
 from hapticd.config import Config
 from hapticd.core import Fault
@@ -220,6 +221,7 @@ class Control:
             "version": __version__,
             "protocol": PROTOCOL,
             "started_ns": self._started_ns,
+            "clock": asdict(clock.read()),
             "state": "running" if counters.running else "stopped",
             "device": engine.config.device.kind,
             "connection": None if engine.connection is None else engine.connection.status(),
@@ -618,7 +620,8 @@ class Control:
             )
         operator = parse_operator(params)
         engine.beat()
-        waypoints = operator.waypoints_for(self._target, grip_of(engine.config.device.sim), self._wish)
+        grip = grip_of(engine.config.device.sim)
+        waypoints = operator.waypoints_for(self._target, grip, self._wish, engine.scene.objects)
         tick = engine.set_operator(waypoints, operator.interpolation)
         self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
         where = None if operator.gesture is None else "gesture"

@@ -472,7 +472,7 @@ class Engine:
             self._compiler.turn_to(output)
             revision = (self.revision + 1) & 0xFFFFFFFF
             self._publish(self.scene, (), self.materials, revision)
-            self._changes.append(Revised(revision, {}, {}, {}, False, told_hz))
+            self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
             self.revision = revision
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------

@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 from hapticd.errors import path_text
-from hapticd.yaml_source import Document, Json
+from hapticd.yaml_source import Json
 
 Path = tuple[str | int, ...]
 
 
-class FromFile(dict[str, object]):
-    """A value of params, or all of them, that stands at `root` of a document."""
+class Source(Protocol):
+    """A Document, or what is to it as several are to one."""
 
-    def __init__(self, value: Mapping[str, object], document: Document, root: Path = ()) -> None:
+    @property
+    def data(self) -> Json: ...
+
+    def place(self, path: Sequence[str | int]) -> tuple[str, Sequence[str | int]]: ...
+
+
+class FromFile(dict[str, object]):
+    """A value of params, or all of them, that stands at `root` of a document, or of several merged ones."""
+
+    def __init__(self, value: Mapping[str, object], source: Source, root: Path = ()) -> None:
         super().__init__(value)
-        self._document, self._root = document, root
+        self._source, self._root = source, root
 
     def place(self, where: str) -> str:
         """`FILE:LINE:COLUMN: KEY` of a place inside the value, given as the protocol does: `table.normal[0]`. A place
         that the file does not have is where the nearest one around it is."""
-        node = self._document.data
+        node: Json = self._source.data
         for element in self._root:
             node = _below(node, element)
         path, rest = list(self._root), where
@@ -31,10 +41,10 @@ class FromFile(dict[str, object]):
             rest = rest[len(path_text((key,))) :].removeprefix(".")
             path.append(key)
             node = _below(node, key)
-        told = path_text(path)
+        place, here = self._source.place(path)
+        told = path_text(here)
         if rest:
             told += rest if rest.startswith("[") or not told else f".{rest}"
-        place = self._document.place(path)
         return f"{place}: {told}" if told else place
 
 

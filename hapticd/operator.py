@@ -18,7 +18,7 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
@@ -26,9 +26,10 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
-from hapticd.errors import InvalidError, Path, Problem, path_text, quoted, shown
+from hapticd.document_kinds import refuse_other_kinds
+from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted, shown
 from hapticd.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.yaml_source import Document, load_path, load_text, one_line, read_file
+from hapticd.yaml_source import Document, load_path, load_text, one_line, read_file, refuse_recording
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
@@ -178,18 +179,20 @@ class Operator:
     """What it was read from, if that was YAML or JSON."""
 
     def waypoints_for(
-        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point
+        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point, ids: Iterable[str] = ()
     ) -> npt.NDArray[np.float64]:
         """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `wish_m` now.
 
-        `target_of` gives what can be touched of an id, None for anything else. Raises InvalidError (`where`
-        is inside `gesture`) for an object that is none or that the gesture does not fit.
+        `target_of` gives what can be touched of an id, None for anything else; `ids` are those of the scene. Raises
+        InvalidError (`where` is inside `gesture`) for an object that is none or that the gesture does not fit.
         """
         if self.gesture is None:
             return np.array(self.waypoints, dtype=np.float64)
         target = target_of(self.gesture.object)
         if target is None:
-            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(self.gesture.object)}"
+            wanted = self.gesture.object
+            known = known_names(wanted, (id for id in ids if target_of(id) is not None))
+            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(wanted)}; {known}"
             raise InvalidError([Problem("gesture.object", problem)])
         return gesture_waypoints(self.gesture, target, grip, wish_m)
 
@@ -218,9 +221,12 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
         return _load_csv(name)
     # JSON is YAML, but for tabs, which in JSON can only be white space.
     document = load_text(_read(name).replace("\t", " "), name) if ending == ".json" else load_path(name)
+    refuse_other_kinds(document, "waypoints", "gesture")
+    if isinstance(document.data, dict) and "kind" in document.data:
+        document = document.below("gesture")
     faults, operator = _parse(document.data)
     if operator is None:
-        raise InvalidError(Problem(document.where(path), text) for path, text in faults)
+        raise InvalidError(document.problem(path, text) for path, text in faults)
     return replace(operator, document=document)
 
 
@@ -448,6 +454,7 @@ def _line(name: str, line: int) -> str:
 
 def _read(name: str) -> str:
     content = read_file(name, MAX_BYTES)
+    refuse_recording(content, name)
     if len(content) > MAX_BYTES:
         raise InvalidError([Problem(_line(name, 1), f"larger than {MAX_BYTES} bytes")])
     try:

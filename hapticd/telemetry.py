@@ -60,7 +60,7 @@ class Telemetry:
         self._socket = socket
         self._status = status
         self._flight = flight
-        self._log = EventLog(monotonic_ns)
+        self._log = EventLog(missing=lambda: engine.granted is not None and bool(engine.granted.missing))
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
         self._events = records(EVENT_DTYPE, 1024)
         self._held = 0
@@ -115,6 +115,7 @@ class Telemetry:
         self._send_changes()
         self._send_samples()
         self._send_state()
+        self._log.finish()
         if self._flight is not None:
             self._flight.finish()
 
@@ -175,6 +176,8 @@ class Telemetry:
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
             self._send("change", change_map(change))
+            if self._flight is not None:
+                self._flight.keep_change(change)
 
     def _answer(self, count: int) -> None:
         """Answers the first who asked for the state: those who did before the rings were drained."""

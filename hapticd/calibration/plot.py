@@ -27,7 +27,7 @@ def require(path: str) -> None:
         import matplotlib  # noqa: F401
         from matplotlib.backend_bases import FigureCanvasBase
     except ImportError:
-        raise HapticdError("a plot needs matplotlib: pip install 'hapticd[plots]'") from None
+        raise HapticdError("a plot needs matplotlib: pip install 'hapticd[fit]'") from None
     known = sorted(FigureCanvasBase.get_supported_filetypes())
     ending = os.path.splitext(path)[1].lower().lstrip(".")
     if ending and ending not in known:

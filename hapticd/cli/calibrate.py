@@ -20,11 +20,12 @@ DEFAULT_FORCE_N = 1.0
 
 @click.command("calibrate", short_help="Measure handle and grip.")
 @config_option
-@click.option("-o", "--output", metavar="FILE", help="Write the device section there, too.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the device section there, too.")
 @click.option("--overwrite", is_flag=True, help="Replace what is there.")
-@click.option("--plot", metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
+@click.option("--plot", type=click.Path(), metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
 @click.option(
     "--accelerometer",
+    type=click.Path(),
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2).",
 )
@@ -99,8 +100,10 @@ def calibrate_command(
     if as_json:
         print_json({**found.to_dict(), **section})
     else:
-        _table(found)
-        click.echo(yaml_text(section))
+        # The section is what is read on, where it goes to no file: then the table is beside it.
+        _table(found, beside=output is None)
+        if output is None:
+            click.echo(yaml_text(section))
     if output is not None:
         write_whole(output, yaml_text(section) + "\n")
     if plot is not None:
@@ -130,7 +133,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield show
 
 
-def _table(found: Calibration) -> None:
+def _table(found: Calibration, beside: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -139,7 +142,7 @@ def _table(found: Calibration) -> None:
         table.add_column(head, justify="left" if head in ("", "unit") else "right")
     for name, estimate, unit in found.rows():
         table.add_row(name, f"{estimate.value:.4g}", f"{estimate.low:.4g} to {estimate.high:.4g}", unit)
-    console = Console()
+    console = Console(stderr=beside, soft_wrap=True)
     console.print(table)
     for line in found.notes():
-        click.echo(line)
+        console.print(line, markup=False, highlight=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
@@ -14,7 +15,10 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
+from hapticd.cli import names
+from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, quoted
+from hapticd.journal import LEVELS
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -69,13 +73,32 @@ def config_option(command: _F) -> _F:
         "configs",
         multiple=True,
         metavar="FILE",
-        help="Configuration; later files override earlier ones [default: the simulated joystick].",
+        shell_complete=names.scenes,
+        help="Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
+        "HAPTICD_CONFIG; default: ~/.config/hapticd/config.yaml, /etc/hapticd/config.yaml or, without these, the "
+        "simulated joystick]",
     )(command)
 
 
 def json_option(command: _F) -> _F:
     """The option `--json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")(command)
+
+
+def log_options(command: _F) -> _F:
+    """The options of what runs until it is ended: how much stands in its log, as the parameter `log_level`."""
+
+    @click.option("-q", "--quiet", is_flag=True, help="Log warnings and errors alone.")
+    @click.option("-v", "--verbose", is_flag=True, help="Log each command and each event, too.")
+    @click.option("--log-level", type=click.Choice(LEVELS), help="The least important line of the log [default: info].")
+    @functools.wraps(command)
+    def with_level(*args: Any, quiet: bool, verbose: bool, log_level: str | None, **options: Any) -> Any:
+        if quiet + verbose + (log_level is not None) > 1:
+            raise click.UsageError("-q, -v and --log-level say the same: give one")
+        level = log_level or ("warning" if quiet else "debug" if verbose else "info")
+        return command(*args, log_level=level, **options)
+
+    return cast(_F, with_level)
 
 
 def change_options(command: _F) -> _F:
@@ -91,21 +114,69 @@ def yaml_file(name: str) -> str:
     return "/dev/stdin" if name == "-" else name
 
 
+def scene_file(name: str) -> str:
+    """As yaml_file, where the name of a shipped scene does too. Raises HapticdError for a name that is neither."""
+    from hapticd.shipped_files import file_of
+
+    return file_of(name, "scenes")
+
+
+def operator_file(name: str) -> str:
+    """As scene_file, of operators."""
+    from hapticd.shipped_files import file_of
+
+    return file_of(name, "operators")
+
+
 def print_json(value: object) -> None:
     """One line of JSON."""
     click.echo(json.dumps(value, ensure_ascii=False))
 
 
+def note(text: str) -> None:
+    """A line for people beside the result: on stderr, since stdout is the result's."""
+    click.echo(f"hapticd: {shell_words(text)}", err=True)
+
+
 def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None:
-    """The result as JSON, or `text`; warnings in the result go to stderr."""
+    """The result as JSON, which holds its warnings, or `text`, and the warnings on stderr."""
     if as_json:
         print_json(result)
-    else:
-        click.echo(text)
+        return
+    click.echo(text)
     if "warning" in result:
-        click.echo(f"hapticd: {result['warning']}", err=True)
+        note(f"warning: {result['warning']}")
     for warned in cast("list[Mapping[str, str]]", result.get("warnings", [])):
-        click.echo(f"hapticd: warning: {warned['where']}: {warned['problem']}", err=True)
+        note(f"warning: {warned['where']}: {warned['problem']}")
+
+
+def overwrite_option(command: _F) -> _F:
+    """The option `--overwrite`."""
+    return click.option("--overwrite", is_flag=True, help="Replace a file that is there.")(command)
+
+
+def notes_option(command: _F) -> _F:
+    """The option `--note`: the notes as a dictionary."""
+    return click.option(
+        "--note",
+        "notes",
+        multiple=True,
+        metavar="KEY=VALUE",
+        callback=_notes,
+        help="Keep a note in the recording; may be given several times.",
+    )(command)
+
+
+def _notes(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, str]:
+    notes: dict[str, str] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise click.BadParameter(f"{text!r} is not of the form KEY=VALUE", ctx, param)
+        if key.strip() in notes:
+            raise click.BadParameter(f"{key.strip()!r} is given twice", ctx, param)
+        notes[key.strip()] = value
+    return notes
 
 
 def check_new(target: str, overwrite: bool) -> None:
@@ -183,8 +254,8 @@ def _flow(value: object) -> str:
 
 def changed(result: Mapping[str, object]) -> str:
     """What a change of the scene did, in words."""
-    tick = f", in force from tick {result['tick']} on" if "tick" in result else ""
-    return f"revision {result['revision']}{tick}"
+    tick = f", in force from tick {result['tick']:,} on" if "tick" in result else ""
+    return f"revision {result['revision']:,}{tick}"
 
 
 def duration(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:

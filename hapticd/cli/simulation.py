@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TypedDict
 
 from hapticd.config import Config, load_config
+from hapticd.document_kinds import refuse_other_kinds
+from hapticd.errors import HapticdError
 from hapticd.events import event_map
 from hapticd.offline import simulate_run
-from hapticd.scene import load_scene
+from hapticd.place import displaced
 from hapticd.sink import open_sink
 from hapticd.yaml_source import load_path
 
@@ -25,13 +28,21 @@ class SimulationResult(TypedDict):
 
 
 def simulate_to_file(
-    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float | None
+    scene: str,
+    operator_file: str,
+    output: str,
+    duration_s: float | None,
+    rate_hz: float | None,
+    *,
+    overwrite: bool = False,
+    notes: Mapping[str, str] | None = None,
 ) -> SimulationResult:
     """Runs a scene or a configuration with the simulated joystick, into a file; without a rate at its own.
 
-    Raises HapticdError or InvalidError for what cannot be read, run or written.
+    Raises HapticdError or InvalidError for what cannot be read, run or written, before anything is run for a file that
+    is there already and not to be replaced.
     """
-    with open_sink(output) as sink:
+    with open_sink(output, overwrite) as sink:
         config = _config(scene)
         run = simulate_run(config, operator_file, duration_s, rate_hz)
         servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
@@ -47,8 +58,17 @@ def simulate_to_file(
         for event in run.events:
             place = int(event["slot"]), int(event["generation"])
             sink.write_event(event_map(event, run.objects.get(place)))
-        sink.finish(arrays={} if run.truth is None else {"truth": run.truth})
-    ticks = len(run.samples)
+        ticks = len(run.samples)
+        about = {
+            "ticks": ticks,
+            "duration_s": ticks / run.rate_hz,
+            "events": len(run.events),
+            "missed_periods": 0,
+            "notes": dict(notes or {}),
+        }
+        sink.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
+        if sink.displaced:
+            raise HapticdError(displaced(output, sink.target))
     return {
         "file": output,
         "ticks": ticks,
@@ -60,7 +80,5 @@ def simulate_to_file(
 
 
 def _config(path: str) -> Config:
-    data = load_path(path).data
-    if isinstance(data, dict) and not data.keys() & Config.model_fields.keys():
-        return load_config({"scene": load_scene(path)})
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
     return load_config(path)

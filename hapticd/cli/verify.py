@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 @config_option
 @click.option(
     "--recording",
+    type=click.Path(),
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2); a real "
     "device needs one.",
@@ -93,4 +94,4 @@ def _table(verdicts: list[Verdict]) -> None:
             f"{each.strength:.3f}",
             f"{100 * each.error:.1f} %",
         )
-    Console().print(table)
+    Console(soft_wrap=True).print(table)

@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError
 
+from hapticd.document_kinds import refuse_documents
 from hapticd.errors import HapticdError, InvalidError, Problem, known_names, quoted
 from hapticd.fit.regression import Floats, require_scipy
 from hapticd.fit.sensor import Sensor
@@ -139,9 +140,11 @@ class Recording:
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
-    """Reads a recording. Raises RecordingError (one line), or InvalidError for faults in the YAML beside it."""
+    """Reads a recording. Raises RecordingError (one line), or InvalidError for faults in the YAML beside it
+    and for a YAML file that is for another command."""
     name = os.fspath(path)
     shown = one_line(name)
+    refuse_documents(name)
     try:
         content = _content(name, MAX_BYTES)
         beside = _beside(name)

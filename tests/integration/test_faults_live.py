@@ -106,6 +106,7 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
         until(lambda: "the machine was suspended for 3600.0 s" in daemon.said())
 
 
+@pytest.mark.slow
 def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> None:
     clocks.ahead(realtime_ns=-30 * 365 * DAY_NS)  # a machine whose battery is empty
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
@@ -192,6 +193,15 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         client.dump_flight()
         written(client, 3)
         assert flights(daemon) == ["flight-000002-asked.npz", "flight-000003-asked.npz"]
+
+
+def test_folders_that_are_missing_are_made_and_can_be_entered(tmp_path: Path) -> None:
+    inner = tmp_path / "outer" / "inner"
+    config = with_config(tmp_path, f"flight: {{directory: {inner}}}\n")
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
+        client.dump_flight()
+        assert written(client, 1)["last"] == str(inner / "flight-000001-asked.npz")
+    assert [path.stat().st_mode & 0o777 for path in (inner.parent, inner)] == [0o770, 0o750]
 
 
 def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -> None:

@@ -451,6 +451,7 @@ def test_fuzz_bytes(beaten: Daemon, body: bytes) -> None:
         check_answered(wire, body)
 
 
+@pytest.mark.slow
 def test_fuzz_structures(beaten_wire: Wire) -> None:
     @settings(max_examples=1500)
     @given(
@@ -463,6 +464,7 @@ def test_fuzz_structures(beaten_wire: Wire) -> None:
     assert beaten_wire.result("get_status")["state"] == "running"
 
 
+@pytest.mark.slow
 def test_fuzz_mutated_requests(beaten_wire: Wire) -> None:
     seeds = [
         request(method="update_scene", params={"objects": {"table": FLOOR}}),

@@ -180,7 +180,7 @@ def test_words() -> None:
         "servo.realtime": "must be required, preferred or off, is false",
         "servo.priority": "must be a whole number, is 80.0",
         "device.kind": 'must be sim, hid or replay, is "usb"',
-        "device.undisplayable": 'must be mute or lower, is "Mute"',
+        "device.undisplayable": 'must be mute or lower, is "Mute"; did you mean mute?',
         "scene.display.force": 'must be true or false, is "off"',
         "scene.display.vibration": "must be true or false, is 1",
     }

@@ -172,6 +172,7 @@ def test_a_name_like_pydantics_own_marks_stays_in_the_path() -> None:
     assert list(faults({"[key]": {}})) == ['materials."[key]".stiffness_n_per_m']
 
 
+@pytest.mark.slow
 def test_number_of_materials_is_limited() -> None:
     one = Material(stiffness_n_per_m=1)
     many: dict[str, object] = {f"m{i}": one for i in range(MAX_MATERIALS + 1)}

@@ -41,7 +41,7 @@ def write(
 ) -> None:
     """A recording as `hapticd record` makes it, of what somebody else rendered."""
     whole = load_config(config)
-    with open_sink(target) as sink:
+    with open_sink(target, overwrite=True) as sink:
         sink.begin(
             {
                 "config": {"servo": whole.servo.to_dict(), "device": whole.device.to_dict()},
@@ -295,7 +295,7 @@ def test_a_difference_is_measured_and_told(tmp_path: Path, capsys: pytest.Captur
     assert again.differences["force_n"].rms_n == pytest.approx(0.05 / np.sqrt(4000))
     assert again.differences["contact_force_n"].largest_n == 0
     assert main(["replay", str(tmp_path / "run.npz")]) == 1
-    told = "4000 of 4000 ticks rendered again, 1 not as recorded, the first is tick 700; "
+    told = "4,000 of 4,000 ticks rendered again, 1 not as recorded, the first is tick 700; "
     assert capsys.readouterr().out == f"{tmp_path}/run.npz: {told}the force differs by 0.05 N at most, 0.000791 N RMS\n"
 
 
