@@ -96,7 +96,7 @@ test-systemd: build ## the installed service under systemd and udev, in a virtua
 
 .PHONY: bench
 bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
-	@$(BIN)/python -m bench
+	@$(BIN)/python -m bench --overwrite
 
 .PHONY: man
 man: build ## man pages and completion scripts of the commands, into .venv/share, where man looks

@@ -30,7 +30,7 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """What the files hold, validated; None for what they do not."""
+    """What the files hold, validated; None for what they do not. The daemon's faults are told by file and line."""
 
     materials: FromFile | None
     scene: FromFile | None
@@ -51,13 +51,12 @@ def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
         change = _ChangeParts.parsed(merged.data)
     except ValidationError as error:
         raise merged.invalid(faults_of(error)) from None
-    materials = scene = None
-    if change.materials is not None:
-        given = {name: material.to_dict() for name, material in change.materials.items()}
-        materials = FromFile(given, merged, ("materials",))
-    if change.scene is not None:
-        scene = FromFile(change.scene.to_dict(), merged, ("scene",))
-    return ChangeFiles(materials, scene)
+    materials, scene = change.materials, change.scene
+    given = None if materials is None else {name: material.to_dict() for name, material in materials.items()}
+    return ChangeFiles(
+        None if given is None else FromFile(given, merged, ("materials",)),
+        None if scene is None else FromFile(scene.to_dict(), merged, ("scene",)),
+    )
 
 
 def _whole(document: Document) -> Document:

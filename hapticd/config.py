@@ -332,17 +332,12 @@ class Merged:
     """Several documents as one, and which of them each part comes from."""
 
     def __init__(self) -> None:
-        self._data: dict[str, Json] = {}
+        self.data: dict[str, Json] = {}
         self._owners: dict[Path, Document] = {}
-
-    @property
-    def data(self) -> Json:
-        """What they hold together."""
-        return self._data
 
     def add(self, document: Document, data: dict[str, Json]) -> None:
         """Lays what a document holds over what was there: key by key, but each material and each object whole."""
-        self._add(document, data, self._data, ())
+        self._add(document, data, self.data, ())
 
     def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
         self._owners[path] = document
@@ -358,14 +353,16 @@ class Merged:
                 self._owners[here] = document
 
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
-        return InvalidError(self._problem(path, text) for path, text in faults)
+        return InvalidError(self._owner(path).problem(path, text) for path, text in faults)
 
-    def place(self, path: Sequence[str | int]) -> tuple[str, Sequence[str | int]]:
-        """As Document.place."""
-        return self._owner(tuple(path)).place(path)
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN` of the part at `path`, in the file that it is from."""
+        return self._owner(path).place(path)
 
-    def _problem(self, path: Path, text: str) -> Problem:
-        return self._owner(path).problem(path, text)
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file that the part is from."""
+        return self._owner(path).own(path)
 
-    def _owner(self, path: Path) -> Document:
-        return next(self._owners[path[:n]] for n in range(len(path), -1, -1) if path[:n] in self._owners)
+    def _owner(self, path: Sequence[str | int]) -> Document:
+        here = tuple(path)
+        return next(self._owners[here[:n]] for n in range(len(here), -1, -1) if here[:n] in self._owners)

@@ -12,25 +12,29 @@ Path = tuple[str | int, ...]
 
 
 class Source(Protocol):
-    """A Document, or what is to it as several are to one."""
+    """A document, or several merged into one."""
 
     @property
     def data(self) -> Json: ...
 
-    def place(self, path: Sequence[str | int]) -> tuple[str, Sequence[str | int]]: ...
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN`."""
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in its file."""
 
 
 class FromFile(dict[str, object]):
-    """A value of params, or all of them, that stands at `root` of a document, or of several merged ones."""
+    """A value of params, or all of them, that stands at `root` of a document."""
 
-    def __init__(self, value: Mapping[str, object], source: Source, root: Path = ()) -> None:
+    def __init__(self, value: Mapping[str, object], document: Source, root: Path = ()) -> None:
         super().__init__(value)
-        self._source, self._root = source, root
+        self._document, self._root = document, root
 
     def place(self, where: str) -> str:
         """`FILE:LINE:COLUMN: KEY` of a place inside the value, given as the protocol does: `table.normal[0]`. A place
         that the file does not have is where the nearest one around it is."""
-        node: Json = self._source.data
+        node = self._document.data
         for element in self._root:
             node = _below(node, element)
         path, rest = list(self._root), where
@@ -41,10 +45,10 @@ class FromFile(dict[str, object]):
             rest = rest[len(path_text((key,))) :].removeprefix(".")
             path.append(key)
             node = _below(node, key)
-        place, here = self._source.place(path)
-        told = path_text(here)
+        told = path_text(self._document.own(path))
         if rest:
             told += rest if rest.startswith("[") or not told else f".{rest}"
+        place = self._document.place(path)
         return f"{place}: {told}" if told else place
 
 

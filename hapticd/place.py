@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -19,7 +21,7 @@ def is_there(name: str | os.PathLike[str]) -> HapticdError:
     )
 
 
-def place(part: str | os.PathLike[str], target: str | os.PathLike[str], overwrite: bool) -> None:
+def put(part: str | os.PathLike[str], target: str | os.PathLike[str], overwrite: bool) -> None:
     """Renames `part`, a whole file in the folder of `target`, to `target`.
 
     Without `overwrite` it raises FileExistsError where there is a file of that name, also one that has appeared just
@@ -43,6 +45,16 @@ def place(part: str | os.PathLike[str], target: str | os.PathLike[str], overwrit
             raise
     else:
         os.unlink(part)
+
+
+def place(part: Path, target: Path, overwrite: bool) -> Path:
+    """As `put`, but where the name is taken under the first of NAME-2.ENDING, NAME-3.ENDING and so on that is free;
+    returns where it is. Raises OSError."""
+    for number in count(1):
+        with suppress(FileExistsError):
+            put(part, numbered(target, number), overwrite)
+            return numbered(target, number)
+    raise AssertionError
 
 
 def numbered(target: Path, number: int) -> Path:

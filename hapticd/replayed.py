@@ -48,9 +48,9 @@ NEEDED: Final = ("config", "scene", "materials", "changes")
 """What must stand in a recording beside the samples."""
 
 _LEFT_OUT: Final = {
-    "fault": "a fault was latched",
-    "scene": "their scene is not in the file",
-    "begun_before": "something of before was still touched, rang or ramped",
+    "fault": "with a fault latched",
+    "scene": "whose scene is not in the file",
+    "begun_before": "until nothing was touched, rang or ramped",
 }
 _LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 _NO_TIME: Final = 0xFFFFFFFF
@@ -104,7 +104,7 @@ class Replay:
             force = self.differences["force_n"]
             text += f"{ticks - self.identical:,} not as recorded, the first is tick {self.first_different}; "
             text += f"the force differs by {force.largest_n:.3g} N at most, {force.rms_n:.3g} N RMS"
-        left_out = [f"{_LEFT_OUT[why]}: {count:,}" for why, count in self.left_out.items()]
+        left_out = [f"{count:,} {_LEFT_OUT[why]}" for why, count in self.left_out.items()]
         if left_out:
             text += f"; left out: {', '.join(left_out)}"
         if not self.settled:

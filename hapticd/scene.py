@@ -201,7 +201,7 @@ class Display(Model):
     """Which parts of the force are displayed."""
 
     force: bool = Field(default=True, description="Forces of objects and fields.")
-    vibration: bool = Field(default=True, description="Ringing modes.")
+    vibration: bool = Field(default=True, description="Ringing modes and the noise of textures.")
 
 
 class Scene(Model):

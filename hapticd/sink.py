@@ -42,7 +42,7 @@ import numpy.typing as npt
 
 from hapticd.errors import HapticdError
 from hapticd.event_columns import NO_TIME, cell_of, columns_of, dtype_of, event_array, rows_of
-from hapticd.place import is_there, numbered, place
+from hapticd.place import is_there, numbered, put
 
 __all__ = ["NO_TIME", "DiskFullError", "Part", "Samples", "Sink", "event_array", "open_sink", "recover"]
 
@@ -170,7 +170,7 @@ class Sink(ABC):
     def refuse_taken(cls, target: str | os.PathLike[str]) -> None:
         """Raises HapticdError where a file of a recording of this name is there already."""
         place = Path(os.path.realpath(target))
-        for path in cls.files_of(place):
+        for path in reversed(cls.files_of(place)):
             if os.path.lexists(path):
                 name = os.fspath(target)
                 raise is_there(name if path == place else os.path.join(os.path.dirname(name), path.name))
@@ -256,7 +256,7 @@ class Sink(ABC):
             placed: dict[Path, Part] = {}
             try:
                 for path, part in parts.items():
-                    place(part.path, names[path], self._overwrite)
+                    put(part.path, names[path], self._overwrite)
                     placed[names[path]] = part
             except OSError as error:
                 for path, part in placed.items():

@@ -7,9 +7,9 @@ import json
 import math
 import os
 import re
-import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -19,6 +19,7 @@ from hapticd.cli import names
 from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, quoted
 from hapticd.journal import LEVELS
+from hapticd.place import displaced, place
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -134,7 +135,13 @@ def print_json(value: object) -> None:
 
 
 def note(text: str) -> None:
-    """A line for people beside the result: on stderr, since stdout is the result's."""
+    """A line for people beside the result: on stderr, since stdout is the result's.
+
+    With --json it is left out: the result says the same, and stderr holds nothing but the object of an error.
+    """
+    ctx = click.get_current_context(silent=True)
+    if ctx is not None and ctx.params.get("as_json"):
+        return
     click.echo(f"hapticd: {shell_words(text)}", err=True)
 
 
@@ -188,38 +195,30 @@ def check_new(target: str, overwrite: bool) -> None:
         raise HapticdError(f"{target}: cannot be written: there is no folder {folder}")
 
 
-def write_whole(path: str, content: str | bytes) -> None:
-    """Writes a file, or leaves the one that is there as it is. Raises HapticdError."""
+def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
+    """Writes a file, or leaves the one that is there as it is. Raises HapticdError.
+
+    A file that has appeared since `check_new` keeps its name without `overwrite`; what was to be written then gets the
+    next free one, which the error says.
+    """
     data = content.encode() if isinstance(content, str) else content
-    target = os.path.realpath(path)
-    part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
+    target = Path(os.path.realpath(path))
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        if os.path.exists(target) and not os.path.isfile(target):
+        if target.exists() and not target.is_file():
             # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
             with open(target, "wb") as file:
                 file.write(data)
             return
         with open(part, "xb") as file:
             file.write(data)
-        os.replace(part, target)
+        placed = place(part, target, overwrite)
     except OSError as error:
         with suppress(OSError):
-            os.unlink(part)
+            part.unlink()
         raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def copy_whole(source: str, path: str) -> None:
-    """Copies a file, or leaves the one that is there as it is. Raises HapticdError."""
-    target = os.path.realpath(path)
-    part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
-    try:
-        with open(source, "rb") as origin, open(part, "xb") as file:
-            shutil.copyfileobj(origin, file, 1 << 20)
-        os.replace(part, target)
-    except OSError as error:
-        with suppress(OSError):
-            os.unlink(part)
-        raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
+    if placed != target:
+        raise HapticdError(displaced(path, placed))
 
 
 def print_yaml(value: Mapping[str, object]) -> None:

@@ -13,10 +13,12 @@ import click
 from hapticd import words
 from hapticd.cli.common import (
     Finite,
+    check_new,
     config_option,
     duration,
     json_option,
     note,
+    overwrite_option,
     print_json,
     write_whole,
     yaml_text,
@@ -67,20 +69,22 @@ def _verdict(item: Found) -> str:
 @click.option(
     "--for", "duration_s", callback=duration, default="5s", show_default=True, metavar="TIME", help="How long."
 )
+@overwrite_option
 @json_option
-def dump_command(device: str, output: str, duration_s: float, as_json: bool) -> None:
+def dump_command(device: str, output: str, duration_s: float, overwrite: bool, as_json: bool) -> None:
     """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
     or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
     from hapticd.hid.discover import find
-    from hapticd.hid.replay import Recording, record, save
+    from hapticd.hid.replay import Recording, record, text_of
 
+    check_new(output, overwrite)
     item = _named(device, find())
     fd = os.open(item.path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         reports = record(fd, duration_s)
     finally:
         os.close(fd)
-    save(output, Recording(item.name, item.vendor, item.product, item.descriptor, reports))
+    write_whole(output, text_of(Recording(item.name, item.vendor, item.product, item.descriptor, reports)), overwrite)
     if as_json:
         print_json({"file": output, "device": item.to_dict(), "reports": len(reports)})
     else:
@@ -107,10 +111,11 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     help="Force to push with [default: 5 % of full].",
 )
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the section there, too.")
+@overwrite_option
 @click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
 @json_option
 def calibrate_command(
-    configs: tuple[str, ...], force_n: float | None, output: str | None, yes: bool, as_json: bool
+    configs: tuple[str, ...], force_n: float | None, output: str | None, overwrite: bool, yes: bool, as_json: bool
 ) -> None:
     """Find out which way a device pushes, and print the configuration that says so.
 
@@ -123,6 +128,8 @@ def calibrate_command(
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
         raise click.UsageError(f"-o {output}: would take the place of the configuration; name another file")
+    if output is not None:
+        check_new(output, overwrite)
     config = config_of(configs)
     hid = config.device.hid
     most_n = MOST_OF_FULL * hid.full_scale_force_n
@@ -148,7 +155,7 @@ def calibrate_command(
     else:
         click.echo(text)
     if output is not None:
-        write_whole(output, text + "\n")
+        write_whole(output, text + "\n", overwrite)
 
 
 @devices_command.command("parse")

@@ -223,9 +223,13 @@ def _run(
     fresh = {"materials": {name: material.to_dict()}}
     if output is not None:
         whole = {**library, name: material}
-        write_whole(output, yaml_text({"materials": {key: each.to_dict() for key, each in whole.items()}}) + "\n")
+        write_whole(
+            output,
+            yaml_text({"materials": {key: each.to_dict() for key, each in whole.items()}}) + "\n",
+            overwrite or merge,
+        )
     if report is not None and picture is not None:
-        write_whole(report, picture)
+        write_whole(report, picture, overwrite)
     if as_json:
         print_json({"kind": kind, "fit": _finite(fitted.fit.to_dict()), "notes": notes, **fresh})
         return

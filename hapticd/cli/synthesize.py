@@ -11,7 +11,7 @@ import click
 
 from hapticd import words
 from hapticd.cli import names
-from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json
+from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json, write_whole
 from hapticd.errors import HapticdError, known_names, quoted
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def _run(
     **stylus: Any,
 ) -> None:
     from hapticd.config import config_of
-    from hapticd.fit.recording import save
+    from hapticd.fit.recording import npz_of
     from hapticd.fit.synthesize import Stylus
 
     if os.path.splitext(output)[1].lower() != ENDING:
@@ -253,7 +253,7 @@ def _run(
     for target in targets:
         check_new(target, overwrite)
     for target, recording in zip(targets, recordings, strict=True):
-        save(recording, target)
+        write_whole(target, npz_of(recording), overwrite)
     if as_json:
         print_json({"kind": kind, "material": name, "truth": truth, "files": targets})
         return

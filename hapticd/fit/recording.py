@@ -176,17 +176,24 @@ def load(path: str | os.PathLike[str]) -> Recording:
     )
 
 
-def save(recording: Recording, path: str | os.PathLike[str]) -> None:
-    """Writes a recording as .npz, which `load` reads without a YAML. Raises HapticdError where it cannot."""
+def npz_of(recording: Recording) -> bytes:
+    """A recording as a .npz, which `load` reads without a YAML."""
     arrays: dict[str, Floats] = {"rate_hz": np.array(recording.rate_hz)}
     for name in NAMES.values():
         values = getattr(recording, name, None)
         if values is not None:
             arrays[name] = np.asarray(values, dtype=np.float64)
+    content = io.BytesIO()
+    np.savez(content, **arrays)  # type: ignore[arg-type]
+    return content.getvalue()
+
+
+def save(recording: Recording, path: str | os.PathLike[str]) -> None:
+    """Writes a recording as .npz, in place of a file that is there. Raises HapticdError where it cannot."""
     name = os.fspath(path)
     try:
         with open(name, "wb") as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
+            stream.write(npz_of(recording))
     except OSError as error:
         raise HapticdError(f"{one_line(name)}: cannot be written: {error.strerror}") from None
 

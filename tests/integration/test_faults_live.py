@@ -169,7 +169,7 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         with np.load(told["last"]) as file:
             samples, events_kept = file["samples"], file["events"]
             about, status, scene_kept = (json.loads(str(file[key])) for key in ("flight", "status", "scene"))
-        assert about == {"reason": "fault", "tick": fault["tick"]}
+        assert about == {"reason": "fault", "tick": fault["tick"], "complete_from": 0}
         assert scene_kept == client.get_scene()["scene"]
         assert status["version"] == client.get_status()["version"]
         assert np.all(np.diff(samples["tick"].astype(np.int64)) == 1)
@@ -189,7 +189,7 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(copy)
         with np.load(copy) as file:
             assert len(file["samples"]) >= len(samples)
-            assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None}
+            assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None, "complete_from": 0}
         client.dump_flight()
         written(client, 3)
         assert flights(daemon) == ["flight-000002-asked.npz", "flight-000003-asked.npz"]

@@ -195,13 +195,13 @@ def test_of_several_files_the_one_is_named_that_the_place_is_in(
 ) -> None:
     scene, materials = tmp_path / "s.yaml", tmp_path / "m.yaml"
     wall = "kind: wall, point_m: [0, -0.05], normal: [0, 1]"
-    scene.write_text(f"objects:\n  a: {{{wall}, material: loud}}\n  b: {{{wall}, material: lood}}\n")
+    scene.write_text(f"objects:\n  a: {{{wall}, material: loud}}\n  b: {{{wall}, material: louder}}\n")
     materials.write_text(f"loud:\n  {json.dumps(LOUD)}\n")
     command = ["--runtime-dir", str(daemon.directory), "apply", str(materials), str(scene)]
     line = said(capsys, 1, *command)
     column = scene.read_text().splitlines()[2].index("material") + 1
     assert line.startswith(
-        f'hapticd: {scene}:3:{column}: objects.b.material: unknown material "lood"; did you mean loud?'
+        f'hapticd: {scene}:3:{column}: objects.b.material: unknown material "louder"; did you mean loud?'
     )
     scene.write_text(f"objects:\n  a: {{{wall}, material: loud}}\n")
     assert main(command) == 0

@@ -207,7 +207,7 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "warnings": [],
     }
     assert main(["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "b.npz"]) == 0
-    assert capsys.readouterr().out.startswith("b.npz: 1000 ticks in 0.100 s, ")
+    assert capsys.readouterr().out.startswith("b.npz: 1,000 ticks in 0.100 s, ")
     with np.load("a.npz") as first, np.load("b.npz") as second:
         assert first["samples"].tobytes() == second["samples"].tobytes(), "the same run, however it is written"
         assert first["truth"].shape == (1000, 4)
@@ -227,7 +227,7 @@ def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixt
     Path("config.yaml").write_text("servo: {rate_hz: 2000}\nscene: {}\n")
     Path("operator.yaml").write_text(WAYPOINTS)
     for options, ticks in (([], 200), (["--rate", "5000"], 500)):
-        command = ["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "a.npz", "--json", *options]
+        command = ["simulate", "config.yaml", "--operator", "operator.yaml", "-o", f"{ticks}.npz", "--json", *options]
         assert main(command) == 0
         result = json.loads(capsys.readouterr().out)
         assert (result["ticks"], result["duration_s"]) == (ticks, 0.1)
@@ -243,9 +243,9 @@ def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixt
             SCENE.replace("[0, 1]", "[0, 0]"),
             WAYPOINTS,
             "x.npz",
-            "scene.yaml:2: objects.floor.normal: must have a direction",
+            "scene.yaml:2:40: objects.floor.normal: must have a direction",
         ),
-        (SCENE, "waypoints: []\n", "x.npz", "operator.yaml:1: waypoints"),
+        (SCENE, "waypoints: []\n", "x.npz", "operator.yaml:1:1: waypoints"),
         (SCENE, WAYPOINTS, "x.mat", "x.mat: must end in .npz, .csv or .mcap"),
         (SCENE, WAYPOINTS, "no/x.npz", "no/x.npz: cannot be written: No such file or directory"),
         ("- 1\n", WAYPOINTS, "x.npz", "scene.yaml:1"),

@@ -236,10 +236,18 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         for value, kind in zip(events[name], EventKind, strict=True):
             if name not in members(kind):
                 np.testing.assert_equal(value, nothing[row[2]])
-    (code,) = blocks(described, "python")
-    found: dict[str, np.ndarray] = {}
-    exec(code, found)
+    by_numpy, by_hapticd, _ = blocks(described, "python")
+    found: dict[str, Any] = {}
+    exec(by_numpy, found)
     assert found["contacts"]["object"].tolist() == ["w"]
+    exec(by_hapticd, found)
+    assert found["marks"] == [] and len(found["frame"]) == count
+    recording = found["recording"]
+    told = {name for row in tables(described)["member"] for name in names(row[0])}
+    assert recording.texts["recording"].keys() <= told
+    about = {name for row in tables(described)["attribute"] for name in names(row[0])}
+    public = {name for name in dir(recording) if not name.startswith("_")} - {"path", "texts"}
+    assert public <= {name.split("(")[0] for name in about}
 
 
 def members(kind: EventKind) -> set[str]:
