@@ -79,12 +79,30 @@ prerequisites:
 demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, with the first set-up 150 s
 	@$(BIN)/python -m hapticd.demo
 
-.PHONY: test
-test: build ctest pytest ## C tests and pytest
+# pytest on every processor. What Python and pytest compile is kept, whatever the shell says: to do it anew costs seconds.
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: pytest
-pytest: build
-	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+.PHONY: test
+test: build ctest ## C tests and pytest without what is slow: two minutes and a half on two processors
+	@$(PYTEST) -m 'not slow'
+
+# Unit tests of what most changes touch, and the commands against a real daemon; C tests beside them.
+QUICK := tests/unit tests/integration/test_cli_live.py \
+	$(patsubst %,--ignore-glob='tests/unit/test_%',fit_* bench_* *calibrat* cli_fit* displayed* fuzz* hid_descriptor*)
+
+.PHONY: quick
+quick: build ## the tests that take a minute at most: plain C tests, and unit tests without fits, calibration and fuzzing
+	@mkdir -p build
+	@$(MAKE) --no-print-directory ctest >build/quick-c.log 2>&1 & beside=$$!; \
+		failed=0; \
+		$(PYTEST) -q -m 'not slow' $(QUICK) || failed=1; \
+		wait $$beside || failed=1; \
+		cat build/quick-c.log; \
+		exit $$failed
+
+.PHONY: test-all
+test-all: build ctest ## C tests and all of pytest, what is slow too
+	@$(PYTEST)
 
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
@@ -117,11 +135,11 @@ clean: ## remove everything that was built, .venv too
 # ---- What CI runs ------------------------------------------------------------------------------------------------
 
 .PHONY: check
-check: lint warnings ## lint, types, layout, warnings as errors, C tests, pytest, and beside them test-vm
+check: lint warnings ## lint, types, layout, warnings as errors, test-all, and beside them test-vm
 	@mkdir -p build
 	@$(MAKE) --no-print-directory test-vm >build/test-vm.log 2>&1 & beside=$$!; \
 		failed=0; \
-		$(MAKE) --no-print-directory test || failed=1; \
+		$(MAKE) --no-print-directory test-all || failed=1; \
 		wait $$beside || failed=1; \
 		cat build/test-vm.log; \
 		exit $$failed

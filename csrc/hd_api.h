@@ -219,14 +219,21 @@ enum hd_flag {
     HD_FLAG_RESTRAINED = 512 /* the passivity controller changed the contact force */
 };
 
-/* One tick as telemetry carries it. */
+/* One tick as telemetry carries it.
+ *
+ * contact_force_n: what touched objects push with (stiffness, damping, friction, and grooves that are displayed as
+ * geometry or damping), what is left of objects that went away while touched, and the fields. vibration_force_n:
+ * ringing modes (taps, grooves displayed as vibration, ruptures, play) and the noise of textures; not what the device
+ * plays by itself. Both are weighed by the ramps of the display flags, and the contact force is as the passivity
+ * controller left it; neither is cut by the force limit yet, nor weighed by the gain that set_forces and faults fade. A
+ * strike was scaled when it was struck, and modes that the limit lowered go on lowered in the next tick. */
 struct hd_sample {
     uint64_t tick;
     int64_t time_ns; /* the deadline of this tick */
     double position_m[2];
     double velocity_m_per_s[2];
-    double contact_force_n[2]; /* objects and fields, as displayed, before the limit, after the passivity controller */
-    double vibration_force_n[2]; /* modes, as displayed, before the limit */
+    double contact_force_n[2];   /* objects and fields, after the passivity controller, before the limit */
+    double vibration_force_n[2]; /* modes and noise, before the limit */
     double force_n[2];           /* the command, after every limit */
     uint32_t revision;
     uint32_t flags;

@@ -23,10 +23,12 @@ from typing import (
     cast,
 )
 
+import zmq
+
 from hapticd import wire
 from hapticd.errors import HapticdError, Problem
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
-from hapticd.remote import Remote, is_remote, remote
+from hapticd.remote import Named, Remote, is_remote, monitored, remote
 
 if TYPE_CHECKING:
     from hapticd.keys import Certificate
@@ -37,6 +39,7 @@ T = TypeVar("T")
 TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer unless it is told otherwise."""
 
+_TRY_EVERY_MS: Final = 20
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 
@@ -83,6 +86,10 @@ KeySource: TypeAlias = "str | os.PathLike[str] | Certificate | None"
 """Our secret key: its file, or itself."""
 
 
+class TimedOut(HapticdError, TimeoutError):
+    """What was waited for did not come in the time that was given for it."""
+
+
 class TelemetryLoss(UserWarning):
     """This subscriber was too slow: the daemon sent samples that never arrived here."""
 
@@ -91,8 +98,10 @@ class TelemetryLoss(UserWarning):
 
 
 class GestureEnd(TypedDict):
-    """The end of what the hand was told to do, `completed` or replaced; `started_tick` is that of `set_operator`."""
+    """The event at the end of what the hand was told to do, `completed` or replaced by another operator before that;
+    `started_tick` is that of `set_operator`."""
 
+    event: Literal["gesture_end"]
     tick: int
     time_ns: int
     started_tick: int
@@ -213,7 +222,11 @@ class FlightResult(TypedDict):
 
 
 class State(TypedDict):
-    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words."""
+    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words.
+
+    `contact_force_n`: touched objects and fields, after the passivity controller. `vibration_force_n`: ringing modes
+    and the noise of textures. Both are before the force limit and the fade of set_forces; `force_n` is after them.
+    """
 
     tick: int
     time_ns: int
@@ -416,15 +429,22 @@ def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str
 def place_of(
     place: str | os.PathLike[str] | None, key: KeySource = None, server_key: str | os.PathLike[str] | None = None
 ) -> Place:
-    """Where `place` is: a runtime directory (None: as the environment says), or tcp://HOST:PORT of a bridge.
+    """Where `place` is: a runtime directory, or tcp://HOST:PORT of a bridge; None: as the environment says.
 
-    Raises HapticdError for what is neither, and for keys that cannot be used.
+    That is HAPTICD_CONNECT, then a runtime directory. HAPTICD_KEY and HAPTICD_SERVER_KEY stand for keys of a bridge
+    that are not given. Raises HapticdError for what is neither, and for keys that cannot be used.
     """
-    if is_remote(place):
-        return remote(str(place), key, server_key)
+    address = Named(place) if place is not None else _or_variable(None, "HAPTICD_CONNECT")
+    if is_remote(place) or address.variable is not None:
+        return remote(address, _or_variable(key, "HAPTICD_KEY"), _or_variable(server_key, "HAPTICD_SERVER_KEY"))
     if key is not None or server_key is not None:
         raise HapticdError(f"{place or 'key'}: keys are for a bridge, at tcp://HOST:PORT")
     return daemon_paths(place)
+
+
+def _or_variable(given: object, variable: str) -> Named:
+    found = os.environ.get(variable)
+    return Named(given) if given is not None or not found else Named(found, variable)
 
 
 def told(place: Place) -> str:
@@ -473,8 +493,36 @@ def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> 
             raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 
-def _knock(place: Remote, timeout_s: float, command: bool) -> None:
-    refused = place.knock(timeout_s, command)
+def await_ready(place: Place, wait_s: float, given_up: Callable[[], bool] = lambda: False) -> None:
+    """Returns once somebody listens at `place`, or `wait_s` are over, or nobody waits any more.
+
+    ZeroMQ tries to connect, again and again, and tells when it has. Raises KeyRefused where a bridge does not let us
+    in.
+    """
+    if isinstance(place, Remote):
+        _knock(place, wait_s, command=False, patient=True, given_up=given_up)
+        return
+    trial: zmq.Socket[bytes]
+    with zmq.Context.instance().socket(zmq.DEALER) as trial:
+        trial.setsockopt(zmq.LINGER, 0)
+        trial.setsockopt(zmq.RECONNECT_IVL, _TRY_EVERY_MS)
+        monitor: zmq.Socket[bytes] = trial.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED)
+        try:
+            trial.connect(place.command_endpoint)
+            next(monitored(monitor, wait_s, given_up), None)
+        finally:
+            trial.disable_monitor()
+            monitor.close()
+
+
+def _knock(
+    place: Remote,
+    timeout_s: float,
+    command: bool,
+    patient: bool = False,
+    given_up: Callable[[], bool] = lambda: False,
+) -> None:
+    refused = place.knock(timeout_s, command, patient, given_up)
     if refused is None:
         return
     there, why = refused
@@ -510,11 +558,16 @@ class Feed(Generic[T]):
     READY: Final = b"state"
     ALIVE: Final = b"status"
 
-    def __init__(self, topics: Iterable[Topic], convert: Callable[[Topic, dict[str, object]], T]) -> None:
+    def __init__(
+        self, topics: Iterable[Topic], convert: Callable[[Topic, dict[str, object]], T], newest: bool = False
+    ) -> None:
+        """`newest`: each item is asked for when it is read, so that those before it are never sent."""
         self._wanted = frozenset(topic.encode() for topic in topics)
         self._convert = convert
-        self.subscriptions: tuple[bytes, ...] = (*sorted(self._wanted | {self.ALIVE}), self.READY)
-        self.surplus = frozenset({self.READY}) - self._wanted
+        self.subscriptions: tuple[bytes, ...] = (*sorted((self._wanted | {self.ALIVE}) - {self.READY}), self.READY)
+        self.each: frozenset[bytes] = self._wanted - {self.ALIVE} if newest else frozenset()
+        """To be subscribed to for each item, and unsubscribed from after it."""
+        self.surplus = (frozenset({self.READY}) - self._wanted) | self.each
         """To be unsubscribed from as soon as the first message came."""
 
     def accept(self, frames: list[bytes]) -> tuple[T, ...]:
@@ -534,6 +587,29 @@ def silent(paths: Place, timeout_s: float) -> DaemonNotRunning:
     except HapticdError as error:
         return DaemonNotRunning(str(error))
     return DaemonNotRunning(f"no telemetry from {told(paths)} for {timeout_s:g} s")
+
+
+def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
+    """The end of the operator that this tick took, where a message of telemetry, or a status, tells of it.
+
+    Raises HapticdError for a status of a daemon that knows nothing of such an operator.
+    """
+    if topic == "event":
+        ours = message.get("event") == "gesture_end" and message.get("started_tick") == started_tick
+        return cast(GestureEnd, message) if ours else None
+    operator = cast(Status, message)["operator"]
+    ends = [] if operator is None else operator["ends"]
+    for end in ends:
+        if end["started_tick"] == started_tick:
+            return end
+    last = None if operator is None else operator["started_tick"]
+    forgotten = len(ends) == wire.GESTURE_ENDS and min(end["started_tick"] for end in ends) > started_tick
+    if last is None or last < started_tick or forgotten:
+        raise HapticdError(
+            f"the daemon knows nothing of the operator that tick {started_tick} took: it was started anew since, or "
+            f"{wire.GESTURE_ENDS} others ended"
+        )
+    return None
 
 
 def message_of(topic: Topic, message: dict[str, object]) -> tuple[Topic, dict[str, object]]:

@@ -15,11 +15,12 @@ from pydantic import Field, ValidationError
 from hapticd.config import Merged
 from hapticd.document_kinds import kind_of, refuse_other_keys, refuse_other_kinds
 from hapticd.errors import InvalidError, Problem
+from hapticd.from_file import FromFile
 from hapticd.materials import MAX_MATERIALS, Material
 from hapticd.model import Model, Name, faults_of
 from hapticd.scene import Scene
 from hapticd.shipped_files import file_of
-from hapticd.yaml_source import Document, Json, load_path
+from hapticd.yaml_source import Document, load_path
 
 
 class _ChangeParts(Model):
@@ -29,10 +30,10 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """What the files hold, validated; None for what they do not."""
+    """What the files hold, validated; None for what they do not. The daemon's faults are told by file and line."""
 
-    materials: dict[str, Json] | None
-    scene: dict[str, Json] | None
+    materials: FromFile | None
+    scene: FromFile | None
 
 
 def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
@@ -50,10 +51,11 @@ def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
         change = _ChangeParts.model_validate(merged.data)
     except ValidationError as error:
         raise merged.invalid(faults_of(error)) from None
-    materials = change.materials
+    materials, scene = change.materials, change.scene
+    given = None if materials is None else {name: material.to_dict() for name, material in materials.items()}
     return ChangeFiles(
-        None if materials is None else {name: material.to_dict() for name, material in materials.items()},
-        None if change.scene is None else change.scene.to_dict(),
+        None if given is None else FromFile(given, merged, ("materials",)),
+        None if scene is None else FromFile(scene.to_dict(), merged, ("scene",)),
     )
 
 

@@ -7,6 +7,7 @@ subscription has a SUB socket of its own and belongs to one thread. What is said
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import time
@@ -26,6 +27,7 @@ from hapticd.calls import (
     Feed,
     FlightResult,
     ForcesResult,
+    GestureEnd,
     Interpolation,
     KeySource,
     LeaseResult,
@@ -42,6 +44,7 @@ from hapticd.calls import (
     Status,
     TelemetryLoss,
     TickResult,
+    TimedOut,
     Topic,
     WaypointsSource,
 )
@@ -62,17 +65,22 @@ def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
     timeout_s: float = TIMEOUT_S,
     *,
+    wait_s: float = 0.0,
     key: KeySource = None,
     server_key: str | os.PathLike[str] | None = None,
 ) -> Client:
     """A client of the daemon at `runtime_dir` (by default where the environment says), to be used in `with`.
 
-    `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+    `timeout_s` is how long each call waits for its answer. `wait_s` is how long to wait for a daemon that is not ready
+    yet. Raises DaemonNotRunning where nobody listens.
 
     `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
-    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises HapticdError.
+    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises KeyRefused.
+
+    What is not given is taken from the environment: HAPTICD_CONNECT, the address of a bridge, or else
+    HAPTICD_RUNTIME_DIR; HAPTICD_KEY and HAPTICD_SERVER_KEY.
     """
-    return Client(runtime_dir, timeout_s, key=key, server_key=server_key)
+    return Client(runtime_dir, timeout_s, wait_s=wait_s, key=key, server_key=server_key)
 
 
 class Client:
@@ -88,10 +96,17 @@ class Client:
         runtime_dir: str | os.PathLike[str] | None = None,
         timeout_s: float = TIMEOUT_S,
         *,
+        wait_s: float = 0.0,
         key: KeySource = None,
         server_key: str | os.PathLike[str] | None = None,
     ) -> None:
-        self._begin(calls.place_of(runtime_dir, key, server_key), timeout_s)
+        """As `connect`."""
+        place = calls.place_of(runtime_dir, key, server_key)
+        if wait_s > 0:
+            calls.await_ready(place, wait_s)
+            # A runtime directory that was made meanwhile is looked at again.
+            place = calls.place_of(runtime_dir, key, server_key)
+        self._begin(place, timeout_s)
 
     def _begin(self, place: Place, timeout_s: float) -> None:
         self.paths: Place = place
@@ -100,6 +115,7 @@ class Client:
         self._last_id = 0
         self._subscriptions: list[Subscription[object]] = []
         self._closed = False
+        self._operator_tick: int | None = None
         # Opened when it is first used: who may only watch has none.
         self._socket: zmq.Socket[bytes] | None = None
         calls.probe(self.paths, timeout_s)
@@ -183,6 +199,10 @@ class Client:
     def get_state(self) -> State:
         """The newest sample, as `states` yields it."""
         return cast(State, self.call("get_state"))
+
+    def state(self) -> State:
+        """The newest sample: `get_state` by its short name."""
+        return self.get_state()
 
     def get_config(self) -> ConfigResult:
         """The configuration's servo and device."""
@@ -280,10 +300,35 @@ class Client:
     ) -> OperatorResult:
         """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
         (YAML, JSON, CSV) that holds either."""
-        return cast(
-            OperatorResult,
-            self.call("set_operator", calls.operator_params(waypoints, interpolation, gesture)),
-        )
+        params = calls.operator_params(waypoints, interpolation, gesture)
+        result = cast(OperatorResult, self.call("set_operator", params))
+        self._operator_tick = result["tick"]
+        return result
+
+    def wait_gesture(self, timeout_s: float | None = None) -> GestureEnd:
+        """Waits until the hand has done what this client told it last by `set_operator`; returns the event
+        `gesture_end`, at once where it is over already.
+
+        Where another operator took its place before the end, by whomever, the event has `completed` false. Raises
+        TimedOut after `timeout_s` (None: however long it takes), and DaemonNotRunning for a daemon that goes away.
+        """
+        started_tick = self._operator_tick
+        if started_tick is None:
+            raise HapticdError("wait_gesture: this client has called no set_operator yet")
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        # Who listens first and then asks misses no end.
+        with self.telemetry("event", "status") as messages:
+            end = calls.gesture_end(started_tick, "status", cast("dict[str, object]", self.get_status()))
+            while end is None:
+                left_s = deadline - time.monotonic()
+                message = messages.receive(max(0.0, min(left_s, self.timeout_s)))
+                if message is not None:
+                    end = calls.gesture_end(started_tick, *message)
+                elif left_s <= self.timeout_s:
+                    raise TimedOut(f"wait_gesture: the hand was still under way after {timeout_s:g} s")
+                else:
+                    raise calls.silent(self.paths, self.timeout_s)
+        return end
 
     def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
         """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
@@ -358,19 +403,26 @@ class Client:
 
     # ---- telemetry -----------------------------------------------------------------------------------------
 
-    def samples(self, timeout_s: float | None = None) -> Subscription[SampleBatch]:
+    def samples(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[SampleBatch]:
         """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
 
         Begins when this returns. Iteration raises DaemonNotRunning where nothing comes for `timeout_s` (by
         default the client's), and warns (TelemetryLoss) where reading is too slow.
+
+        With `newest` each batch is the next one that the daemon sends once it is asked for; what it sent since the one
+        before is left out, which is no loss to warn of, and counted in `lost`.
         """
         from hapticd.samples import SampleStream
 
-        return self._subscribe(Feed(("samples",), SampleStream().convert), timeout_s)
+        return self._subscribe(Feed(("samples",), SampleStream(warn=not newest).convert, newest), timeout_s)
 
-    def states(self, timeout_s: float | None = None) -> Subscription[State]:
-        """The newest sample as a dictionary, 60 times a second."""
-        return self._subscribe(Feed(("state",), calls.state_of), timeout_s)
+    def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
+        """The newest sample as a dictionary, 60 times a second.
+
+        With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
+        old one.
+        """
+        return self._subscribe(Feed(("state",), calls.state_of, newest), timeout_s)
 
     def events(self, timeout_s: float | None = None) -> Subscription[Event]:
         """Contacts, releases, punctures, faults and the other events."""
@@ -410,7 +462,8 @@ class Subscription(Generic[T]):
             if isinstance(paths, Remote):
                 paths.secure(self._socket)
             self._socket.connect(paths.telemetry_endpoint)
-            self._first += feed.accept(self._receive(_milliseconds(timeout_s)))
+            first = feed.accept(self._receive(_milliseconds(timeout_s)))
+            self._first += () if feed.each else first
             for topic in feed.surplus:
                 self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
         except zmq.Again:
@@ -437,13 +490,30 @@ class Subscription(Generic[T]):
         if self._first:
             return self._first.pop()
         deadline = time.monotonic() + timeout_s
-        while True:
-            try:
-                items = self._feed.accept(self._receive(_milliseconds(max(0.0, deadline - time.monotonic()))))
-            except zmq.Again:
-                return None
-            if items:
-                return items[0]
+        with self._asked():
+            while True:
+                try:
+                    items = self._feed.accept(self._receive(_milliseconds(max(0.0, deadline - time.monotonic()))))
+                except zmq.Again:
+                    return None
+                if items:
+                    return items[0]
+
+    @contextmanager
+    def _asked(self) -> Iterator[None]:
+        """Of a subscription to the newest: what is left of the last time goes, and the next one is asked for."""
+        if self._feed.each:
+            with suppress(zmq.Again):
+                while True:
+                    self._socket.recv_multipart(zmq.NOBLOCK)
+            for topic in self._feed.each:
+                self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+        try:
+            yield
+        finally:
+            if not self._socket.closed:
+                for topic in self._feed.each:
+                    self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
 
     def __iter__(self) -> Self:
         return self
@@ -451,13 +521,16 @@ class Subscription(Generic[T]):
     def __next__(self) -> T:
         if self._first:
             return self._first.pop()
-        while not self._socket.closed:
-            try:
-                items = self._feed.accept(self._receive(_milliseconds(self._timeout_s)))
-            except zmq.Again:
-                raise calls.silent(self._paths, self._timeout_s) from None
-            if items:
-                return items[0]
+        if self._socket.closed:
+            raise StopIteration
+        with self._asked():
+            while not self._socket.closed:
+                try:
+                    items = self._feed.accept(self._receive(_milliseconds(self._timeout_s)))
+                except zmq.Again:
+                    raise calls.silent(self._paths, self._timeout_s) from None
+                if items:
+                    return items[0]
         raise StopIteration
 
     def __enter__(self) -> Self:

@@ -312,7 +312,7 @@ def _load(documents: Sequence[Document]) -> Config:
             raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
         merged.add(document, document.data)
     try:
-        config = Config.model_validate(merged.data)
+        config = Config.parsed(merged.data)
     except ValidationError as error:
         raise merged.invalid(faults_of(error)) from None
     materials = {**shipped_materials(), **config.materials}
@@ -353,8 +353,16 @@ class Merged:
                 self._owners[here] = document
 
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
-        return InvalidError(self._problem(path, text) for path, text in faults)
+        return InvalidError(self._owner(path).problem(path, text) for path, text in faults)
 
-    def _problem(self, path: Path, text: str) -> Problem:
-        owner = next(self._owners[path[:n]] for n in range(len(path), -1, -1) if path[:n] in self._owners)
-        return owner.problem(path, text)
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN` of the part at `path`, in the file that it is from."""
+        return self._owner(path).place(path)
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file that the part is from."""
+        return self._owner(path).own(path)
+
+    def _owner(self, path: Sequence[str | int]) -> Document:
+        here = tuple(path)
+        return next(self._owners[here[:n]] for n in range(len(here), -1, -1) if here[:n] in self._owners)

@@ -200,7 +200,7 @@ class Control:
             raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
         self._engine.beat()
         try:
-            return handler(self, params if model is None else model.model_validate(params))
+            return handler(self, params if model is None else model.parsed(params))
         except ValidationError as error:
             raise _faulty(problems_of(error)) from None
         except InvalidError as error:

@@ -64,6 +64,7 @@ from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, materials_
 from hapticd.stability import Loop, timing
 from hapticd.stopper import StopFile
 from hapticd.together import Stability, judge
+from hapticd.wire import GESTURE_ENDS
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -73,9 +74,6 @@ DEVICE_TIMEOUT_S: Final = 0.1
 
 FROZEN_FORCE: Final = 0.1
 """The part of its largest force under which a handle that is watched for it must move."""
-GESTURE_ENDS: Final = 16
-"""The last ends of gestures are kept for whoever asks late."""
-
 CHANGES: Final = 1024
 """Changes that wait to be told; older ones are given up."""
 
@@ -658,7 +656,7 @@ class Engine:
 
     def gesture_ended(self, event: dict[str, object]) -> None:
         """Keeps the event at a gesture's end. For the thread that reads events."""
-        self._gesture_ends.append({name: value for name, value in event.items() if name != "event"})
+        self._gesture_ends.append(event)
 
     def mark(self, mark: Mark) -> int:
         """Has the servo leave an event for a mark; the tick that took it. Forces may be off, faults latched."""

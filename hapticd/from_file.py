@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 from hapticd.errors import path_text
-from hapticd.yaml_source import Document, Json
+from hapticd.yaml_source import Json
 
 Path = tuple[str | int, ...]
+
+
+class Source(Protocol):
+    """A document, or several merged into one."""
+
+    @property
+    def data(self) -> Json: ...
+
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN`."""
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in its file."""
 
 
 class FromFile(dict[str, object]):
     """A value of params, or all of them, that stands at `root` of a document."""
 
-    def __init__(self, value: Mapping[str, object], document: Document, root: Path = ()) -> None:
+    def __init__(self, value: Mapping[str, object], document: Source, root: Path = ()) -> None:
         super().__init__(value)
         self._document, self._root = document, root
 
@@ -31,7 +45,7 @@ class FromFile(dict[str, object]):
             rest = rest[len(path_text((key,))) :].removeprefix(".")
             path.append(key)
             node = _below(node, key)
-        told = path_text(path)
+        told = path_text(self._document.own(path))
         if rest:
             told += rest if rest.startswith("[") or not told else f".{rest}"
         place = self._document.place(path)

@@ -7,8 +7,9 @@ nonsense; they are far outside what a hand can feel.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, Union, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError
 from pydantic_core import ErrorDetails
@@ -38,6 +39,43 @@ class Model(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     by_name: ClassVar[dict[str, type["Model"]]] = {}
 
+    def __init__(self, /, **data: Any) -> None:
+        """Raises InvalidError with every fault of the keys that are given."""
+        with _invalid():
+            super().__init__(**data)
+
+    # As pydantic's own: what is nested is validated without a way through Python.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def model_validate(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate(obj, **options)
+
+    @classmethod
+    def model_validate_json(cls, json_data: str | bytes | bytearray, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_json(json_data, **options)
+
+    @classmethod
+    def model_validate_strings(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_strings(obj, **options)
+
+    @classmethod
+    def parsed(cls, data: object, context: Mapping[str, object] | None = None) -> Self:
+        """For readers of documents, which tell faults where they stand: raises ValidationError."""
+        return super().model_validate(data, context=context)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise _fixed(name)
+
+    def __delattr__(self, name: str) -> None:
+        raise _fixed(name)
+
     @classmethod
     def __pydantic_init_subclass__(cls, **_: object) -> None:
         if Model.by_name.setdefault(cls.__name__, cls) is not cls:
@@ -46,6 +84,19 @@ class Model(BaseModel):
     def to_dict(self) -> dict[str, Json]:
         """The canonical form as plain data: defaults filled in, absent options left out; valid input."""
         return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True))
+
+
+@contextmanager
+def _invalid() -> Iterator[None]:
+    """pydantic's errors as ours."""
+    try:
+        yield
+    except ValidationError as error:
+        raise InvalidError(problems_of(error)) from None
+
+
+def _fixed(name: str) -> InvalidError:
+    return InvalidError([Problem(path_text((name,)), "cannot be changed: model_copy(update=...) makes another one")])
 
 
 def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:

@@ -118,7 +118,7 @@ def new_world(table: CData) -> CData:
 
 def _rate(rate_hz: float) -> float:
     try:
-        return Servo.model_validate({"rate_hz": rate_hz}).rate_hz
+        return Servo.parsed({"rate_hz": rate_hz}).rate_hz
     except ValidationError as error:
         raise InvalidError(problems_of(error)) from None
 

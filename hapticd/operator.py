@@ -357,7 +357,7 @@ def _parse(data: object) -> tuple[list[tuple[Path, str]], Operator | None]:
     if not isinstance(data, dict):
         return [((), "must be a mapping with waypoints or gesture")], None
     try:
-        params = OperatorParams.model_validate(data)
+        params = OperatorParams.parsed(data)
     except ValidationError as error:
         return faults_of(error), None
     if params.waypoints is None:

@@ -201,7 +201,7 @@ class Display(Model):
     """Which parts of the force are displayed."""
 
     force: bool = Field(default=True, description="Forces of objects and fields.")
-    vibration: bool = Field(default=True, description="Ringing modes.")
+    vibration: bool = Field(default=True, description="Ringing modes and the noise of textures.")
 
 
 class Scene(Model):
@@ -262,7 +262,7 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
         refuse_other_keys(document, (), (key for key in data if key != "scene"), "a scene, which is all")
         data, root = data["scene"], ("scene",)
     try:
-        return Scene.model_validate(data), document, root
+        return Scene.parsed(data), document, root
     except ValidationError as error:
         faults = faults_of(error)
         raise InvalidError(document.problem(root + path, text) for path, text in faults) from None
@@ -271,7 +271,7 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
 def validate_scene(data: object, root: Path = ()) -> Scene:
     """A scene from plain data. Raises InvalidError; `where` begins with `root`."""
     try:
-        return Scene.model_validate(data)
+        return Scene.parsed(data)
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
 

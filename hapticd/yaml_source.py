@@ -69,7 +69,7 @@ class Document:
     def line_of(self, path: Sequence[str | int]) -> int | None:
         """The line, from 1, of the key or list item at `path`; None where the document has no such place."""
         marks = self._marks
-        for element in path[len(self._above) :]:
+        for element in self.own(path):
             if marks is None:
                 return None
             marks = marks.children.get(element)
@@ -78,21 +78,22 @@ class Document:
     def place(self, path: Sequence[str | int]) -> str:
         """`FILE:LINE:COLUMN` of the key or list item at `path`, or of the nearest one around it."""
         marks = near = self._marks
-        for element in path:
+        for element in self.own(path):
             marks = None if marks is None else marks.children.get(element)
             near = near if marks is None else marks
         line, column = (1, 1) if near is None else (near.line, near.column)
         return f"{one_line(self.name or '')}:{line}:{column}"
 
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file, without the keys that the document was put below."""
+        return path[len(self._above) :]
+
     def where(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE: servo.rate_hz`; where `path` is missing, the nearest line there is."""
-        path_here = path[len(self._above) :]
+        """`FILE:LINE:COLUMN: servo.rate_hz`; without a file the path alone."""
+        told = path_text(self.own(path))
         if self.name is None:
-            return path_text(path_here)
-        lines = (self.line_of(path[:length]) for length in range(len(path), -1, -1))
-        line = next((line for line in lines if line is not None), 1)
-        place = f"{one_line(self.name)}:{line}"
-        return f"{place}: {path_text(path_here)}" if path_here else place
+            return told
+        return f"{self.place(path)}: {told}" if told else self.place(path)
 
 
 @dataclass(slots=True)

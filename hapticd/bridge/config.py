@@ -120,7 +120,7 @@ def load_bridge(path: str | os.PathLike[str]) -> BridgeConfig:
 
 def _validated(document: Document) -> BridgeConfig:
     try:
-        return BridgeConfig.model_validate(document.data)
+        return BridgeConfig.parsed(document.data)
     except ValidationError as error:
         faults = faults_of(error)
         raise InvalidError(document.problem(path, text) for path, text in faults) from None

@@ -75,7 +75,7 @@ def _loader(path: str, listen: str | None, metrics: str | None) -> Callable[[], 
         config = load_bridge(path)
         changes = {key: value for key, value in (("listen", listen), ("metrics", metrics)) if value is not None}
         try:
-            return BridgeConfig.model_validate({**config.model_dump(), **changes})
+            return BridgeConfig.parsed({**config.model_dump(), **changes})
         except ValidationError as error:
             raise InvalidError(problems_of(error)) from None
 

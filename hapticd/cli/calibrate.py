@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, check_new, config_option, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json, write_whole, yaml_text
 
 if TYPE_CHECKING:
     from hapticd.calibration.handle import Calibration
@@ -91,7 +91,7 @@ def calibrate_command(
         with _progress() as progress:
             found = handle.calibrate(config, axis, force_n, ask, progress, wide=accelerometer is not None)
     except KeyboardInterrupt:
-        click.echo("hapticd: interrupted; the force is zero, nothing was written", err=True)
+        note("interrupted; the force is zero, nothing was written")
         raise
     if accelerometer is not None:
         recorded()

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import config_option, json_option, print_json
+from hapticd.cli.common import config_option, json_option, note, print_json
 from hapticd.stability_words import stability_words
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     if report.faults == 0:
         return 0
     things = "one thing" if report.faults == 1 else f"{report.faults} things"
-    click.echo(f"hapticd: {things} of the scene cannot be shown as meant, or may oscillate", err=True)
+    note(f"{things} of the scene cannot be shown as meant, or may oscillate")
     return 1
 
 

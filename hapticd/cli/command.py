@@ -118,6 +118,7 @@ def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -
 def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
     """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints; or
     the name of a shipped operator)."""
+    source = operator_file(file)
     with daemon(ctx) as client:
-        result = client.set_operator(operator_file(file))
+        result = client.set_operator(source)
     print_result(result, as_json, f"under way for {words.duration(result['duration_s'])}")

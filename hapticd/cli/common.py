@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
+from click.core import ParameterSource
 
 from hapticd.cli import names
 from hapticd.cli.shell import shell_words
@@ -47,9 +48,14 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     from hapticd.remote import PORT, host_and_port
 
     root = ctx.find_root()
-    place, timeout_s = root.params.get("connect"), TIMEOUT_S if timeout_s is None else timeout_s
+    timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
+    # What stands in the environment is taken from there by `connect`, which names the variable in its errors.
+    place, key, server_key = (
+        root.params.get(name) if root.get_parameter_source(name) == ParameterSource.COMMANDLINE else None
+        for name in ("connect", "key", "server_key")
+    )
     if place is None:
-        return connect(cast("str | None", root.obj), timeout_s)
+        return connect(cast("str | None", root.obj), timeout_s, key=key, server_key=server_key)
     try:
         host_and_port(place, PORT)
     except ValueError as error:
@@ -57,7 +63,7 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     missing = [f"--{name.replace('_', '-')}" for name in ("key", "server_key") if root.params.get(name) is None]
     if missing:
         raise click.UsageError(f"--connect needs {' and '.join(missing)}, or the variables of both", root)
-    return connect(place, timeout_s, key=root.params.get("key"), server_key=root.params.get("server_key"))
+    return connect(place, timeout_s, key=key, server_key=server_key)
 
 
 def config_option(command: _F) -> _F:
@@ -129,7 +135,13 @@ def print_json(value: object) -> None:
 
 
 def note(text: str) -> None:
-    """A line for people beside the result: on stderr, since stdout is the result's."""
+    """A line for people beside the result: on stderr, since stdout is the result's.
+
+    With --json it is left out: the result says the same, and stderr holds nothing but the object of an error.
+    """
+    ctx = click.get_current_context(silent=True)
+    if ctx is not None and ctx.params.get("as_json"):
+        return
     click.echo(f"hapticd: {shell_words(text)}", err=True)
 
 

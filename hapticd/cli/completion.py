@@ -20,15 +20,18 @@ _QUESTION: Final = re.compile(r"(_complete \$1|_complete hapticd|\(commandline -
 
 
 def script(shell: str) -> str:
-    """click's script for a shell, with two things mended: what goes wrong while a key is pressed is kept from the
-    terminal, and fish shows help texts beyond their first comma."""
+    """click's script for a shell, with three things mended: what goes wrong while a key is pressed is kept from the
+    terminal, fish shows help texts beyond their first comma, and zsh, where it loads the script from its fpath, does
+    not lose the second key."""
     from hapticd.cli import cli
 
     kind = get_completion_class(shell)
     assert kind is not None
     # The class's own source() asks the bash that is installed for its version; the text is the same for all.
     source = ShellComplete.source(kind(cli, {}, "hapticd", "_HAPTICD_COMPLETE"))
-    return _QUESTION.sub(r"\1 2>/dev/null", source).replace('string split ","', 'string split -m 1 ","')
+    source = _QUESTION.sub(r"\1 2>/dev/null", source)
+    source = source.replace("$zsh_eval_context[-1] == loadautofunc", "$funcstack[1] == _hapticd")
+    return source.replace('string split ","', 'string split -m 1 ","')
 
 
 @click.command("completion", short_help="Print the completion script of a shell.")
@@ -48,6 +51,6 @@ def completion_command(shell: str) -> None:
     \b
     hapticd completion fish > ~/.config/fish/completions/hapticd.fish
 
-    An installation into /usr, /usr/local or ~/.local brings the scripts with it, where the shells look for them.
+    An installation into /usr or /usr/local brings the scripts with it, where the shells look for them.
     """
     click.echo(script(shell), nl=False)

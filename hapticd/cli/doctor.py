@@ -27,14 +27,14 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     from hapticd.config import config_of
     from hapticd.doctor import diagnose
     from hapticd.doctor.machine import Machine, Needs
-    from hapticd.paths import SYSTEM_DIRECTORY
+    from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths
 
     config = config_of(configs)
 
     def asked() -> Mapping[str, object] | None:
         # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.
         named = ctx.find_root().obj
-        for place in (named,) if named is not None else (None, SYSTEM_DIRECTORY):
+        for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
             try:
                 with connect(place, _ANSWER_S) as client:
                     return client.get_status()

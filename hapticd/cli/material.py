@@ -12,6 +12,7 @@ from hapticd.cli.common import (
     changed,
     daemon,
     json_option,
+    note,
     print_json,
     print_result,
     print_yaml,
@@ -75,7 +76,7 @@ def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:
             # Of this machine alone: whoever names another one is told that it is not there.
             if ctx.find_root().params.get("connect") is not None:
                 raise
-            click.echo(f"hapticd: {error}; these are the materials of the shipped library", err=True)
+            note(f"{error}; these are the materials of the shipped library")
     from hapticd.materials import shipped_materials
 
     return {"materials": {name: item.to_dict() for name, item in shipped_materials().items()}, "revision": None}

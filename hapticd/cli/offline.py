@@ -11,6 +11,7 @@ from hapticd.cli import names
 from hapticd.cli.common import (
     duration,
     json_option,
+    note,
     notes_option,
     operator_file,
     overwrite_option,
@@ -73,9 +74,9 @@ def simulate_command(
         file, operator_file(operator), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
     )
     for mode in result["undisplayable"]:
-        click.echo(f"hapticd: {undisplayable_text(mode)}", err=True)
+        note(undisplayable_text(mode))
     for warning in result["warnings"]:
-        click.echo(f"hapticd: {warning['where']}: {warning['problem']}", err=True)
+        note(f"{warning['where']}: {warning['problem']}")
     if as_json:
         print_json(result)
     else:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hapticd.cli.common import daemon, duration, json_option, notes_option, overwrite_option, print_json
+from hapticd.cli.common import daemon, duration, json_option, note, notes_option, overwrite_option, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -82,8 +82,9 @@ def record_command(
         stop.set()
 
     check_target(file, overwrite)
-    for recovered in recover(file):
-        click.echo(f"hapticd: {recovered}: what a recording held that was killed", err=True)
+    recovered = [os.fspath(path) for path in recover(file)]
+    for path in recovered:
+        note(f"{path}: what a recording held that was killed")
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -95,11 +96,11 @@ def record_command(
             for number, handler in before.items():
                 signal.signal(number, handler)
     if as_json:
-        print_json(asdict(recording))
+        print_json({**asdict(recording), "recovered": recovered})
     else:
         click.echo(recording.summary())
     if recording.warning is not None:
-        click.echo(f"hapticd: {recording.warning}", err=True)
+        note(recording.warning)
     return _exit_code(recording, duration_s, received)
 
 
@@ -149,12 +150,12 @@ def _exit_code(recording: RecordSummary, duration_s: float | None, received: lis
     from hapticd.place import displaced
 
     if recording.displaced is not None:
-        click.echo(f"hapticd: {displaced(recording.displaced, recording.file)}", err=True)
+        note(displaced(recording.displaced, recording.file))
         return 1
     if received:
         return 0 if duration_s is None else 128 + received[0]
     if recording.ended_because is not None:
-        click.echo(f"hapticd: {recording.ended_because}; {recording.file} holds what came before", err=True)
+        note(f"{recording.ended_because}; {recording.file} holds what came before")
         return 1
     return 0
 

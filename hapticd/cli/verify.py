@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, config_option, json_option, print_json
+from hapticd.cli.common import Finite, config_option, json_option, note, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def verify_command(
     try:
         played = verify.play(config, strikes, axis, lambda text: None)
     except KeyboardInterrupt:
-        click.echo("hapticd: interrupted; the force is zero", err=True)
+        note("interrupted; the force is zero")
         raise
     if recording is None:
         verdicts = verify.from_simulation(config, played)

@@ -230,7 +230,7 @@ def _beside(name: str) -> RecordingSidecar:
     if document.data is None:
         return RecordingSidecar()
     try:
-        beside = RecordingSidecar.model_validate(document.data)
+        beside = RecordingSidecar.parsed(document.data)
     except ValidationError as error:
         raise InvalidError(Problem(document.where(where), text) for where, text in faults_of(error)) from None
     problems = [

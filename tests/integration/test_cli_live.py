@@ -139,7 +139,7 @@ def test_a_scene_that_is_wrong_changes_nothing(shell: Shell) -> None:
     shell("scene", "set", "scene.yaml")
     before = shell("scene", "get")
     Path("bad.yaml").write_text(SCENE.replace("[0, 1]", "[0, off]", 1))
-    assert "bad.yaml:3: scene.objects.floor.normal[1]" in shell.fails("scene", "set", "bad.yaml")
+    assert "bad.yaml:3:54: scene.objects.floor.normal[1]" in shell.fails("scene", "set", "bad.yaml")
     Path("bad.yaml").write_text(SCENE.replace("wood", "woood"))
     assert 'unknown material "woood"; did you mean wood?' in shell.fails("scene", "set", "bad.yaml")
     assert "is stale" in shell.fails("scene", "set", "scene.yaml", "--expect-revision", "0")
@@ -181,24 +181,31 @@ def test_apply(shell: Shell) -> None:
     result = json.loads(shell("apply", "fur.yaml", "bare.yaml", "--wait", "--json"))
     assert result["revision"] == before + 1 and result["tick"] > 0
     assert list(json.loads(shell("scene", "get", "--json"))["scene"]["objects"]) == ["rug"]
-    assert shell("apply", "comb", "--expect-revision", str(before + 1)) == f"revision {before + 2}\n"
+    assert json.loads(shell("apply", "comb", "--expect-revision", str(before + 1), "--json"))["revision"] == before + 2
     assert "floor" in json.loads(shell("scene", "get", "--json"))["scene"]["objects"]
     Path("more.yaml").write_text(
         "scene:\n  objects:\n    rag: {kind: wall, point_m: [0, 0], normal: [0, 1], material: fur}\n"
     )
-    shell("apply", "comb", "more.yaml")
+    shell("apply", "comb", "more.yaml", "--json")
     assert {"floor", "rag"} <= json.loads(shell("scene", "get", "--json"))["scene"]["objects"].keys()
     shell("scene", "set", "scene.yaml")
-    told = "bare.yaml:1: ramp_s: must be at most 1, is 2"
+    told = "bare.yaml:1:1: ramp_s: must be at most 1, is 2"
     Path("bare.yaml").write_text("ramp_s: 2\n")
     assert shell.fails("apply", "fur.yaml", "bare.yaml") == f"hapticd: {told}\n"
+    Path("unknown.yaml").write_text(
+        "scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: fr}\n"
+    )
+    told = shell.fails("apply", "fur.yaml", "unknown.yaml")
+    assert told.startswith('hapticd: unknown.yaml:3:54: scene.objects.a.material: unknown material "fr"; ')
     Path("bare.yaml").write_text("materials: {}\ngesture: {}\n")
-    assert "bare.yaml:2: gesture: does not belong to materials and a scene, which " in shell.fails("apply", "bare.yaml")
+    assert "bare.yaml:2:1: gesture: does not belong to materials and a scene, which " in shell.fails(
+        "apply", "bare.yaml"
+    )
     assert shell.fails("apply", "operator.yaml") == (
         "hapticd: operator.yaml: holds waypoints; use: hapticd operator operator.yaml\n"
     )
     Path("bare.yaml").write_text("floor: {material: steel}\n")
-    assert "bare.yaml:1: holds neither materials nor a scene" in shell.fails("apply", "bare.yaml")
+    assert "bare.yaml:1:1: holds neither materials nor a scene" in shell.fails("apply", "bare.yaml")
     assert json.loads(shell("status", "--json"))["revision"] == before + 4
 
 
@@ -211,7 +218,7 @@ def test_mark(shell: Shell, daemon: Daemon) -> None:
 
 
 def test_shipped_scenes_and_operators_by_their_names(shell: Shell) -> None:
-    shell("scene", "set", "corner")
+    shell("scene", "set", "corner", "--json")
     assert list(json.loads(shell("scene", "get", "--json"))["scene"]["objects"]) == ["floor", "side"]
     assert shell("operator", "corner") == "under way for 2 s\n"
     assert "did you mean corner?" in shell.fails("scene", "set", "cornr")
@@ -232,6 +239,9 @@ def test_files_for_another_command(shell: Shell) -> None:
                 continue
             told = f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}\n"
             assert shell.fails(*command, name) == told
+    np.savez("r.npz", samples=np.zeros(3))
+    assert shell.fails("operator", "r.npz") == "hapticd: r.npz: holds a recording; use: hapticd replay r.npz\n"
+    assert shell.fails("operator", "wool.yaml").endswith(": holds materials; use: hapticd material set wool.yaml\n")
 
 
 def test_ids_with_typos(shell: Shell) -> None:
@@ -247,8 +257,8 @@ def test_the_scene_of_the_readme_runs_and_checks_everywhere(
 ) -> None:
     (scene,) = re.findall(r"cat > scene\.yaml <<EOF\n(.*?)EOF\n", (ROOT / "README.md").read_text(), flags=re.DOTALL)
     Path("scene.yaml").write_text(scene)
-    shell("scene", "set", "scene.yaml", "--wait")
-    shell("apply", "scene.yaml", "--wait")
+    shell("scene", "set", "scene.yaml", "--wait", "--json")
+    shell("apply", "scene.yaml", "--wait", "--json")
     assert list(json.loads(shell("scene", "get", "--json"))["scene"]["objects"]) == ["floor", "honey"]
     shell("check", "-c", "scene.yaml")
     assert json.loads(shell("status", "--json"))["stability"]["unsafe"] == 1

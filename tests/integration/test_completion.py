@@ -24,6 +24,7 @@ PROMPT = "ready> "
 # What is typed before the key is pressed, and the arguments of the command that results.
 TYPED = {
     "hapticd rec": ["record"],
+    "hapticd rep": ["replay"],
     "hapticd material li": ["material", "list"],
     "hapticd record --fo": ["record", "--for"],
     "hapticd completion zs": ["completion", "zsh"],
@@ -59,7 +60,16 @@ def start_zsh(folder: Path) -> list[str]:
     return ["zsh", "-d", "-i"]
 
 
-STARTS: dict[str, Start] = {"bash": start_bash, "zsh": start_zsh}
+def start_zsh_as_installed(folder: Path) -> list[str]:
+    """The script lies where a package puts it, and is loaded when the key is pressed first."""
+    (folder / "below" / "_hapticd").write_text(script("zsh"))
+    command = start_zsh(folder)
+    text = (folder / ".zshrc").read_text().replace("source ./script; ", "")
+    (folder / ".zshrc").write_text(f"fpath=({folder}/below $fpath)\n{text}")
+    return command
+
+
+STARTS: dict[str, Start] = {"bash": start_bash, "zsh": start_zsh, "zsh as installed": start_zsh_as_installed}
 
 
 @pytest.fixture
@@ -111,11 +121,11 @@ class Terminal:
 
 @pytest.fixture(params=STARTS)
 def terminal(request: pytest.FixtureRequest, folder: Path) -> Iterator[Terminal]:
-    shell = request.param
+    shell = request.param.split()[0]
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} is installed")
     (folder / "script").write_text(script(shell))
-    terminal = Terminal(STARTS[shell](folder))
+    terminal = Terminal(STARTS[request.param](folder))
     yield terminal
     terminal.close()
 

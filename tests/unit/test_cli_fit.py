@@ -277,7 +277,7 @@ def test_a_file_that_is_no_library_is_not_added_to(fits: Fits, capsys: pytest.Ca
         ("a: [", "x.yaml:"),
         (
             "materials: {pine: {stiffness_n_per_m: -1}}\n",
-            "x.yaml:1: materials.pine.stiffness_n_per_m: must be at least 0",
+            "x.yaml:1:20: materials.pine.stiffness_n_per_m: must be at least 0",
         ),
     ):
         Path("x.yaml").write_text(text)

@@ -141,7 +141,6 @@ WITH_JSON = [
     ["reload"],
     ["scene", "get"],
     ["scene", "set", "scene.yaml"],
-    ["material", "get", "none"],
     ["material", "set", "none.yaml"],
     ["apply", "scene.yaml"],
     ["mark", "trial 3"],
@@ -176,6 +175,17 @@ def test_every_command_fails_in_json_where_it_is_asked_to(
     assert said(capsys, 1, *place, *arguments, "--json") == said(capsys, 1, *place, *arguments)
     # Neither a stray argument nor an unknown option comes as text.
     assert "--nonsense" in said(capsys, 2, *place, *arguments, "--json", "--nonsense")
+
+
+def test_with_json_nothing_but_an_error_is_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a daemon the materials are the shipped ones, which people are told beside them."""
+    place = ["--runtime-dir", str(tmp_path)]
+    assert main([*place, "material", "get", "wood"]) == 0
+    assert "shipped" in capsys.readouterr().err
+    assert main([*place, "material", "get", "wood", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert list(json.loads(captured.out)["materials"]) == ["wood"] and captured.err == ""
+    assert "unknown material" in said(capsys, 1, *place, "material", "get", "none", "--json")
 
 
 # ---- the shell's words -----------------------------------------------------------------------------------------------

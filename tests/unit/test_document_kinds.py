@@ -89,7 +89,6 @@ READERS = {
     "doctor -c": ["doctor", "-c"],
     "apply": ["apply"],
     "bridge -c": ["bridge", "-c"],
-    "operator": ["operator"],
     "simulate": ["simulate", "--operator", "stroke", "-o", "x.npz"],
     "simulate --operator": ["simulate", "comb", "-o", "x.npz", "--operator"],
     "replay": ["replay"],
@@ -113,7 +112,6 @@ TAKEN = {
     "doctor -c": CONFIGURATION,
     "apply": {"scene.yaml", "pine.yaml", "both.yaml"},
     "bridge -c": {"bridge.yaml"},
-    "operator": {"tap.yaml", "path.yaml"},
     "simulate": {"scene.yaml", "both.yaml", "config.yaml"},
     "simulate --operator": {"tap.yaml", "path.yaml"},
     "replay": {"tap.npz"},
@@ -142,7 +140,7 @@ def test_recordings_of_every_form_are_known(tmp_path: Path, capsys: pytest.Captu
     for name, content in (("r.csv", b"tick,time_ns,position_m_x\n0,0,0\n"), ("r.mcap", b"\x89MCAP0\r\n\x01")):
         path = tmp_path / name
         path.write_bytes(content)
-        for command in (["check", "-c"], ["operator"]):
+        for command in (["check", "-c"], ["simulate", "comb", "-o", "x.npz", "--operator"]):
             assert f"{name}: holds a recording; use: hapticd replay " in said(capsys, 1, *command, str(path))
     other = tmp_path / "other.zip"
     other.write_bytes(b"PK\x03\x04 and so on")
@@ -164,10 +162,12 @@ def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text("ramp_s: 9\n" + SCENE.replace("wood", "woood"))
-    assert said(capsys, 1, "check", "-c", "s.yaml") == "hapticd: s.yaml:1: ramp_s: must be at most 1, is 9\n"
+    assert said(capsys, 1, "check", "-c", "s.yaml") == "hapticd: s.yaml:1:1: ramp_s: must be at most 1, is 9\n"
     Path("s.yaml").write_text(SCENE.replace("wood", "woood"))
     told = said(capsys, 1, "check", "-c", "s.yaml")
-    assert told.startswith('hapticd: s.yaml:2: objects.floor.material: unknown material "woood"; did you mean wood? ')
+    assert told.startswith(
+        'hapticd: s.yaml:2:56: objects.floor.material: unknown material "woood"; did you mean wood? '
+    )
 
 
 @pytest.mark.parametrize(

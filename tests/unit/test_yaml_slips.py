@@ -56,7 +56,7 @@ SLIPS = {
     "no colon, and nothing else": ("servo:\n  rate_hz 1000\n", 'is "rate_hz 1000"; a colon is missing after rate_hz'),
     "no colon in braces": (
         floor("kind:", "kind"),
-        "f:2: objects.floor.kind: is missing: a colon is missing after kind",
+        "f:2:3: objects.floor.kind: is missing: a colon is missing after kind",
     ),
     "no colon before a bracket": (floor("point_m:", "point_m"), "f:2:30: a colon is missing after point_m"),
     "no space after a colon": ("servo:\n  rate_hz:1000\n  priority: 1\n", "f:2:10: a space is missing after rate_hz:"),
@@ -73,7 +73,7 @@ SLIPS = {
     "a bracket of a line not closed": (BLOCK.replace("0]", "0"), "f:4:14: the [ that begins here is not closed by ]"),
     "a bracket not opened": (
         BLOCK.replace("[0, 0", "0, 0"),
-        'f:4: objects.floor.point_m: must be two numbers [x, y], is "0, 0]"; the [ is missing',
+        'f:4:5: objects.floor.point_m: must be two numbers [x, y], is "0, 0]"; the [ is missing',
     ),
     "a bracket too many": (BLOCK.replace("0, 0]", "0, 0]]"), "f:4:20: a ] too many: nothing is open that it would"),
     "a brace too many": (
@@ -101,7 +101,7 @@ SLIPS = {
     ),
     "not indented": (
         f"objects:\nhoney: {HONEY}\n",
-        "f:1: objects: must be a mapping, is null: what belongs to it is ind",
+        "f:1:1: objects: must be a mapping, is null: what belongs to it is ind",
     ),
     "the first line indented": ("  servo: {}\ndevice: {}\n", "f:2:1: indented by 0, but the lines above that it could"),
     "an at sign": ("servo:\n  realtime: @off\n", "f:2:13: @ cannot begin a value; put the value in quotes"),
@@ -117,7 +117,7 @@ SLIPS = {
     ),
     "a decimal comma": ("servo:\n  spin_us: 0,5\n", 'must be a number, is "0,5"; decimals have a point, not a comma'),
     "a dash without a space": (BLOCK.replace("[0, 0]", "\n      -0\n      -0"), "after the - of a list a space"),
-    "a key that is nearly one": (f"objcts:\n  honey: {HONEY}\n", "f:1: objcts: unknown key; did you mean objects?"),
+    "a key that is nearly one": (f"objcts:\n  honey: {HONEY}\n", "f:1:1: objcts: unknown key; did you mean objects?"),
     "another key that is nearly one": (floor("normal", "normals"), "normals: unknown key; did you mean normal?"),
     "a kind that is nearly one": (
         f"objects:\n  honey: {HONEY.replace('s,', 's_,')}\n",
