@@ -40,6 +40,10 @@ class Finite(click.FloatRange):
             self.fail(f"{number} is not a finite number", param, ctx)
         return number
 
+    def _describe_range(self) -> str:
+        # Of a range without ends click's help says x<=None.
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
 
 def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
