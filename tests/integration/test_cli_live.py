@@ -32,7 +32,7 @@ OPERATOR = "waypoints: [[0, 0, 0.01], [0.1, 0, 0.01], [0.2, 0, -0.003], [0.3, 0,
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     config = tmp_path_factory.mktemp("config") / "quiet.yaml"
-    config.write_text("servo: {rate_hz: 1000, realtime: off}\n")
+    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
     with running_daemon("-c", str(config)) as daemon:
         yield daemon
 
@@ -320,12 +320,15 @@ def test_record_npz(shell: Shell, daemon: Daemon) -> None:
     shell("scene", "set", "scene.yaml")
     shell("operator", "operator.yaml")
     with connect(daemon.directory) as client, client.samples() as batches:
-        result = json.loads(shell("record", "run.npz", "--for", "600ms", "--json"))
+        assert "run.npz: is there already" in shell.fails("record", "run.npz", "--for", "600ms")
+        assert Path("run.npz").read_text() == "an old recording"
+        result = json.loads(shell("record", "run.npz", "--for", "600ms", "--json", "--overwrite"))
         with np.load("run.npz") as archive:
             last = int(archive["samples"]["tick"][-1])
         batch = next(batch for batch in batches if batch["tick"][-1] > last)
         after_ns = int(batch["time_ns"][batch["tick"] > last][0])
-    assert result["file"] == "run.npz" and result["ended"] is None
+    assert result["file"] == "run.npz" and result["ended_because"] is None
+    assert result["ended"]["monotonic_ns"] > result["started"]["monotonic_ns"] and result["missed_periods"] >= 0
     assert (result["lost"], result["dropped"]) == (0, 0)
     with np.load("run.npz") as archive:
         samples, events = archive["samples"], archive["events"]
@@ -405,9 +408,10 @@ def test_an_interrupt_ends_a_recording_that_a_script_put_in_the_background(daemo
 
 @pytest.mark.slow
 def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
-    target = tmp_path / "run.npz"
+    target, config = tmp_path / "run.npz", tmp_path / "config.yaml"
+    config.write_text("servo: {overruns: {threshold: 1}}\n")
     with (
-        running_daemon() as daemon,
+        running_daemon("-c", str(config)) as daemon,
         connect(daemon.directory) as client,
         client.samples() as batches,
         command(daemon, "record", str(target)) as process,

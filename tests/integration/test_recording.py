@@ -35,12 +35,16 @@ FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"
 DISC = {"kind": "disc", "center_m": [0.01, 0.0], "radius_m": 0.004, "material": "steel"}
 WAYS = [[0.1 * step, 0.02 * np.sin(step), 0.008 * np.cos(2.1 * step)] for step in range(600)]
 
+QUIET = """servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}
+device: {sim: {encoder_step_m: 1.0e-5}}
+flight: {seconds: 60}
+"""
+
 
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     config = tmp_path_factory.mktemp("config") / "quiet.yaml"
-    servo = "servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\nflight: {seconds: 60}"
-    config.write_text(f"{servo}\ndevice: {{sim: {{encoder_step_m: 1.0e-5}}}}\n")
+    config.write_text(QUIET)
     with running_daemon("-c", str(config)) as daemon:
         yield daemon
 
@@ -501,14 +505,13 @@ def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
 # ---- The flight recorder -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
-def test_a_file_of_the_flight_recorder_is_rendered_again(daemon: Daemon, tmp_path: Path, ending: str) -> None:
+def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None:
     """The scene changes within the seconds that are kept, under the hand; the file has what was there before."""
-    target = tmp_path / f"flight.{ending}"
-    command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", str(target)]
-    with connect(daemon.directory) as client:
+    config = tmp_path / "quiet.yaml"
+    config.write_text(QUIET)
+    targets = [tmp_path / f"flight.{ending}" for ending in ("npz", "csv", "mcap")]
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
         client.set_scene({"objects": {"floor": FLOOR}})
-        client.update_materials({"wood": None})
         before = client.reset()["tick"]
         client.set_operator(WAYS, interpolation="minimum_jerk")
         with client.events() as events:
@@ -517,18 +520,25 @@ def test_a_file_of_the_flight_recorder_is_rendered_again(daemon: Daemon, tmp_pat
                 next(event for event in events if event["event"] == "contact" and event["tick"] > tick)
         client.mark("here")
         client.set_operator([[0, 0, 0.01]], interpolation="linear")
-        assert subprocess.run(command, capture_output=True, text=True, check=True).stdout == f"{target}\n"
-        again = subprocess.run(command, capture_output=True, text=True, check=False)
+
+        def flight(*arguments: str) -> subprocess.CompletedProcess[str]:
+            command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", *arguments]
+            return subprocess.run(command, capture_output=True, text=True, check=False)
+
+        for target in targets:
+            assert flight(str(target)).stdout == f"{target}\n"
+        again = flight(str(targets[0]))
         assert again.returncode == 1 and "is there already; give another name, or --overwrite" in again.stderr
-        refused = subprocess.run([*command[:-1], "f.txt"], capture_output=True, text=True, check=False)
+        assert flight(str(targets[0]), "--overwrite").returncode == 0
+        refused = flight("f.txt")
         assert refused.stderr == "hapticd: f.txt: must end in .npz, .csv or .mcap\n" and refused.returncode == 1
-        subprocess.run([*command, "--overwrite"], capture_output=True, text=True, check=True)
-    recording = hapticd.load(target)
-    assert [mark["text"] for mark in recording.marks] == ["here"]
-    assert recording.started is not None and recording.ended is not None
-    assert recording.started.monotonic_ns < recording.ended.monotonic_ns
-    rendered = replay(target)
-    assert rendered.missing_revisions == () and rendered.settled
-    assert rendered.identical == len(rendered.samples) > 0.9 * rendered.ticks, rendered.summary()
-    assert rendered.samples["tick"][0] < before, "also what was rendered with the scene of before"
-    assert len(set(rendered.samples["revision"].tolist())) >= 6
+    for target in targets:
+        recording = hapticd.load(target)
+        assert [mark["text"] for mark in recording.marks] == ["here"]
+        assert recording.started is not None and recording.ended is not None
+        assert recording.started.monotonic_ns < recording.ended.monotonic_ns
+        rendered = replay(target)
+        assert rendered.missing_revisions == () and rendered.settled
+        assert rendered.identical == len(rendered.samples) > 0.9 * rendered.ticks, rendered.summary()
+        assert rendered.samples["tick"][0] < before, "also what was rendered with the scene of before"
+        assert len(set(rendered.samples["revision"].tolist())) >= 6
