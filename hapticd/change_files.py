@@ -48,7 +48,7 @@ def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
         assert isinstance(document.data, dict)
         merged.add(document, document.data)
     try:
-        change = _ChangeParts.model_validate(merged.data)
+        change = _ChangeParts.parsed(merged.data)
     except ValidationError as error:
         raise merged.invalid(faults_of(error)) from None
     materials, scene = change.materials, change.scene

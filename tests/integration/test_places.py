@@ -188,3 +188,22 @@ def test_commands_say_warnings_on_stderr_with_line_and_column(
     assert capsys.readouterr().err == f"hapticd: warning: {file}:3:{column}: materials.loud.tap: {SILENT}\n"
     assert main([*command, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["warnings"][0]["problem"] == SILENT
+
+
+def test_of_several_files_the_one_is_named_that_the_place_is_in(
+    daemon: Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, materials = tmp_path / "s.yaml", tmp_path / "m.yaml"
+    wall = "kind: wall, point_m: [0, -0.05], normal: [0, 1]"
+    scene.write_text(f"objects:\n  a: {{{wall}, material: loud}}\n  b: {{{wall}, material: louder}}\n")
+    materials.write_text(f"loud:\n  {json.dumps(LOUD)}\n")
+    command = ["--runtime-dir", str(daemon.directory), "apply", str(materials), str(scene)]
+    line = said(capsys, 1, *command)
+    column = scene.read_text().splitlines()[2].index("material") + 1
+    assert line.startswith(
+        f'hapticd: {scene}:3:{column}: objects.b.material: unknown material "louder"; did you mean loud?'
+    )
+    scene.write_text(f"objects:\n  a: {{{wall}, material: loud}}\n")
+    assert main(command) == 0
+    column = materials.read_text().splitlines()[1].index('"tap"') + 1
+    assert capsys.readouterr().err == f"hapticd: warning: {materials}:2:{column}: loud.tap: {SILENT}\n"

@@ -104,6 +104,7 @@ except hapticd.InvalidError as error:
 '''
 
 
+@pytest.mark.slow
 def test_a_program_with_annotations_passes_a_strict_type_checker(tmp_path: Path) -> None:
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)

@@ -242,8 +242,8 @@ def test_warnings_of_a_result(capsys: pytest.CaptureFixture[str]) -> None:
     captured = capsys.readouterr()
     assert captured.out == "revision 2\n"
     assert captured.err.splitlines() == [
-        "hapticd: forces are off: `hapticd force on` turns them on",
-        "hapticd: materials.x.tap: 50 kHz is above 0.4 of the rate",
+        "hapticd: warning: forces are off: `hapticd force on` turns them on",
+        "hapticd: warning: materials.x.tap: 50 kHz is above 0.4 of the rate",
     ]
     print_result(result, as_json=True, text="revision 2")
     captured = capsys.readouterr()

@@ -73,7 +73,7 @@ def test_nothing_takes_the_place_of_one_that_cannot_be_read(home: Path, monkeypa
         config_of()
     user.rmdir()
     user.write_text("servo: {rate: 1}\n")
-    with pytest.raises(InvalidError, match=rf"^{user}:1: servo\.rate: unknown key; "):
+    with pytest.raises(InvalidError, match=rf"^{user}:1:9: servo\.rate: unknown key; "):
         config_of()
     monkeypatch.setenv("HAPTICD_CONFIG", "gone.yaml")
     with pytest.raises(HapticdError, match=r"^gone\.yaml: there is no such file; HAPTICD_CONFIG names it$"):
@@ -144,4 +144,4 @@ def test_paths_with_a_configuration_that_cannot_be_read(home: Path, capsys: pyte
     captured = capsys.readouterr()
     found = json.loads(captured.out)
     assert (found["configuration"]["files"], found["flight_files"]) == ([user], None)
-    assert f"{user}:1: servo.rate_hz: must be at least 1000, is 1" in captured.err
+    assert f"{user}:1:9: servo.rate_hz: must be at least 1000, is 1" in captured.err

@@ -284,7 +284,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_command(installed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["install-service", "--root", str(installed), "--dry-run"]) == 0
-    assert capsys.readouterr().out.startswith("nothing is changed; what would be done:\n")
+    captured = capsys.readouterr()
+    assert captured.err == "hapticd: nothing is changed; what would be done:\n"
+    assert f"wrote {installed}/etc/hapticd/config.yaml\n" in captured.out
     assert not any(installed.iterdir())
     assert main(["install-service", "--root", str(installed), "--json"]) == 0
     steps = json.loads(capsys.readouterr().out)
