@@ -580,7 +580,7 @@ struct hd_hid_status {
     uint32_t states;       /* bit (meaning - 1): the number is not 0 */
     uint32_t states_known; /* bit (meaning - 1): a report has said it */
     uint32_t unused;
-    uint64_t reports;       /* input reports read, of any id */
+    uint64_t reports;       /* input reports read, of any id; what they said is in the other numbers, and published */
     uint64_t positions;     /* of them, positions */
     uint64_t short_reports; /* too short for what the plan reads of them: ignored */
     uint64_t writes;

@@ -1089,8 +1089,11 @@ void hd_servo_set_lease(struct hd_servo *servo, int64_t deadline_ns) {
 }
 
 void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counters) {
+    /* In this order: of a servo that has ended, these are the last ticks; and the rest is as new as the ticks are. */
+    const uint32_t running = hd_atomic_u32_load_acquire(&servo->running);
+    const uint64_t ticks = hd_atomic_u64_load_acquire(&servo->ticks);
     *counters = (struct hd_counters){
-        .ticks = hd_atomic_u64_load_acquire(&servo->ticks),
+        .ticks = ticks,
         .skipped = hd_atomic_u64_load_relaxed(&servo->skipped),
         .overruns = hd_atomic_u64_load_relaxed(&servo->overruns),
         .samples_dropped = hd_ring_dropped(&servo->samples),
@@ -1101,7 +1104,7 @@ void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counter
         .revision = hd_atomic_u32_load_relaxed(&servo->revision),
         .faults = hd_atomic_u32_load_relaxed(&servo->faults),
         .forces_on = hd_atomic_u32_load_relaxed(&servo->forces_on),
-        .running = hd_atomic_u32_load_relaxed(&servo->running),
+        .running = running,
         .memory_refused = hd_atomic_u32_load_relaxed(&servo->memory_refused),
         .overloaded = hd_atomic_u32_load_relaxed(&servo->overloaded),
         .overloads = hd_atomic_u64_load_relaxed(&servo->overloads),

@@ -153,7 +153,7 @@ def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
     """The events in rows of a .npz. One of a kind that this version does not know has the members that are not 0."""
     names = rows.dtype.names or ()
     forms = [rows.dtype[name].str[1:] for name in names]
-    for row in zip(*(rows[name].tolist() for name in names), strict=True):
+    for row in zip(*(_values(rows[name]) for name in names), strict=True):
         members = members_of(str(row[names.index("event")]))
         event = {}
         for name, form, value in zip(names, forms, row, strict=True):
@@ -161,6 +161,15 @@ def events_of_rows(rows: npt.NDArray[np.void]) -> Iterator[dict[str, Any]]:
             if name in members if members is not None else not absent:
                 event[name] = _restored(name, form, value, absent)
         yield event
+
+
+def _values(column: npt.NDArray[Any]) -> list[Any]:
+    """What is in a column. Raises UnicodeDecodeError; numpy would make texts of whatever numbers stand there."""
+    if column.dtype.kind != "U":
+        return list(column.tolist())
+    order = "utf-32-be" if column.dtype.str[0] == ">" else "utf-32-le"
+    data, width = column.tobytes(), column.dtype.itemsize
+    return [data[at : at + width].decode(order).rstrip("\0") for at in range(0, len(data), width or 1)]
 
 
 def _is_absent(name: str, form: str, value: Any) -> bool:

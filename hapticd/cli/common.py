@@ -40,6 +40,10 @@ class Finite(click.FloatRange):
             self.fail(f"{number} is not a finite number", param, ctx)
         return number
 
+    def _describe_range(self) -> str:
+        # Of a range without ends click's help says x<=None.
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
 
 def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
@@ -90,7 +94,7 @@ def log_options(command: _F) -> _F:
     """The options of what runs until it is ended: how much stands in its log, as the parameter `log_level`."""
 
     @click.option("-q", "--quiet", is_flag=True, help="Log warnings and errors alone.")
-    @click.option("-v", "--verbose", is_flag=True, help="Log each command and each event, too.")
+    @click.option("-v", "--verbose", is_flag=True, help="Log each request and each event, too.")
     @click.option("--log-level", type=click.Choice(LEVELS), help="The least important line of the log [default: info].")
     @functools.wraps(command)
     def with_level(*args: Any, quiet: bool, verbose: bool, log_level: str | None, **options: Any) -> Any:

@@ -32,10 +32,9 @@ from hapticd.errors import undisplayable_text
 @click.option(
     "-o",
     "--output",
-    required=True,
     type=click.Path(),
     metavar="FILE",
-    help="Where the samples go (.npz, .csv or .mcap).",
+    help="Where the samples go (.npz, .csv or .mcap)  [default: nowhere, the summary alone is printed]",
 )
 @click.option(
     "--for",
@@ -51,7 +50,7 @@ from hapticd.errors import undisplayable_text
 def simulate_command(
     scene: str,
     operator: str | None,
-    output: str,
+    output: str | None,
     duration_s: float | None,
     rate_hz: float | None,
     notes: dict[str, str],
@@ -64,13 +63,15 @@ def simulate_command(
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
-    from hapticd.cli.simulation import simulate_to_file
+    from hapticd.cli.simulation import simulate_files
 
     file = scene_file(scene)
     operator = operator or _own_operator(file)
     if operator is None:
         raise click.UsageError("Missing option '--operator'.")
-    result = simulate_to_file(
+    if output is None and (notes or overwrite):
+        raise click.UsageError("--note and --overwrite are for a file: name it with -o")
+    result = simulate_files(
         file, operator_file(operator), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
     )
     for mode in result["undisplayable"]:
@@ -81,7 +82,10 @@ def simulate_command(
         print_json(result)
     else:
         length = f"{words.count(result['ticks'], 'tick')} in {result['duration_s']:.3f} s"
-        click.echo(f"{result['file']}: {length}, {words.count(result['events'], 'event')}")
+        kinds = ", ".join(words.count(number, kind) for kind, number in result["event_counts"].items())
+        told = f"{words.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
+        force = f"largest force {words.si(result['largest_force_n'], 'N')}"
+        click.echo(f"{result['file'] or scene}: {length}, {told}, {force}")
 
 
 def _own_operator(scene: str) -> str | None:

@@ -23,8 +23,12 @@ if TYPE_CHECKING:
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2); a real "
     "device needs one.",
 )
-@click.option("--scale", type=Finite(), default=1.0, metavar="FACTOR", help="On the recording's numbers.")
-@click.option("--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S")
+@click.option(
+    "--scale", type=Finite(), default=1.0, show_default=True, metavar="FACTOR", help="Of the recording's numbers."
+)
+@click.option(
+    "--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S", help="Speed of a tap."
+)
 @click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @json_option

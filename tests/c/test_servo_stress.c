@@ -157,13 +157,15 @@ static void make_scene(struct scene *scene, uint32_t revision) {
 
 struct drain {
     struct hd_servo *servo;
-    struct hd_atomic_u32 last; /* written by main: what is read now is the rest */
+    struct hd_atomic_u32 last;   /* written by main: what is read now is the rest */
+    struct hd_atomic_u32 rounds; /* read by main: so often both rings were found empty */
     uint64_t samples;
     uint64_t samples_dropped;
     uint64_t events;
     uint64_t events_dropped;
     uint64_t kinds[HD_EVENT_GESTURE_END + 1];
     struct hd_atomic_u32 mark; /* the last one that was read */
+    uint64_t overruns;         /* faults of that kind */
     struct hd_sample newest;
     uint32_t event_revision;
 };
@@ -194,6 +196,7 @@ static void take_event(struct drain *drain, const struct hd_event *event) {
         CHECK(event->value <= (double)event->tick && event->code <= 1);
     drain->events++;
     drain->kinds[event->kind]++;
+    drain->overruns += event->kind == HD_EVENT_FAULT && event->code == HD_FAULT_OVERRUN;
 }
 
 static void *drain_rings(void *argument) {
@@ -213,9 +216,26 @@ static void *drain_rings(void *argument) {
         while ((count = hd_servo_read_events(drain->servo, events, 20, &drain->events_dropped)) > 0)
             for (size_t i = 0; i < count; i++)
                 take_event(drain, &events[i]);
+        hd_atomic_u32_store_release(&drain->rounds, hd_atomic_u32_load_relaxed(&drain->rounds) + 1);
         sched_yield();
     } while (!last);
     return NULL;
+}
+
+/* While the servo stands still: afterwards there is room for all that it leaves next. */
+static void await_empty(const struct drain *drain) {
+    const uint32_t before = hd_atomic_u32_load_acquire(&drain->rounds);
+
+    while (hd_atomic_u32_load_acquire(&drain->rounds) < before + 2)
+        sched_yield();
+}
+
+/* All of the ticks are there, whether read or dropped. 1: the last one was read; else the machine kept the thread that
+ * drains from running for as long as the ring has room. */
+static int last_was_read(const struct drain *drain, const struct hd_counters *counters) {
+    CHECK(drain->samples + drain->samples_dropped == counters->ticks);
+    CHECK(drain->newest.tick == counters->ticks - 1 || drain->samples_dropped > 0);
+    return drain->newest.tick == counters->ticks - 1;
 }
 
 /* What the control side is told, before anything runs. */
@@ -545,6 +565,7 @@ static uint32_t steps_down(void) {
     CHECK(hd_sim_set_period(sim, &joystick, 1.0 / RATE_HZ) == HD_OK);
     make_scene(&scene, 2);
     CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    await_empty(&drain);
     memset(&grant, 0x55, sizeof grant);
     CHECK(hd_servo_restart(servo, HD_FAULT_OVERRUN, &grant) == HD_OK);
     CHECK(grant.scheduler == 0 && grant.affinity == 0 && grant.priority == 0); /* nothing was asked for */
@@ -555,13 +576,15 @@ static uint32_t steps_down(void) {
         sched_yield();
         hd_servo_counters(servo, &counters);
     } while (counters.ticks < ended + 100);
-    CHECK(counters.running && !counters.overloaded && counters.faults == HD_FAULT_OVERRUN && !counters.forces_on);
+    CHECK(counters.running && !counters.overloaded && !counters.forces_on);
+    /* The machine may have kept this thread from its beats. */
+    CHECK((counters.faults | HD_FAULT_CONTROL) == (HD_FAULT_OVERRUN | HD_FAULT_CONTROL));
     CHECK(hd_servo_stop(servo) == HD_OK);
     hd_atomic_u32_store_release(&drain.last, 1);
     CHECK(pthread_join(drainer, NULL) == 0);
     hd_servo_counters(servo, &counters);
-    CHECK(drain.samples + drain.samples_dropped == counters.ticks && drain.newest.tick == counters.ticks - 1);
-    CHECK(drain.kinds[HD_EVENT_RATE] == 1 && drain.kinds[HD_EVENT_FAULT] == 1);
+    last_was_read(&drain, &counters);
+    CHECK(drain.kinds[HD_EVENT_RATE] == 1 && drain.overruns == 1);
     hd_servo_histograms(servo, &histograms);
     for (uint32_t i = 0; i < HD_HISTOGRAM_BINS; i++)
         counted += histograms.work.counts[i];
@@ -613,10 +636,11 @@ int main(void) {
 
     hd_servo_counters(servo, &counters);
     CHECK(!counters.running && counters.revision == revision && counters.ticks >= TICKS);
-    CHECK(drain.samples + drain.samples_dropped == counters.ticks);
     CHECK(counters.samples_dropped == drain.samples_dropped && counters.events_dropped == drain.events_dropped);
-    CHECK(drain.newest.tick == counters.ticks - 1 && drain.newest.revision == revision);
-    CHECK(drain.newest.force_n[0] == 0.0 && drain.newest.force_n[1] == 0.0);
+    if (last_was_read(&drain, &counters)) {
+        CHECK(drain.newest.revision == revision);
+        CHECK(drain.newest.force_n[0] == 0.0 && drain.newest.force_n[1] == 0.0);
+    }
     CHECK(drain.kinds[HD_EVENT_MARK] > 0 && drain.kinds[HD_EVENT_GESTURE_END] > 0);
     CHECK(drain.kinds[HD_EVENT_CONTACT] > 0 && drain.kinds[HD_EVENT_FAULT] > 0 && counters.strikes > 0);
     hd_servo_free(servo);

@@ -350,7 +350,7 @@ def test_a_reload_that_revokes_nothing_ends_nothing(daemon: Daemon, tmp_path: Pa
             "clients:\n  alice: {public_key: short, may: command}\n",
             r"bridge\.yaml:2:\d+: clients\.alice\.public_key: must be",
         ),
-        ("clients: [\n", r"bridge\.yaml:2:1"),
+        ("clients: [\n", r"bridge\.yaml:1:10"),
         ("metrics: 0.0.0.0:9417\n", r"bridge\.yaml:1:\d+: metrics: must be on a loopback address"),
         (None, "cannot be read"),
     ],

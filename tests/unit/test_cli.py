@@ -6,8 +6,10 @@ import csv
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -203,6 +205,8 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "ticks": 1000,
         "duration_s": 0.1,
         "events": result["events"],
+        "event_counts": result["event_counts"],
+        "largest_force_n": result["largest_force_n"],
         "undisplayable": [],
         "warnings": [],
     }
@@ -213,6 +217,8 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert first["truth"].shape == (1000, 4)
         contact = first["events"][first["events"]["event"] == "contact"][0]
         assert contact["object"] == "floor"
+        assert result["event_counts"] == dict(Counter(first["events"]["event"].tolist()))
+        assert result["largest_force_n"] == np.hypot(*first["samples"]["force_n"].T).max() > 0
     assert (
         main(
             ["simulate", "scene.yaml", "--operator", "operator.yaml", "-o", "c.csv", "--for", "50ms", "--rate", "2000"]
@@ -221,6 +227,15 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     )
     with open("c.csv", newline="") as file:
         assert sum(1 for _ in csv.reader(file)) == 101
+
+
+def test_simulate_without_a_file_prints_what_happened(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "comb", "--for", "100ms"]) == 0
+    assert re.fullmatch(r"comb: 1,000 ticks in 0\.100 s, .*, largest force .* m?N\n", capsys.readouterr().out)
+    assert os.listdir() == []
+    assert main(["simulate", "comb", "--for", "100ms", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["file"] is None
+    assert "name it with -o" in said(capsys, 2, "simulate", "comb", "--note", "a=b")
 
 
 def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:

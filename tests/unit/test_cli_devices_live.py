@@ -60,7 +60,7 @@ def test_list(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     here(monkeypatch)
     assert main(["devices"]) == 0
-    assert capsys.readouterr().out == "no HID device is connected, or the kernel has no hidraw\n"
+    assert capsys.readouterr() == ("", "hapticd: no HID device is connected, or the kernel has no hidraw\n")
     assert main(["devices", "dump", "/dev/hidraw0", "-o", "x"]) == 1
     assert capsys.readouterr().err == 'hapticd: no HID device "/dev/hidraw0"; there are: none\n'
 
@@ -81,7 +81,7 @@ def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         "descriptor": STICK.hex(),
     }
     assert json.loads(report)[1] == "010000050000"
-    assert capsys.readouterr().out.startswith("1 reports of ")
+    assert capsys.readouterr().out.startswith("1 report of ")
     dumped = out.read_text()
     assert main(["devices", "dump", "1209:5aff", "-o", str(out)]) == 1
     assert "stick.jsonl: is there already; give another name, or --overwrite" in capsys.readouterr().err

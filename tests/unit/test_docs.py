@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from hapticd import wire
 from hapticd.calls import State
 from hapticd.cli import cli
-from hapticd.cli.simulation import simulate_to_file
+from hapticd.cli.simulation import simulate_files
 from hapticd.config import default_config, load_config
 from hapticd.control import _METHODS, Control
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
@@ -209,7 +209,7 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "objects:\n  w: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
     )
     (tmp_path / "hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, -0.002]]\n")
-    simulate_to_file("scene.yaml", "hand.yaml", "tap.npz", None, None)
+    simulate_files("scene.yaml", "hand.yaml", "tap.npz", None, None)
     event = records(EVENT_DTYPE, 1)[0]
     with open_sink("events.npz") as sink:
         for kind in EventKind:

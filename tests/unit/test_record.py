@@ -569,3 +569,15 @@ def test_columns_do_not_depend_on_what_else_there_is() -> None:
             assert alone.dtype[name].kind == array.dtype[name].kind, name
             assert alone.dtype[name].kind == "U" or alone.dtype[name] == array.dtype[name], name
             np.testing.assert_equal(alone[name][0], array[name][index])
+
+
+def test_a_text_that_is_none_is_refused(tmp_path: Path) -> None:
+    with open_sink(tmp_path / "run.npz") as sink:
+        sink.write(some(1))
+        sink.finish({})
+    with np.load(tmp_path / "run.npz") as file:
+        members = dict(file)
+    members["events"] = np.frombuffer(b"\xff\xff\xff\x7f", [("event", "<U1")])
+    np.savez(tmp_path / "wrong.npz", **members)
+    with pytest.raises(HapticdError, match=r"wrong.npz: is no recording of hapticd: .* can't decode"):
+        load_recorded(tmp_path / "wrong.npz")

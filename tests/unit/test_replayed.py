@@ -14,7 +14,7 @@ import pytest
 import hapticd
 from hapticd import shipped
 from hapticd.cli import main
-from hapticd.cli.simulation import simulate_to_file
+from hapticd.cli.simulation import simulate_files
 from hapticd.config import default_config, load_config
 from hapticd.core import SAMPLE_DTYPE, Flag
 from hapticd.engine import output_of
@@ -69,7 +69,7 @@ def strokes(seconds: float, seed: int = 1) -> np.ndarray:
 def test_every_shipped_scene_comes_out_bit_for_bit(tmp_path: Path, scene: Path) -> None:
     operator = re.search(r"\bOperator: (\w+\.yaml)\n", scene.read_text())
     assert operator is not None
-    simulate_to_file(str(scene), str(CONFIG / "operators" / operator[1]), str(tmp_path / "run.npz"), 3.0, None)
+    simulate_files(str(scene), str(CONFIG / "operators" / operator[1]), str(tmp_path / "run.npz"), 3.0, None)
     again = replay(tmp_path / "run.npz")
     assert len(again.samples) == again.ticks == again.identical == 3 * RATE_HZ
     assert (again.first_different, again.missing_revisions, again.settled) == (None, (), True)
@@ -301,7 +301,7 @@ def test_a_difference_is_measured_and_told(tmp_path: Path, capsys: pytest.Captur
 
 def test_the_command_and_the_function(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene, operator = str(CONFIG / "scenes" / "membrane.yaml"), str(CONFIG / "operators" / "push.yaml")
-    simulate_to_file(scene, operator, str(tmp_path / "run.mcap"), 1.0, None)
+    simulate_files(scene, operator, str(tmp_path / "run.mcap"), 1.0, None)
     target = tmp_path / "again.npz"
     assert main(["replay", str(tmp_path / "run.mcap"), "-o", str(target), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
