@@ -6,6 +6,7 @@
 PYTHON ?= python3
 CC ?= cc
 CLANG ?= clang-22
+C_RUNS ?= 1
 FUZZ_SECONDS ?= 60
 DAEMON_SECONDS ?= 30
 DESCRIPTORS ?= 20000
@@ -206,7 +207,9 @@ c-build: $(C_TESTS)
 
 .PHONY: c-run
 c-run: c-build
-	@set -e; for test in $(C_TESTS); do $$test; done
+	@set -e; for test in $(C_TESTS); do \
+		run=1; while [ $$run -le $(C_RUNS) ]; do $$test; run=$$((run + 1)); done; \
+	done
 
 .PHONY: ctest
 ctest:
@@ -226,7 +229,7 @@ define sanitized
 endef
 
 .PHONY: tsan asan ubsan msan rtsan
-tsan: ## C tests under ThreadSanitizer
+tsan: ## C tests under ThreadSanitizer, C_RUNS=1 times each, as with the next five
 	$(call sanitized,tsan,thread)
 asan: ## C tests under AddressSanitizer
 	$(call sanitized,asan,address)
@@ -236,6 +239,11 @@ msan: ## C tests under MemorySanitizer
 	$(call sanitized,msan,memory)
 rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
 	$(call sanitized,rtsan,realtime)
+
+.PHONY: jitter
+jitter: ## C tests with threads, with random delays wherever threads meet
+	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=jitter CHECKS='-include tests/c/hd_jitter.h' \
+		C_TESTS='$(patsubst tests/c/%.c,build/c/jitter/%,$(shell grep -l pthread.h tests/c/test_*.c))'
 
 comma := ,
 
