@@ -87,12 +87,13 @@ PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS) --dist work
 test: build ctest ## C tests and pytest without what is slow: two minutes and a half on two processors
 	@$(PYTEST) -m 'not slow'
 
-# Unit tests of what most changes touch, and the commands against a real daemon; C tests beside them.
-QUICK := tests/unit tests/integration/test_cli_live.py \
-	$(patsubst %,--ignore-glob='tests/unit/test_%',fit_* cli_fit* bench_* *calibrat* verify* displayed* fuzz* hid_descriptor* velocity* noise* sandpaper* stability* closed_loop* reliability*)
+# Unit tests but for those of whole fields that take long, and the commands against a real daemon; C tests beside them.
+QUICK_NOT := fit_* cli_fit* bench_* *calibrat* verify* displayed* fuzz* hid_descriptor* velocity* noise* sandpaper* \
+	stability* closed_loop* reliability*
+QUICK := tests/unit tests/integration/test_cli_live.py $(QUICK_NOT:%=--ignore-glob='tests/unit/test_%')
 
 .PHONY: quick
-quick: build ## the tests that take a minute at most: plain C tests, and unit tests without fits, calibration and fuzzing
+quick: build ## the tests that take a minute at most: C tests, most of the unit tests, the commands against a daemon
 	@mkdir -p build
 	@$(MAKE) --no-print-directory ctest >build/quick-c.log 2>&1 & beside=$$!; \
 		failed=0; \
