@@ -54,6 +54,10 @@ install: prerequisites
 	@echo "setting up $(VENV) (a minute or two, once)"
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(share)
+
+# setuptools leaves out of an editable install what a wheel puts below the prefix.
+share = $(BIN)/python setup.py -q build_share && cp -R build/share $(VENV)
 
 # One clear line for each thing that is missing.
 .PHONY: prerequisites
@@ -76,12 +80,30 @@ prerequisites:
 demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, with the first set-up 150 s
 	@$(BIN)/python -m hapticd.demo
 
-.PHONY: test
-test: build ctest pytest ## C tests and pytest
+# pytest on every processor. What Python and pytest compile is kept, whatever the shell says: to do it anew costs seconds.
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: pytest
-pytest: build
-	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+.PHONY: test
+test: build ctest ## C tests and pytest without what is slow: two minutes and a half on two processors
+	@$(PYTEST) -m 'not slow'
+
+# Unit tests of what most changes touch, and the commands against a real daemon; C tests beside them.
+QUICK := tests/unit tests/integration/test_cli_live.py \
+	$(patsubst %,--ignore-glob='tests/unit/test_%',fit_* bench_* *calibrat* cli_fit* displayed* fuzz* hid_descriptor*)
+
+.PHONY: quick
+quick: build ## the tests that take a minute at most: plain C tests, and unit tests without fits, calibration and fuzzing
+	@mkdir -p build
+	@$(MAKE) --no-print-directory ctest >build/quick-c.log 2>&1 & beside=$$!; \
+		failed=0; \
+		$(PYTEST) -q -m 'not slow' $(QUICK) || failed=1; \
+		wait $$beside || failed=1; \
+		cat build/quick-c.log; \
+		exit $$failed
+
+.PHONY: test-all
+test-all: build ctest ## C tests and all of pytest, what is slow too
+	@$(PYTEST)
 
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
@@ -93,7 +115,11 @@ test-systemd: build ## the installed service under systemd and udev, in a virtua
 
 .PHONY: bench
 bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
-	@$(BIN)/python -m bench
+	@$(BIN)/python -m bench --overwrite
+
+.PHONY: man
+man: build ## man pages and completion scripts of the commands, into .venv/share, where man looks
+	@$(share)
 
 .PHONY: format
 format: build ## lay out C and Python
@@ -110,11 +136,11 @@ clean: ## remove everything that was built, .venv too
 # ---- What CI runs ------------------------------------------------------------------------------------------------
 
 .PHONY: check
-check: lint warnings ## lint, types, layout, warnings as errors, C tests, pytest, and beside them test-vm
+check: lint warnings ## lint, types, layout, warnings as errors, test-all, and beside them test-vm
 	@mkdir -p build
 	@$(MAKE) --no-print-directory test-vm >build/test-vm.log 2>&1 & beside=$$!; \
 		failed=0; \
-		$(MAKE) --no-print-directory test || failed=1; \
+		$(MAKE) --no-print-directory test-all || failed=1; \
 		wait $$beside || failed=1; \
 		cat build/test-vm.log; \
 		exit $$failed

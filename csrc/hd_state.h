@@ -137,8 +137,9 @@ struct hd_reserve {
 };
 
 struct hd_state {
-    uint64_t tick;   /* the one that is being rendered, or comes next; the first is 0 */
-    uint64_t period; /* periods that have begun, missed ones too: the clock of offline runs */
+    uint64_t tick;         /* the one that is being rendered, or comes next; the first is 0 */
+    uint64_t gesture_tick; /* that took the path which the simulated hand follows */
+    uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
     uint32_t voice_count;
     uint32_t active_count;
     uint32_t near_count;
@@ -160,6 +161,7 @@ struct hd_state {
     uint8_t saturated;    /* the last tick was */
     uint8_t field_active; /* the field exerts a force, or is on its way to none */
     uint8_t near_known;   /* near[] holds for near_center_m */
+    uint8_t gesture;      /* gesture_tick is known */
     uint8_t offload_open; /* the device plays effects by itself: whoever calls the tick says so */
     double gain;          /* of the whole command: enabling and fading */
     double show_force;    /* of contacts and fields: the display flag, ramped */

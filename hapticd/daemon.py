@@ -23,51 +23,56 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import TypeVar
 
 import zmq
 
-from hapticd import journal, memory, notify, server
-from hapticd.config import Config, config_of
+from hapticd import journal, memory, notify, server, words
+from hapticd.config import Config, chosen_config
+from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
 from hapticd.flight import Flight, directory_of
+from hapticd.flight_scene import FlightScene
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import RuntimePaths, make_directory, runtime_paths
 from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-MOST_OBJECTS_WRITTEN: Final = 2000
-"""A larger scene stays out of the flight recorder's files: putting it into words would hold up commands."""
 
 _log = logging.getLogger("hapticd")
 _T = TypeVar("_T")
 
 
-def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | os.PathLike[str] | None = None) -> int:
+def run(
+    config_paths: Sequence[str | os.PathLike[str]] = (),
+    runtime_dir: str | os.PathLike[str] | None = None,
+    log_level: str = "info",
+) -> int:
     """Runs the daemon until SIGTERM or SIGINT; returns its exit code.
 
     SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which is gone then.
 
-    `config_paths` are merged in order; without one, the shipped default is used. Raises HapticdError (one line) where
-    it cannot start: bad configuration, another daemon on the directory, real time required and refused.
+    `config_paths` are merged in order; without one, the configuration is looked for (config_files). A reload reads the
+    same files again; where none was found, it looks again. `log_level`: one of journal.LEVELS. Raises HapticdError (one
+    line) where the daemon cannot start: bad configuration, another daemon on the directory, real time required and
+    refused.
     """
     with ExitStack() as stack:
         memory.settle()
-        stack.enter_context(journal.attached())
-        config = config_of(config_paths)
-        os.umask(0o117)
+        stack.enter_context(journal.attached(log_level))
+        chosen = choose(config_paths)
+        config = chosen_config(chosen)
+        os.umask(0o007)
         signals = stack.enter_context(_signals())
         paths = stack.enter_context(_runtime(runtime_dir))
-        return _run(config, lambda: config_of(config_paths), paths, signals, stack)
+        return _run(config, chosen, paths, signals, stack)
 
 
-def _run(
-    config: Config, load: Callable[[], Config], paths: RuntimePaths, signals: socket.socket, stack: ExitStack
-) -> int:
+def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.socket, stack: ExitStack) -> int:
     stop_file = StopFile(paths.device)
     _stop_what_was_left(stop_file.path)
     engine = Engine(config, stop_file)
@@ -77,9 +82,12 @@ def _run(
         config.flight.keep,
         engine.rate_hz,
         monotonic_ns,
+        FlightScene(engine.scene, engine.materials, engine.revision, engine.rate_hz),
         lambda: _about(engine, control),
     )
-    control = Control(engine, load, flight)
+    control = Control(
+        engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
+    )
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
     publisher = context.socket(zmq.PUB)
@@ -92,9 +100,10 @@ def _run(
     telemetry = Telemetry(engine, publisher, control.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
-    _thread("telemetry", telemetry.run, failures, stack)
+    _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
     stack.callback(engine.stop)
+    _log.info("configuration: %s", chosen)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
     undisplayable, warnings = engine.limits()
@@ -114,9 +123,9 @@ def _run(
     gc.freeze()
     gc.enable()
     _log.info(
-        "ready: %s at %g Hz, %s%s, commands at %s",
+        "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
-        config.servo.rate_hz,
+        words.si(config.servo.rate_hz, "Hz"),
         f"SCHED_FIFO {granted.priority}" if granted.priority else "no real-time priority",
         f", memory locked: {granted.memory}",
         paths.command,
@@ -146,13 +155,11 @@ def _on_terminal() -> bool:
 
 
 def _about(engine: Engine, control: Control) -> dict[str, object]:
-    """What goes into a file of the flight recorder beside the telemetry."""
-    scene, materials = engine.scene, engine.materials
-    small = len(scene.objects) <= MOST_OBJECTS_WRITTEN
+    """What goes into a file of the flight recorder beside the telemetry and what that was rendered with."""
+    config = engine.config
     return {
+        "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
         "status": control.status(),
-        "scene": scene.to_dict() if small else None,
-        "materials": {name: material.to_dict() for name, material in materials.items()} if small else None,
     }
 
 
@@ -175,7 +182,10 @@ def _progress(engine: Engine) -> tuple[int, str]:
     forces = "on" if counters.forces_on else "off"
     if counters.faults:
         forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
-    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
+    return (
+        counters.ticks,
+        f"{device} at {words.si(engine.rate_hz, 'Hz')}; scene revision {engine.revision}; forces {forces}",
+    )
 
 
 def _thread(
@@ -210,7 +220,8 @@ def _thread(
 def _bind(bind: Callable[[str], _T], path: Path) -> _T:
     """Binds a socket in place of a file that a daemon which is gone left behind: we hold the lock.
 
-    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come.
+    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come,
+    and its mode.
     """
     unnamed = path.with_name(".new")
     unnamed.unlink(missing_ok=True)
@@ -218,6 +229,7 @@ def _bind(bind: Callable[[str], _T], path: Path) -> _T:
         bound = bind(f"ipc://{unnamed}")
     except zmq.ZMQError as error:
         raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
+    unnamed.chmod(0o660)
     unnamed.replace(path)
     return bound
 

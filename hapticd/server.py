@@ -17,6 +17,7 @@ from hapticd import wire
 from hapticd.control import Control, MethodError
 from hapticd.engine import Engine
 from hapticd.errors import quoted
+from hapticd.repeats import Repeats, Since
 
 BEAT_EVERY_MS: Final = 100
 RELOAD_MS: Final = 30_000
@@ -63,8 +64,12 @@ def reload(context: zmq.Context[zmq.Socket[bytes]]) -> None:
             _log.warning("reload: no answer within %g s; it goes on", 1e-3 * RELOAD_MS)
 
 
-def answer(control: Control, body: bytes | None) -> bytes | None:
-    """The body of the answer to a body; None for a notification. Never raises for what a client sent."""
+def answer(control: Control, body: bytes | None, repeats: Repeats | None = None) -> bytes | None:
+    """The body of the answer to a body; None for a notification. Never raises for what a client sent.
+
+    What a client causes is told in the log as `repeats` says.
+    """
+    repeats = Repeats() if repeats is None else repeats
     try:
         if body is None:
             raise wire.WireError(
@@ -75,14 +80,23 @@ def answer(control: Control, body: bytes | None) -> bytes | None:
         return None if error.silent else wire.error_reply(error.id, error.code, error.message)
     try:
         result = control.call(request.method, request.params)
+        _log.debug("%s: done", request.method)
     except MethodError as error:
+        _log.debug("%s: refused, %d: %s", quoted(request.method), error.code, quoted(error.message))
         if not request.has_id:
-            _log.warning("notification %s: %s", quoted(request.method), quoted(error.message))
+            line = f"notification {quoted(request.method)}: {quoted(error.message)}"
+            # Of methods that there are not, a client can think of any number.
+            kind = "" if error.code == wire.Code.NO_SUCH_METHOD else request.method
+            repeats.note(f"notification {error.code} {kind}", lambda since: _log.warning("%s%s", line, since.more))
             return None
         return wire.error_reply(request.id, error.code, error.message, error.data)
-    except Exception:
+    except Exception as error:
         # A defect of ours must neither leave the client without an answer nor stop the daemon.
-        _log.exception("method %s failed", quoted(request.method))
+        failure = error
+        repeats.note(
+            f"failed {request.method}",
+            lambda since: _log.error("method %s failed%s", quoted(request.method), since.more, exc_info=failure),
+        )
         if not request.has_id:
             return None
         return wire.error_reply(request.id, wire.Code.INTERNAL, "the daemon failed; its log says how")
@@ -97,7 +111,9 @@ def serve(
     watch: Callable[[], None] = lambda: None,
 ) -> None:
     """Answers requests until `stop` is set; calls `watch` between them, ten times a second at least."""
+    repeats = Repeats()
     while not stop.is_set():
+        repeats.flush()
         engine.beat()
         engine.look_after()
         watch()
@@ -106,11 +122,20 @@ def serve(
         except zmq.Again:
             continue
         if stop.is_set():
-            return
+            break
         delimited, body = wire.open_envelope(frames)
-        reply = answer(control, body)
+        reply = answer(control, body, repeats)
         if reply is not None:
             try:
                 socket.send_multipart([identity, *wire.close_envelope(delimited, reply)], zmq.NOBLOCK)
             except zmq.Again:
-                _log.warning("a client does not read its answers: one was dropped")
+                repeats.note("unread", _tell_unread)
+    repeats.finish()
+
+
+def _tell_unread(since: Since) -> None:
+    _log.warning(
+        "a client does not read its answers: %s dropped%s",
+        "one was" if since.times == 1 else f"{since.times:,} were",
+        f" {since.window}" if since.window else "",
+    )

@@ -259,6 +259,11 @@ class Service:
         return " ".join(["systemctl", *(["--user"] if self._user else []), *words])
 
     def _commands(self, commands: Sequence[Sequence[str]]) -> Iterator[Step]:
+        if commands and self._root is not None and os.geteuid() != 0:
+            # Into a package's folder: who made it could give nothing in it to another user.
+            names = " and ".join(f"`{' '.join(word for word in words if '--root' not in word)}`" for words in commands)
+            yield Step("note", f"{names} need root: left to whoever installs the package")
+            return
         for words in commands:
             if shutil.which(words[0]) is None:
                 yield Step("note", f"{words[0]} is not here: `{' '.join(words)}` is left to you")

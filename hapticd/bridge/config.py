@@ -7,6 +7,7 @@ from typing import Final, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from hapticd.document_kinds import refuse_other_kinds
 from hapticd.errors import InvalidError, Problem, quoted
 from hapticd.keys import is_key
 from hapticd.model import Model, Name, faults_of
@@ -108,6 +109,7 @@ def load_bridge(path: str | os.PathLike[str]) -> BridgeConfig:
     Raises InvalidError, which names every fault with file, line and key; HapticdError for a file that cannot be read.
     """
     document = load_path(path)
+    refuse_other_kinds(document, "bridge")
     if not isinstance(document.data, dict):
         known = ", ".join(BridgeConfig.model_fields)
         raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
@@ -118,7 +120,7 @@ def load_bridge(path: str | os.PathLike[str]) -> BridgeConfig:
 
 def _validated(document: Document) -> BridgeConfig:
     try:
-        return BridgeConfig.model_validate(document.data)
+        return BridgeConfig.parsed(document.data)
     except ValidationError as error:
         faults = faults_of(error)
-        raise InvalidError(Problem(document.where(path), text) for path, text in faults) from None
+        raise InvalidError(document.problem(path, text) for path, text in faults) from None

@@ -7,7 +7,7 @@ from typing import cast
 
 import click
 
-from hapticd.cli.common import json_option, print_json
+from hapticd.cli.common import json_option, note, print_json
 from hapticd.errors import HapticdError
 
 
@@ -30,7 +30,7 @@ def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Pa
         raise click.UsageError("--root is for the system's service, not for --user")
     service = Service(Installation.this(), user=user, root=root, dry_run=dry_run)
     if dry_run and not as_json:
-        click.echo("nothing is changed; what would be done:")
+        note("nothing is changed; what would be done:")
     failed = []
     steps = []
     for step in service.uninstall() if uninstall else service.install():

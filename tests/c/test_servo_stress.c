@@ -163,8 +163,9 @@ struct drain {
     uint64_t samples_dropped;
     uint64_t events;
     uint64_t events_dropped;
-    uint64_t kinds[HD_EVENT_MEMORY_REFUSED + 1];
-    uint64_t overruns; /* faults of that kind */
+    uint64_t kinds[HD_EVENT_GESTURE_END + 1];
+    struct hd_atomic_u32 mark; /* the last one that was read */
+    uint64_t overruns;         /* faults of that kind */
     struct hd_sample newest;
     uint32_t event_revision;
 };
@@ -181,11 +182,18 @@ static void take_sample(struct drain *drain, const struct hd_sample *sample) {
 }
 
 static void take_event(struct drain *drain, const struct hd_event *event) {
-    CHECK(event->kind >= HD_EVENT_CONTACT && event->kind <= HD_EVENT_MEMORY_REFUSED);
+    CHECK(event->kind >= HD_EVENT_CONTACT && event->kind <= HD_EVENT_GESTURE_END);
     if (event->kind == HD_EVENT_REVISION) {
         CHECK(event->code > drain->event_revision);
         drain->event_revision = event->code;
     }
+    /* Every one, in their order, whatever else was dropped. */
+    if (event->kind == HD_EVENT_MARK) {
+        CHECK(event->code == hd_atomic_u32_load_relaxed(&drain->mark) + 1);
+        hd_atomic_u32_store_release(&drain->mark, event->code);
+    }
+    if (event->kind == HD_EVENT_GESTURE_END)
+        CHECK(event->value <= (double)event->tick && event->code <= 1);
     drain->events++;
     drain->kinds[event->kind]++;
     drain->overruns += event->kind == HD_EVENT_FAULT && event->code == HD_FAULT_OVERRUN;
@@ -291,14 +299,16 @@ static struct hd_counters counters_of(const struct hd_servo *servo) {
 }
 
 /* Hot updates with commands among them, for REVISIONS revisions and TICKS ticks at the least. */
-static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct hd_operator *const paths[2]) {
+static uint32_t command(struct hd_servo *servo, struct drain *drain, uint32_t revision,
+                        const struct hd_operator *const paths[2]) {
     const uint32_t enough = revision + REVISIONS;
     uint64_t sequence = 0;
     uint64_t tick = 0;
     uint64_t strokes = 0;
+    uint32_t marks = 0;
 
     while (revision < enough || tick < TICKS) {
-        struct hd_command commands[4];
+        struct hd_command commands[5];
         struct scene scene;
         size_t count = make_commands(commands, ++revision);
         uint64_t earlier = tick;
@@ -307,6 +317,8 @@ static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct 
         if (counters_of(servo).ticks / STROKE_TICKS >= strokes)
             commands[count++] =
                 (struct hd_command){.kind = HD_COMMAND_OPERATOR, .revision = revision, .path = paths[strokes++ % 2]};
+        if (marks - hd_atomic_u32_load_acquire(&drain->mark) < HD_MARKS)
+            commands[count++] = (struct hd_command){.kind = HD_COMMAND_MARK, .revision = revision, .value = ++marks};
         make_scene(&scene, revision);
         CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
         while (count > 0 && (status = hd_servo_send(servo, commands, count, &sequence)) == HD_ERR_FULL)
@@ -324,6 +336,8 @@ static uint32_t command(struct hd_servo *servo, uint32_t revision, const struct 
         }
     }
     CHECK(hd_servo_wait_command(servo, sequence, PATIENCE_NS, &tick) == HD_OK);
+    while (hd_atomic_u32_load_acquire(&drain->mark) < marks)
+        sched_yield();
     return revision;
 }
 
@@ -615,7 +629,7 @@ int main(void) {
     make_scene(&scene, 2);
     CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
     CHECK(hd_servo_wait_command(servo, held, PATIENCE_NS, &tick) == HD_OK);
-    revision = command(servo, 2, paths);
+    revision = command(servo, &drain, 2, paths);
     CHECK(hd_servo_stop(servo) == HD_OK);
     hd_atomic_u32_store_release(&drain.last, 1);
     CHECK(pthread_join(drainer, NULL) == 0);
@@ -627,6 +641,7 @@ int main(void) {
         CHECK(drain.newest.revision == revision);
         CHECK(drain.newest.force_n[0] == 0.0 && drain.newest.force_n[1] == 0.0);
     }
+    CHECK(drain.kinds[HD_EVENT_MARK] > 0 && drain.kinds[HD_EVENT_GESTURE_END] > 0);
     CHECK(drain.kinds[HD_EVENT_CONTACT] > 0 && drain.kinds[HD_EVENT_FAULT] > 0 && counters.strikes > 0);
     hd_servo_free(servo);
     hd_sim_free(sim);

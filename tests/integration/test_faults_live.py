@@ -103,9 +103,10 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
         status = client.get_status()
         assert status["counters"]["suspends"] == 1
         assert (status["forces"], status["faults"]) == ("on", [])
-        until(lambda: "the machine was suspended for 3600.0 s" in daemon.said())
+        until(lambda: "the machine was suspended for 1 h" in daemon.said())
 
 
+@pytest.mark.slow
 def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> None:
     clocks.ahead(realtime_ns=-30 * 365 * DAY_NS)  # a machine whose battery is empty
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
@@ -124,14 +125,16 @@ def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> No
         client.lease(0, lease)
 
 
-def test_nothing_asks_for_the_time_of_day() -> None:
-    """The daemon's own sources; what a library does with it is tested above."""
+def test_nothing_goes_by_the_time_of_day() -> None:
+    """The daemon's own sources; what a library does with it is tested above. clock.py only tells it to recordings."""
     asks = re.compile(
         r"CLOCK_REALTIME|CLOCK_TAI|gettimeofday|time\.time\b|localtime|gmtime|(date|datetime)\.(now|today|utcnow)\b"
     )
     sources = [*ROOT.glob("csrc/*.[ch]"), *ROOT.glob("hapticd/*.py"), *ROOT.glob("hapticd/hid/*.py")]
     assert len(sources) > 60
-    assert [str(source) for source in sources if asks.search(source.read_text())] == []
+    assert [source.name for source in sources if asks.search(source.read_text())] == ["clock.py"]
+    using = {source.name for source in sources if re.search(r"\bclock\.read\b", source.read_text())}
+    assert using == {"control.py", "flight.py"}
 
 
 # ---- Flight recorder -------------------------------------------------------------------------------------------------
@@ -168,7 +171,7 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         with np.load(told["last"]) as file:
             samples, events_kept = file["samples"], file["events"]
             about, status, scene_kept = (json.loads(str(file[key])) for key in ("flight", "status", "scene"))
-        assert about == {"reason": "fault", "tick": fault["tick"]}
+        assert about == {"reason": "fault", "tick": fault["tick"], "complete_from": 0}
         assert scene_kept == client.get_scene()["scene"]
         assert status["version"] == client.get_status()["version"]
         assert np.all(np.diff(samples["tick"].astype(np.int64)) == 1)
@@ -188,10 +191,19 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(copy)
         with np.load(copy) as file:
             assert len(file["samples"]) >= len(samples)
-            assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None}
+            assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None, "complete_from": 0}
         client.dump_flight()
         written(client, 3)
         assert flights(daemon) == ["flight-000002-asked.npz", "flight-000003-asked.npz"]
+
+
+def test_folders_that_are_missing_are_made_and_can_be_entered(tmp_path: Path) -> None:
+    inner = tmp_path / "outer" / "inner"
+    config = with_config(tmp_path, f"flight: {{directory: {inner}}}\n")
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
+        client.dump_flight()
+        assert written(client, 1)["last"] == str(inner / "flight-000001-asked.npz")
+    assert [path.stat().st_mode & 0o777 for path in (inner.parent, inner)] == [0o770, 0o750]
 
 
 def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -> None:
@@ -273,7 +285,7 @@ def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path)
         (QUIET.replace("1000", "2000") + "scene: {objects: {}}\n", ["servo.rate_hz", "2000", "restart"]),
         (QUIET + "device: {max_force_n: 3}\nflight: {keep: 3}\n", ["device.max_force_n", "flight.keep", "restart"]),
         (QUIET + "scene: {objects: {a: {kind: wall}}}\n", ["c.yaml:2", "point_m"]),
-        (QUIET + "scene: [\n", ["c.yaml:3"]),
+        (QUIET + "scene: [\n", ["c.yaml:2:8", "not closed"]),
         (None, ["No such file"]),
     ],
 )

@@ -118,7 +118,7 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
             ["c.yaml:3", "wood"],
         ),
         ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
-        ("servo: [\n", ["c.yaml:2"]),
+        ("servo: [\n", ["c.yaml:1:8", "not closed"]),
     ],
 )
 def test_bad_configuration_is_one_line(tmp_path: Path, text: str, words: list[str]) -> None:
@@ -204,6 +204,7 @@ def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Pa
         assert not status["faults"]
 
 
+@pytest.mark.slow
 def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         wire.result("set_scene", scene={"objects": PUSH}, wait=True)

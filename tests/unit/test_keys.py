@@ -19,7 +19,7 @@ from hapticd.calls import place_of
 from hapticd.cli import cli, main
 from hapticd.errors import HapticdError
 from hapticd.keys import Certificate, is_key, load_certificate, load_secret, new_certificate, write_certificate
-from hapticd.remote import host_and_port, is_loopback, remote
+from hapticd.remote import Named, host_and_port, is_loopback, remote
 
 
 def test_the_files_are_those_of_czmq(tmp_path: Path) -> None:
@@ -144,10 +144,13 @@ def test_loopback() -> None:
 
 def test_a_bridge_needs_both_keys(tmp_path: Path) -> None:
     certificate = new_certificate()
-    place = remote("tcp://lab", certificate, certificate.public_key)
+    place = remote(Named("tcp://lab"), Named(certificate), Named(certificate.public_key))
     assert place.command_endpoint == "tcp://lab:9410"
     assert place.telemetry_endpoint == "tcp://lab:9411"
-    assert remote("tcp://[::1]:5", certificate, certificate.public_key).telemetry_endpoint == "tcp://[::1]:6"
+    assert (
+        remote(Named("tcp://[::1]:5"), Named(certificate), Named(certificate.public_key)).telemetry_endpoint
+        == "tcp://[::1]:6"
+    )
     for keys in ((None, None), (certificate, None), (None, certificate.public_key)):
         with pytest.raises(HapticdError, match="needs key, the file of our secret key, and server_key"):
             place_of("tcp://lab", *keys)
