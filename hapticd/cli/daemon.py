@@ -12,6 +12,8 @@ import click
 from hapticd.cli.common import change_options, changed, config_option, daemon, json_option, print_json, print_result
 from hapticd.errors import offload_text, undisplayable_text
 
+RELOAD_S = 60.0
+"""So long is a reload waited for: the daemon itself gives up files that do not come after 10 s."""
 _SHOWN_MARGINS = 5
 
 
@@ -38,7 +40,7 @@ def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, 
 
     What was touched or punctured stays so. Anything else that changed needs a restart, and refuses the whole.
     """
-    with daemon(ctx) as client:
+    with daemon(ctx, RELOAD_S) as client:
         result = client.reload(expect_revision, wait)
     print_result(result, as_json, changed(result))
 
