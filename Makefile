@@ -89,7 +89,7 @@ test: build ctest ## C tests and pytest without what is slow: two minutes and a 
 
 # Unit tests of what most changes touch, and the commands against a real daemon; C tests beside them.
 QUICK := tests/unit tests/integration/test_cli_live.py \
-	$(patsubst %,--ignore-glob='tests/unit/test_%',fit_* bench_* *calibrat* cli_fit* displayed* fuzz* hid_descriptor*)
+	$(patsubst %,--ignore-glob='tests/unit/test_%',fit_* cli_fit* bench_* *calibrat* verify* displayed* fuzz* hid_descriptor* velocity* noise* sandpaper* stability* closed_loop* reliability*)
 
 .PHONY: quick
 quick: build ## the tests that take a minute at most: plain C tests, and unit tests without fits, calibration and fuzzing
