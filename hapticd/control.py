@@ -183,6 +183,7 @@ class Control:
         """`load` reads the configuration anew, for `reload`; `ask_state` asks telemetry for the newest sample."""
         self._engine = engine
         self._load = load
+        self._ending = threading.Event()
         self._flight = flight
         self._ask_state = ask_state
         self._lease = Lease(engine.set_lease, monotonic_ns)
@@ -256,6 +257,10 @@ class Control:
             "stability": engine.stability().to_dict(),
             "operator": engine.operator(),
         }
+
+    def end(self) -> None:
+        """Gives up a reload that is under way: the daemon ends. For any thread."""
+        self._ending.set()
 
     def _find_limits(self) -> dict[str, object]:
         """What the rate cannot carry as it is, found anew only when the scene or the materials changed."""
@@ -493,6 +498,8 @@ class Control:
         reader.start()
         until_ns = monotonic_ns() + int(LOAD_S * 1e9)
         while reader.is_alive():
+            if self._ending.is_set():
+                raise HapticdError("the daemon ends")
             if monotonic_ns() > until_ns:
                 raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
             self._engine.beat()

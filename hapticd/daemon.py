@@ -12,7 +12,6 @@ first.
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import logging
 import os
@@ -23,7 +22,6 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TypeVar
 
 import zmq
 
@@ -37,14 +35,14 @@ from hapticd.events import fault_names
 from hapticd.flight import Flight, directory_of
 from hapticd.flight_scene import FlightScene
 from hapticd.model import MAX_FAULTS
-from hapticd.paths import RuntimePaths, make_directory, runtime_paths
+from hapticd.paths import runtime_paths
+from hapticd.runtime import Owned, owned
 from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _log = logging.getLogger("hapticd")
-_T = TypeVar("_T")
 
 
 def run(
@@ -68,11 +66,12 @@ def run(
         config = chosen_config(chosen)
         os.umask(0o007)
         signals = stack.enter_context(_signals())
-        paths = stack.enter_context(_runtime(runtime_dir))
-        return _run(config, chosen, paths, signals, stack)
+        mine = stack.enter_context(owned(runtime_paths(runtime_dir)))
+        return _run(config, chosen, mine, signals, stack)
 
 
-def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.socket, stack: ExitStack) -> int:
+def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, stack: ExitStack) -> int:
+    paths = mine.paths
     stop_file = StopFile(paths.device)
     _stop_what_was_left(stop_file.path)
     engine = Engine(config, stop_file)
@@ -95,7 +94,7 @@ def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.so
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
     publisher.setsockopt(zmq.LINGER, 200)
     stack.callback(publisher.close)
-    _bind(publisher.bind, paths.telemetry)
+    mine.bind(publisher, paths.telemetry)
     failures: list[BaseException] = []
     telemetry = Telemetry(engine, publisher, control.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
@@ -109,16 +108,25 @@ def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.so
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = _bind(lambda endpoint: server.bind(context, endpoint), paths.command)
+    router = server.router(context)
     stack.callback(router.close)
+    mine.bind(router, paths.command)
     watch = notify.Watch(lambda: _progress(engine))
+    reloads = server.Reloads(context)
+
+    def between() -> None:
+        watch()
+        mine.check()
+        reloads.serve(control)
+
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop, watch),
+        lambda stop: server.serve(router, engine, control, stop, between),
         failures,
         stack,
         wake=lambda: server.wake(context),
     )
+    stack.callback(control.end)  # a reload that is under way is given up
     gc.collect()
     gc.freeze()
     gc.enable()
@@ -137,16 +145,15 @@ def _run(config: Config, chosen: Chosen, paths: RuntimePaths, signals: socket.so
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     # Asked now: a terminal that is gone is none any more.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
-    while (received := signals.recv(1)[0]) not in ends:
-        notify.reloading()
-        server.reload(context)
-        notify.ready(_progress(engine)[1])
+    # Of signals that came together the end overtakes the reloads.
+    while not (ended := ends.intersection(received := signals.recv(4096))):
+        reloads.ask()
     notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
         return 1
-    _log.info("%s: stopping", signal.Signals(received).name)
-    paths.command.unlink(missing_ok=True)
+    _log.info("%s: stopping", signal.Signals(next(number for number in received if number in ended)).name)
+    mine.remove(paths.command)
     return 0
 
 
@@ -217,23 +224,6 @@ def _thread(
     stack.callback(stop.set)
 
 
-def _bind(bind: Callable[[str], _T], path: Path) -> _T:
-    """Binds a socket in place of a file that a daemon which is gone left behind: we hold the lock.
-
-    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come,
-    and its mode.
-    """
-    unnamed = path.with_name(".new")
-    unnamed.unlink(missing_ok=True)
-    try:
-        bound = bind(f"ipc://{unnamed}")
-    except zmq.ZMQError as error:
-        raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
-    unnamed.chmod(0o660)
-    unnamed.replace(path)
-    return bound
-
-
 @contextmanager
 def _signals() -> Iterator[socket.socket]:
     """A socket from which the number of a signal can be read, whichever thread the kernel chose for it.
@@ -254,30 +244,3 @@ def _signals() -> Iterator[socket.socket]:
             for number, handler in zip(_SIGNALS, before, strict=True):
                 signal.signal(number, handler)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-
-
-@contextmanager
-def _runtime(directory: str | os.PathLike[str] | None) -> Iterator[RuntimePaths]:
-    """The runtime directory, ours alone while the context lasts."""
-    paths = runtime_paths(directory)
-    make_directory(paths)
-    try:
-        lock = os.open(paths.lock, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    except OSError as error:
-        raise HapticdError(f"{paths.lock}: {error.strerror}") from None
-    try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = os.pread(lock, 32, 0).decode("ascii", "replace").strip() or "unknown"
-            raise HapticdError(
-                f"another daemon (process {holder}) runs on {paths.directory}; stop it, or choose another directory "
-                "with --runtime-dir"
-            ) from None
-        os.ftruncate(lock, 0)
-        os.pwrite(lock, f"{os.getpid()}\n".encode(), 0)
-        yield paths
-        for path in (paths.command, paths.telemetry):
-            path.unlink(missing_ok=True)
-    finally:
-        os.close(lock)

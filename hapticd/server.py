@@ -9,18 +9,18 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 import zmq
 
-from hapticd import wire
+from hapticd import notify, wire
 from hapticd.control import Control, MethodError
 from hapticd.engine import Engine
 from hapticd.errors import quoted
 from hapticd.repeats import Repeats, Since
 
 BEAT_EVERY_MS: Final = 100
-RELOAD_MS: Final = 30_000
 LARGEST_MESSAGE: Final = 64 * 1024 * 1024
 """A longer message closes the connection that it came from."""
 
@@ -30,38 +30,44 @@ _log = logging.getLogger(__name__)
 _WAKE: Final = "inproc://wake"
 
 
-def bind(context: zmq.Context[zmq.Socket[bytes]], endpoint: str) -> zmq.Socket[bytes]:
-    """The ROUTER of the command socket. Raises zmq.ZMQError."""
+def router(context: zmq.Context[zmq.Socket[bytes]]) -> zmq.Socket[bytes]:
+    """The ROUTER of the command socket, which `wake` reaches and clients do not yet. Raises zmq.ZMQError."""
     socket = context.socket(zmq.ROUTER)
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
     socket.setsockopt(zmq.RCVTIMEO, BEAT_EVERY_MS)
-    socket.bind(endpoint)
     socket.bind(_WAKE)
     return socket
 
 
 def wake(context: zmq.Context[zmq.Socket[bytes]]) -> None:
-    """Ends the wait for a request, so that `serve` looks whether it is to stop. For any thread."""
+    """Ends the wait for a request, so that `serve` looks whether it is to stop, or to reload. For any thread."""
     with context.socket(zmq.DEALER) as socket:
         socket.connect(_WAKE)
         socket.send(b"")
 
 
-def reload(context: zmq.Context[zmq.Socket[bytes]]) -> None:
-    """Has the thread that serves commands reload the configuration, in its turn. For any thread.
+class Reloads:
+    """Reloads of the configuration that a signal asked for. Those that nobody has begun yet are one."""
 
-    What comes of it stands in the log.
-    """
-    with context.socket(zmq.DEALER) as socket:
-        # Long enough for whatever is before it in the queue.
-        socket.setsockopt(zmq.RCVTIMEO, RELOAD_MS)
-        socket.connect(_WAKE)
-        socket.send(wire.request(0, "reload", {}))
-        try:
-            socket.recv()
-        except zmq.Again:
-            _log.warning("reload: no answer within %g s; it goes on", 1e-3 * RELOAD_MS)
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]]) -> None:
+        self._context = context
+        self._wanted = threading.Event()
+
+    def ask(self) -> None:
+        """Has the thread that serves commands reload the configuration, in its turn. For any thread."""
+        self._wanted.set()
+        wake(self._context)
+
+    def serve(self, control: Control) -> None:
+        """Reloads if somebody asked for it; what comes of it stands in the log. For the thread that serves commands."""
+        if not self._wanted.is_set():
+            return
+        self._wanted.clear()
+        notify.reloading()
+        with suppress(MethodError):  # it was logged
+            control.call("reload", {})
+        notify.ready()
 
 
 def answer(control: Control, body: bytes | None, repeats: Repeats | None = None) -> bytes | None:
@@ -108,15 +114,15 @@ def serve(
     engine: Engine,
     control: Control,
     stop: threading.Event,
-    watch: Callable[[], None] = lambda: None,
+    between: Callable[[], None] = lambda: None,
 ) -> None:
-    """Answers requests until `stop` is set; calls `watch` between them, ten times a second at least."""
+    """Answers requests until `stop` is set; calls `between` between them, ten times a second at least."""
     repeats = Repeats()
     while not stop.is_set():
         repeats.flush()
         engine.beat()
         engine.look_after()
-        watch()
+        between()
         try:
             identity, *frames = socket.recv_multipart()
         except zmq.Again:

@@ -12,8 +12,9 @@ from hapticd.errors import InvalidError, Problem, quoted
 from hapticd.keys import is_key
 from hapticd.model import Model, Name, faults_of
 from hapticd.remote import PORT, host_and_port, is_loopback
+from hapticd.trusted import read_trusted
 from hapticd.wire import MAX_BODY
-from hapticd.yaml_source import Document, load_path
+from hapticd.yaml_source import MAX_BYTES, Document, load_bytes
 
 DEFAULT_PATH: Final = "/etc/hapticd/bridge.yaml"
 METRICS_PORT: Final = 9417
@@ -106,9 +107,10 @@ def metrics_place(text: str) -> tuple[str, int]:
 def load_bridge(path: str | os.PathLike[str]) -> BridgeConfig:
     """The configuration in a file, with `server_key` as a path from here.
 
-    Raises InvalidError, which names every fault with file, line and key; HapticdError for a file that cannot be read.
+    Raises InvalidError, which names every fault with file, line and key; HapticdError for a file that cannot be read,
+    or that others than root and we may change: it says who is let in.
     """
-    document = load_path(path)
+    document = load_bytes(read_trusted(path, MAX_BYTES), os.fspath(path))
     refuse_other_kinds(document, "bridge")
     if not isinstance(document.data, dict):
         known = ", ".join(BridgeConfig.model_fields)

@@ -19,6 +19,9 @@ from hapticd.cli.common import (
 )
 from hapticd.cli.status import lines, text_of
 
+RELOAD_S = 60.0
+"""So long is a reload waited for: the daemon itself gives up files that do not come after 10 s."""
+
 
 @click.command("run")
 @config_option
@@ -44,7 +47,7 @@ def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, 
 
     What was touched or punctured stays so. Anything else that changed needs a restart, and refuses the whole.
     """
-    with daemon(ctx) as client:
+    with daemon(ctx, RELOAD_S) as client:
         result = client.reload(expect_revision, wait)
     print_result(result, as_json, changed(result))
 

@@ -165,7 +165,8 @@ struct drain {
     uint64_t events_dropped;
     uint64_t kinds[HD_EVENT_GESTURE_END + 1];
     struct hd_atomic_u32 mark; /* the last one that was read */
-    uint64_t overruns;         /* faults of that kind */
+    uint32_t faults;           /* of the last event that tells them */
+    uint64_t overruns;         /* times that HD_FAULT_OVERRUN came to them */
     struct hd_sample newest;
     uint32_t event_revision;
 };
@@ -196,7 +197,10 @@ static void take_event(struct drain *drain, const struct hd_event *event) {
         CHECK(event->value <= (double)event->tick && event->code <= 1);
     drain->events++;
     drain->kinds[event->kind]++;
-    drain->overruns += event->kind == HD_EVENT_FAULT && event->code == HD_FAULT_OVERRUN;
+    if (event->kind == HD_EVENT_FAULT) {
+        drain->overruns += (event->code & ~drain->faults & HD_FAULT_OVERRUN) != 0;
+        drain->faults = event->code;
+    }
 }
 
 static void *drain_rings(void *argument) {

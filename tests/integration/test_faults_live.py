@@ -10,8 +10,6 @@ import signal
 import struct
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -22,20 +20,12 @@ import pytest
 
 from hapticd.client import Client
 from hapticd.samples import SampleStream
-from tests.daemon_process import Daemon, connect, running_daemon, wired
+from tests.daemon_process import Daemon, connect, running_daemon, until, wired
 
 ROOT = Path(__file__).parents[2]
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 QUIET = "servo: {realtime: 'off', rate_hz: 1000, overruns: {threshold: 1.0}}\n"
 DAY_NS = 86_400_000_000_000
-
-
-def until(what: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    """Waits for what another process does and does not tell; the bound only keeps a broken test from hanging."""
-    pause, deadline = threading.Event(), time.monotonic() + timeout_s
-    while not what():
-        assert time.monotonic() < deadline
-        pause.wait(0.01)
 
 
 def with_config(tmp_path: Path, text: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
+import os
 import re
 from collections import Counter
 from pathlib import Path
@@ -29,7 +30,7 @@ from hapticd.bridge.relay import peek
 from hapticd.config import default_config
 from hapticd.control import Control
 from hapticd.engine import Engine
-from hapticd.errors import InvalidError
+from hapticd.errors import HapticdError, InvalidError
 from hapticd.keys import new_certificate
 from hapticd.repeats import MOST_KINDS, SHORTEST_S
 
@@ -68,6 +69,7 @@ class Time:
 )
 def test_faults_are_told_with_file_line_and_key(tmp_path: Path, text: str, told: str) -> None:
     (tmp_path / "b.yaml").write_text(text.replace("BOB", KEYS["bob"]))
+    (tmp_path / "b.yaml").chmod(0o644)
     with pytest.raises(InvalidError) as error:
         load_bridge(tmp_path / "b.yaml")
     assert told in str(error.value)
@@ -76,6 +78,7 @@ def test_faults_are_told_with_file_line_and_key(tmp_path: Path, text: str, told:
 def test_one_key_has_one_name(tmp_path: Path) -> None:
     lines = [f'  {name}: {{public_key: "{KEYS["bob"]}", may: watch}}\n' for name in ("one", "two")]
     (tmp_path / "b.yaml").write_text("clients:\n" + "".join(lines))
+    (tmp_path / "b.yaml").chmod(0o644)
     with pytest.raises(InvalidError, match='clients "one" and "two" have the same public_key'):
         load_bridge(tmp_path / "b.yaml")
 
@@ -83,6 +86,7 @@ def test_one_key_has_one_name(tmp_path: Path) -> None:
 def test_what_stands_in_an_empty_file(tmp_path: Path) -> None:
     """Nobody is let in, and nothing listens beyond this machine."""
     (tmp_path / "b.yaml").write_text("{}\n")
+    (tmp_path / "b.yaml").chmod(0o644)
     config = load_bridge(tmp_path / "b.yaml")
     assert config.clients == {}
     assert config.listen == "tcp://127.0.0.1:9410"
@@ -91,6 +95,28 @@ def test_what_stands_in_an_empty_file(tmp_path: Path) -> None:
 
 
 # ---- limits ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", [0o664, 0o646, 0o666])
+def test_a_file_that_others_may_change_lets_nobody_in(tmp_path: Path, mode: int) -> None:
+    (tmp_path / "b.yaml").write_text("{}\n")
+    (tmp_path / "b.yaml").chmod(mode)
+    with pytest.raises(HapticdError, match=f"b.yaml: others may change it \\(mode 0{mode:o}\\): chmod go-w"):
+        load_bridge(tmp_path / "b.yaml")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_a_file_of_somebody_else_lets_nobody_in(tmp_path: Path) -> None:
+    (tmp_path / "b.yaml").write_text("{}\n")
+    os.chown(tmp_path / "b.yaml", 12345, -1)
+    with pytest.raises(HapticdError, match=r"b\.yaml: belongs to user 12345; it must belong to root or to us"):
+        load_bridge(tmp_path / "b.yaml")
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "b.yaml", 0o600)
+    with pytest.raises(HapticdError, match=r"b\.yaml: must be a regular file"):
+        load_bridge(tmp_path / "b.yaml")
 
 
 @given(
