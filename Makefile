@@ -252,7 +252,7 @@ comma := ,
 define sanitized_daemon
 	@command -v $(CLANG) >/dev/null && \
 		echo 'int main(void) { return 0; }' | $(CLANG) -fsanitize=$(2) -x c - -o /dev/null 2>/dev/null || \
-		{ echo "make $(1)-daemon needs $(CLANG) with its sanitizers: install clang-22 and libclang-rt-22-dev" \
+		{ echo "make $(1)-daemon needs $(CLANG) with its sanitizers: install clang-22, libclang-rt-22-dev and llvm-22" \
 			"(Debian), or make $(1)-daemon CLANG=..." >&2; exit 1; }
 	@$(MAKE) --no-print-directory -j$(JOBS) c-launcher VARIANT=$(1) CC=$(CLANG) \
 		CHECKS='-fsanitize=$(2) -fno-sanitize-recover=all -fno-omit-frame-pointer'

@@ -7,9 +7,12 @@ dictionaries with the very names of `docs/protocol.md`.
 from __future__ import annotations
 
 import errno
+import grp
 import os
+import pwd
 import socket
-from collections.abc import Callable, Iterable, Mapping
+import stat
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import (
     TYPE_CHECKING,
     Final,
@@ -490,7 +493,30 @@ def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> 
                 if paths.directory != SYSTEM_DIRECTORY and SYSTEM_DIRECTORY.is_dir():
                     other = f", or take the service's with: --runtime-dir {SYSTEM_DIRECTORY}"
                 raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run{other}") from None
+            if error.errno == errno.EACCES:
+                raise HapticdError(_not_ours(paths)) from None
             raise HapticdError(f"{paths.command}: {error.strerror}") from None
+
+
+def _not_ours(paths: RuntimePaths) -> str:
+    """Why the sockets may not be used, and whom they belong to."""
+    told = f"{paths.command}: permission denied"
+    try:
+        status = os.stat(paths.directory)
+    except OSError:  # a folder above it is closed
+        return told
+    owner = f"user {_name_of(pwd.getpwuid, status.st_uid)}"
+    if not status.st_mode & stat.S_IXGRP:
+        return f"{told}: the daemon is {owner}'s alone"
+    group = _name_of(grp.getgrgid, status.st_gid)
+    return f"{told}: the daemon is {owner}'s and for the group {group}; join it (adduser YOU {group}) and log in again"
+
+
+def _name_of(look_up: Callable[[int], Sequence[object]], number: int) -> str:
+    try:
+        return str(look_up(number)[0])
+    except KeyError:
+        return str(number)
 
 
 def await_ready(place: Place, wait_s: float, given_up: Callable[[], bool] = lambda: False) -> None:

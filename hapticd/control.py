@@ -5,6 +5,7 @@ A handler gets validated parameters and returns the result, or raises MethodErro
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import os
@@ -17,13 +18,13 @@ from typing import Annotated, Any, Final, cast
 
 from pydantic import Field, ValidationError
 
-from hapticd import clock
+from hapticd import clock, words
 from hapticd._version import __version__
 from hapticd.config import Config
 from hapticd.core import Fault
 from hapticd.displayable import material_rate_faults, rate_faults
 from hapticd.engine import Counters, Engine, Granted, RingFullError, WaitTimeoutError, monotonic_ns
-from hapticd.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted, shown
+from hapticd.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
 from hapticd.flight import Flight
 from hapticd.joystick import grip_of, target_of
@@ -165,9 +166,11 @@ def _differences(path: Path, old: object, new: object) -> list[Problem]:
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [*old, *(key for key in new if key not in old)]
         return [problem for key in keys for problem in _differences((*path, key), old.get(key), new.get(key))]
-    if old == new:
+    # Where the simulated handle starts matters at the start alone.
+    if old == new or path == ("device", "sim", "start_m"):
         return []
-    return [Problem(path_text(path), f"{shown(new)} needs a restart of the daemon; it runs with {shown(old)}")]
+    text = f"{json.dumps(new)} needs a restart of the daemon; it runs with {json.dumps(old)}"
+    return [Problem(path_text(path), text)]
 
 
 class Control:
@@ -329,6 +332,11 @@ class Control:
                     changes[id] = None
                 continue
             merged = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
+            if before is None and isinstance(merged, dict) and "kind" not in merged:
+                told = known_names(id, engine.scene.objects) if engine.scene.objects else "the scene has none"
+                where = path_text(("objects", id))
+                problems.append(Problem(where, f"there is no object of this id, and a new one needs a kind; {told}"))
+                continue
             try:
                 changes[id] = validate_object(id, merged)
             except InvalidError as error:
@@ -480,7 +488,7 @@ class Control:
             raise _faulty([Problem("", str(error))]) from None
         old, new = before.objects, config.scene.objects
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
-        _log.info("reloaded: revision %d, %d objects are others", revision, changed)
+        _log.info("reloaded: revision %d, %s changed", revision, words.count(changed, "object"))
         return self._changed(revision, params, self._warnings(new, ("scene", "objects"), used_materials(new.values())))
 
     def _read_anew(self, load: Callable[[], Config]) -> Config:

@@ -62,6 +62,7 @@ def run(
     with ExitStack() as stack:
         memory.settle()
         stack.enter_context(journal.attached(log_level))
+        stack.push(_told)
         chosen = choose(config_paths)
         config = chosen_config(chosen)
         os.umask(0o007)
@@ -155,6 +156,12 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     _log.info("%s: stopping", signal.Signals(next(number for number in received if number in ended)).name)
     mine.remove(paths.command)
     return 0
+
+
+def _told(kind: type[BaseException] | None, *_: object) -> None:
+    """The last line of the log, once everything is down; an error has a line of its own."""
+    if kind is None:
+        _log.info("stopped")
 
 
 def _on_terminal() -> bool:

@@ -554,7 +554,9 @@ class CsvSink(Sink):
         return part
 
     def _events_text(self) -> Iterator[str]:
-        names = list(dict.fromkeys(name for event in self.read_events() for name in event))
+        # What every event has, so that a file without events has its line of names, too.
+        always = ("event", "tick", "time_ns")
+        names = list(dict.fromkeys((*always, *(name for event in self.read_events() for name in event))))
         lines = _Lines()
         writer = csv.DictWriter(lines, names, lineterminator="\r\n")
         writer.writeheader()

@@ -48,7 +48,8 @@ def _one(margin: Mapping[str, Any], told: Mapping[str, Any]) -> str:
     if limit > 0.0:
         stiffness = margin["stiffness_n_per_m"]
         text = (
-            f"{which}: {stiffness:.4g} N/m are more than the {limit:.4g} N/m that are proved to be stable in any hand"
+            f"{which}: {stiffness:.4g} N/m are not below the {limit:.4g} N/m "
+            "up to which a wall is proved to be stable in any hand"
         )
         by = "a finer encoder" if margin["limited_by"] == "quantisation" else "a higher servo.rate_hz"
         remedy = f"a lower stiffness or {by}"

@@ -129,7 +129,7 @@ Environment:
 @click.version_option(__version__, "-V", "--version", message="hapticd %(version)s")
 @click.option(
     "--runtime-dir",
-    type=click.Path(file_okay=False),
+    type=click.Path(file_okay=False, readable=False),
     metavar="DIR",
     help="Where the sockets are  [env var: HAPTICD_RUNTIME_DIR; default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd "
     "or /tmp/hapticd-UID]",

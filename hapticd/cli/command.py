@@ -121,4 +121,4 @@ def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
     source = operator_file(file)
     with daemon(ctx) as client:
         result = client.set_operator(source)
-    print_result(result, as_json, f"under way for {words.duration(result['duration_s'])}")
+    print_result(result, as_json, f"takes {words.duration(result['duration_s'])}")

@@ -32,4 +32,4 @@ def mark_command(ctx: click.Context, text: str, data_text: str | None, as_json: 
             raise click.UsageError(f"--data {data_text}: is not JSON: {error}") from None
     with daemon(ctx) as client:
         result = client.mark(text, data)
-    print_result(result, as_json, f"marked at tick {result['tick']}")
+    print_result(result, as_json, f"marked at tick {result['tick']:,}")

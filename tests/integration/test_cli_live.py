@@ -220,7 +220,7 @@ def test_mark(shell: Shell, daemon: Daemon) -> None:
 def test_shipped_scenes_and_operators_by_their_names(shell: Shell) -> None:
     shell("scene", "set", "corner", "--json")
     assert list(json.loads(shell("scene", "get", "--json"))["scene"]["objects"]) == ["floor", "side"]
-    assert shell("operator", "corner") == "under way for 2 s\n"
+    assert shell("operator", "corner") == "takes 2 s\n"
     assert "did you mean corner?" in shell.fails("scene", "set", "cornr")
     assert "did you mean stroke?" in shell.fails("operator", "strok")
 
@@ -306,11 +306,11 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     assert shell("reset", "skin").startswith("reset at tick ")
     assert shell("reset").startswith("reset at tick ")
     assert 'no object "nothing"' in shell.fails("reset", "nothing")
-    assert shell("operator", "operator.yaml") == "under way for 300 ms\n"
+    assert shell("operator", "operator.yaml") == "takes 300 ms\n"
     Path("tap.yaml").write_text("gesture: {kind: tap, object: floor, speed_m_per_s: 0.1}\n")
-    assert shell("operator", "tap.yaml").startswith("under way for ")
+    assert shell("operator", "tap.yaml").startswith("takes ")
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0.5,0,0.02\n")
-    assert shell("operator", "way.csv") == "under way for 500 ms\n"
+    assert shell("operator", "way.csv") == "takes 500 ms\n"
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0,0,0.02\n")
     assert "way.csv:3" in shell.fails("operator", "way.csv")
 

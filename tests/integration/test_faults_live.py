@@ -18,6 +18,7 @@ import msgpack
 import numpy as np
 import pytest
 
+import hapticd
 from hapticd.client import Client
 from hapticd.samples import SampleStream
 from tests.daemon_process import Daemon, connect, running_daemon, until, wired
@@ -265,7 +266,7 @@ def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path)
         assert set(client.get_scene()["scene"]["objects"]) == {"skin", "peg"}  # the files win
         assert client.get_materials()["materials"]["gum"]["stiffness_n_per_m"] == 300
         assert "puncture" not in through(client)  # it is open as it was
-        until(lambda: f"reloaded: revision {before + 1}, 2 objects are others" in daemon.said())
+        until(lambda: f"reloaded: revision {before + 1}, 2 objects changed" in daemon.said())
         assert client.reload() == {"revision": before + 1}  # nothing has changed
 
 
@@ -350,3 +351,26 @@ def test_events_have_the_members_that_a_client_of_protocol_1_0_reads() -> None:
     for name, members in FIRST["events"].items():
         event["kind"] = EventKind[name.upper()]
         assert set(members) <= event_map(event, "x").keys()
+
+
+def test_a_first_configuration_of_ones_own_is_taken_by_a_reload(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The built-in one says where the simulated handle starts; a file that does not is no other device."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    with running_daemon() as daemon, connect(daemon.directory) as client:
+        own = tmp_path / "hapticd" / "config.yaml"
+        own.parent.mkdir()
+        own.write_text("scene: {objects: {honey: {kind: viscous, damping_n_s_per_m: 1}}}\n")
+        client.reload()
+        assert set(client.get_scene()["scene"]["objects"]) == {"honey"}
+        own.write_text("servo: {spin_us: 1}\n")
+        with pytest.raises(hapticd.RemoteError, match=r"servo\.spin_us: 1\.0 needs a restart"):
+            client.reload()
+
+
+def test_an_object_that_is_not_there_is_guessed_at() -> None:
+    with running_daemon() as daemon, connect(daemon.directory) as client:
+        client.set_scene({"objects": PUSH})
+        with pytest.raises(hapticd.RemoteError, match=r"objects\.pusch: there is no object of this id.*mean push"):
+            client.update_scene({"pusch": {"force_n": [0, 1]}})

@@ -21,6 +21,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from hapticd.cli import main
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
@@ -581,3 +582,8 @@ def test_a_text_that_is_none_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "wrong.npz", **members)
     with pytest.raises(HapticdError, match=r"wrong.npz: is no recording of hapticd: .* can't decode"):
         load_recorded(tmp_path / "wrong.npz")
+
+
+def test_a_csv_without_events_has_their_line_of_names(tmp_path: Path) -> None:
+    assert main(["simulate", "fields", "--for", "10ms", "-o", str(tmp_path / "free.csv")]) == 0
+    assert (tmp_path / "free.events.csv").read_text() == "event,tick,time_ns\n"

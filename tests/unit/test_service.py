@@ -285,8 +285,8 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_the_command(installed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["install-service", "--root", str(installed), "--dry-run"]) == 0
     captured = capsys.readouterr()
-    assert captured.err == "hapticd: nothing is changed; what would be done:\n"
-    assert f"wrote {installed}/etc/hapticd/config.yaml\n" in captured.out
+    assert captured.err == ""
+    assert f"would write {installed}/etc/hapticd/config.yaml\n" in captured.out
     assert not any(installed.iterdir())
     assert main(["install-service", "--root", str(installed), "--json"]) == 0
     steps = json.loads(capsys.readouterr().out)
@@ -294,6 +294,10 @@ def test_the_command(installed: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert written == FILES
     assert main(["install-service", "--root", str(installed), "--uninstall"]) == 0
     assert f"removed {installed}/etc/hapticd/config.yaml\n" in capsys.readouterr().out
+    fresh = installed / "made" / "anew"
+    assert main(["install-service", "--root", str(fresh), "--json"]) == 0
+    capsys.readouterr()
+    assert (fresh / "etc/hapticd/config.yaml").exists()
     assert main(["install-service", "--root", str(installed), "--user"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 

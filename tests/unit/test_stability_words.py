@@ -55,7 +55,8 @@ def test_what_may_oscillate_says_what_to_do() -> None:
         whole == "what can be touched may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
     )
     assert verdict == "unsafe"
-    assert one.startswith("floor: 800 N/m are more than the 80 N/m that are proved to be stable in any hand; it may ")
+    proved = "up to which a wall is proved to be stable in any hand"
+    assert one.startswith(f"floor: 800 N/m are not below the 80 N/m {proved}; it may ")
     assert one.endswith("Needed: a lower stiffness or a higher servo.rate_hz")
 
 
