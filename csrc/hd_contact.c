@@ -1,12 +1,13 @@
 /* Contacts: one life cycle for every shape.
  *
  *   free --onset--> touched            the tap is struck, force at once
- *   free --met inside--> touched       silent (appeared, jump, stall, reset)
+ *   free --met inside--> touched       silent, force over a ramp (jump, stall; where two solids overlap)
+ *   free --appeared--> touched         silent (new or moved there, reset)
  *   touched --changed--> touched       it is the new one at once, the state stays (hd_touch.c)
  *   touched --let go--> free           the probe left
  *   touched --dropped--> free          the object went away under the hand
  *
- * What those without the probe's doing make of the force is noted (struct hd_change) and comes in over the ramp
+ * What commands make of the force is noted (struct hd_change) and comes in over the ramp
  * (hd_ramp.h). But a surface that is moved far along itself takes the hand along, with mu F_n at most. */
 #include "hd_contact.h"
 
@@ -90,8 +91,15 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     slot->last = onset->place;
     slot->place_version = object->place_version;
     slot->skin_version = object->skin_version;
-    slot->changed = onset->silent != 0;
+    slot->changed = onset->silent && !walk->resync && hd_walk_is_unsettled(walk);
     state->change.came |= slot->changed;
+    /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
+    slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 ? 0.0 : 1.0;
+    /* Reached along a surface whose force is still coming in, it goes on from there. */
+    for (uint32_t i = 0; onset->slid && !onset->silent && i < walk->path.plane_count; i++) {
+        const double pressed = state->slots[walk->path.plane[i].slot].ramp;
+        slot->ramp = pressed < slot->ramp ? pressed : slot->ramp;
+    }
     slot->anchor_m = onset->place.along_m;
     slot->normal_n = 0.0;
     slot->grooves = 0;

@@ -54,11 +54,13 @@ HD_RT static int still_pressed(struct hd_walk *walk, uint32_t index, const struc
     case HD_SHAPE_WALL:
         hd_wall_place(object, position, &onset->place);
         return onset->place.depth_m > 0.0;
-    case HD_SHAPE_MEMBRANE:
+    case HD_SHAPE_MEMBRANE: {
         onset->side = hd_dot(object->normal, slot->last.normal) < 0.0 ? -1 : 1;
         hd_membrane_place(object, onset->side, position, &onset->place);
-        return onset->place.depth_m > 0.0 && !hd_is_ruptured(walk->table, object, onset->place.depth_m) &&
+        const double limit = walk->table->materials[object->material].rupture_depth_m;
+        return onset->place.depth_m > 0.0 && (limit == 0.0 || onset->place.depth_m <= limit) &&
                !hd_membrane_left(walk, object, index, position, &onset->place);
+    }
     case HD_SHAPE_BOX:
         hd_box_place(object, slot->face, position, &onset->place);
         return !hd_box_left(walk, object, index, slot->face, position, &onset->place);
@@ -68,31 +70,23 @@ HD_RT static int still_pressed(struct hd_walk *walk, uint32_t index, const struc
     }
 }
 
-/* What lay between surface point and probe already, soon after the scene has changed: the change put it there, or
- * brought the surface point beyond it. It is met as what the probe is in. 0: it is not met; a membrane that would have
- * ruptured at once only lies behind. */
-HD_RT static int met_standing(const struct hd_walk *walk, const struct hd_object *object, struct hd_onset *onset) {
+/* What lay between surface point and probe already, soon after a command: that put it there, or brought the surface
+ * point beyond it. It is met as what the probe is in. */
+HD_RT static void meet_standing(const struct hd_walk *walk, const struct hd_object *object, struct hd_onset *onset) {
     const double *position = walk->input->position_m;
-    struct hd_place place = onset->place;
+    const double bearing[2] = {onset->place.normal[0], onset->place.normal[1]};
+    onset->silent = 1;
     switch (object->shape) {
     case HD_SHAPE_MEMBRANE:
-        hd_membrane_place(object, onset->side, position, &place);
+        hd_membrane_place(object, onset->side, position, &onset->place);
         break;
     case HD_SHAPE_BOX:
-        hd_box_place(object, onset->face, position, &place);
+        hd_box_place(object, onset->face, position, &onset->place);
         break;
     default:
-        hd_disc_place(object, onset->place.normal, 0.0, 1, position, &place);
+        hd_disc_place(object, bearing, 0.0, 1, position, &onset->place);
         break;
     }
-    if (hd_is_ruptured(walk->table, object, place.depth_m)) {
-        return 0;
-    }
-    if (hd_walk_is_unsettled(walk)) {
-        onset->silent = 1;
-        onset->place = place;
-    }
-    return 1;
 }
 
 HD_RT static void begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
@@ -133,8 +127,10 @@ HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
         return;
     }
     struct hd_onset onset = {.silent = 0};
-    if ((resumes && still_pressed(walk, index, object, &onset)) ||
-        (meets(walk, object, fresh, &onset) && (!onset.stood || met_standing(walk, object, &onset)))) {
+    if ((resumes && still_pressed(walk, index, object, &onset)) || meets(walk, object, fresh, &onset)) {
+        if (onset.stood && hd_walk_is_unsettled(walk)) {
+            meet_standing(walk, object, &onset);
+        }
         if (!onset.silent && walk->met_count < HD_WALK_MET) {
             walk->met[walk->met_count++] = index;
         } else {

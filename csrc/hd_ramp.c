@@ -128,10 +128,8 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
             residual->beyond_n[axis] = ramped->still_whole_n[axis] - contact_n[axis] - residual->force_n[axis];
             residual->pressed_n[axis] = is[axis];
         }
-        residual->commanded |= !walk->resync;
         begin(residual, table);
     }
-    ramped->held = residual->commanded != 0;
     if (!change->came) {
         fade(residual, table);
     }
@@ -144,9 +142,6 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
         ramped->whole_n[axis] = contact_n[axis] + residual->force_n[axis] + residual->beyond_n[axis];
         contact_n[axis] = residual->left > 0 ? is[axis] + residual->force_n[axis] : contact_n[axis];
         object_n[axis] = residual->left > 0 ? is_object[axis] + residual->object_n[axis] : object_n[axis];
-    }
-    if (residual->left == 0) {
-        residual->commanded = 0;
     }
     return 1;
 }
@@ -169,7 +164,6 @@ HD_RT static void hold(struct hd_state *state, const struct hd_table *table, int
         residual->force_n[axis] += held - force_n[axis];
         force_n[axis] = held;
     }
-    residual->commanded = 1;
     if (changed) {
         begin(residual, table);
     } else if (residual->left == 0) {
@@ -192,9 +186,7 @@ HD_RT void hd_ramp_command(struct hd_walk *walk, const struct hd_ramped *ramped,
         hd_limit_within(limit, contact_n, still_n, still);
         hd_limit_apply(state, table, contact_n, vibration_n, time_ns, force_n, flags);
     }
-    /* What only begins (a run, what was met after a jump) is no command's. The passivity controller has the last word.
-     */
-    if ((ramped == NULL || ramped->held || state->change.eases) && table->passivity != HD_PASSIVITY_CONTROL) {
+    if (table->passivity != HD_PASSIVITY_CONTROL) { /* which has the last word */
         hold(state, table, ramped != NULL && ramped->changed, still, gain_step, force_n);
     }
     hd_ramp_forget(state);

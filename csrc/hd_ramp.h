@@ -8,7 +8,8 @@
  *     no command moves the force faster than max_force_n / ramp_s,
  *
  * however many there are and however they overtake each other; and what the hand does meanwhile is answered by the
- * scene as it is now, at once. A contact without an onset is such a change as well, from nothing.
+ * scene as it is now, at once. What no command is the reason of is no part of it: a contact that is met inside after a
+ * jump has a ramp of its own.
  *
  * Where the hand lets go of what the residual holds down, the residual gives way as the force does, so that nothing
  * ever sticks to the hand. Vibration comes and goes by gains of its own; where they and the residual together would be
@@ -21,8 +22,7 @@
 
 /* What a tick knows of its ramps. */
 struct hd_ramped {
-    int changed;             /* a command of this tick is among the reasons, */
-    int held;                /* or of one before */
+    int changed;             /* by a command of this tick */
     double still_n[2];       /* the contact force that would be felt if every ramp stood still, */
     double still_whole_n[2]; /* and that without the limit */
     double whole_n[2];       /* the contact force that is felt, without the limit */

@@ -16,12 +16,6 @@ struct hd_onset {
     uint8_t face;          /* box */
 };
 
-/* Whether a membrane is beyond its rupture depth there. */
-HD_RT static inline int hd_is_ruptured(const struct hd_table *table, const struct hd_object *object, double depth_m) {
-    const double limit_m = table->materials[object->material].rupture_depth_m;
-    return object->shape == HD_SHAPE_MEMBRANE && limit_m > 0.0 && depth_m > limit_m;
-}
-
 /* So near to the end or the surface of a shape a point is on it: where two shapes meet, neither rounding nor an update
  * opens a crack between them. Far below what an encoder resolves, above rounding anywhere within reach. */
 #define HD_RIM_M 1e-12

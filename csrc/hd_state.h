@@ -75,7 +75,6 @@ struct hd_residual {
     double pressed_n[2]; /* the limited contact force without it, */
     double was_n[2];     /* and that of the tick before */
     uint32_t left;       /* ticks; 0: there is none */
-    uint32_t commanded;  /* a command is among the reasons */
 };
 
 struct hd_slot {
@@ -98,9 +97,10 @@ struct hd_slot {
     uint8_t resume;              /* its contact was cleared while it was pressed */
     uint8_t changed;             /* what it presses with at the end of this tick is a command's doing */
     uint8_t held;                /* the groove at `groove_m` was struck and the probe has not been away from it since */
+    double ramp;                 /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
     double anchor_m;             /* friction: where the probe sticks, along the surface */
-    double normal_n;             /* the normal force at the last tick */
-    double force_n[2];           /* at the last tick */
+    double normal_n;             /* the normal force at the last tick, without ramp */
+    double force_n[2];           /* at the last tick, with it */
     struct hd_place last;        /* at the last tick; its normal outlives the contact */
     struct hd_skin skin;         /* at the last tick */
     uint32_t tail[HD_MODE_USES]; /* as `voice`, of the tails; last, because few ever ring */
@@ -185,6 +185,7 @@ struct hd_state {
     double ringing_n[2];         /* the sum of Im z over voices[] */
     double reserved_n;           /* of the limit, for reserves[] */
     uint32_t field_version;
+    double field_ramp; /* of its force, as of a contact */
     struct hd_field field;
     uint64_t strikes_total;
     uint64_t glitches_total;

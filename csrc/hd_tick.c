@@ -95,8 +95,11 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, str
 }
 
 HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table) {
-    const int any = state->residual.left > 0 || state->gain != (double)state->enabled ||
-                    state->show_vibration != (double)table->display_vibration;
+    int any = state->residual.left > 0 || state->field_ramp < 1.0 || state->gain != (double)state->enabled ||
+              state->show_vibration != (double)table->display_vibration;
+    for (uint32_t i = 0; i < state->active_count && !any; i++) {
+        any = state->slots[state->active[i]].ramp < 1.0;
+    }
     return any ? (uint32_t)HD_FLAG_RAMPING : 0u;
 }
 

@@ -115,7 +115,8 @@ HD_RT static void press_as_it_was(const struct hd_walk *walk, const struct hd_sl
     skin.lowering_m += slid_m * skin.lowering_slope;
     press(&skin, &place, walk->input->velocity_m_per_s, tangent, 1.0, &anchor_m, after);
     for (int axis = 0; axis < 2; axis++) {
-        force_n[axis] += (after[0] - before[0]) * place.normal[axis] + (after[1] - before[1]) * tangent[axis];
+        const double more = (after[0] - before[0]) * place.normal[axis] + (after[1] - before[1]) * tangent[axis];
+        force_n[axis] += slot->ramp * more;
     }
 }
 
@@ -185,8 +186,8 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
     if (!(deepest > limit)) {
         return 0;
     }
-    /* Beyond it already: the membrane was changed, at the end of the tick. */
-    const double part = from < limit ? (limit - from) / (place->depth_m - from) : 1.0;
+    /* One that is beyond it by a command ruptures at the end of the tick, so that nothing is heard of it before. */
+    const double part = from < limit ? (limit - from) / (place->depth_m - from) : slot->changed ? 1.0 : 0.0;
     const double *direction = place->normal;
     const uint32_t event = hd_state_event(state, HD_EVENT_PUNCTURE, walk->input->time_ns);
     const struct hd_strike strike = {
@@ -420,7 +421,13 @@ HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object
     } else if (slot->held) {
         hd_grooves_arm(slot, place.along_m, half_length);
     }
-    slot->normal_n = pressed[0];
+    slot->normal_n = pressed[0]; /* amplitudes follow the force without its ramp */
+    if (slot->ramp < 1.0) {
+        pressed[0] *= slot->ramp;
+        pressed[1] *= slot->ramp;
+        slot->ramp += walk->ramp_step;
+        slot->ramp = slot->ramp < 1.0 ? slot->ramp : 1.0;
+    }
     for (int axis = 0; axis < 2; axis++) {
         slot->force_n[axis] = pressed[0] * place.normal[axis] + pressed[1] * tangent[axis];
         walk->force_n[axis] += slot->force_n[axis];
@@ -433,8 +440,7 @@ HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object
     }
 
     if (under.material->texture == HD_TEXTURE_NOISE && state->show_vibration > 0.0) {
-        sound(walk, index, &under, place.normal, tangent, hd_dot(walk->input->velocity_m_per_s, tangent),
-              changed && !walk->resync);
+        sound(walk, index, &under, place.normal, tangent, hd_dot(walk->input->velocity_m_per_s, tangent), changed);
     } else if (under.material->texture != HD_TEXTURE_NOISE) {
         if (changed) {
             hd_contact_hush(state, slot);

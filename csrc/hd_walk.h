@@ -54,7 +54,7 @@ HD_RT void hd_field_follow(struct hd_walk *walk);
 
 HD_RT static inline void hd_field_walk(struct hd_walk *walk) {
     struct hd_state *state = walk->state;
-    if (!state->field_known || state->field_version != walk->table->field_version) {
+    if (!state->field_known || state->field_version != walk->table->field_version || state->field_ramp < 1.0) {
         hd_field_follow(walk);
     }
     if (state->field_active) {

@@ -180,7 +180,7 @@ static void check_state(const struct hd_state *state, const struct hd_sample *sa
             double square = hd_dot(slot->last.normal, slot->last.normal);
 
             CHECK(square > 0.999 && square < 1.001);
-            CHECK(slot->changed == 0);
+            CHECK(slot->changed == 0 && slot->ramp >= 0.0 && slot->ramp <= 1.0);
         }
     }
     CHECK(touched == state->active_count && healing == state->healing_count && state->resumed_count == 0);

@@ -461,6 +461,14 @@ static int met_something(const struct hd_state *state) {
     return 0;
 }
 
+/* A contact that the hand itself met without an onset, where solids overlap: its ramp is no command's. */
+static int has_own_ramp(const struct hd_state *state) {
+    for (uint32_t i = 0; i < state->active_count; i++)
+        if (state->slots[state->active[i]].ramp < 1.0)
+            return 1;
+    return 0;
+}
+
 struct outcome {
     double worst; /* of what is allowed */
     double worst_of[CHANGES + 1];
@@ -473,7 +481,7 @@ struct outcome {
     uint64_t ringing;
     uint64_t ramping;
     uint64_t strikes;
-    uint64_t met; /* changes in a tick in which the old scene meets or leaves something by itself */
+    uint64_t met; /* ticks in which the old scene meets or leaves something by itself, or ramps */
 };
 
 /* `moving`: nothing vibrates, and the hand does not rest in the tick of a change. Then only this is sure: the command
@@ -524,9 +532,9 @@ static void run(uint64_t seed, double rate_hz, uint64_t ticks, uint64_t changes,
         if (moving) {
             hd_difference(sample.force_n, before.force_n, step);
             part = fmin(part, hypot(step[0], step[1]) / (LIMIT_N * torture.scene.table.ramp_step + ROUNDING_N));
-            if (kind != CHANGES && i > BEGIN)
+            if (kind != CHANGES && i > BEGIN && !has_own_ramp(torture.still))
                 outcome->worst_moving = fmax(outcome->worst_moving, part);
-        } else if (kind != CHANGES && met_something(torture.still)) {
+        } else if (has_own_ramp(torture.still) || (kind != CHANGES && met_something(torture.still))) {
             outcome->met++;
         } else if (i > BEGIN) {
             if (part > 1.0 && part > outcome->worst)
@@ -579,7 +587,7 @@ static void rest(uint64_t seed, double rate_hz, uint64_t ticks, struct outcome *
         torture.state->event_count = 0;
         hd_tick(torture.worlds[torture.front], torture.state, &input, &sample);
         hd_difference(sample.force_n, before.force_n, step);
-        if (resting > 0) {
+        if (resting > 0 && !has_own_ramp(torture.state)) {
             const double part = hypot(step[0], step[1]) / (LIMIT_N * torture.scene.table.ramp_step + ROUNDING_N);
 
             outcome->resting++;

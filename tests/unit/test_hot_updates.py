@@ -208,7 +208,7 @@ def test_a_stall_in_which_the_slot_goes_to_another_object_leaves_no_contact(kind
     assert not np.any(samples["flags"] & Flag.CONTACT)
 
 
-# ---- One rule: no command moves the limited force faster than max_force_n / ramp_s -------------------------------------
+# ---- One rule: no command moves the limited force faster than max_force_n / ramp_s -----------------------------------
 
 PACE = 8.9 / (RAMP * RATE) * (1 + 1e-9)
 FIRM = {
@@ -259,12 +259,15 @@ def test_a_hand_that_flies_into_what_has_just_appeared_is_tapped() -> None:
     assert np.allclose(samples["contact_force_n"][:, 1], 800 * depth)
 
 
-def test_a_membrane_that_appears_beyond_its_rupture_depth_lies_behind() -> None:
-    rig = Rig({"w": {**FLOOR, "material": "soft"}}, materials=FIRM)
+def test_a_membrane_that_appears_beyond_its_rupture_depth_is_punctured_at_once() -> None:
+    rig = Rig({"w": {**FLOOR, "material": "soft"}}, materials=FIRM, device={"effective_mass_kg": 0.05})
     before = rig.render(still(0, -0.006, 400))
     rig.update({"it": {**SKIN, "center_m": [0, -0.001]}})  # ruptures at 4 mm
     samples = rig.render(still(0, -0.006, 600))
-    assert rig.kinds() == [] and np.array_equal(samples["force_n"], np.tile(before["force_n"][-1], (600, 1)))
+    assert rig.kinds() == [EventKind.CONTACT, EventKind.PUNCTURE, EventKind.RELEASE]
+    assert rig.events["code"][0] == 1 and rig.events["tick"].tolist() == [rig.events["tick"][0]] * 3
+    assert np.array_equal(samples["contact_force_n"], np.tile(before["contact_force_n"][-1], (600, 1)))
+    assert not np.any(samples["vibration_force_n"][0]) and np.any(samples["vibration_force_n"][1:200])
 
 
 @pytest.mark.parametrize("way_m", [0.01, -0.0093, 0.0047])
