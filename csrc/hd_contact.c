@@ -84,6 +84,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
     slot->touched = 1;
+    state->touches++;
     slot->active_index = state->active_count;
     state->active[state->active_count++] = index;
     slot->side = onset->side;
@@ -159,6 +160,7 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     state->active[slot->active_index] = last;
     state->slots[last].active_index = slot->active_index;
     slot->touched = 0;
+    state->touches++;
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;
     hd_contact_silence(state, slot);

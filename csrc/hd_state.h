@@ -190,6 +190,7 @@ struct hd_state {
     uint64_t strikes_total;
     uint64_t glitches_total;
     uint64_t saturations_total;
+    uint64_t touches; /* contacts that began or ended so far */
     uint64_t events_dropped;
     uint32_t slot_capacity; /* address space for so many */
     uint32_t slot_count;    /* so many are in memory */

@@ -64,7 +64,6 @@ class Telemetry:
         self._held = 0
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
-        self._touching: dict[str, None] = {}
 
     def run(self, stop: threading.Event) -> None:
         """Publishes until `stop` is set, and once more after it."""
@@ -160,7 +159,7 @@ class Telemetry:
             sample = self._newest[0]
             flags = Flag(int(sample["flags"]))
             state = sample_map(sample)
-            state["touching"] = list(self._touching)
+            state["touching"] = self._engine.touching()
             state["flag_names"] = [flag.name.lower() for flag in flags if flag.name]
             self._send("state", state)
 
@@ -171,11 +170,4 @@ class Telemetry:
         self._socket.send_multipart([topic.encode(), wire.encode(message)])
 
     def _note(self, event: Any) -> dict[str, object]:
-        """An event's map; contacts and releases are remembered for the state."""
-        name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
-        message = event_map(event, name)
-        if name is not None and message["event"] == "contact":
-            self._touching[name] = None
-        elif name is not None and message["event"] == "release":
-            self._touching.pop(name, None)
-        return message
+        return event_map(event, self._engine.name_of(int(event["slot"]), int(event["generation"])))
