@@ -6,6 +6,7 @@
 PYTHON ?= python3
 CC ?= cc
 CLANG ?= clang-22
+C_RUNS ?= 1
 FUZZ_SECONDS ?= 60
 DAEMON_SECONDS ?= 30
 DESCRIPTORS ?= 20000
@@ -53,6 +54,10 @@ install: prerequisites
 	@echo "setting up $(VENV) (a minute or two, once)"
 	@$(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(share)
+
+# setuptools leaves out of an editable install what a wheel puts below the prefix.
+share = $(BIN)/python setup.py -q build_share && cp -R build/share $(VENV)
 
 # One clear line for each thing that is missing.
 .PHONY: prerequisites
@@ -75,12 +80,30 @@ prerequisites:
 demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, with the first set-up 150 s
 	@$(BIN)/python -m hapticd.demo
 
-.PHONY: test
-test: build ctest pytest ## C tests and pytest
+# pytest on every processor. What Python and pytest compile is kept, whatever the shell says: to do it anew costs seconds.
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
-.PHONY: pytest
-pytest: build
-	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+.PHONY: test
+test: build ctest ## C tests and pytest without what is slow: two minutes and a half on two processors
+	@$(PYTEST) -m 'not slow'
+
+# Unit tests of what most changes touch, and the commands against a real daemon; C tests beside them.
+QUICK := tests/unit tests/integration/test_cli_live.py \
+	$(patsubst %,--ignore-glob='tests/unit/test_%',fit_* cli_fit* bench_* *calibrat* verify* displayed* fuzz* hid_descriptor* velocity* noise* sandpaper* stability* closed_loop* reliability*)
+
+.PHONY: quick
+quick: build ## the tests that take a minute at most: plain C tests, and unit tests without fits, calibration and fuzzing
+	@mkdir -p build
+	@$(MAKE) --no-print-directory ctest >build/quick-c.log 2>&1 & beside=$$!; \
+		failed=0; \
+		$(PYTEST) -q -m 'not slow' $(QUICK) || failed=1; \
+		wait $$beside || failed=1; \
+		cat build/quick-c.log; \
+		exit $$failed
+
+.PHONY: test-all
+test-all: build ctest ## C tests and all of pytest, what is slow too
+	@$(PYTEST)
 
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
@@ -92,7 +115,11 @@ test-systemd: build ## the installed service under systemd and udev, in a virtua
 
 .PHONY: bench
 bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md: 15 minutes
-	@$(BIN)/python -m bench
+	@$(BIN)/python -m bench --overwrite
+
+.PHONY: man
+man: build ## man pages and completion scripts of the commands, into .venv/share, where man looks
+	@$(share)
 
 .PHONY: format
 format: build ## lay out C and Python
@@ -109,11 +136,11 @@ clean: ## remove everything that was built, .venv too
 # ---- What CI runs ------------------------------------------------------------------------------------------------
 
 .PHONY: check
-check: lint warnings ## lint, types, layout, warnings as errors, C tests, pytest, and beside them test-vm
+check: lint warnings ## lint, types, layout, warnings as errors, test-all, and beside them test-vm
 	@mkdir -p build
 	@$(MAKE) --no-print-directory test-vm >build/test-vm.log 2>&1 & beside=$$!; \
 		failed=0; \
-		$(MAKE) --no-print-directory test || failed=1; \
+		$(MAKE) --no-print-directory test-all || failed=1; \
 		wait $$beside || failed=1; \
 		cat build/test-vm.log; \
 		exit $$failed
@@ -180,7 +207,9 @@ c-build: $(C_TESTS)
 
 .PHONY: c-run
 c-run: c-build
-	@set -e; for test in $(C_TESTS); do $$test; done
+	@set -e; for test in $(C_TESTS); do \
+		run=1; while [ $$run -le $(C_RUNS) ]; do $$test; run=$$((run + 1)); done; \
+	done
 
 .PHONY: ctest
 ctest:
@@ -200,7 +229,7 @@ define sanitized
 endef
 
 .PHONY: tsan asan ubsan msan rtsan
-tsan: ## C tests under ThreadSanitizer
+tsan: ## C tests under ThreadSanitizer, C_RUNS=1 times each, as with the next five
 	$(call sanitized,tsan,thread)
 asan: ## C tests under AddressSanitizer
 	$(call sanitized,asan,address)
@@ -211,13 +240,18 @@ msan: ## C tests under MemorySanitizer
 rtsan: ## C tests under RealtimeSanitizer: the servo never blocks
 	$(call sanitized,rtsan,realtime)
 
+.PHONY: jitter
+jitter: ## C tests with threads, with random delays wherever threads meet
+	@$(MAKE) --no-print-directory -j$(JOBS) c-run VARIANT=jitter CHECKS='-include tests/c/hd_jitter.h' \
+		C_TESTS='$(patsubst tests/c/%.c,build/c/jitter/%,$(shell grep -l pthread.h tests/c/test_*.c))'
+
 comma := ,
 
 # $(call sanitized_daemon,VARIANT,SANITIZERS): the daemon under them, in a Python with the core inside it.
 define sanitized_daemon
 	@command -v $(CLANG) >/dev/null && \
 		echo 'int main(void) { return 0; }' | $(CLANG) -fsanitize=$(2) -x c - -o /dev/null 2>/dev/null || \
-		{ echo "make $(1)-daemon needs $(CLANG) with its sanitizers: install clang-22 and libclang-rt-22-dev" \
+		{ echo "make $(1)-daemon needs $(CLANG) with its sanitizers: install clang-22, libclang-rt-22-dev and llvm-22" \
 			"(Debian), or make $(1)-daemon CLANG=..." >&2; exit 1; }
 	@$(MAKE) --no-print-directory -j$(JOBS) c-launcher VARIANT=$(1) CC=$(CLANG) \
 		CHECKS='-fsanitize=$(2) -fno-sanitize-recover=all -fno-omit-frame-pointer'

@@ -37,6 +37,7 @@ from bench import (
 )
 from bench.report import PICTURES, ROOT, Advance, Options, Section, machine
 from hapticd.errors import HapticdError
+from hapticd.place import is_there
 
 DOCS = ROOT / "docs"
 ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
@@ -103,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure [default: everything]")
     parser.add_argument("--quick", action="store_true", help="a minute or two: shows that it runs, not how fast")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where the pages go [default: docs, of a whole run]")
+    parser.add_argument("--overwrite", action="store_true", help="replace the pages and figures that are there")
     parser.add_argument("--pairs", type=int, default=defaults.pairs, help="paired runs beside cyclictest at each rate")
     parser.add_argument("--seconds", type=float, default=defaults.seconds, help="length of each of them")
     parser.add_argument("--minute", type=float, default=defaults.minute_s, help="seconds of the telemetry run")
@@ -192,8 +194,9 @@ def _write(found: Found, folder: Path, on: str) -> list[Path]:
     return written
 
 
-def perform(names: Sequence[str], options: Options, out: Path | None) -> int:
-    """Measures what was asked for; the exit code. Raises HapticdError."""
+def perform(names: Sequence[str], options: Options, out: Path | None, overwrite: bool = False) -> int:
+    """Measures what was asked for; the exit code. Raises HapticdError, of pages that are there and not to be replaced
+    before anything is measured."""
     missing = [module for module in NEEDED if find_spec(module) is None]
     if missing:
         raise HapticdError(f"the benchmarks need {', '.join(missing)}: pip install -e '.[dev]' in the source tree")
@@ -203,6 +206,10 @@ def perform(names: Sequence[str], options: Options, out: Path | None) -> int:
     console.print(on, markup=False, highlight=False)
     whole = chosen == list(MEASUREMENTS) and not options.quick
     folder = out or (DOCS if whole else None)
+    if folder is not None and not overwrite:
+        for page in sorted({page for name in chosen for page in MEASUREMENTS[name].pages} - {DEVICES}):
+            if (folder / page).exists():
+                raise is_there(folder / page)
     if folder is not None:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -229,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         pairs=given.pairs, seconds=given.seconds, minute_s=given.minute, load=given.load, quick=given.quick
     )
     try:
-        return perform(given.names, options, given.out)
+        return perform(given.names, options, given.out, given.overwrite)
     except HapticdError as error:
         print(f"bench: {error}", file=sys.stderr)
         return 1

@@ -549,7 +549,7 @@ class Soak:
                 file = self.folder / f"recording-{number}.{ending}"
                 said = self._run(hapticd(self.place, "record", str(file), "--for", f"{RECORD_S}s", "--json"))
                 told = json.loads(said)
-                if told["lost"] or told["dropped"] or told["missing_revisions"] or told["ended"]:
+                if told["lost"] or told["dropped"] or told["missing_revisions"] or told["ended_because"]:
                     self.fail("record", said.strip())
                 self._compare(file, told["ticks"])
                 self.count(f"recordings: {ending}")
@@ -562,7 +562,7 @@ class Soak:
         rng = self.rng("flight")
         file = self.folder / "flight.npz"
         while not self.stop.wait(rng.uniform(20, 60)):
-            self._run(hapticd(self.place, "flight", str(file)))
+            self._run(hapticd(self.place, "flight", str(file), "--overwrite"))
             self._compare(file, None)
             self.count("flight files")
 

@@ -219,14 +219,21 @@ enum hd_flag {
     HD_FLAG_RESTRAINED = 512 /* the passivity controller changed the contact force */
 };
 
-/* One tick as telemetry carries it. */
+/* One tick as telemetry carries it.
+ *
+ * contact_force_n: what touched objects push with (stiffness, damping, friction, and grooves that are displayed as
+ * geometry or damping), what is left of objects that went away while touched, and the fields. vibration_force_n:
+ * ringing modes (taps, grooves displayed as vibration, ruptures, play) and the noise of textures; not what the device
+ * plays by itself. Both are weighed by the ramps of the display flags, and the contact force is as the passivity
+ * controller left it; neither is cut by the force limit yet, nor weighed by the gain that set_forces and faults fade. A
+ * strike was scaled when it was struck, and modes that the limit lowered go on lowered in the next tick. */
 struct hd_sample {
     uint64_t tick;
     int64_t time_ns; /* the deadline of this tick */
     double position_m[2];
     double velocity_m_per_s[2];
-    double contact_force_n[2]; /* objects and fields, as displayed, before the limit, after the passivity controller */
-    double vibration_force_n[2]; /* modes, as displayed, before the limit */
+    double contact_force_n[2];   /* objects and fields, after the passivity controller, before the limit */
+    double vibration_force_n[2]; /* modes and noise, before the limit */
     double force_n[2];           /* the command, after every limit */
     uint32_t revision;
     uint32_t flags;
@@ -245,11 +252,13 @@ enum hd_event_kind {
     HD_EVENT_GLITCH = 8,     /* value: the speed that the jump implied, m/s */
     HD_EVENT_DEVICE_LOST = 9,
     HD_EVENT_DEVICE_FOUND = 10,
-    HD_EVENT_GROOVE = 11,        /* speed: tangential, signed along t; value: grooves struck in this contact so far */
-    HD_EVENT_OVERLOAD = 12,      /* value: part of the last second's periods that were missed, above the threshold */
-    HD_EVENT_RATE = 13,          /* value: the servo's rate from this tick on, Hz */
-    HD_EVENT_RESUMED = 14,       /* value: how long the machine was suspended, s */
-    HD_EVENT_MEMORY_REFUSED = 15 /* code: errno; from this table on not all memory is locked */
+    HD_EVENT_GROOVE = 11,         /* speed: tangential, signed along t; value: grooves struck in this contact so far */
+    HD_EVENT_OVERLOAD = 12,       /* value: part of the last second's periods that were missed, above the threshold */
+    HD_EVENT_RATE = 13,           /* value: the servo's rate from this tick on, Hz */
+    HD_EVENT_RESUMED = 14,        /* value: how long the machine was suspended, s */
+    HD_EVENT_MEMORY_REFUSED = 15, /* code: errno; from this table on not all memory is locked */
+    HD_EVENT_MARK = 16,           /* code: the command's value */
+    HD_EVENT_GESTURE_END = 17 /* value: the tick that took the path; code: 1 through, 0 another one took its place */
 };
 
 struct hd_event {
@@ -571,7 +580,7 @@ struct hd_hid_status {
     uint32_t states;       /* bit (meaning - 1): the number is not 0 */
     uint32_t states_known; /* bit (meaning - 1): a report has said it */
     uint32_t unused;
-    uint64_t reports;       /* input reports read, of any id */
+    uint64_t reports;       /* input reports read, of any id; what they said is in the other numbers, and published */
     uint64_t positions;     /* of them, positions */
     uint64_t short_reports; /* too short for what the plan reads of them: ignored */
     uint64_t writes;
@@ -663,11 +672,16 @@ struct hd_grant {
 };
 
 enum hd_command_kind {
-    HD_COMMAND_PLAY = 1,    /* mode, direction, amplitude (in the mode's unit) */
-    HD_COMMAND_RESET = 2,   /* slot and generation, or HD_NO_SLOT for all */
-    HD_COMMAND_FORCES = 3,  /* value 0 or 1; 1 clears latched faults whose cause is gone */
-    HD_COMMAND_OPERATOR = 4 /* path; simulated device only */
+    HD_COMMAND_PLAY = 1,     /* mode, direction, amplitude (in the mode's unit) */
+    HD_COMMAND_RESET = 2,    /* slot and generation, or HD_NO_SLOT for all */
+    HD_COMMAND_FORCES = 3,   /* value 0 or 1; 1 clears latched faults whose cause is gone */
+    HD_COMMAND_OPERATOR = 4, /* path; simulated device only */
+    HD_COMMAND_MARK = 5      /* value: given back by an event at the tick that takes it */
 };
+
+/* Of so many marks at a time, from the command to the reading of its event, no event is lost: it has room in the ring
+ * that others leave free. Whoever sends keeps to it. */
+#define HD_MARKS 64
 
 struct hd_command {
     uint32_t kind;

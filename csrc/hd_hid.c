@@ -30,7 +30,7 @@
  *   seen_* and what follows in struct hd_hid       the servo's own
  *   the writer's counters                          the writer, while its phase is IDLE
  *   playing, ended in struct hd_connection         the reader writes, the writer reads
- *   connection                                     control's own: one thread at a time connects and disconnects
+ *   connection, parting_ns                         control's own: one thread at a time connects and disconnects
  *   connected, error, reset, returns_ns, event_fd  anybody
  *
  * Times are CLOCK_MONOTONIC nanoseconds. */
@@ -63,7 +63,7 @@
 #define HD_LOOK_NS 50000          /* how often the writer looks for a force that is due */
 #define HD_LOOK_MOST_NS 1000000   /* and for one that is not: it renews and ends, too */
 #define HD_FORCE_AGE_NS 100000000 /* an older force is none */
-#define HD_PARTING_NS 500000000   /* for what is written at the end */
+#define HD_PARTING_NS 500000000   /* for what is written at the end, unless hd_hid_set_parting says otherwise */
 #define HD_IDLE_NS 1000000        /* passes further apart say nothing about how fast the device takes them */
 #define HD_MEAN_SHIFT 5           /* running means are over 32 */
 #define HD_UNUSUAL_S 0.05         /* longer intervals between reports are pauses */
@@ -96,6 +96,7 @@ struct hd_connection {
     int64_t start_ns;
     struct hd_atomic_u32 phase; /* enum hd_phase, of the writer */
     struct hd_atomic_u32 end;   /* enum hd_end; whoever ends it writes, the writer reads */
+    int64_t parting_ns;         /* for what is written at the end */
     int64_t parting_until_ns;   /* control writes it before an orderly end */
     int parting_error;          /* the writer writes it, control reads it after the join */
     pthread_t reader;
@@ -154,6 +155,7 @@ struct hd_hid {
     struct hd_atomic_u32 paused;     /* somebody has paused the device */
     struct hd_atomic_i64 returns_ns; /* when the last reset was answered, or a pause was over */
     int event_fd;
+    int64_t parting_ns; /* control's own, as connection */
     struct hd_connection *connection;
 
     alignas(HD_CACHE_LINE) struct hd_reading seen; /* the servo's own, from here on */
@@ -388,7 +390,6 @@ static int read_report(struct hd_connection *connection, int64_t now_ns, int wat
     }
     struct hd_report_news news;
     hd_report_take(&connection->plan, report, (size_t)length + id, &news);
-    hd_atomic_u64_add_relaxed(&hid->reports, 1);
     hd_atomic_i64_store_relaxed(&hid->last_report_ns, now_ns);
     if (news.short_of_it) {
         hd_atomic_u64_add_relaxed(&hid->short_reports, 1);
@@ -425,8 +426,11 @@ static void publish_position(struct hd_connection *connection) {
     }
 }
 
-/* Reads what is there, as far as the newest, and publishes that. 0, or the errno of what ends the connection. */
+/* Reads what is there, as far as the newest, and publishes that. A report is counted last: whoever has read the count
+ * finds what the report said. 0, or the errno of what ends the connection. */
 static int drain(struct hd_connection *connection, int64_t now_ns, int watching) {
+    struct hd_hid *hid = connection->hid;
+    uint64_t reports = hd_atomic_u64_load_relaxed(&hid->reports);
     int moved = 0;
     int status = 1;
     for (int i = 0; i < HD_DRAIN_MAX && status >= 0; i++) {
@@ -435,10 +439,12 @@ static int drain(struct hd_connection *connection, int64_t now_ns, int watching)
             break;
         }
         status = read_report(connection, now_ns, watching, &moved);
+        reports += status > 0;
     }
     if (moved) {
         publish_position(connection);
     }
+    hd_atomic_u64_store_release(&hid->reports, reports);
     return status < 0 ? -status : 0;
 }
 
@@ -748,7 +754,7 @@ static void connection_free(struct hd_connection *connection) {
 /* The pauses between the last writes take half of the time for them at most, however slow the device wants them. */
 static void hurry(struct hd_connection *connection) {
     struct hd_hid_plan *plan = &connection->plan;
-    const int64_t pause_ns = HD_PARTING_NS / 2 / (1 + plan->force.count + plan->stop.count);
+    const int64_t pause_ns = connection->parting_ns / 2 / (1 + plan->force.count + plan->stop.count);
     const int64_t latest_ns = hd_clock_now_ns() + pause_ns;
     plan->write_interval_ns = plan->write_interval_ns < pause_ns ? plan->write_interval_ns : pause_ns;
     connection->next_write_ns = connection->next_write_ns < latest_ns ? connection->next_write_ns : latest_ns;
@@ -781,7 +787,7 @@ static void *writer_main(void *argument) {
         uint32_t changed;
         connection->leaving = 1;
         connection->leaving_until_ns =
-            end == HD_END_ORDERLY ? connection->parting_until_ns : hd_clock_now_ns() + HD_PARTING_NS;
+            end == HD_END_ORDERLY ? connection->parting_until_ns : hd_clock_now_ns() + connection->parting_ns;
         hurry(connection);
         error = write_forces(connection, 1, &changed);
         if (error >= 0) { /* also where the force is refused */
@@ -817,6 +823,7 @@ struct hd_hid *hd_hid_new(void) {
     hd_triple_init(&hid->position_triple);
     hd_triple_init(&hid->force_triple);
     hd_orders_init(&hid->orders);
+    hid->parting_ns = HD_PARTING_NS;
     hid->seen.true_velocity_m_per_s[0] = hid->seen.true_velocity_m_per_s[1] = (double)NAN;
     return hid;
 }
@@ -838,6 +845,10 @@ void hd_hid_expect_ticks(struct hd_hid *hid, int64_t tick_ns) {
     hd_atomic_i64_store_relaxed(&hid->tick_ns, tick_ns);
 }
 
+void hd_hid_set_parting(struct hd_hid *hid, int64_t parting_ns) {
+    hid->parting_ns = parting_ns;
+}
+
 static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd) {
     struct hd_connection *connection = NULL;
     if (posix_memalign((void **)&connection, HD_CACHE_LINE, sizeof *connection) != 0) {
@@ -850,6 +861,7 @@ static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_
     connection->end_fd = eventfd(0, EFD_CLOEXEC);
     connection->left_fd = eventfd(0, EFD_CLOEXEC);
     connection->start_ns = hd_clock_now_ns();
+    connection->parting_ns = hid->parting_ns;
     connection->known.on_change = plan->on_change;
     hd_player_init(&connection->player, &hid->orders);
     if (connection->fd < 0 || connection->end_fd < 0 || connection->left_fd < 0) {
@@ -985,7 +997,7 @@ int hd_hid_disconnect(struct hd_hid *hid, int orderly) {
     if (connection == NULL) {
         return 0;
     }
-    connection->parting_until_ns = hd_clock_now_ns() + HD_PARTING_NS;
+    connection->parting_until_ns = hd_clock_now_ns() + connection->parting_ns;
     const int lost = !hd_atomic_u32_replace(&connection->end, HD_END_NOT, orderly ? HD_END_ORDERLY : HD_END_NOW);
     hd_atomic_u32_store_release(&hid->connected, 0);
     hd_atomic_u32_store_relaxed(&hid->offers, 0);
@@ -1008,13 +1020,16 @@ int hd_hid_offer(struct hd_hid *hid, const struct hd_hid_offers *effects) {
 }
 
 void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status) {
+    /* These first: the rest is as new as they are. */
+    const uint64_t reports = hd_atomic_u64_load_acquire(&hid->reports);
+    const uint32_t connected = hd_atomic_u32_load_acquire(&hid->connected);
     *status = (struct hd_hid_status){
-        .connected = hd_atomic_u32_load_acquire(&hid->connected),
+        .connected = connected,
         .error = (int32_t)hd_atomic_u32_load_relaxed(&hid->error),
         .reset = hd_atomic_u32_load_acquire(&hid->reset),
         .states = hd_atomic_u32_load_relaxed(&hid->states),
         .states_known = hd_atomic_u32_load_relaxed(&hid->states_known),
-        .reports = hd_atomic_u64_load_relaxed(&hid->reports),
+        .reports = reports,
         .positions = hd_atomic_u64_load_relaxed(&hid->read_positions),
         .short_reports = hd_atomic_u64_load_relaxed(&hid->short_reports),
         .writes = hd_atomic_u64_load_relaxed(&hid->writes),

@@ -33,6 +33,8 @@ HD_RT int hd_hid_step_await(struct hd_hid *hid, int64_t until_ns, int64_t *arriv
 void hd_hid_await_enable(struct hd_hid *hid);
 /* Control, before the servo starts: the writer need not look for a force sooner than that after another. 0 at first. */
 void hd_hid_expect_ticks(struct hd_hid *hid, int64_t tick_ns);
+/* Control, before a connection: how long what is written at its end may take. 0.5 s at first. */
+void hd_hid_set_parting(struct hd_hid *hid, int64_t parting_ns);
 
 #define HD_FORGET_RENEWALS 2 /* an effect that ended plays again after so many, or is forgotten */
 

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "hd_gesture.h"
 #include "hd_sim.h"
 #include "hd_tick.h"
 #include "hd_world.h"
@@ -138,6 +139,7 @@ int hd_simulate(const struct hd_world *world, struct hd_state *state, struct hd_
         if (state->tick > 0) {
             hd_sim_advance(sim, 1);
         }
+        hd_gesture_watch(state, sim, input.time_ns);
         if (truth != NULL) {
             double actuator[2];
             hd_sim_truth(sim, &truth[4 * i], &truth[4 * i + 2], actuator);

@@ -33,6 +33,7 @@
 #include "hd_atomic.h"
 #include "hd_clock.h"
 #include "hd_device.h"
+#include "hd_gesture.h"
 #include "hd_histogram.h"
 #include "hd_memory.h"
 #include "hd_ring.h"
@@ -44,6 +45,7 @@
 
 #define HD_COMMAND_CAPACITY 1024u
 #define HD_EVENT_RING_CAPACITY 8192u
+#define HD_GESTURE_ENDS 64u      /* room in the ring of events for these, beside that for marks */
 #define HD_ADOPTED_CAPACITY 256u /* revisions whose first tick is remembered */
 #define HD_COMMANDS_PER_TICK 64u
 #define HD_CONTROL_TIMEOUT_S 1.0 /* of ticks rendered, so that a stopped process does not count against control */
@@ -233,7 +235,10 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
         }
         return HD_OK;
     case HD_COMMAND_OPERATOR:
-        hd_sim_step_operate(servo->device.sim, command->path);
+        hd_gesture_begin(state, servo->device.sim, command->path, time_ns);
+        return HD_OK;
+    case HD_COMMAND_MARK:
+        report(servo, HD_EVENT_MARK, time_ns, command->value, 0.0);
         return HD_OK;
     default:
         return HD_OK; /* refused by hd_servo_send */
@@ -396,10 +401,19 @@ HD_RT static void watch(struct hd_servo *servo, const struct hd_look *look, int6
     watch_device(servo, look, time_ns);
 }
 
+/* Room in the ring that an event of this kind leaves to others: somebody waits for marks and for gestures to end. */
+HD_RT static size_t kept_free(uint32_t kind) {
+    return kind == HD_EVENT_MARK ? 0u : kind == HD_EVENT_GESTURE_END ? HD_MARKS : HD_MARKS + HD_GESTURE_ENDS;
+}
+
 HD_RT static void leave_events(struct hd_servo *servo) {
     struct hd_state *state = servo->state;
+    size_t room = hd_ring_free_space(&servo->events);
     for (uint32_t i = 0; i < state->event_count; i++) {
-        if (hd_ring_push(&servo->events, &state->events[i]) != HD_OK) {
+        const struct hd_event *event = &state->events[i];
+        if (room > kept_free(event->kind) && hd_ring_push(&servo->events, event) == HD_OK) {
+            room--;
+        } else {
             hd_ring_drop(&servo->events);
         }
     }
@@ -482,6 +496,9 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
         hd_state_want_forces(state, 0);
     }
     hd_device_advance(&servo->device, periods);
+    if (servo->device.sim != NULL) {
+        hd_gesture_watch(state, servo->device.sim, deadline_ns);
+    }
     hd_device_look(&servo->device, now_ns, &look);
     watch(servo, &look, now_ns, deadline_ns);
     hd_sense(state, &servo->world->table, &look.reading, NULL, &input);
@@ -1017,6 +1034,7 @@ static int command_check(const struct hd_servo *servo, const struct hd_command *
                                                                   : hd_invalid("operator: no path or no simulation");
     case HD_COMMAND_RESET:
     case HD_COMMAND_FORCES:
+    case HD_COMMAND_MARK:
         return HD_OK;
     default:
         return hd_invalid("command: kind %u", command->kind);
@@ -1097,8 +1115,11 @@ void hd_servo_set_lease(struct hd_servo *servo, int64_t deadline_ns) {
 }
 
 void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counters) {
+    /* In this order: of a servo that has ended, these are the last ticks; and the rest is as new as the ticks are. */
+    const uint32_t running = hd_atomic_u32_load_acquire(&servo->running);
+    const uint64_t ticks = hd_atomic_u64_load_acquire(&servo->ticks);
     *counters = (struct hd_counters){
-        .ticks = hd_atomic_u64_load_acquire(&servo->ticks),
+        .ticks = ticks,
         .skipped = hd_atomic_u64_load_relaxed(&servo->skipped),
         .overruns = hd_atomic_u64_load_relaxed(&servo->overruns),
         .samples_dropped = hd_ring_dropped(&servo->samples),
@@ -1109,7 +1130,7 @@ void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counter
         .revision = hd_atomic_u32_load_relaxed(&servo->revision),
         .faults = hd_atomic_u32_load_relaxed(&servo->faults),
         .forces_on = hd_atomic_u32_load_relaxed(&servo->forces_on),
-        .running = hd_atomic_u32_load_relaxed(&servo->running),
+        .running = running,
         .memory_refused = hd_atomic_u32_load_relaxed(&servo->memory_refused),
         .overloaded = hd_atomic_u32_load_relaxed(&servo->overloaded),
         .overloads = hd_atomic_u64_load_relaxed(&servo->overloads),

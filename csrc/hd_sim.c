@@ -125,6 +125,8 @@ struct hd_sim {
     const struct hd_operator *path; /* NULL: it rests */
     size_t path_index;
     uint64_t path_tick;
+    double path_end_s; /* of the last waypoint */
+    bool path_told;    /* nobody waits to be told of the path's end */
     struct hd_segment segment;
     double segment_limit_s; /* limit_s, or less where the wish is curved */
     uint64_t calm_tick;     /* periods that begin before it lie in this segment and need one step */
@@ -745,8 +747,22 @@ HD_RT void hd_sim_step_operate(struct hd_sim *sim, const struct hd_operator *pat
     sim->path = path;
     sim->path_index = hd_operator_first(path);
     sim->path_tick = sim->tick;
+    sim->path_end_s = path->waypoints[path->count - 1][0];
+    sim->path_told = false;
     enter_segment(sim, wish_m);
     find_segment(sim, 0.0);
+}
+
+HD_RT enum hd_progress hd_sim_step_progress(const struct hd_sim *sim) {
+    if (sim->path_told) {
+        return HD_PROGRESS_NONE;
+    }
+    return path_time_s(sim) < sim->path_end_s - HD_SAME_TIME * sim->period_s ? HD_PROGRESS_UNDER_WAY
+                                                                             : HD_PROGRESS_THROUGH;
+}
+
+HD_RT void hd_sim_step_told(struct hd_sim *sim) {
+    sim->path_told = true;
 }
 
 HD_RT void hd_sim_step_read(struct hd_sim *sim, struct hd_reading *reading) {
@@ -941,6 +957,7 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
         .duration_s = (double)INFINITY,
         .from_m = {config->start_m[0], config->start_m[1]},
     };
+    sim->path_told = true;
     sim->segment_limit_s = sim->limit_s;
     sim->calm_tick = period_s > sim->limit_s ? 0 : UINT64_MAX;
     sim->force_intervals = config->force_intervals;

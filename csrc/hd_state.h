@@ -147,8 +147,9 @@ struct hd_reserve {
 };
 
 struct hd_state {
-    uint64_t tick;   /* the one that is being rendered, or comes next; the first is 0 */
-    uint64_t period; /* periods that have begun, missed ones too: the clock of offline runs */
+    uint64_t tick;         /* the one that is being rendered, or comes next; the first is 0 */
+    uint64_t gesture_tick; /* that took the path which the simulated hand follows */
+    uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
     uint32_t voice_count;
     uint32_t active_count;
     uint32_t near_count;
@@ -172,6 +173,7 @@ struct hd_state {
     uint8_t field_known;   /* it is the table's, but for a change of its version */
     uint8_t near_known;    /* near[] holds for near_center_m */
     uint8_t commanded;     /* there was a command */
+    uint8_t gesture;       /* gesture_tick is known */
     uint8_t offload_open;  /* the device plays effects by itself: whoever calls the tick says so */
     double gain;           /* of the whole command: enabling and fading */
     double show_force;     /* of contacts and fields: the display flag */

@@ -3,6 +3,7 @@
     with hapticd.connect() as daemon: ...         talk to a running daemon (hapticd.aio.connect for asyncio)
     hapticd.render(config, position_m)            forces for a path of positions, open loop
     hapticd.simulate(config, waypoints, 2.0)      closed loop with the simulated joystick
+    hapticd.load("tap.npz")                       a recording: samples, events, marks, scene, materials
 
 Names are loaded when they are first used, so that a client pays for no more than it needs.
 """
@@ -16,31 +17,99 @@ from hapticd._version import __version__
 
 if TYPE_CHECKING:
     from hapticd import aio
-    from hapticd.client import DaemonNotRunning, RemoteError, TelemetryLoss, connect
+    from hapticd.calls import (
+        ConfigResult,
+        DaemonNotRunning,
+        Event,
+        FlightResult,
+        ForcesResult,
+        GestureEnd,
+        KeyRefused,
+        LeaseResult,
+        MaterialsResult,
+        OperatorResult,
+        OperatorStatus,
+        PlayResult,
+        RemoteError,
+        RevisionResult,
+        SceneResult,
+        State,
+        Status,
+        TelemetryLoss,
+        TickResult,
+        TimedOut,
+        Topic,
+        Warned,
+    )
+    from hapticd.client import Client, Subscription, connect
     from hapticd.config import Config, load_config
-    from hapticd.core import SAMPLE_DTYPE
+    from hapticd.core import SAMPLE_DTYPE, Flag
     from hapticd.errors import HapticdError, InvalidError, Problem
-    from hapticd.materials import Material
+    from hapticd.materials import Friction, Material, Rupture, Tap
+    from hapticd.mode import Mode
     from hapticd.offline import render, simulate
+    from hapticd.recording import Recording, load
     from hapticd.replayed import replay
     from hapticd.samples import SampleBatch
-    from hapticd.scene import Scene, load_scene
+    from hapticd.scene import Box, Constant, Disc, Membrane, Scene, SceneObject, Spring, Viscous, Wall, load_scene
+    from hapticd.texture import Autoregressive, Grooves, Stochastic
+    from hapticd.yaml_source import Json
 
 __all__ = [
     "SAMPLE_DTYPE",
+    "Autoregressive",
+    "Box",
+    "Client",
     "Config",
+    "ConfigResult",
+    "Constant",
     "DaemonNotRunning",
+    "Disc",
+    "Event",
+    "Flag",
+    "FlightResult",
+    "ForcesResult",
+    "Friction",
+    "GestureEnd",
+    "Grooves",
     "HapticdError",
     "InvalidError",
+    "Json",
+    "KeyRefused",
+    "LeaseResult",
     "Material",
+    "MaterialsResult",
+    "Membrane",
+    "Mode",
+    "OperatorResult",
+    "OperatorStatus",
+    "PlayResult",
     "Problem",
+    "Recording",
     "RemoteError",
+    "RevisionResult",
+    "Rupture",
     "SampleBatch",
     "Scene",
+    "SceneObject",
+    "SceneResult",
+    "Spring",
+    "State",
+    "Status",
+    "Stochastic",
+    "Subscription",
+    "Tap",
     "TelemetryLoss",
+    "TickResult",
+    "TimedOut",
+    "Topic",
+    "Viscous",
+    "Wall",
+    "Warned",
     "__version__",
     "aio",
     "connect",
+    "load",
     "load_config",
     "load_scene",
     "render",
@@ -49,24 +118,65 @@ __all__ = [
 ]
 
 _HOMES = {
+    "ConfigResult": "calls",
+    "DaemonNotRunning": "calls",
+    "Event": "calls",
+    "FlightResult": "calls",
+    "ForcesResult": "calls",
+    "GestureEnd": "calls",
+    "KeyRefused": "calls",
+    "LeaseResult": "calls",
+    "MaterialsResult": "calls",
+    "OperatorResult": "calls",
+    "OperatorStatus": "calls",
+    "PlayResult": "calls",
+    "RemoteError": "calls",
+    "RevisionResult": "calls",
+    "SceneResult": "calls",
+    "State": "calls",
+    "Status": "calls",
+    "TelemetryLoss": "calls",
+    "TickResult": "calls",
+    "TimedOut": "calls",
+    "Topic": "calls",
+    "Warned": "calls",
+    "Client": "client",
+    "Subscription": "client",
     "connect": "client",
-    "DaemonNotRunning": "client",
-    "RemoteError": "client",
-    "TelemetryLoss": "client",
-    "SampleBatch": "samples",
     "Config": "config",
     "load_config": "config",
     "SAMPLE_DTYPE": "core",
+    "Flag": "core",
     "HapticdError": "errors",
     "InvalidError": "errors",
     "Problem": "errors",
+    "Friction": "materials",
     "Material": "materials",
+    "Rupture": "materials",
+    "Tap": "materials",
+    "Mode": "mode",
     "render": "offline",
-    "replay": "replayed",
     "simulate": "offline",
+    "Recording": "recording",
+    "load": "recording",
+    "replay": "replayed",
+    "SampleBatch": "samples",
+    "Box": "scene",
+    "Constant": "scene",
+    "Disc": "scene",
+    "Membrane": "scene",
     "Scene": "scene",
+    "SceneObject": "scene",
+    "Spring": "scene",
+    "Viscous": "scene",
+    "Wall": "scene",
     "load_scene": "scene",
+    "Autoregressive": "texture",
+    "Grooves": "texture",
+    "Stochastic": "texture",
+    "Json": "yaml_source",
 }
+"""The public names, and the module that each stands in."""
 
 
 def __getattr__(name: str) -> object:
@@ -76,3 +186,7 @@ def __getattr__(name: str) -> object:
     if home is None:
         raise AttributeError(f"module 'hapticd' has no attribute {name!r}")
     return getattr(importlib.import_module(f"hapticd.{home}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

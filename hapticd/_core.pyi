@@ -100,6 +100,8 @@ class Lib:
     HD_EVENT_RATE: int
     HD_EVENT_RESUMED: int
     HD_EVENT_MEMORY_REFUSED: int
+    HD_EVENT_MARK: int
+    HD_EVENT_GESTURE_END: int
     HD_CONTACT_SILENT: int
     HD_TOUCHED_MAX: int
     HD_NO_SLOT: int
@@ -141,6 +143,8 @@ class Lib:
     HD_COMMAND_RESET: int
     HD_COMMAND_FORCES: int
     HD_COMMAND_OPERATOR: int
+    HD_COMMAND_MARK: int
+    HD_MARKS: int
     HD_HISTOGRAM_BINS: int
     def hd_invalid_reason(self) -> CData: ...
     def hd_memory_large_from(self, bytes: int, /) -> int: ...

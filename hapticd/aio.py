@@ -9,9 +9,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
-from collections.abc import AsyncIterator, Iterable, Mapping
+import threading
+from collections.abc import AsyncIterator, Callable, Generator, Iterable, Mapping
 from types import TracebackType
-from typing import TYPE_CHECKING, Generic, Self, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeAlias, TypeVar, cast
 
 import zmq
 import zmq.asyncio
@@ -25,6 +26,7 @@ from hapticd.calls import (
     Feed,
     FlightResult,
     ForcesResult,
+    GestureEnd,
     Interpolation,
     KeySource,
     LeaseResult,
@@ -41,42 +43,83 @@ from hapticd.calls import (
     Status,
     TelemetryLoss,
     TickResult,
+    TimedOut,
     Topic,
+    WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
 
 if TYPE_CHECKING:
+    from hapticd.background import Recorder
     from hapticd.samples import SampleBatch
+    from hapticd.yaml_source import Json
 
-__all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
+__all__ = ["Client", "Connecting", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
 
 T = TypeVar("T")
 Answer: TypeAlias = object | RemoteError | DaemonNotRunning
 
 
-@contextlib.asynccontextmanager
-async def connect(
+def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
     timeout_s: float = TIMEOUT_S,
     *,
+    wait_s: float = 0.0,
     key: KeySource = None,
     server_key: str | os.PathLike[str] | None = None,
-) -> AsyncIterator[Client]:
-    """A client of the daemon at `runtime_dir` (by default where the environment says).
+) -> Connecting:
+    """A client of the daemon at `runtime_dir` (by default where the environment says):
+    `async with connect() as daemon`, or `daemon = await connect()`, which is to be closed.
 
-    `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+    `timeout_s` is how long each call waits for its answer. `wait_s` is how long to wait for a daemon that is not ready
+    yet. Raises DaemonNotRunning where nobody listens.
 
     `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
-    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises HapticdError.
+    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises KeyRefused.
+
+    What is not given is taken from the environment: HAPTICD_CONNECT, the address of a bridge, or else
+    HAPTICD_RUNTIME_DIR; HAPTICD_KEY and HAPTICD_SERVER_KEY.
     """
-    place = calls.place_of(runtime_dir, key, server_key)
-    await asyncio.to_thread(calls.probe, place, timeout_s)
-    client = Client(place, timeout_s)
+    return Connecting(lambda: calls.place_of(runtime_dir, key, server_key), timeout_s, wait_s)
+
+
+class Connecting:
+    """A client that is still to be connected: await it, or enter it."""
+
+    def __init__(self, find: Callable[[], Place], timeout_s: float, wait_s: float) -> None:
+        self._find, self._timeout_s, self._wait_s = find, timeout_s, wait_s
+        self._client: Client | None = None
+
+    def __await__(self) -> Generator[Any, None, Client]:
+        return self._connect().__await__()
+
+    async def __aenter__(self) -> Client:
+        self._client = await self._connect()
+        return self._client
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._client is not None:
+            await self._client.close()
+
+    async def _connect(self) -> Client:
+        place = self._find()
+        if self._wait_s > 0:
+            await _await_ready(place, self._wait_s)
+            # A runtime directory that was made meanwhile is looked at again.
+            place = self._find()
+        await asyncio.to_thread(calls.probe, place, self._timeout_s)
+        return Client(place, self._timeout_s)
+
+
+async def _await_ready(place: Place, wait_s: float) -> None:
+    given_up = threading.Event()
     try:
-        yield client
+        await asyncio.to_thread(calls.await_ready, place, wait_s, given_up.is_set)
     finally:
-        await client.close()
+        given_up.set()
 
 
 class Client:
@@ -95,6 +138,7 @@ class Client:
         self._subscriptions: list[Subscription[object]] = []
         self._opening = asyncio.Lock()
         self._closed = False
+        self._operator_tick: int | None = None
         # Opened when it is first used: who may only watch has none.
         self._socket: zmq.asyncio.Socket | None = None
         self._reader: asyncio.Task[None] | None = None
@@ -147,6 +191,14 @@ class Client:
             subscription.close()
         self._subscriptions.clear()
 
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        await self.close()
+
     async def call(self, method: str, params: Mapping[str, object] | None = None) -> object:
         """Calls any method of the protocol by its name; returns its result."""
         if self._closed:
@@ -165,15 +217,21 @@ class Client:
             raise await asyncio.to_thread(calls.unanswered, self.paths, self.timeout_s) from None
         finally:
             self._waiting.pop(id, None)
-        if isinstance(result, RemoteError | DaemonNotRunning):
-            raise result
-        return result
+        return calls.outcome(result, params)
 
     # ---- methods -------------------------------------------------------------------------------------------
 
     async def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, await self.call("get_status"))
+
+    async def get_state(self) -> State:
+        """The newest sample, as `states` yields it."""
+        return cast(State, await self.call("get_state"))
+
+    async def state(self) -> State:
+        """The newest sample: `get_state` by its short name."""
+        return await self.get_state()
 
     async def get_config(self) -> ConfigResult:
         """The configuration's servo and device."""
@@ -207,6 +265,15 @@ class Client:
         """All materials by name, the shipped ones among them."""
         return cast(MaterialsResult, await self.call("get_materials"))
 
+    async def set_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
+        YAML file."""
+        tree = calls.patch_tree(materials, "materials")
+        params = calls.change_params("materials", tree, expect_revision, wait)
+        return cast(RevisionResult, await self.call("set_materials", params))
+
     async def update_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
@@ -214,6 +281,19 @@ class Client:
         patch = calls.patch_tree(materials, "materials")
         params = calls.change_params("materials", patch, expect_revision, wait)
         return cast(RevisionResult, await self.call("update_materials", params))
+
+    async def apply(
+        self,
+        *,
+        materials: PatchSource | None = None,
+        scene: SceneSource | None = None,
+        expect_revision: int | None = None,
+        wait: bool = False,
+    ) -> RevisionResult:
+        """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
+        nothing."""
+        params = calls.apply_params(materials, scene, expect_revision, wait)
+        return cast(RevisionResult, await self.call("apply", params))
 
     async def play(
         self,
@@ -232,20 +312,54 @@ class Client:
         params = None if objects is None else {"objects": list(objects)}
         return cast(TickResult, await self.call("reset", params))
 
+    async def mark(self, text: str, data: Json = None) -> TickResult:
+        """Leaves a mark in the event stream and in every recording; the result has its `tick`.
+
+        `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
+        """
+        return cast(TickResult, await self.call("mark", {"text": text, "data": data}))
+
     async def set_forces(self, enabled: bool) -> ForcesResult:
         """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
         return cast(ForcesResult, await self.call("set_forces", {"enabled": enabled}))
 
     async def set_operator(
         self,
-        waypoints: Iterable[Iterable[float]] | None = None,
+        waypoints: WaypointsSource | None = None,
         *,
         interpolation: Interpolation | None = None,
         gesture: Mapping[str, object] | None = None,
     ) -> OperatorResult:
-        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
+        (YAML, JSON, CSV) that holds either."""
         params = calls.operator_params(waypoints, interpolation, gesture)
-        return cast(OperatorResult, await self.call("set_operator", params))
+        result = cast(OperatorResult, await self.call("set_operator", params))
+        self._operator_tick = result["tick"]
+        return result
+
+    async def wait_gesture(self, timeout_s: float | None = None) -> GestureEnd:
+        """Waits until the hand has done what this client told it last by `set_operator`; returns the event
+        `gesture_end`, at once where it is over already.
+
+        Where another operator took its place before the end, by whomever, the event has `completed` false. Raises
+        TimedOut after `timeout_s` (None: however long it takes), and DaemonNotRunning for a daemon that goes away.
+        """
+        started_tick = self._operator_tick
+        if started_tick is None:
+            raise HapticdError("wait_gesture: this client has called no set_operator yet")
+        try:
+            async with asyncio.timeout(timeout_s):
+                return await self._gesture_end(started_tick)
+        except TimeoutError:
+            raise TimedOut(f"wait_gesture: the hand was still under way after {timeout_s:g} s") from None
+
+    async def _gesture_end(self, started_tick: int) -> GestureEnd:
+        # Who listens first and then asks misses no end.
+        async with self.telemetry("event", "status") as messages:
+            end = calls.gesture_end(started_tick, "status", cast("dict[str, object]", await self.get_status()))
+            while end is None:
+                end = calls.gesture_end(started_tick, *await anext(messages))
+            return end
 
     async def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
         """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
@@ -295,21 +409,49 @@ class Client:
             raise lost[0]
         await self.lease(0, token)
 
+    @contextlib.asynccontextmanager
+    async def record(
+        self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object
+    ) -> AsyncIterator[Recorder]:
+        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+
+        A thread records, so that the event loop may be held up. The rest is as for `hapticd.client.Client.record`.
+        """
+        from hapticd.background import Recorder
+        from hapticd.client import Client as Blocking
+
+        recorder = Recorder(lambda: Blocking.at(self.paths, self.timeout_s), path, overwrite, notes)
+        try:
+            await asyncio.to_thread(recorder.begin)
+            yield recorder
+        except BaseException:
+            with contextlib.suppress(HapticdError):  # what went wrong in the block is what is told
+                await asyncio.to_thread(recorder.end)
+            raise
+        await asyncio.to_thread(recorder.end)
+
     # ---- telemetry -----------------------------------------------------------------------------------------
 
-    def samples(self, timeout_s: float | None = None) -> Subscription[SampleBatch]:
+    def samples(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[SampleBatch]:
         """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
 
         Iteration raises DaemonNotRunning where nothing comes for `timeout_s` (by default the client's), and
         warns (TelemetryLoss) where reading is too slow.
+
+        With `newest` each batch is the next one that the daemon sends once it is asked for; what it sent since the one
+        before is left out, which is no loss to warn of, and counted in `lost`.
         """
         from hapticd.samples import SampleStream
 
-        return self._subscribe(Feed(("samples",), SampleStream().convert), timeout_s)
+        return self._subscribe(Feed(("samples",), SampleStream(warn=not newest).convert, newest), timeout_s)
 
-    def states(self, timeout_s: float | None = None) -> Subscription[State]:
-        """The newest sample as a dictionary, 60 times a second."""
-        return self._subscribe(Feed(("state",), calls.state_of), timeout_s)
+    def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
+        """The newest sample as a dictionary, 60 times a second.
+
+        With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
+        old one.
+        """
+        return self._subscribe(Feed(("state",), calls.state_of, newest), timeout_s)
 
     def events(self, timeout_s: float | None = None) -> Subscription[Event]:
         """Contacts, releases, punctures, faults and the other events."""
@@ -364,6 +506,11 @@ class Subscription(Generic[T]):
                 self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
         return self._feed.accept(frames)
 
+    async def _skip(self) -> None:
+        """Of a subscription to the newest: what is left of the last time goes."""
+        while await self._socket.poll(0):
+            await self._socket.recv_multipart()
+
     @property
     def closed(self) -> bool:
         return self._socket.closed
@@ -378,15 +525,36 @@ class Subscription(Generic[T]):
     async def __anext__(self) -> T:
         if self._first:
             return self._first.pop()
+        if self._feed.each:
+            return await self._newest()
         while not self._socket.closed:
             items = await self._receive()
             if items:
                 return items[0]
         raise StopAsyncIteration
 
+    async def _newest(self) -> T:
+        if not self._ready:
+            await self._receive()
+        if not self._socket.closed:
+            await self._skip()
+            for topic in self._feed.each:
+                self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+        try:
+            while not self._socket.closed:
+                items = await self._receive()
+                if items:
+                    return items[0]
+        finally:
+            if not self._socket.closed:
+                for topic in self._feed.each:
+                    self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
+        raise StopAsyncIteration
+
     async def __aenter__(self) -> Self:
         if not self._ready:
-            self._first += await self._receive()
+            first = await self._receive()
+            self._first += () if self._feed.each else first
         return self
 
     async def __aexit__(

@@ -7,9 +7,12 @@ dictionaries with the very names of `docs/protocol.md`.
 from __future__ import annotations
 
 import errno
+import grp
 import os
+import pwd
 import socket
-from collections.abc import Callable, Iterable, Mapping
+import stat
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import (
     TYPE_CHECKING,
     Final,
@@ -23,10 +26,12 @@ from typing import (
     cast,
 )
 
+import zmq
+
 from hapticd import wire
 from hapticd.errors import HapticdError, Problem
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
-from hapticd.remote import Remote, is_remote, remote
+from hapticd.remote import Named, Remote, is_remote, monitored, remote
 
 if TYPE_CHECKING:
     from hapticd.keys import Certificate
@@ -37,6 +42,7 @@ T = TypeVar("T")
 TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer unless it is told otherwise."""
 
+_TRY_EVERY_MS: Final = 20
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
 
@@ -83,11 +89,33 @@ KeySource: TypeAlias = "str | os.PathLike[str] | Certificate | None"
 """Our secret key: its file, or itself."""
 
 
+class TimedOut(HapticdError, TimeoutError):
+    """What was waited for did not come in the time that was given for it."""
+
+
 class TelemetryLoss(UserWarning):
     """This subscriber was too slow: the daemon sent samples that never arrived here."""
 
 
 # ---- results, named as in docs/protocol.md -----------------------------------------------------------------
+
+
+class GestureEnd(TypedDict):
+    """The event at the end of what the hand was told to do, `completed` or replaced by another operator before that;
+    `started_tick` is that of `set_operator`."""
+
+    event: Literal["gesture_end"]
+    tick: int
+    time_ns: int
+    started_tick: int
+    completed: bool
+
+
+class OperatorStatus(TypedDict):
+    """The tick that took the last operator (None: none so far), and the last gestures that ended, oldest first."""
+
+    started_tick: int | None
+    ends: list[GestureEnd]
 
 
 class Status(TypedDict):
@@ -96,6 +124,7 @@ class Status(TypedDict):
     version: str
     protocol: int
     started_ns: int
+    clock: dict[str, int]
     state: str
     device: str
     rate_hz: float
@@ -114,6 +143,7 @@ class Status(TypedDict):
     warnings: list[dict[str, str]]
     offload: list[dict[str, Json]]
     stability: dict[str, Json]
+    operator: OperatorStatus | None
 
 
 class ConfigResult(TypedDict):
@@ -129,12 +159,23 @@ class SceneResult(TypedDict):
     revision: int
 
 
+class Warned(TypedDict):
+    """What of a message is not displayed as it was meant: a place in its params, or in the file that they came from."""
+
+    where: str
+    problem: str
+
+
 class RevisionResult(TypedDict):
-    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one."""
+    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one.
+
+    `warning`: why forces are off. `warnings`: what of the change is not displayed as it was meant.
+    """
 
     revision: int
     tick: NotRequired[int]
     warning: NotRequired[str]
+    warnings: NotRequired[list[Warned]]
 
 
 class MaterialsResult(TypedDict):
@@ -154,6 +195,7 @@ class PlayResult(TickResult):
     """Also the frequency that is shown, where the rate does not carry the mode's own."""
 
     displayed_hz: float | None
+    warnings: NotRequired[list[Warned]]
 
 
 class ForcesResult(TickResult):
@@ -166,6 +208,7 @@ class OperatorResult(TickResult):
     """Also how long the hand will be under way."""
 
     duration_s: float
+    warnings: NotRequired[list[Warned]]
 
 
 class LeaseResult(TypedDict):
@@ -182,7 +225,11 @@ class FlightResult(TypedDict):
 
 
 class State(TypedDict):
-    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words."""
+    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words.
+
+    `contact_force_n`: touched objects and fields, after the passivity controller. `vibration_force_n`: ringing modes
+    and the noise of textures. Both are before the force limit and the fade of set_forces; `force_n` is after them.
+    """
 
     tick: int
     time_ns: int
@@ -214,6 +261,8 @@ class Model(Protocol):
 
 SceneSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str] | Model"
 """A scene: the mapping itself, the path of a YAML file, or a `hapticd.Scene`."""
+WaypointsSource: TypeAlias = "Iterable[Iterable[float]] | str | os.PathLike[str]"
+"""Waypoints [[t_s, x_m, y_m], ...], or the path of a file with what the hand does: YAML, JSON or CSV."""
 PatchSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str]"
 """A merge patch: the mapping itself, or the path of a YAML file."""
 
@@ -226,9 +275,11 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
     if isinstance(scene, Mapping):
         return scene
     if isinstance(scene, str | os.PathLike):
-        from hapticd.scene import load_scene
+        from hapticd.from_file import FromFile
+        from hapticd.scene import read_scene
 
-        return load_scene(scene).to_dict()
+        read, document, root = read_scene(scene)
+        return FromFile(read.to_dict(), document, root)
     return scene.to_dict()
 
 
@@ -240,29 +291,44 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     """
     if isinstance(patch, Mapping):
         return patch
-    from hapticd.yaml_source import load_path, refuse_others
+    from hapticd.document_kinds import PATCHES, refuse_other_keys, refuse_other_kinds
+    from hapticd.from_file import FromFile
+    from hapticd.yaml_source import load_path
 
     document = load_path(patch)
+    refuse_other_kinds(document, *PATCHES[path[-1]])
     found: tuple[str, ...] = ()
     data: object = document.data
     for key in path:
         if isinstance(data, dict) and key in data:
-            refuse_others(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
+            refuse_other_keys(document, found, (other for other in data if other != key), f"{path[-1]}, which are all")
             data = data[key]
             found += (key,)
     if not isinstance(data, dict):
         raise HapticdError(f"{document.where(found)}: must be a mapping, the {path[-1]} by their names")
-    return data
+    return FromFile(data, document, found)
 
 
 def change_params(key: str, value: Mapping[str, object], expect_revision: int | None, wait: bool) -> dict[str, object]:
-    """Params of set_scene, update_scene and update_materials."""
+    """Params of set_scene, update_scene, set_materials and update_materials."""
     params: dict[str, object] = {key: value}
     if expect_revision is not None:
         params["expect_revision"] = expect_revision
     if wait:
         params["wait"] = True
     return params
+
+
+def apply_params(
+    materials: PatchSource | None, scene: SceneSource | None, expect_revision: int | None, wait: bool
+) -> dict[str, object]:
+    """Params of apply."""
+    params: dict[str, object] = {}
+    if materials is not None:
+        params["materials"] = patch_tree(materials, "materials")
+    if scene is not None:
+        params["scene"] = scene_tree(scene)
+    return {**params, **reload_params(expect_revision, wait)}
 
 
 def reload_params(expect_revision: int | None, wait: bool) -> dict[str, object]:
@@ -290,11 +356,15 @@ def play_params(
 
 
 def operator_params(
-    waypoints: Iterable[Iterable[float]] | None,
+    waypoints: WaypointsSource | None,
     interpolation: Interpolation | None,
     gesture: Mapping[str, object] | None,
 ) -> dict[str, object]:
-    """Params of set_operator."""
+    """Params of set_operator. Raises HapticdError for a file that holds no operator."""
+    if isinstance(waypoints, str | os.PathLike):
+        if interpolation is not None or gesture is not None:
+            raise HapticdError(f"{os.fspath(waypoints)}: a file says all of it: interpolation and gesture, too")
+        return _operator_of(waypoints)
     params: dict[str, object] = {}
     if waypoints is not None:
         params["waypoints"] = [[float(number) for number in waypoint] for waypoint in waypoints]
@@ -303,6 +373,18 @@ def operator_params(
     if gesture is not None:
         params["gesture"] = dict(gesture)
     return params
+
+
+def _operator_of(file: str | os.PathLike[str]) -> dict[str, object]:
+    from hapticd.from_file import FromFile
+    from hapticd.operator import load_operator
+
+    operator = load_operator(file)
+    if operator.gesture is not None:
+        params = operator_params(None, None, operator.gesture.to_dict())
+    else:
+        params = operator_params(operator.waypoints, operator.interpolation, None)
+    return params if operator.document is None else FromFile(params, operator.document)
 
 
 def lease_params(duration_s: float, token: str | None) -> dict[str, object]:
@@ -329,18 +411,43 @@ def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes
     return body
 
 
+def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
+    """The result of a call, or its error raised; places in params that came from a file are told as they are in it."""
+    if isinstance(result, DaemonNotRunning):
+        raise result
+    if isinstance(result, RemoteError):
+        if params and result.problems:
+            from hapticd.from_file import placed
+
+            result.problems = tuple(Problem(placed(each.where, params), each.problem) for each in result.problems)
+        raise result
+    if params and isinstance(result, dict) and result.get("warnings"):
+        from hapticd.from_file import placed
+
+        warnings = [{**each, "where": placed(str(each["where"]), params)} for each in result["warnings"]]
+        return {**result, "warnings": warnings}
+    return result
+
+
 def place_of(
     place: str | os.PathLike[str] | None, key: KeySource = None, server_key: str | os.PathLike[str] | None = None
 ) -> Place:
-    """Where `place` is: a runtime directory (None: as the environment says), or tcp://HOST:PORT of a bridge.
+    """Where `place` is: a runtime directory, or tcp://HOST:PORT of a bridge; None: as the environment says.
 
-    Raises HapticdError for what is neither, and for keys that cannot be used.
+    That is HAPTICD_CONNECT, then a runtime directory. HAPTICD_KEY and HAPTICD_SERVER_KEY stand for keys of a bridge
+    that are not given. Raises HapticdError for what is neither, and for keys that cannot be used.
     """
-    if is_remote(place):
-        return remote(str(place), key, server_key)
+    address = Named(place) if place is not None else _or_variable(None, "HAPTICD_CONNECT")
+    if is_remote(place) or address.variable is not None:
+        return remote(address, _or_variable(key, "HAPTICD_KEY"), _or_variable(server_key, "HAPTICD_SERVER_KEY"))
     if key is not None or server_key is not None:
         raise HapticdError(f"{place or 'key'}: keys are for a bridge, at tcp://HOST:PORT")
     return daemon_paths(place)
+
+
+def _or_variable(given: object, variable: str) -> Named:
+    found = os.environ.get(variable)
+    return Named(given) if given is not None or not found else Named(found, variable)
 
 
 def told(place: Place) -> str:
@@ -386,11 +493,62 @@ def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> 
                 if paths.directory != SYSTEM_DIRECTORY and SYSTEM_DIRECTORY.is_dir():
                     other = f", or take the service's with: --runtime-dir {SYSTEM_DIRECTORY}"
                 raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run{other}") from None
+            if error.errno == errno.EACCES:
+                raise HapticdError(_not_ours(paths)) from None
             raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 
-def _knock(place: Remote, timeout_s: float, command: bool) -> None:
-    refused = place.knock(timeout_s, command)
+def _not_ours(paths: RuntimePaths) -> str:
+    """Why the sockets may not be used, and whom they belong to."""
+    told = f"{paths.command}: permission denied"
+    try:
+        status = os.stat(paths.directory)
+    except OSError:  # a folder above it is closed
+        return told
+    owner = f"user {_name_of(pwd.getpwuid, status.st_uid)}"
+    if not status.st_mode & stat.S_IXGRP:
+        return f"{told}: the daemon is {owner}'s alone"
+    group = _name_of(grp.getgrgid, status.st_gid)
+    return f"{told}: the daemon is {owner}'s and for the group {group}; join it (adduser YOU {group}) and log in again"
+
+
+def _name_of(look_up: Callable[[int], Sequence[object]], number: int) -> str:
+    try:
+        return str(look_up(number)[0])
+    except KeyError:
+        return str(number)
+
+
+def await_ready(place: Place, wait_s: float, given_up: Callable[[], bool] = lambda: False) -> None:
+    """Returns once somebody listens at `place`, or `wait_s` are over, or nobody waits any more.
+
+    ZeroMQ tries to connect, again and again, and tells when it has. Raises KeyRefused where a bridge does not let us
+    in.
+    """
+    if isinstance(place, Remote):
+        _knock(place, wait_s, command=False, patient=True, given_up=given_up)
+        return
+    trial: zmq.Socket[bytes]
+    with zmq.Context.instance().socket(zmq.DEALER) as trial:
+        trial.setsockopt(zmq.LINGER, 0)
+        trial.setsockopt(zmq.RECONNECT_IVL, _TRY_EVERY_MS)
+        monitor: zmq.Socket[bytes] = trial.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED)
+        try:
+            trial.connect(place.command_endpoint)
+            next(monitored(monitor, wait_s, given_up), None)
+        finally:
+            trial.disable_monitor()
+            monitor.close()
+
+
+def _knock(
+    place: Remote,
+    timeout_s: float,
+    command: bool,
+    patient: bool = False,
+    given_up: Callable[[], bool] = lambda: False,
+) -> None:
+    refused = place.knock(timeout_s, command, patient, given_up)
     if refused is None:
         return
     there, why = refused
@@ -426,11 +584,16 @@ class Feed(Generic[T]):
     READY: Final = b"state"
     ALIVE: Final = b"status"
 
-    def __init__(self, topics: Iterable[Topic], convert: Callable[[Topic, dict[str, object]], T]) -> None:
+    def __init__(
+        self, topics: Iterable[Topic], convert: Callable[[Topic, dict[str, object]], T], newest: bool = False
+    ) -> None:
+        """`newest`: each item is asked for when it is read, so that those before it are never sent."""
         self._wanted = frozenset(topic.encode() for topic in topics)
         self._convert = convert
-        self.subscriptions: tuple[bytes, ...] = (*sorted(self._wanted | {self.ALIVE}), self.READY)
-        self.surplus = frozenset({self.READY}) - self._wanted
+        self.subscriptions: tuple[bytes, ...] = (*sorted((self._wanted | {self.ALIVE}) - {self.READY}), self.READY)
+        self.each: frozenset[bytes] = self._wanted - {self.ALIVE} if newest else frozenset()
+        """To be subscribed to for each item, and unsubscribed from after it."""
+        self.surplus = (frozenset({self.READY}) - self._wanted) | self.each
         """To be unsubscribed from as soon as the first message came."""
 
     def accept(self, frames: list[bytes]) -> tuple[T, ...]:
@@ -450,6 +613,29 @@ def silent(paths: Place, timeout_s: float) -> DaemonNotRunning:
     except HapticdError as error:
         return DaemonNotRunning(str(error))
     return DaemonNotRunning(f"no telemetry from {told(paths)} for {timeout_s:g} s")
+
+
+def gesture_end(started_tick: int, topic: Topic, message: Mapping[str, object]) -> GestureEnd | None:
+    """The end of the operator that this tick took, where a message of telemetry, or a status, tells of it.
+
+    Raises HapticdError for a status of a daemon that knows nothing of such an operator.
+    """
+    if topic == "event":
+        ours = message.get("event") == "gesture_end" and message.get("started_tick") == started_tick
+        return cast(GestureEnd, message) if ours else None
+    operator = cast(Status, message)["operator"]
+    ends = [] if operator is None else operator["ends"]
+    for end in ends:
+        if end["started_tick"] == started_tick:
+            return end
+    last = None if operator is None else operator["started_tick"]
+    forgotten = len(ends) == wire.GESTURE_ENDS and min(end["started_tick"] for end in ends) > started_tick
+    if last is None or last < started_tick or forgotten:
+        raise HapticdError(
+            f"the daemon knows nothing of the operator that tick {started_tick} took: it was started anew since, or "
+            f"{wire.GESTURE_ENDS} others ended"
+        )
+    return None
 
 
 def message_of(topic: Topic, message: dict[str, object]) -> tuple[Topic, dict[str, object]]:

@@ -29,8 +29,8 @@ class Revised(NamedTuple):
     """Keys beside `objects`."""
     objects: Mapping[str, SceneObject | None]
     materials: Mapping[str, Material | None]
-    large: bool
-    """More changed than is told."""
+    whole: tuple[Scene, Materials] | None
+    """More changed than is told one by one; scene and materials as they are now."""
     rate_hz: float | None = None
     """The servo's from this revision on, where it is another one."""
 
@@ -71,8 +71,8 @@ def change_map(change: Change) -> dict[str, object]:
             }
         case Reset(tick, objects):
             return {"tick": tick, "reset": {} if objects is None else {"objects": list(objects)}}
-        case Revised(revision, scene, objects, materials, large, rate_hz):
-            if large:
+        case Revised(revision, scene, objects, materials, whole, rate_hz):
+            if whole is not None:
                 return {"revision": revision, "large": True}
             if rate_hz is not None:
                 return {"revision": revision, "rate_hz": rate_hz}
@@ -93,18 +93,18 @@ def revised(
 ) -> Revised:
     """What a revision changed; `ids` are the objects that may have.
 
-    It keeps what changed, not the scenes: many of them may wait to be told.
+    It keeps what changed, not the scenes, as long as that is little: many of them may wait to be told.
     """
     names: list[str] = []
     if old is not new:
         names = [name for name, item in new.items() if old.get(name) is not item and old.get(name) != item]
         names += [name for name in old if name not in new]
     if max(len(ids), len(names)) > MOST_CHANGED:
-        return Revised(revision, {}, {}, {}, True)
+        return Revised(revision, {}, {}, {}, (after, new))
     return Revised(
         revision,
         {name: getattr(after, name) for name in _SHOWN if getattr(after, name) != getattr(before, name)},
         {id: after.objects.get(id) for id in ids},
         {name: new.get(name) for name in names},
-        False,
+        None,
     )

@@ -7,6 +7,7 @@ subscription has a SUB socket of its own and belongs to one thread. What is said
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import time
@@ -26,6 +27,7 @@ from hapticd.calls import (
     Feed,
     FlightResult,
     ForcesResult,
+    GestureEnd,
     Interpolation,
     KeySource,
     LeaseResult,
@@ -42,13 +44,17 @@ from hapticd.calls import (
     Status,
     TelemetryLoss,
     TickResult,
+    TimedOut,
     Topic,
+    WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
 
 if TYPE_CHECKING:
+    from hapticd.background import Recorder
     from hapticd.samples import SampleBatch
+    from hapticd.yaml_source import Json
 
 __all__ = ["Client", "DaemonNotRunning", "RemoteError", "Subscription", "TelemetryLoss", "connect"]
 
@@ -59,17 +65,22 @@ def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
     timeout_s: float = TIMEOUT_S,
     *,
+    wait_s: float = 0.0,
     key: KeySource = None,
     server_key: str | os.PathLike[str] | None = None,
 ) -> Client:
     """A client of the daemon at `runtime_dir` (by default where the environment says), to be used in `with`.
 
-    `timeout_s` is how long each call waits for its answer. Raises DaemonNotRunning where nobody listens.
+    `timeout_s` is how long each call waits for its answer. `wait_s` is how long to wait for a daemon that is not ready
+    yet. Raises DaemonNotRunning where nobody listens.
 
     `tcp://HOST:PORT` in its place is a bridge on another machine; then `key` is the file of our secret key, and
-    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises HapticdError.
+    `server_key` the bridge's public key, or a file with it. A bridge that refuses the key raises KeyRefused.
+
+    What is not given is taken from the environment: HAPTICD_CONNECT, the address of a bridge, or else
+    HAPTICD_RUNTIME_DIR; HAPTICD_KEY and HAPTICD_SERVER_KEY.
     """
-    return Client(runtime_dir, timeout_s, key=key, server_key=server_key)
+    return Client(runtime_dir, timeout_s, wait_s=wait_s, key=key, server_key=server_key)
 
 
 class Client:
@@ -85,10 +96,17 @@ class Client:
         runtime_dir: str | os.PathLike[str] | None = None,
         timeout_s: float = TIMEOUT_S,
         *,
+        wait_s: float = 0.0,
         key: KeySource = None,
         server_key: str | os.PathLike[str] | None = None,
     ) -> None:
-        self._begin(calls.place_of(runtime_dir, key, server_key), timeout_s)
+        """As `connect`."""
+        place = calls.place_of(runtime_dir, key, server_key)
+        if wait_s > 0:
+            calls.await_ready(place, wait_s)
+            # A runtime directory that was made meanwhile is looked at again.
+            place = calls.place_of(runtime_dir, key, server_key)
+        self._begin(place, timeout_s)
 
     def _begin(self, place: Place, timeout_s: float) -> None:
         self.paths: Place = place
@@ -97,15 +115,17 @@ class Client:
         self._last_id = 0
         self._subscriptions: list[Subscription[object]] = []
         self._closed = False
+        self._operator_tick: int | None = None
         # Opened when it is first used: who may only watch has none.
         self._socket: zmq.Socket[bytes] | None = None
         calls.probe(self.paths, timeout_s)
 
-    def _again(self, timeout_s: float) -> Client:
-        """Another client of the same daemon."""
-        other = Client.__new__(type(self))
-        other._begin(self.paths, timeout_s)
-        return other
+    @classmethod
+    def at(cls, place: Place, timeout_s: float) -> Self:
+        """A client of the daemon at a place that is known."""
+        client = cls.__new__(cls)
+        client._begin(place, timeout_s)
+        return client
 
     def _open(self) -> zmq.Socket[bytes]:
         if isinstance(self.paths, Remote):
@@ -159,9 +179,7 @@ class Client:
                 socket.close()
                 self._socket = None
                 raise calls.unanswered(self.paths, self.timeout_s) from None
-        if isinstance(result, RemoteError | DaemonNotRunning):
-            raise result
-        return result
+        return calls.outcome(result, params)
 
     def _skip_to(self, socket: zmq.Socket[bytes], id: int) -> object | RemoteError | DaemonNotRunning:
         """The answer to `id`, past those to calls that were interrupted."""
@@ -177,6 +195,14 @@ class Client:
     def get_status(self) -> Status:
         """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
         return cast(Status, self.call("get_status"))
+
+    def get_state(self) -> State:
+        """The newest sample, as `states` yields it."""
+        return cast(State, self.call("get_state"))
+
+    def state(self) -> State:
+        """The newest sample: `get_state` by its short name."""
+        return self.get_state()
 
     def get_config(self) -> ConfigResult:
         """The configuration's servo and device."""
@@ -208,6 +234,15 @@ class Client:
         """All materials by name, the shipped ones among them."""
         return cast(MaterialsResult, self.call("get_materials"))
 
+    def set_materials(
+        self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
+    ) -> RevisionResult:
+        """Adds materials by name, and replaces those of the same name whole; others stay. A mapping or the path of a
+        YAML file."""
+        tree = calls.patch_tree(materials, "materials")
+        params = calls.change_params("materials", tree, expect_revision, wait)
+        return cast(RevisionResult, self.call("set_materials", params))
+
     def update_materials(
         self, materials: PatchSource, expect_revision: int | None = None, wait: bool = False
     ) -> RevisionResult:
@@ -215,6 +250,19 @@ class Client:
         patch = calls.patch_tree(materials, "materials")
         params = calls.change_params("materials", patch, expect_revision, wait)
         return cast(RevisionResult, self.call("update_materials", params))
+
+    def apply(
+        self,
+        *,
+        materials: PatchSource | None = None,
+        scene: SceneSource | None = None,
+        expect_revision: int | None = None,
+        wait: bool = False,
+    ) -> RevisionResult:
+        """Materials as `set_materials` and the scene as `set_scene`, or one of them: one change at one tick, all or
+        nothing."""
+        params = calls.apply_params(materials, scene, expect_revision, wait)
+        return cast(RevisionResult, self.call("apply", params))
 
     def play(
         self,
@@ -232,22 +280,55 @@ class Client:
         params = None if objects is None else {"objects": list(objects)}
         return cast(TickResult, self.call("reset", params))
 
+    def mark(self, text: str, data: Json = None) -> TickResult:
+        """Leaves a mark in the event stream and in every recording; the result has its `tick`.
+
+        `text` has up to 1000 characters, `data` is anything that JSON can hold, up to 8 KiB.
+        """
+        return cast(TickResult, self.call("mark", {"text": text, "data": data}))
+
     def set_forces(self, enabled: bool) -> ForcesResult:
         """Forces on or off; on clears a latched fault whose cause is gone, else is refused (-32003)."""
         return cast(ForcesResult, self.call("set_forces", {"enabled": enabled}))
 
     def set_operator(
         self,
-        waypoints: Iterable[Iterable[float]] | None = None,
+        waypoints: WaypointsSource | None = None,
         *,
         interpolation: Interpolation | None = None,
         gesture: Mapping[str, object] | None = None,
     ) -> OperatorResult:
-        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], or a gesture."""
-        return cast(
-            OperatorResult,
-            self.call("set_operator", calls.operator_params(waypoints, interpolation, gesture)),
-        )
+        """What the simulated joystick's hand does: waypoints [[t_s, x_m, y_m], ...], a gesture, or the path of a file
+        (YAML, JSON, CSV) that holds either."""
+        params = calls.operator_params(waypoints, interpolation, gesture)
+        result = cast(OperatorResult, self.call("set_operator", params))
+        self._operator_tick = result["tick"]
+        return result
+
+    def wait_gesture(self, timeout_s: float | None = None) -> GestureEnd:
+        """Waits until the hand has done what this client told it last by `set_operator`; returns the event
+        `gesture_end`, at once where it is over already.
+
+        Where another operator took its place before the end, by whomever, the event has `completed` false. Raises
+        TimedOut after `timeout_s` (None: however long it takes), and DaemonNotRunning for a daemon that goes away.
+        """
+        started_tick = self._operator_tick
+        if started_tick is None:
+            raise HapticdError("wait_gesture: this client has called no set_operator yet")
+        deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
+        # Who listens first and then asks misses no end.
+        with self.telemetry("event", "status") as messages:
+            end = calls.gesture_end(started_tick, "status", cast("dict[str, object]", self.get_status()))
+            while end is None:
+                left_s = deadline - time.monotonic()
+                message = messages.receive(max(0.0, min(left_s, self.timeout_s)))
+                if message is not None:
+                    end = calls.gesture_end(started_tick, *message)
+                elif left_s <= self.timeout_s:
+                    raise TimedOut(f"wait_gesture: the hand was still under way after {timeout_s:g} s")
+                else:
+                    raise calls.silent(self.paths, self.timeout_s)
+        return end
 
     def lease(self, duration_s: float, token: str | None = None) -> LeaseResult:
         """Takes a lease, or renews that with `token`; 0 ends it. Not renewed in time, forces fade out."""
@@ -274,7 +355,7 @@ class Client:
 
         def renew() -> None:
             try:
-                with self._again(duration_s / 3) as renewer:
+                with self.at(self.paths, duration_s / 3) as renewer:
                     while not stop.wait(duration_s / 3):
                         # A daemon that is away may come back in time; if not, its answer says that the
                         # lease lapsed.
@@ -299,21 +380,49 @@ class Client:
             raise lost[0]
         self.lease(0, token)
 
+    @contextmanager
+    def record(self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object) -> Iterator[Recorder]:
+        """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
+
+        A thread with a connection of its own records. The first sample is taken before the block begins, and what the
+        block did last is in the file. `notes` are kept in it as texts. Gives a Recorder, whose `result` is there after
+        the block. Raises HapticdError before the block where `path` is there already (unless `overwrite`) or cannot be
+        written, and at its end where the recording ended before.
+        """
+        from hapticd.background import Recorder
+
+        recorder = Recorder(lambda: self.at(self.paths, self.timeout_s), path, overwrite, notes)
+        try:
+            recorder.begin()
+            yield recorder
+        except BaseException:
+            with suppress(HapticdError):  # what went wrong in the block is what is told
+                recorder.end()
+            raise
+        recorder.end()
+
     # ---- telemetry -----------------------------------------------------------------------------------------
 
-    def samples(self, timeout_s: float | None = None) -> Subscription[SampleBatch]:
+    def samples(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[SampleBatch]:
         """Every tick, in batches of 20 ms: numpy structured arrays that know what of them was lost (`lost`).
 
         Begins when this returns. Iteration raises DaemonNotRunning where nothing comes for `timeout_s` (by
         default the client's), and warns (TelemetryLoss) where reading is too slow.
+
+        With `newest` each batch is the next one that the daemon sends once it is asked for; what it sent since the one
+        before is left out, which is no loss to warn of, and counted in `lost`.
         """
         from hapticd.samples import SampleStream
 
-        return self._subscribe(Feed(("samples",), SampleStream().convert), timeout_s)
+        return self._subscribe(Feed(("samples",), SampleStream(warn=not newest).convert, newest), timeout_s)
 
-    def states(self, timeout_s: float | None = None) -> Subscription[State]:
-        """The newest sample as a dictionary, 60 times a second."""
-        return self._subscribe(Feed(("state",), calls.state_of), timeout_s)
+    def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
+        """The newest sample as a dictionary, 60 times a second.
+
+        With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
+        old one.
+        """
+        return self._subscribe(Feed(("state",), calls.state_of, newest), timeout_s)
 
     def events(self, timeout_s: float | None = None) -> Subscription[Event]:
         """Contacts, releases, punctures, faults and the other events."""
@@ -353,7 +462,8 @@ class Subscription(Generic[T]):
             if isinstance(paths, Remote):
                 paths.secure(self._socket)
             self._socket.connect(paths.telemetry_endpoint)
-            self._first += feed.accept(self._receive(_milliseconds(timeout_s)))
+            first = feed.accept(self._receive(_milliseconds(timeout_s)))
+            self._first += () if feed.each else first
             for topic in feed.surplus:
                 self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
         except zmq.Again:
@@ -380,13 +490,30 @@ class Subscription(Generic[T]):
         if self._first:
             return self._first.pop()
         deadline = time.monotonic() + timeout_s
-        while True:
-            try:
-                items = self._feed.accept(self._receive(_milliseconds(max(0.0, deadline - time.monotonic()))))
-            except zmq.Again:
-                return None
-            if items:
-                return items[0]
+        with self._asked():
+            while True:
+                try:
+                    items = self._feed.accept(self._receive(_milliseconds(max(0.0, deadline - time.monotonic()))))
+                except zmq.Again:
+                    return None
+                if items:
+                    return items[0]
+
+    @contextmanager
+    def _asked(self) -> Iterator[None]:
+        """Of a subscription to the newest: what is left of the last time goes, and the next one is asked for."""
+        if self._feed.each:
+            with suppress(zmq.Again):
+                while True:
+                    self._socket.recv_multipart(zmq.NOBLOCK)
+            for topic in self._feed.each:
+                self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+        try:
+            yield
+        finally:
+            if not self._socket.closed:
+                for topic in self._feed.each:
+                    self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
 
     def __iter__(self) -> Self:
         return self
@@ -394,13 +521,16 @@ class Subscription(Generic[T]):
     def __next__(self) -> T:
         if self._first:
             return self._first.pop()
-        while not self._socket.closed:
-            try:
-                items = self._feed.accept(self._receive(_milliseconds(self._timeout_s)))
-            except zmq.Again:
-                raise calls.silent(self._paths, self._timeout_s) from None
-            if items:
-                return items[0]
+        if self._socket.closed:
+            raise StopIteration
+        with self._asked():
+            while not self._socket.closed:
+                try:
+                    items = self._feed.accept(self._receive(_milliseconds(self._timeout_s)))
+                except zmq.Again:
+                    raise calls.silent(self._paths, self._timeout_s) from None
+                if items:
+                    return items[0]
         raise StopIteration
 
     def __enter__(self) -> Self:

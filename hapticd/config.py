@@ -8,13 +8,16 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import Field, ValidationError, model_validator
 
 from hapticd.compensation import Compensation
+from hapticd.config_files import Chosen, choose
 from hapticd.core import SIM_FORCES
+from hapticd.document_kinds import likely_kind_of, refuse_other_kinds
 from hapticd.dynamics import Dynamics, Grip, Handle
 from hapticd.errors import InvalidError, Path, Problem, shown
 from hapticd.hid.config import Hid, Replay
 from hapticd.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
 from hapticd.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
 from hapticd.scene import Scene, reference_faults
+from hapticd.shipped_files import file_of
 from hapticd.yaml_source import Document, Json, load_path
 
 DEFAULT = "default.yaml"
@@ -284,24 +287,32 @@ def load_config(source: ConfigSource) -> Config:
 
 @cache
 def default_config() -> Config:
-    """What the daemon runs without a configuration file: `config/default.yaml`."""
+    """What the daemon runs where no configuration file is found: `config/default.yaml`."""
     return _load([shipped_document(DEFAULT)])
 
 
-def config_of(paths: Sequence[str | os.PathLike[str]]) -> Config:
-    """These files merged in order, as load_config; without one, default_config."""
-    return load_config(tuple(paths)) if paths else default_config()
+def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
+    """The configuration of a command: that of the files it names, or else as config_files.choose finds it."""
+    return chosen_config(choose(paths))
+
+
+def chosen_config(chosen: Chosen) -> Config:
+    """These files merged in order, as load_config, where the name of a shipped scene does for its file; of none,
+    default_config."""
+    files = [file_of(file, "scenes") for file in chosen.files]
+    return load_config(files) if files else default_config()
 
 
 def _load(documents: Sequence[Document]) -> Config:
-    merged = _Merged()
-    for document in documents:
+    merged = Merged()
+    for given in documents:
+        document = _whole(given)
         if not isinstance(document.data, dict):
             known = ", ".join(Config.model_fields)
             raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
-        merged.add(document, document.data, merged.data, ())
+        merged.add(document, document.data)
     try:
-        config = Config.model_validate(merged.data)
+        config = Config.parsed(merged.data)
     except ValidationError as error:
         raise merged.invalid(faults_of(error)) from None
     materials = {**shipped_materials(), **config.materials}
@@ -311,14 +322,24 @@ def _load(documents: Sequence[Document]) -> Config:
     return config.model_copy(update={"materials": materials})
 
 
-class _Merged:
+def _whole(document: Document) -> Document:
+    """A document as a configuration: a scene alone is one, too. Raises InvalidError for what is neither."""
+    refuse_other_kinds(document, "configuration", "change", "scene", "bare scene", "materials")
+    return document.below("scene") if likely_kind_of(document.data) == "bare scene" else document
+
+
+class Merged:
     """Several documents as one, and which of them each part comes from."""
 
     def __init__(self) -> None:
         self.data: dict[str, Json] = {}
         self._owners: dict[Path, Document] = {}
 
-    def add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
+    def add(self, document: Document, data: dict[str, Json]) -> None:
+        """Lays what a document holds over what was there: key by key, but each material and each object whole."""
+        self._add(document, data, self.data, ())
+
+    def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
         self._owners[path] = document
         for key, value in source.items():
             here = (*path, key)
@@ -326,14 +347,22 @@ class _Merged:
             if isinstance(value, dict) and not whole:
                 old = target.get(key)
                 inner = target[key] = old if isinstance(old, dict) else {}
-                self.add(document, value, inner, here)
+                self._add(document, value, inner, here)
             else:
                 target[key] = value
                 self._owners[here] = document
 
     def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
-        return InvalidError(Problem(self._where(path), text) for path, text in faults)
+        return InvalidError(self._owner(path).problem(path, text) for path, text in faults)
 
-    def _where(self, path: Path) -> str:
-        owner = next(self._owners[path[:n]] for n in range(len(path), -1, -1) if path[:n] in self._owners)
-        return owner.where(path)
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN` of the part at `path`, in the file that it is from."""
+        return self._owner(path).place(path)
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file that the part is from."""
+        return self._owner(path).own(path)
+
+    def _owner(self, path: Sequence[str | int]) -> Document:
+        here = tuple(path)
+        return next(self._owners[here[:n]] for n in range(len(here), -1, -1) if here[:n] in self._owners)

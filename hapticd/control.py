@@ -5,27 +5,32 @@ A handler gets validated parameters and returns the result, or raises MethodErro
 
 from __future__ import annotations
 
+import json
 import logging
 import math
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import asdict
 from typing import Annotated, Any, Final, cast
 
 from pydantic import Field, ValidationError
 
+from hapticd import clock, words
 from hapticd._version import __version__
 from hapticd.config import Config
 from hapticd.core import Fault
 from hapticd.displayable import material_rate_faults, rate_faults
 from hapticd.engine import Counters, Engine, Granted, RingFullError, WaitTimeoutError, monotonic_ns
-from hapticd.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted, shown
+from hapticd.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
 from hapticd.flight import Flight
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
-from hapticd.materials import MAX_MATERIALS, Material, shipped_materials, validate_materials
+from hapticd.marks import Mark, MarkParams, checked_data
+from hapticd.materials import MAX_MATERIALS, Material, Materials, shipped_materials, validate_materials
 from hapticd.merge_patch import merge_patch
 from hapticd.mode import ModeKeys
 from hapticd.model import MAX_FAULTS, Model, Name, Position, problems_of
@@ -39,6 +44,7 @@ from hapticd.scene import (
     validate_object,
     validate_scene,
 )
+from hapticd.sent_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.wire import PROTOCOL, Code
 
 LOAD_S: Final = 10.0
@@ -90,6 +96,15 @@ class _UpdateMaterials(_Change):
     materials: dict[str, object]
 
 
+class _SetMaterials(_Change):
+    materials: dict[str, object]
+
+
+class _Apply(_Change):
+    materials: dict[str, object] | None = None
+    scene: object = None
+
+
 class _Reload(_Change):
     pass
 
@@ -124,6 +139,11 @@ def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
     return MethodError(Code.INVALID_PARAMS, f"{first}{more}", data)
 
 
+def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
+    """A result, with what is not displayed as it was meant if there is anything."""
+    return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
+
+
 def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
     """What was granted, and what has been refused since."""
     told = granted.to_dict()
@@ -146,19 +166,29 @@ def _differences(path: Path, old: object, new: object) -> list[Problem]:
     if isinstance(old, dict) and isinstance(new, dict):
         keys = [*old, *(key for key in new if key not in old)]
         return [problem for key in keys for problem in _differences((*path, key), old.get(key), new.get(key))]
-    if old == new:
+    # Where the simulated handle starts matters at the start alone.
+    if old == new or path == ("device", "sim", "start_m"):
         return []
-    return [Problem(path_text(path), f"{shown(new)} needs a restart of the daemon; it runs with {shown(old)}")]
+    text = f"{json.dumps(new)} needs a restart of the daemon; it runs with {json.dumps(old)}"
+    return [Problem(path_text(path), text)]
 
 
 class Control:
     """Acts on one engine. One thread at a time."""
 
-    def __init__(self, engine: Engine, load: Callable[[], Config] | None = None, flight: Flight | None = None) -> None:
-        """`load` reads the configuration anew, for `reload`."""
+    def __init__(
+        self,
+        engine: Engine,
+        load: Callable[[], Config] | None = None,
+        flight: Flight | None = None,
+        ask_state: Callable[[], Future[dict[str, object]]] | None = None,
+    ) -> None:
+        """`load` reads the configuration anew, for `reload`; `ask_state` asks telemetry for the newest sample."""
         self._engine = engine
         self._load = load
+        self._ending = threading.Event()
         self._flight = flight
+        self._ask_state = ask_state
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._started_ns = monotonic_ns()
         self._wish = engine.config.device.sim.start_m
@@ -174,7 +204,7 @@ class Control:
             raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
         self._engine.beat()
         try:
-            return handler(self, params if model is None else model.model_validate(params))
+            return handler(self, params if model is None else model.parsed(params))
         except ValidationError as error:
             raise _faulty(problems_of(error)) from None
         except InvalidError as error:
@@ -195,6 +225,7 @@ class Control:
             "version": __version__,
             "protocol": PROTOCOL,
             "started_ns": self._started_ns,
+            "clock": asdict(clock.read()),
             "state": "running" if counters.running else "stopped",
             "device": engine.config.device.kind,
             "connection": None if engine.connection is None else engine.connection.status(),
@@ -227,7 +258,12 @@ class Control:
             "passivity": {"mode": engine.scene.passivity, **counters.energy._asdict()},
             **self._find_limits(),
             "stability": engine.stability().to_dict(),
+            "operator": engine.operator(),
         }
+
+    def end(self) -> None:
+        """Gives up a reload that is under way: the daemon ends. For any thread."""
+        self._ending.set()
 
     def _find_limits(self) -> dict[str, object]:
         """What the rate cannot carry as it is, found anew only when the scene or the materials changed."""
@@ -248,6 +284,20 @@ class Control:
     def _get_status(self, _: _NoParams) -> dict[str, object]:
         return self.status()
 
+    def _get_state(self, _: _NoParams) -> dict[str, object]:
+        if self._ask_state is None:
+            raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
+        answer = self._ask_state()
+
+        def answered(timeout_ns: int) -> bool:
+            self._engine.beat()
+            with suppress(TimeoutError):
+                answer.result(1e-9 * timeout_ns)
+            return answer.done()
+
+        self._engine.wait_for(answered, "no tick was rendered")
+        return answer.result()
+
     def _get_config(self, _: _NoParams) -> dict[str, object]:
         config = self._engine.config
         return {"config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()}}
@@ -263,7 +313,7 @@ class Control:
         if problems:
             raise _faulty(problems)
         self._engine.beat()
-        return self._changed(self._engine.set_scene(scene), params)
+        return self._changed(self._engine.set_scene(scene), params, self._warnings(scene.objects, ("scene", "objects")))
 
     def _update_scene(self, params: _UpdateScene) -> dict[str, object]:
         self._expect(params)
@@ -282,25 +332,33 @@ class Control:
                     changes[id] = None
                 continue
             merged = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
+            if before is None and isinstance(merged, dict) and "kind" not in merged:
+                told = known_names(id, engine.scene.objects) if engine.scene.objects else "the scene has none"
+                where = path_text(("objects", id))
+                problems.append(Problem(where, f"there is no object of this id, and a new one needs a kind; {told}"))
+                continue
             try:
                 changes[id] = validate_object(id, merged)
             except InvalidError as error:
                 problems += error.problems
+        present = {id: item for id, item in changes.items() if item is not None}
         if not problems:
-            present = {id: item for id, item in changes.items() if item is not None}
             problems = self._problems_of(present)
         if problems:
             raise _faulty(problems)
         engine.beat()
-        return self._changed(engine.update_objects(changes), params)
+        return self._changed(engine.update_objects(changes), params, self._warnings(present, ("objects",)))
 
-    def _problems_of(self, objects: Mapping[str, SceneObject], root: Path = ()) -> list[Problem]:
+    def _problems_of(
+        self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
+    ) -> list[Problem]:
         """Materials that these objects name and nobody defines, or no signal of this rate has."""
         engine = self._engine
-        problems = reference_problems(objects, engine.materials, root)[:MAX_FAULTS]
+        materials = engine.materials if materials is None else materials
+        problems = reference_problems(objects, materials, root)[:MAX_FAULTS]
         if problems:
             return problems
-        used = {name: engine.materials[name] for name in used_materials(objects.values())}
+        used = {name: materials[name] for name in used_materials(objects.values())}
         refused = {
             name: faults
             for name, material in used.items()
@@ -318,6 +376,60 @@ class Control:
     def _get_materials(self, _: _NoParams) -> dict[str, object]:
         materials = {name: material.to_dict() for name, material in self._engine.materials.items()}
         return {"materials": materials, "revision": self._engine.revision}
+
+    def _set_materials(self, params: _SetMaterials) -> dict[str, object]:
+        self._expect(params)
+        engine = self._engine
+        materials = self._materials_with(params.materials)
+        refused = rate_faults(engine.scene.objects, materials, engine.output)
+        if refused:
+            raise _faulty(refused)
+        return self._changed(engine.set_materials(materials), params, self._material_warnings(params.materials))
+
+    def _apply(self, params: _Apply) -> dict[str, object]:
+        """Every fault of either part is told; materials and scene change at one tick, or neither does."""
+        self._expect(params)
+        engine = self._engine
+        problems: list[Problem] = []
+        materials, scene = engine.materials, engine.scene
+        if params.materials is None and "scene" not in params.model_fields_set:
+            raise _faulty([Problem("", "needs materials, scene or both")])
+        if params.materials is not None:
+            try:
+                materials = self._materials_with(params.materials)
+            except InvalidError as error:
+                problems += error.problems
+        if "scene" in params.model_fields_set:
+            try:
+                scene = validate_scene(params.scene, ("scene",))
+            except InvalidError as error:
+                problems += error.problems
+        engine.beat()
+        if not problems:
+            sent = {name: materials[name] for name in params.materials or ()}
+            problems = rate_faults(scene.objects, sent, engine.output)
+        if not problems:
+            problems = self._problems_of(scene.objects, ("scene",), materials)
+        if problems:
+            raise _faulty(problems)
+        engine.beat()
+        revision = engine.replace(scene, materials)
+        objects = scene.objects if "scene" in params.model_fields_set else {}
+        warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
+        return self._changed(revision, params, warnings)
+
+    def _materials_with(self, given: Mapping[str, object]) -> dict[str, Material]:
+        """All materials once those given took their places, whole. Raises InvalidError."""
+        gone = [name for name, material in given.items() if material is None]
+        if gone:
+            problem = "must be a mapping, is null; update_materials removes a material"
+            raise InvalidError([Problem(path_text(("materials", name)), problem) for name in gone])
+        materials = dict(self._engine.materials)
+        materials.update(validate_materials(given, working=self._engine.beat))
+        if len(materials) > MAX_MATERIALS:
+            problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}"
+            raise InvalidError([Problem("materials", problem)])
+        return materials
 
     def _update_materials(self, params: _UpdateMaterials) -> dict[str, object]:
         self._expect(params)
@@ -346,7 +458,8 @@ class Control:
         refused = rate_faults(engine.scene.objects, materials, engine.output)
         if refused:
             raise _faulty(refused)
-        return self._changed(engine.set_materials(materials), params)
+        revision = engine.set_materials(materials)
+        return self._changed(revision, params, self._material_warnings(patched))
 
     def _reload(self, params: _Reload) -> dict[str, object]:
         """All or nothing: what needs a restart refuses the rest, too."""
@@ -375,8 +488,8 @@ class Control:
             raise _faulty([Problem("", str(error))]) from None
         old, new = before.objects, config.scene.objects
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
-        _log.info("reloaded: revision %d, %d objects are others", revision, changed)
-        return self._changed(revision, params)
+        _log.info("reloaded: revision %d, %s changed", revision, words.count(changed, "object"))
+        return self._changed(revision, params, self._warnings(new, ("scene", "objects"), used_materials(new.values())))
 
     def _read_anew(self, load: Callable[[], Config]) -> Config:
         """Reads the files, and beats meanwhile: large ones take longer than the servo waits. Raises HapticdError."""
@@ -393,6 +506,8 @@ class Control:
         reader.start()
         until_ns = monotonic_ns() + int(LOAD_S * 1e9)
         while reader.is_alive():
+            if self._ending.is_set():
+                raise HapticdError("the daemon ends")
             if monotonic_ns() > until_ns:
                 raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
             self._engine.beat()
@@ -416,8 +531,16 @@ class Control:
                 {"revision": revision},
             )
 
-    def _changed(self, revision: int, params: _Change) -> dict[str, object]:
-        result: dict[str, object] = {"revision": revision}
+    def _warnings(self, objects: Mapping[str, SceneObject], root: Path, sent: Collection[str] = ()) -> list[Problem]:
+        """What of these objects and materials, which are in force, is not displayed as it was meant."""
+        engine = self._engine
+        return change_warnings(objects, sent, engine.materials, engine.output, root, engine.played(), engine.beat)
+
+    def _material_warnings(self, sent: Collection[str]) -> list[Problem]:
+        return self._warnings({}, (), sent)
+
+    def _changed(self, revision: int, params: _Change, warnings: list[Problem]) -> dict[str, object]:
+        result = _with_warnings({"revision": revision}, warnings)
         if params.wait:
             result["tick"] = self._engine.wait_revision(revision)
         faults = self._engine.faults()
@@ -450,7 +573,12 @@ class Control:
                 )
         self._need_forces()
         tick, shown_hz = self._engine.play(mode, cast(Any, attack), params.direction, params.amplitude_m_per_s2)
-        return {"tick": tick, "displayed_hz": shown_hz}
+        wanted_hz = mode.frequency_hz
+        warnings = []
+        if shown_hz is None or abs(shown_hz - wanted_hz) > 1e-9 * wanted_hz:
+            where = "material" if params.mode is None else "mode"
+            warnings.append(Problem(where, above_rate(wanted_hz, shown_hz, self._engine.output)))
+        return _with_warnings({"tick": tick, "displayed_hz": shown_hz}, warnings)
 
     def _reset(self, params: _Reset) -> dict[str, object]:
         if params.objects is not None:
@@ -463,6 +591,9 @@ class Control:
             if unknown:
                 raise _faulty(unknown)
         return {"tick": self._engine.reset(params.objects)}
+
+    def _mark(self, params: MarkParams) -> dict[str, object]:
+        return {"tick": self._engine.mark(Mark(params.text, checked_data(params.data)))}
 
     def _set_forces(self, params: _SetForces) -> dict[str, object]:
         self._lease.forget_lapsed()
@@ -504,10 +635,13 @@ class Control:
             )
         operator = parse_operator(params)
         engine.beat()
-        waypoints = operator.waypoints_for(self._target, grip_of(engine.config.device.sim), self._wish)
+        grip = grip_of(engine.config.device.sim)
+        waypoints = operator.waypoints_for(self._target, grip, self._wish, engine.scene.objects)
         tick = engine.set_operator(waypoints, operator.interpolation)
         self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
-        return {"duration_s": float(waypoints[-1, 0]), "tick": tick}
+        where = None if operator.gesture is None else "gesture"
+        warnings = operator_warnings(waypoints, engine.config.device.sim.workspace_m, where)
+        return _with_warnings({"duration_s": float(waypoints[-1, 0]), "tick": tick}, warnings)
 
     def _target(self, id: str) -> Target | None:
         item = self._engine.scene.objects.get(id)
@@ -530,14 +664,18 @@ class Control:
 # `set_operator` takes what an operator file holds, which hapticd.operator validates.
 _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
     "get_status": (_NoParams, Control._get_status),
+    "get_state": (_NoParams, Control._get_state),
     "get_config": (_NoParams, Control._get_config),
     "get_scene": (_NoParams, Control._get_scene),
     "set_scene": (_SetScene, Control._set_scene),
     "update_scene": (_UpdateScene, Control._update_scene),
     "get_materials": (_NoParams, Control._get_materials),
+    "set_materials": (_SetMaterials, Control._set_materials),
     "update_materials": (_UpdateMaterials, Control._update_materials),
+    "apply": (_Apply, Control._apply),
     "play": (_Play, Control._play),
     "reset": (_Reset, Control._reset),
+    "mark": (MarkParams, Control._mark),
     "set_forces": (_SetForces, Control._set_forces),
     "set_operator": (None, Control._set_operator),
     "lease": (_LeaseParams, Control._lease_request),

@@ -24,6 +24,7 @@ __all__ = [
     "EVENT_DTYPE",
     "FIELD_DTYPE",
     "HISTOGRAM_EDGES_NS",
+    "MARKS",
     "MATERIAL_DTYPE",
     "MODE_DTYPE",
     "NOISE_DTYPE",
@@ -119,6 +120,8 @@ PASSIVITY_AGE_MAX: int = lib.HD_PASSIVITY_AGE_MAX
 """The oldest reports that the passivity observer understands, in periods."""
 HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(lib.HD_HISTOGRAM_BINS - 1)))
 """Between the bins of lateness and work, the first and the last of which have one each."""
+MARKS: int = lib.HD_MARKS
+"""So many marks may be under way to the servo and back: their events find room."""
 SIM_FORCES: int = lib.HD_SIM_FORCES
 """So many frames a force may be under way to the simulated joystick."""
 
@@ -196,6 +199,8 @@ class EventKind(IntEnum):
     RATE = lib.HD_EVENT_RATE
     RESUMED = lib.HD_EVENT_RESUMED
     MEMORY_REFUSED = lib.HD_EVENT_MEMORY_REFUSED
+    MARK = lib.HD_EVENT_MARK
+    GESTURE_END = lib.HD_EVENT_GESTURE_END
 
 
 class Fault(IntFlag):
@@ -265,6 +270,7 @@ class CommandKind(IntEnum):
     RESET = lib.HD_COMMAND_RESET
     FORCES = lib.HD_COMMAND_FORCES
     OPERATOR = lib.HD_COMMAND_OPERATOR
+    MARK = lib.HD_COMMAND_MARK
 
 
 def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:

@@ -12,7 +12,6 @@ first.
 
 from __future__ import annotations
 
-import fcntl
 import gc
 import logging
 import os
@@ -23,51 +22,57 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Final, TypeVar
 
 import zmq
 
-from hapticd import journal, memory, notify, server
-from hapticd.config import Config, config_of
+from hapticd import journal, memory, notify, server, words
+from hapticd.config import Config, chosen_config
+from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
 from hapticd.flight import Flight, directory_of
+from hapticd.flight_scene import FlightScene
 from hapticd.model import MAX_FAULTS
-from hapticd.paths import RuntimePaths, make_directory, runtime_paths
+from hapticd.paths import runtime_paths
+from hapticd.runtime import Owned, owned
 from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-MOST_OBJECTS_WRITTEN: Final = 2000
-"""A larger scene stays out of the flight recorder's files: putting it into words would hold up commands."""
 
 _log = logging.getLogger("hapticd")
-_T = TypeVar("_T")
 
 
-def run(config_paths: Sequence[str | os.PathLike[str]] = (), runtime_dir: str | os.PathLike[str] | None = None) -> int:
+def run(
+    config_paths: Sequence[str | os.PathLike[str]] = (),
+    runtime_dir: str | os.PathLike[str] | None = None,
+    log_level: str = "info",
+) -> int:
     """Runs the daemon until SIGTERM or SIGINT; returns its exit code.
 
     SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which is gone then.
 
-    `config_paths` are merged in order; without one, the shipped default is used. Raises HapticdError (one line) where
-    it cannot start: bad configuration, another daemon on the directory, real time required and refused.
+    `config_paths` are merged in order; without one, the configuration is looked for (config_files). A reload reads the
+    same files again; where none was found, it looks again. `log_level`: one of journal.LEVELS. Raises HapticdError (one
+    line) where the daemon cannot start: bad configuration, another daemon on the directory, real time required and
+    refused.
     """
     with ExitStack() as stack:
         memory.settle()
-        stack.enter_context(journal.attached())
-        config = config_of(config_paths)
-        os.umask(0o117)
+        stack.enter_context(journal.attached(log_level))
+        stack.push(_told)
+        chosen = choose(config_paths)
+        config = chosen_config(chosen)
+        os.umask(0o007)
         signals = stack.enter_context(_signals())
-        paths = stack.enter_context(_runtime(runtime_dir))
-        return _run(config, lambda: config_of(config_paths), paths, signals, stack)
+        mine = stack.enter_context(owned(runtime_paths(runtime_dir)))
+        return _run(config, chosen, mine, signals, stack)
 
 
-def _run(
-    config: Config, load: Callable[[], Config], paths: RuntimePaths, signals: socket.socket, stack: ExitStack
-) -> int:
+def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, stack: ExitStack) -> int:
+    paths = mine.paths
     stop_file = StopFile(paths.device)
     _stop_what_was_left(stop_file.path)
     engine = Engine(config, stop_file)
@@ -77,9 +82,12 @@ def _run(
         config.flight.keep,
         engine.rate_hz,
         monotonic_ns,
+        FlightScene(engine.scene, engine.materials, engine.revision, engine.rate_hz),
         lambda: _about(engine, control),
     )
-    control = Control(engine, load, flight)
+    control = Control(
+        engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
+    )
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
     publisher = context.socket(zmq.PUB)
@@ -87,36 +95,46 @@ def _run(
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
     publisher.setsockopt(zmq.LINGER, 200)
     stack.callback(publisher.close)
-    _bind(publisher.bind, paths.telemetry)
+    mine.bind(publisher, paths.telemetry)
     failures: list[BaseException] = []
     telemetry = Telemetry(engine, publisher, control.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
-    _thread("telemetry", telemetry.run, failures, stack)
+    _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
     stack.callback(engine.stop)
+    _log.info("configuration: %s", chosen)
     for missing in granted.missing:
         _log.warning("not granted: %s", missing)
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = _bind(lambda endpoint: server.bind(context, endpoint), paths.command)
+    router = server.router(context)
     stack.callback(router.close)
+    mine.bind(router, paths.command)
     watch = notify.Watch(lambda: _progress(engine))
+    reloads = server.Reloads(context)
+
+    def between() -> None:
+        watch()
+        mine.check()
+        reloads.serve(control)
+
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop, watch),
+        lambda stop: server.serve(router, engine, control, stop, between),
         failures,
         stack,
         wake=lambda: server.wake(context),
     )
+    stack.callback(control.end)  # a reload that is under way is given up
     gc.collect()
     gc.freeze()
     gc.enable()
     _log.info(
-        "ready: %s at %g Hz, %s%s, commands at %s",
+        "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
-        config.servo.rate_hz,
+        words.si(config.servo.rate_hz, "Hz"),
         f"SCHED_FIFO {granted.priority}" if granted.priority else "no real-time priority",
         f", memory locked: {granted.memory}",
         paths.command,
@@ -128,17 +146,22 @@ def _run(
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     # Asked now: a terminal that is gone is none any more.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
-    while (received := signals.recv(1)[0]) not in ends:
-        notify.reloading()
-        server.reload(context)
-        notify.ready(_progress(engine)[1])
+    # Of signals that came together the end overtakes the reloads.
+    while not (ended := ends.intersection(received := signals.recv(4096))):
+        reloads.ask()
     notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
         return 1
-    _log.info("%s: stopping", signal.Signals(received).name)
-    paths.command.unlink(missing_ok=True)
+    _log.info("%s: stopping", signal.Signals(next(number for number in received if number in ended)).name)
+    mine.remove(paths.command)
     return 0
+
+
+def _told(kind: type[BaseException] | None, *_: object) -> None:
+    """The last line of the log, once everything is down; an error has a line of its own."""
+    if kind is None:
+        _log.info("stopped")
 
 
 def _on_terminal() -> bool:
@@ -146,13 +169,11 @@ def _on_terminal() -> bool:
 
 
 def _about(engine: Engine, control: Control) -> dict[str, object]:
-    """What goes into a file of the flight recorder beside the telemetry."""
-    scene, materials = engine.scene, engine.materials
-    small = len(scene.objects) <= MOST_OBJECTS_WRITTEN
+    """What goes into a file of the flight recorder beside the telemetry and what that was rendered with."""
+    config = engine.config
     return {
+        "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
         "status": control.status(),
-        "scene": scene.to_dict() if small else None,
-        "materials": {name: material.to_dict() for name, material in materials.items()} if small else None,
     }
 
 
@@ -175,7 +196,10 @@ def _progress(engine: Engine) -> tuple[int, str]:
     forces = "on" if counters.forces_on else "off"
     if counters.faults:
         forces = f"off by fault: {', '.join(fault_names(counters.faults))}"
-    return counters.ticks, f"{device} at {engine.rate_hz:g} Hz; scene revision {engine.revision}; forces {forces}"
+    return (
+        counters.ticks,
+        f"{device} at {words.si(engine.rate_hz, 'Hz')}; scene revision {engine.revision}; forces {forces}",
+    )
 
 
 def _thread(
@@ -207,21 +231,6 @@ def _thread(
     stack.callback(stop.set)
 
 
-def _bind(bind: Callable[[str], _T], path: Path) -> _T:
-    """Binds a socket in place of a file that a daemon which is gone left behind: we hold the lock.
-
-    It has its name once it can be connected to, which a file that bind(2) has just made cannot: listen(2) is to come.
-    """
-    unnamed = path.with_name(".new")
-    unnamed.unlink(missing_ok=True)
-    try:
-        bound = bind(f"ipc://{unnamed}")
-    except zmq.ZMQError as error:
-        raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
-    unnamed.replace(path)
-    return bound
-
-
 @contextmanager
 def _signals() -> Iterator[socket.socket]:
     """A socket from which the number of a signal can be read, whichever thread the kernel chose for it.
@@ -242,30 +251,3 @@ def _signals() -> Iterator[socket.socket]:
             for number, handler in zip(_SIGNALS, before, strict=True):
                 signal.signal(number, handler)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
-
-
-@contextmanager
-def _runtime(directory: str | os.PathLike[str] | None) -> Iterator[RuntimePaths]:
-    """The runtime directory, ours alone while the context lasts."""
-    paths = runtime_paths(directory)
-    make_directory(paths)
-    try:
-        lock = os.open(paths.lock, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-    except OSError as error:
-        raise HapticdError(f"{paths.lock}: {error.strerror}") from None
-    try:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = os.pread(lock, 32, 0).decode("ascii", "replace").strip() or "unknown"
-            raise HapticdError(
-                f"another daemon (process {holder}) runs on {paths.directory}; stop it, or choose another directory "
-                "with --runtime-dir"
-            ) from None
-        os.ftruncate(lock, 0)
-        os.pwrite(lock, f"{os.getpid()}\n".encode(), 0)
-        yield paths
-        for path in (paths.command, paths.telemetry):
-            path.unlink(missing_ok=True)
-    finally:
-        os.close(lock)

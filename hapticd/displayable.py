@@ -159,17 +159,23 @@ def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Materia
     """What of the scene is displayed, but not as it was meant, and how it is displayed then."""
     found: list[Problem] = []
     for name, material in materials_in(objects, materials).items():
-        found += _compensation_warnings(name, material, output)
-        match material.texture:
-            case Grooves() as texture:
-                found += _groove_warnings(name, texture, output)
-            case Stochastic() as texture:
-                found += _stochastic_warnings(name, texture, output)
-            case Autoregressive() as texture:
-                found += _autoregressive_warnings(name, texture, output)
+        found += material_warnings(name, material, output)
     for id, item in objects.items():
         if isinstance(item, Wall) and item.patches:
-            found += _patch_warnings(id, item)
+            found += patch_warnings(item, ("scene", "objects", id))
+    return found
+
+
+def material_warnings(name: str, material: Material, output: Output) -> list[Problem]:
+    """As warnings, of one material."""
+    found = list(_compensation_warnings(name, material, output))
+    match material.texture:
+        case Grooves() as texture:
+            found += _groove_warnings(name, texture, output)
+        case Stochastic() as texture:
+            found += _stochastic_warnings(name, texture, output)
+        case Autoregressive() as texture:
+            found += _autoregressive_warnings(name, texture, output)
     return found
 
 
@@ -231,9 +237,10 @@ def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iter
             f"shown are {_hz(shown.peak_hz)} and {_hz(shown.mean_hz)}"
         )
         yield _texture_problem(name, "mean_hz", problem)
-    above = power_above(shown, DISPLAYABLE * output.carried_hz, output.rate_hz)
-    if output.carried_hz < output.rate_hz and above > MAX_LOSS:
-        yield _texture_problem(name, "mean_hz", _above_problem(above, output))
+    if output.carried_hz < output.rate_hz:
+        above = power_above(shown, DISPLAYABLE * output.carried_hz, output.rate_hz)
+        if above > MAX_LOSS:
+            yield _texture_problem(name, "mean_hz", _above_problem(above, output))
 
 
 def _above_problem(above: float, output: Output) -> str:
@@ -279,13 +286,14 @@ def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output)
         yield Problem(place, f"{_above_problem(above, output)}{more}")
 
 
-def _patch_warnings(id: str, wall: Wall) -> Iterator[Problem]:
+def patch_warnings(wall: Wall, root: Path) -> Iterator[Problem]:
+    """As warnings, of a wall's patches; `where` begins with `root`, the wall's own place."""
     patches, ramp_m = wall.patches, wall.patch_ramp_m
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None
     for index in sorted(range(len(patches)), key=lambda index: patches[index].from_m):
         patch = patches[index]
-        place: Path = ("scene", "objects", id, "patches", index)
+        place: Path = (*root, "patches", index)
         if before is not None:
             gap = patch.from_m - patches[before].to_m
             if TOUCHING_M < gap < ramp_m - TOUCHING_M:

@@ -27,6 +27,7 @@ from hapticd.config import Config
 from hapticd.core import (
     EVENT_DTYPE,
     HISTOGRAM_EDGES_NS,
+    MARKS,
     NO_SLOT,
     PLAY_SLOT,
     SAMPLE_DTYPE,
@@ -56,12 +57,14 @@ from hapticd.hid.connection import Connection, Link
 from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim, set_rate
+from hapticd.marks import Mark, Marks, MarksFullError
 from hapticd.materials import Materials
 from hapticd.mode import Attack, Mode
 from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, materials_of
 from hapticd.stability import Loop, timing
 from hapticd.stopper import StopFile
 from hapticd.together import Stability, judge
+from hapticd.wire import GESTURE_ENDS
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -294,6 +297,9 @@ class Engine:
         if self._offload is not None:
             self._offload.judge_by(self.output.carried_hz)
         self._operators: deque[tuple[int, CData]] = deque()
+        self._operator_tick: int | None = None
+        self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
+        self._marks = Marks()
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._dropped = ffi.new("uint64_t *")
         self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
@@ -467,7 +473,7 @@ class Engine:
             self._compiler.turn_to(output)
             revision = (self.revision + 1) & 0xFFFFFFFF
             self._publish(self.scene, (), self.materials, revision)
-            self._changes.append(Revised(revision, {}, {}, {}, False, told_hz))
+            self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
             self.revision = revision
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
@@ -503,8 +509,12 @@ class Engine:
         objects = _of_all_materials(self.scene.objects)
         shown = materials_in(objects, self.materials)
         lacking = undisplayable(shown, self.output)
-        played = {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
+        played = self.played()
         return [one for one in lacking if (one.material, one.mode) not in played], warnings(objects, shown, self.output)
+
+    def played(self) -> set[tuple[str, str]]:
+        """Materials of the scene and modes of theirs that the device plays by itself. For any thread."""
+        return {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
 
     @property
     def offload_version(self) -> int:
@@ -635,7 +645,37 @@ class Engine:
         # The servo uses the newest only.
         while len(self._operators) > 1:
             self._operators.popleft()
+        self._operator_tick = tick
         return tick
+
+    def operator(self) -> dict[str, object] | None:
+        """The tick that took the last operator, and the last gestures that ended; None without a simulated hand. For
+        any thread."""
+        if self._sim is None:
+            return None
+        return {"started_tick": self._operator_tick, "ends": list(self._gesture_ends)}
+
+    def gesture_ended(self, event: dict[str, object]) -> None:
+        """Keeps the event at a gesture's end. For the thread that reads events."""
+        self._gesture_ends.append(event)
+
+    def mark(self, mark: Mark) -> int:
+        """Has the servo leave an event for a mark; the tick that took it. Forces may be off, faults latched."""
+        try:
+            number = self._marks.add(mark)
+        except MarksFullError:
+            raise RingFullError(f"{MARKS} marks are under way: their events have not been sent yet") from None
+        command = self._command(CommandKind.MARK)
+        command.value = number
+        try:
+            return self._send_and_wait([command])
+        except RingFullError:
+            self._marks.take(number)
+            raise
+
+    def take_mark(self, number: int) -> Mark:
+        """The mark of an event. For the thread that reads events, once for each."""
+        return self._marks.take(number)
 
     def set_lease(self, deadline_ns: int) -> None:
         """Forces fade out when this time (CLOCK_MONOTONIC) passes; 0: no lease."""
@@ -665,14 +705,19 @@ class Engine:
         )
 
     def _wait(self, taken: Callable[[int], int], late: str) -> int:
-        """The tick that took something. Looks after the servo meanwhile: one that steps down goes on by this thread's
-        doing, and would be waited for in vain."""
+        """The tick that took something. A servo that steps down goes on by this thread's doing, and would be waited for
+        in vain if it did not look after it."""
+        self.wait_for(lambda timeout_ns: taken(timeout_ns) == Status.OK, late)
+        return int(self._tick[0])
+
+    def wait_for(self, done: Callable[[int], bool], late: str) -> None:
+        """Waits until `done`, which itself waits for at most the nanoseconds that it is given, and looks after the
+        servo meanwhile. Raises WaitTimeoutError, which says what is `late`."""
         until_ns = monotonic_ns() + int(WAIT_S * 1e9)
-        while taken(max(0, min(LOOK_EVERY_NS, until_ns - monotonic_ns()))) != Status.OK:
+        while not done(max(0, min(LOOK_EVERY_NS, until_ns - monotonic_ns()))):
             if monotonic_ns() >= until_ns:
                 raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
             self.look_after()
-        return int(self._tick[0])
 
     # ---- What the servo says ---------------------------------------------------------------------------------------
 
@@ -728,8 +773,8 @@ class Engine:
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, room)
 
     def touching(self) -> list[str]:
-        """The ids of what is touched, at most 1024, by the servo's own account: no event is needed for it. For the thread
-        that reads samples and events, after these."""
+        """The ids of what is touched, at most 1024, by the servo's own account: no event is needed for it. For the
+        thread that reads samples and events, after these."""
         count = lib.hd_servo_read_touched(self._servo, self._touched)
         names = (self.name_of(record.slot, record.generation) for record in self._touched[0:count])
         return sorted(name for name in names if name is not None)

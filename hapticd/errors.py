@@ -90,11 +90,18 @@ def path_text(path: Sequence[str | int]) -> str:
 def known_names(name: str, known: Iterable[str]) -> str:
     """What would be right instead of an unknown name: 'did you mean wood? known: wood, steel'."""
     names = list(known)
-    # Looking for what was meant costs a comparison for each name; in a long list a person would look there.
-    guess = len(name) <= 2 * _SHOWN_CHARACTERS and len(names) <= _COMPARED_NAMES
-    close = difflib.get_close_matches(name, names, n=1) if guess else []
+    close = near_names(name, names, 1)
     listed = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
     return (f"did you mean {close[0]}? " if close else "") + f"known: {listed or 'none'}"
+
+
+def near_names(name: str, known: Sequence[str], most: int) -> list[str]:
+    """The names that somebody may have meant who wrote `name`, the nearest first; upper and lower case are one."""
+    # Looking for what was meant costs a comparison for each name; in a long list a person would look there.
+    if len(name) > 2 * _SHOWN_CHARACTERS or len(known) > _COMPARED_NAMES:
+        return []
+    folded = {each.casefold(): each for each in known}
+    return [folded[near] for near in difflib.get_close_matches(name.casefold(), folded, n=most)]
 
 
 def undisplayable_text(told: Mapping[str, object]) -> str:

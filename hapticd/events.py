@@ -10,6 +10,7 @@ import os
 from typing import Any
 
 from hapticd.core import EventKind, Fault, lib
+from hapticd.marks import Mark
 
 
 def fault_names(faults: Fault) -> list[str]:
@@ -17,8 +18,9 @@ def fault_names(faults: Fault) -> list[str]:
     return [fault.name.lower() for fault in Fault if fault in faults and fault.name]
 
 
-def event_map(event: Any, object_id: str | None) -> dict[str, object]:
-    """One record of `hapticd.core.EVENT_DTYPE` as a map; `object_id`: the object it speaks of, if any."""
+def event_map(event: Any, object_id: str | None, mark: Mark | None = None) -> dict[str, object]:
+    """One record of `hapticd.core.EVENT_DTYPE` as a map; `object_id`: the object it speaks of, `mark`: the mark, if
+    any."""
     kind = EventKind(int(event["kind"]))
     time_ns = int(event["time_ns"])
     message: dict[str, object] = {
@@ -64,6 +66,10 @@ def event_map(event: Any, object_id: str | None) -> dict[str, object]:
             message["suspended_s"] = float(event["value"])
         case EventKind.MEMORY_REFUSED:
             message["problem"] = os.strerror(int(event["code"]))
+        case EventKind.MARK:
+            message |= {"text": mark.text if mark else "", "data": mark.data if mark else None}
+        case EventKind.GESTURE_END:
+            message |= {"started_tick": int(event["value"]), "completed": bool(int(event["code"]))}
         case EventKind.GLITCH:
             message["speed_m_per_s"] = float(event["value"])
     return message

@@ -1,8 +1,9 @@
 """The flight recorder: the last seconds of samples and events, kept, and written to a file on a fault or when asked.
 
 The telemetry thread leaves here what it sends: samples go round in one array that never grows (1.1 MB a second at
-10 kHz). A thread of its own writes files; what it writes is a copy of that array, so that nobody waits for the disk. A
-fault's file is begun AFTER_S after the fault, so that it shows what became of it.
+10 kHz); flight_scene.py keeps what they were rendered with, so that a file can be rendered again. A thread of its own
+writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun AFTER_S
+after the fault, so that it shows what became of it.
 """
 
 from __future__ import annotations
@@ -15,15 +16,20 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from hapticd import clock
+from hapticd.changes import Change
+from hapticd.clock import Moment
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError
+from hapticd.flight_scene import FlightScene, Stretch
+from hapticd.missed import gaps_of, missed_periods, rates_of
 
 AFTER_S: Final = 1.0
 """So much after a fault is in its file."""
@@ -35,6 +41,10 @@ _PLAIN: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
 """A sample without its members, which numpy would copy one by one."""
 SWITCH_S: Final = 0.0005
 """While a file is written, other threads wait at most about so long for the interpreter, instead of 5 ms."""
+CLOCK_EVERY_NS: Final = 1_000_000_000
+"""So often the clocks are read, for a file's beginning."""
+MOST_GAPS: Final = 1000
+"""Gaps that a file lists."""
 
 _NAME: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
 _log = logging.getLogger("hapticd")
@@ -56,6 +66,9 @@ class _Job:
     asked: _Asked
     samples: npt.NDArray[np.void]
     events: list[dict[str, object]]
+    stretch: Stretch
+    started: Moment | None
+    ended: Moment
 
 
 class Flight:
@@ -69,9 +82,13 @@ class Flight:
         keep: int,
         rate_hz: float,
         now_ns: Callable[[], int],
+        scene: FlightScene,
         texts: Callable[[], Mapping[str, object]] = dict,
+        read_clock: Callable[[], Moment] = clock.read,
     ) -> None:
         """`keep`: files that stay; older ones are removed. `texts`: what else goes into a file, as in recordings."""
+        self._scene, self._read_clock = scene, read_clock
+        self._moments: deque[Moment] = deque([read_clock()])
         self._directory, self._seconds, self._keep = directory, seconds, keep
         self._now_ns, self._texts = now_ns, texts
         self._samples = np.zeros(round((seconds + AFTER_S) * rate_hz), _PLAIN)
@@ -102,9 +119,16 @@ class Flight:
         self._samples[place : place + len(batch)] = batch[:until_end]
         self._samples[: len(batch[until_end:])] = batch[until_end:]
         self._count += len(batch)
-        oldest = int(self._samples.view(SAMPLE_DTYPE)["tick"][self._count % most if self._count > most else 0])
-        while self._events and int(str(self._events[0]["tick"])) < oldest:
+        oldest = self._samples.view(SAMPLE_DTYPE)[self._count % most if self._count > most else 0]
+        while self._events and int(str(self._events[0]["tick"])) < oldest["tick"]:
             self._events.popleft()
+        self._scene.forget(int(oldest["tick"]), int(oldest["revision"]))
+        while len(self._moments) > 1 and self._moments[1].monotonic_ns <= oldest["time_ns"]:
+            self._moments.popleft()
+
+    def keep_change(self, change: Change) -> None:
+        """Takes what a command changed."""
+        self._scene.take(change)
 
     def keep_event(self, event: dict[str, object]) -> None:
         """Takes an event as it is sent; one that tells of faults asks for a file."""
@@ -123,12 +147,26 @@ class Flight:
 
     def turn(self, kept_ns: int) -> None:
         """Hands over to the writer what is due at `kept_ns`: the time until which everything is kept, or on its way."""
+        moment = self._read_clock()
+        if moment.monotonic_ns - self._moments[-1].monotonic_ns >= CLOCK_EVERY_NS:
+            self._moments.append(moment)
         with self._lock:
             held = self._dumping
-            due = [asked for asked in self._asked if kept_ns >= asked.due_ns and not (held and asked.reason == "asked")]
+            # A change may come a moment later than the samples that were rendered with it.
+            ready_ns = kept_ns if self._told() else kept_ns - round(AFTER_S * 1e9)
+            due = [
+                asked for asked in self._asked if ready_ns >= asked.due_ns and not (held and asked.reason == "asked")
+            ]
             self._asked = [asked for asked in self._asked if asked not in due]
             self._dumping = held or any(asked.reason == "asked" for asked in due)
         self._hand_over(due)
+
+    def _told(self) -> bool:
+        """Whether the newest sample's revision is known."""
+        if self._count == 0:
+            return True
+        newest = self._samples.view(SAMPLE_DTYPE)[(self._count - 1) % len(self._samples)]
+        return self._scene.knows(int(newest["revision"]))
 
     def finish(self) -> None:
         """The last samples have come: hands over everything that was asked for."""
@@ -141,7 +179,8 @@ class Flight:
             place = self._count % len(self._samples) if self._count > len(self._samples) else 0
             kept = self._samples[: self._count]
             samples = np.concatenate((kept[place:], kept[:place])).view(SAMPLE_DTYPE)
-            self._jobs.put(_Job(asked, samples, list(self._events)))
+            started = self._moments[0] if len(samples) else None
+            self._jobs.put(_Job(asked, samples, list(self._events), self._scene.stretch(), started, self._read_clock()))
 
     # ---- Any thread ------------------------------------------------------------------------------------------------
 
@@ -153,8 +192,10 @@ class Flight:
             return waiting or self._ask("asked", None, self._now_ns())
 
     def _ask(self, reason: str, tick: int | None, due_ns: int) -> Path:
-        self._number += 1
-        path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
+        path = None
+        while path is None or path.exists():  # another daemon may write there, too
+            self._number += 1
+            path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
         self._asked.append(_Asked(path, reason, tick, due_ns))
         self._under_way += 1
         return path
@@ -213,14 +254,19 @@ class Flight:
         if not self._directory.is_dir():
             os.makedirs(self._directory)
             os.chmod(self._directory, 0o750)
-        about = {"reason": job.asked.reason, "tick": job.asked.tick}
+        stretch, about = job.stretch, {"reason": job.asked.reason, "tick": job.asked.tick}
+        changes = stretch.change_maps()
         with open_sink(job.asked.path) as sink:
+            sink.begin({**self._texts(), **stretch.texts()})
+            for change in changes:
+                sink.write_change(change)
             # Not in small pieces: each write is a chance to wait for the interpreter, and has others wait for it.
             for first in range(0, len(job.samples), CHUNK):
                 sink.write(job.samples[first : first + CHUNK])
             for event in job.events:
                 sink.write_event(event)
-            sink.finish({**self._texts(), "flight": about})
+            recording = _account(job, changes)
+            sink.finish({"recording": recording, "flight": {**about, "complete_from": stretch.complete_from}})
         self._remove_old()
 
     def _remove_old(self) -> None:
@@ -233,6 +279,28 @@ class Flight:
             return []
         found = ((path, _NAME.fullmatch(path.name)) for path in self._directory.iterdir())
         return [(path, match) for path, match in found if match is not None]
+
+
+def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
+    """What the file holds and what it lacks, as in recordings."""
+    samples, stretch = job.samples, job.stretch
+    ticks, times = samples["tick"].astype(np.int64), samples["time_ns"]
+    rates = rates_of(samples, changes, stretch.rate_hz)
+    gaps = gaps_of(ticks)
+    return {
+        "ticks": len(samples),
+        "duration_s": float(times[-1] - times[0]) / 1e9 + 1.0 / rates[-1] if len(samples) else 0.0,
+        "events": len(job.events),
+        "lost": 0,
+        "dropped": sum(length for _, length in gaps),
+        "gaps": gaps[:MOST_GAPS],
+        "missed_periods": missed_periods(samples, rates),
+        "missing_revisions": stretch.missing(set(np.unique(samples["revision"]).tolist())),
+        "started": None if job.started is None else asdict(job.started),
+        "ended": asdict(job.ended),
+        "ended_because": None,
+        "notes": {},
+    }
 
 
 def directory_of(configured: str | None, runtime: Path, environ: Mapping[str, str] | None = None) -> Path:

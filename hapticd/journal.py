@@ -12,16 +12,23 @@ import os
 import socket
 import struct
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Final
+
+from hapticd import words
+from hapticd.repeats import LONGEST_S, STATE_S, Repeats, Since
 
 SOCKET: Final = "/run/systemd/journal/socket"
 IDENTIFIER: Final = "hapticd"
 PREFIX: Final = "HAPTICD_"
-TELL_EVERY_NS: Final = 1_000_000_000
-"""Events of one kind are told at once, and then at most so often."""
+
+LEVELS: Final = ("debug", "info", "warning", "error")
+"""What a line may be, the least important first."""
+LINE: Final = "%(asctime)s hapticd: %(message)s"
+TIME_OF_DAY: Final = "%H:%M:%S"
+DATE: Final = "%Y-%m-%d"
 
 _LONGEST: Final = 48 * 1024
 """Bytes of a field; the journal's socket takes some 200 KiB in one message."""
@@ -38,23 +45,30 @@ _log = logging.getLogger("hapticd")
 
 
 @contextmanager
-def attached(environ: Mapping[str, str] | None = None, address: str = SOCKET) -> Iterator[None]:
-    """Meanwhile lines of the log go to the journal if stderr does and the journal can be spoken to, else to stderr."""
+def attached(level: str = "info", environ: Mapping[str, str] | None = None, address: str = SOCKET) -> Iterator[None]:
+    """Meanwhile lines of the log go to the journal if stderr does and the journal can be spoken to, else to stderr.
+
+    `level`, one of LEVELS: less important lines of ours are left out; of the libraries' those below a warning, too.
+    On stderr each line begins with the time of day, in a file with the date, too; under the journal, which has its own,
+    with neither.
+    """
     environ = os.environ if environ is None else environ
-    if is_stderr(environ.get("JOURNAL_STREAM", "")) and os.path.exists(address):
+    journal = is_stderr(environ.get("JOURNAL_STREAM", ""))
+    if journal and os.path.exists(address):
         handler: logging.Handler = JournalHandler(address)
         handler.setFormatter(logging.Formatter("%(message)s"))
     else:
         handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(logging.Formatter("hapticd: %(message)s"))
-    root = logging.getLogger()
-    level = root.level
+        on_terminal = sys.stderr is not None and sys.stderr.isatty()
+        time_of = TIME_OF_DAY if on_terminal else f"{DATE} {TIME_OF_DAY}"
+        handler.setFormatter(logging.Formatter("hapticd: %(message)s" if journal else LINE, time_of))
+    root, before = logging.getLogger(), _log.level
     root.addHandler(handler)
-    root.setLevel(logging.INFO)
+    _log.setLevel(level.upper())
     try:
         yield
     finally:
-        root.setLevel(level)
+        _log.setLevel(before)
         root.removeHandler(handler)
         handler.close()
 
@@ -129,94 +143,113 @@ class JournalHandler(logging.Handler):
 # ---- Events --------------------------------------------------------------------------------------------------------
 
 
-def _fault(event: Mapping[str, object]) -> str:
+def _fault(event: Mapping[str, object], since: Since) -> str:
     faults = event["faults"]
-    names = ", ".join(map(str, faults)) if isinstance(faults, list) else ""
-    return f"fault: {names}; forces are off until set_forces turns them on" if names else "faults cleared"
+    names = words.listed(list(map(str, faults))) if isinstance(faults, list) else ""
+    told = f"fault: {names}; forces are off until somebody turns them on (hapticd force on)" if names else ""
+    return (told or "faults cleared") + since.more
 
 
-def _overrun(event: Mapping[str, object]) -> str:
-    return f"{event['missed']} periods missed, {event['count']} times"
+def _overrun(event: Mapping[str, object], since: Since) -> str:
+    missed, times = since.amounts["missed"], since.amounts["count"]
+    told = f"{words.count(missed, 'period')} missed"
+    if times > 1:
+        told += f", {times:,} times"
+    return f"{told}, {since.window}" if since.window else told
 
 
-_TOLD: Final[Mapping[str, tuple[int, Callable[[Mapping[str, object]], str]]]] = {
+def _plain(text: Callable[[Mapping[str, object]], str]) -> Callable[[Mapping[str, object], Since], str]:
+    return lambda event, since: text(event) + since.more
+
+
+def _number(event: Mapping[str, object], name: str) -> float:
+    return float(str(event[name]))
+
+
+_TOLD: Final[Mapping[str, tuple[int, Callable[[Mapping[str, object], Since], str]]]] = {
     "fault": (logging.ERROR, _fault),
-    "device_lost": (logging.WARNING, lambda event: "the device does not report"),
-    "device_found": (logging.INFO, lambda event: "the device reports again"),
+    "device_lost": (logging.WARNING, _plain(lambda event: "the device does not report")),
+    "device_found": (logging.INFO, _plain(lambda event: "the device reports again")),
     "overrun": (logging.WARNING, _overrun),
     "overload": (
         logging.WARNING,
-        lambda event: f"overload: {100 * float(str(event['missed_share'])):.1f} % of a second's periods were missed",
+        _plain(
+            lambda event: f"overload: {words.percent(_number(event, 'missed_share'))} of a second's periods were missed"
+        ),
     ),
-    "rate": (logging.WARNING, lambda event: f"the servo goes on at {float(str(event['rate_hz'])):g} Hz"),
+    "rate": (
+        logging.WARNING,
+        _plain(lambda event: f"the servo goes on at {words.si(_number(event, 'rate_hz'), 'Hz')}"),
+    ),
     "resumed": (
         logging.WARNING,
-        lambda event: f"the machine was suspended for {float(str(event['suspended_s'])):.1f} s",
+        _plain(lambda event: f"the machine was suspended for {words.duration(_number(event, 'suspended_s'))}"),
     ),
     "memory_refused": (
         logging.WARNING,
-        lambda event: (
-            f"locked memory for all objects: {event['problem']}; the rest is rendered from memory that is not"
+        _plain(
+            lambda event: (
+                f"locked memory for all objects: {event['problem']}; the rest is rendered from memory that is not"
+            )
         ),
     ),
-    "glitch": (logging.WARNING, lambda event: f"the position jumped, at {float(str(event['speed_m_per_s'])):.3g} m/s"),
+    "glitch": (
+        logging.WARNING,
+        _plain(lambda event: f"the position jumped, at {words.quantity(_number(event, 'speed_m_per_s'), 'm/s', 3)}"),
+    ),
 }
 """The events that stand in the log: how important each is, and its words. Others, contacts for example, do not."""
 
-
-@dataclass(slots=True)
-class _Held:
-    """A kind of event that was told, and those that came since."""
-
-    until_ns: int
-    last: dict[str, object] | None = None
-    more: int = 0
+_SUMS: Final = ("missed", "count")
+"""Members of an event that add up."""
+_STATES: Final = frozenset(("fault", "device_lost", "device_found", "rate"))
+"""Those that say how things are from now on."""
 
 
 class EventLog:
-    """Tells events of consequence in the log, once each; of a flood, a line a second with how many there were."""
+    """Tells events of consequence in the log: the first of a kind at once, those that follow as `repeats` says.
 
-    def __init__(self, now_ns: Callable[[], int]) -> None:
-        self._now_ns = now_ns
-        self._held: dict[str, _Held] = {}
+    With level DEBUG every event is told, each as it comes.
+    """
+
+    def __init__(
+        self, now_s: Callable[[], float] = time.monotonic, missing: Callable[[], bool] = lambda: False
+    ) -> None:
+        """`missing`: whether real-time rights that were asked for are missing."""
+        self._repeats = Repeats(now_s)
+        self._missing = missing
+        self._hinted = False
 
     def note(self, event: Mapping[str, object]) -> None:
         """Takes one event, a map as telemetry sends it."""
         kind = str(event["event"])
+        if _log.isEnabledFor(logging.DEBUG):
+            members = ", ".join(f"{name} {value}" for name, value in event.items() if name != "event")
+            _log.debug("event %s: %s", kind, members)
         if kind not in _TOLD:
             return
-        held = self._held.get(kind)
-        if held is None:
-            self._held[kind] = _Held(self._now_ns() + TELL_EVERY_NS)
-            self._tell(event, 0)
-            return
+        amounts = {name: int(str(event[name])) for name in _SUMS if name in event}
         last = dict(event)
-        if held.last is not None:
-            # Numbers that add up.
-            last |= {
-                name: int(str(held.last[name])) + int(str(last[name])) for name in ("missed", "count") if name in last
-            }
-            held.more += 1
-        held.last = last
+        longest_s = STATE_S if kind in _STATES else LONGEST_S
+        self._repeats.note(kind, lambda since: self._tell(last, since), amounts, longest_s)
 
     def flush(self) -> None:
-        """Tells what came since, of kinds whose second is over."""
-        now_ns = self._now_ns()
-        for kind, held in list(self._held.items()):
-            if now_ns < held.until_ns:
-                continue
-            if held.last is None:
-                del self._held[kind]
-            else:
-                self._held[kind] = _Held(now_ns + TELL_EVERY_NS)
-                self._tell(held.last, held.more)
+        """Tells what was held back and is due."""
+        self._repeats.flush()
 
-    def _tell(self, event: Mapping[str, object], more: int) -> None:
-        level, words = _TOLD[str(event["event"])]
+    def finish(self) -> None:
+        """Tells all that was held back, at the end."""
+        self._repeats.finish()
+
+    def _tell(self, event: Mapping[str, object], since: Since) -> None:
+        level, words_of = _TOLD[str(event["event"])]
         if event.get("faults") == []:
             level = logging.INFO
-        text = words(event)
-        if more and "count" not in event:
-            text += f" (and {more} more within a second)"
         fields = {name: ", ".join(value) if isinstance(value, list) else value for name, value in event.items()}
-        _log.log(level, "%s", text, extra={"fields": fields})
+        fields |= since.amounts
+        if since.times > 1:
+            fields["times"] = since.times
+        _log.log(level, "%s", words_of(event, since), extra={"fields": fields})
+        if event["event"] == "overrun" and not self._hinted and self._missing():
+            self._hinted = True
+            _log.warning("real-time rights are missing, so other programs hold the servo up: see hapticd doctor")

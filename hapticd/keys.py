@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -15,7 +14,8 @@ from typing import Final
 import zmq
 
 from hapticd.errors import HapticdError
-from hapticd.yaml_source import one_line, read_file
+from hapticd.trusted import read_trusted
+from hapticd.yaml_source import one_line
 
 PUBLIC: Final = ".key"
 SECRET: Final = ".key_secret"
@@ -102,9 +102,13 @@ def _create(path: Path, text: str, mode: int) -> None:
 
 
 def load_certificate(path: str | os.PathLike[str]) -> Certificate:
-    """The keys in a file. Raises HapticdError for one that cannot be read or holds no public key."""
+    """The keys in a file that others may not change. Raises HapticdError for one that holds no public key."""
     name = os.fspath(path)
-    text = read_file(name, _LARGEST).decode("utf-8", "replace")
+    return _parsed(name, read_trusted(name, _LARGEST))
+
+
+def _parsed(name: str, content: bytes) -> Certificate:
+    text = content.decode("utf-8", "replace")
     found: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
         match = _LINE.fullmatch(line)
@@ -121,17 +125,13 @@ def load_certificate(path: str | os.PathLike[str]) -> Certificate:
 
 
 def load_secret(path: str | os.PathLike[str]) -> Certificate:
-    """As load_certificate, of a file with a secret key that others may not read. Raises HapticdError."""
+    """As load_certificate, of a file with a secret key that others may neither read nor change (`read_trusted`)."""
     name = os.fspath(path)
-    certificate = load_certificate(name)
-    if certificate.secret_key is None:
-        raise HapticdError(f"{one_line(name)}: holds no secret-key; give the file that ends in {SECRET}")
-    mode = stat.S_IMODE(os.stat(name).st_mode)
-    if mode & 0o037:
-        raise HapticdError(
-            f"{one_line(name)}: others may read or change it (mode {mode:04o}): chmod 600, or 640 for a service's group"
-        )
-    pair = zmq.curve_public(certificate.secret_key.encode()).decode()
+    for secret in (False, True):  # whether it is a secret at all is said first
+        certificate = _parsed(name, read_trusted(name, _LARGEST, secret=secret))
+        if certificate.secret_key is None:
+            raise HapticdError(f"{one_line(name)}: holds no secret-key; give the file that ends in {SECRET}")
+    pair = zmq.curve_public((certificate.secret_key or "").encode()).decode()
     if pair != certificate.public_key:
         raise HapticdError(f"{one_line(name)}: public-key and secret-key are no pair")
     return certificate

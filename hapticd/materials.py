@@ -255,7 +255,7 @@ def validate_materials(data: object, root: Path = (), working: Callable[[], None
     `working` is called now and then: thousands of autoregressive models take seconds.
     """
     try:
-        return _Library.model_validate({"materials": data}, context={"working": working}).materials
+        return _Library.parsed({"materials": data}, context={"working": working}).materials
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
 
@@ -270,7 +270,7 @@ def shipped_materials() -> Materials:
     for name in library_files():
         document = shipped_document(name)
         try:
-            found = _Library.model_validate(document.data).materials
+            found = _Library.parsed(document.data).materials
         except ValidationError as error:
             raise InvalidError(Problem(document.where(path), text) for path, text in faults_of(error)) from None
         twice = [Problem(document.where(("materials", each)), "is defined twice") for each in found if each in library]

@@ -28,6 +28,7 @@ import numpy.typing as npt
 
 from hapticd._version import __version__
 from hapticd.errors import HapticdError
+from hapticd.event_columns import MEMBERS, Kind
 from hapticd.sink import Samples, Sink, last_of
 
 if TYPE_CHECKING:
@@ -54,13 +55,19 @@ TOPICS: Final = {
 SAMPLE_TYPE: Final = "hapticd_msgs/msg/Sample"
 
 _ROS_TYPES: Final = {"u8": "uint64", "i8": "int64", "f8": "float64", "u4": "uint32", "i4": "int32", "f4": "float32"}
-_TEXT, _NUMBER, _INTEGER, _TRUTH = ({"type": name} for name in ("string", "number", "integer", "boolean"))
+_TEXT: Final[dict[str, object]] = {"type": "string"}
+_NUMBER: Final[dict[str, object]] = {"type": "number"}
+_INTEGER: Final[dict[str, object]] = {"type": "integer"}
+_TRUTH: Final[dict[str, object]] = {"type": "boolean"}
+_TYPES: Final[dict[Kind, dict[str, object]]] = {
+    Kind.TEXT: _TEXT,
+    Kind.INTEGER: _INTEGER,
+    Kind.NUMBER: _NUMBER,
+    Kind.TRUTH: _TRUTH,
+    Kind.JSON: {},
+}
 EVENT_MEMBERS: Final[dict[str, object]] = {
-    **dict.fromkeys(("event", "object", "problem"), _TEXT),
-    **dict.fromkeys(("tick", "time_ns", "onset_time_ns", "count", "grooves", "missed", "revision"), _INTEGER),
-    **dict.fromkeys(("before_tick_s", "speed_m_per_s", "true_speed_m_per_s", "amplitude_m_per_s2"), _NUMBER),
-    **dict.fromkeys(("scale", "depth_m", "wanted_n", "missed_share", "rate_hz", "suspended_s"), _NUMBER),
-    "appeared": _TRUTH,
+    **{name: _TYPES[kind] for name, kind in MEMBERS.items()},
     "faults": {"type": "array", "items": _TEXT},
 }
 _JSON_SCHEMAS: Final[dict[int, tuple[str, dict[str, object]]]] = {
@@ -172,7 +179,7 @@ class _Chunk:
 class McapSink(Sink):
     """The .mcap form; arrays have no place in it."""
 
-    def __init__(self, target: str | os.PathLike[str], *, left: int | None = None) -> None:
+    def __init__(self, target: str | os.PathLike[str], *, overwrite: bool = False, left: int | None = None) -> None:
         try:
             from zstandard import ZstdCompressor
         except ImportError:
@@ -185,15 +192,15 @@ class McapSink(Sink):
         self._schemas = b""
         self._early: list[tuple[int, Mapping[str, object]]] = []
         """What came before the first sample, and has its time."""
-        super().__init__(target, left=left)
+        super().__init__(target, overwrite=overwrite, left=left)
         if left is None:
             try:
                 self._part.append(MAGIC + _record(_HEADER, _text(""), _text(f"hapticd {__version__}")))
             except OSError as error:
                 self._fail(error)  # nothing was recorded that could be kept
 
-    def begin(self, texts: Mapping[str, object]) -> None:
-        super().begin(texts)
+    def begin(self, texts: Mapping[str, object], about: Mapping[str, object] | None = None) -> None:
+        super().begin(texts, about)
         for name, value in texts.items():
             data = json.dumps(value).encode()
             content = struct.pack("<QQ", 0, 0) + _text(f"{name}.json") + _text("application/json")
@@ -324,7 +331,7 @@ class McapSink(Sink):
         try:
             metadata = {name: value for name, value in texts.items() if name not in self.texts}
             self._part.append(self._ending(metadata))
-            self._part.place(self.target)
+            self._put({self.target: self._part})
         except OSError:
             self._part.cut(size)
             raise

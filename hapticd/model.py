@@ -5,14 +5,17 @@ unknown key is an error. The limits are there so that no product of them overflo
 nonsense; they are far outside what a hand can feel.
 """
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Final, Literal, TypeAlias, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, Union, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError
 from pydantic_core import ErrorDetails
 
-from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, shown
+from hapticd.errors import InvalidError, Path, Problem, known_names, near_names, path_text, shown
+from hapticd.yaml_slips import hint, key_hint
 from hapticd.yaml_source import MAX_DEPTH, Json
 
 NAME_MAX_CHARACTERS = 64
@@ -36,6 +39,43 @@ class Model(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
     by_name: ClassVar[dict[str, type["Model"]]] = {}
 
+    def __init__(self, /, **data: Any) -> None:
+        """Raises InvalidError with every fault of the keys that are given."""
+        with _invalid():
+            super().__init__(**data)
+
+    # As pydantic's own: what is nested is validated without a way through Python.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def model_validate(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate(obj, **options)
+
+    @classmethod
+    def model_validate_json(cls, json_data: str | bytes | bytearray, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_json(json_data, **options)
+
+    @classmethod
+    def model_validate_strings(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_strings(obj, **options)
+
+    @classmethod
+    def parsed(cls, data: object, context: Mapping[str, object] | None = None) -> Self:
+        """For readers of documents, which tell faults where they stand: raises ValidationError."""
+        return super().model_validate(data, context=context)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise _fixed(name)
+
+    def __delattr__(self, name: str) -> None:
+        raise _fixed(name)
+
     @classmethod
     def __pydantic_init_subclass__(cls, **_: object) -> None:
         if Model.by_name.setdefault(cls.__name__, cls) is not cls:
@@ -44,6 +84,19 @@ class Model(BaseModel):
     def to_dict(self) -> dict[str, Json]:
         """The canonical form as plain data: defaults filled in, absent options left out; valid input."""
         return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True))
+
+
+@contextmanager
+def _invalid() -> Iterator[None]:
+    """pydantic's errors as ours."""
+    try:
+        yield
+    except ValidationError as error:
+        raise InvalidError(problems_of(error)) from None
+
+
+def _fixed(name: str) -> InvalidError:
+    return InvalidError([Problem(path_text((name,)), "cannot be changed: model_copy(update=...) makes another one")])
 
 
 def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
@@ -143,21 +196,23 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
         case "too_long" if context["field_type"] == "Tuple" and not _is_list(expected):
             return path, f"must be {_pair(path)}, has {len(value)}"
         case "tuple_type" if not _is_list(expected):
-            return path, f"must be {_pair(path)}, is {shown(value)}"
+            return path, f"must be {_pair(path)}, is {_told(value)}"
         case "tuple_type":
-            return path, f"must be a list, is {shown(value)}"
+            return path, f"must be a list, is {_told(value)}"
         case "too_long":
             return path, f"must hold at most {context['max_length']} entries, holds {len(value)}"
         case "too_short":
             return path, f"must hold at least {context['min_length']} entry, holds {len(value)}"
         case "extra_forbidden":
-            return path, f"unknown key; {known_names(str(path[-1]), known)}"
+            return path, f"unknown key; {key_hint(str(path[-1]), value)}{known_names(str(path[-1]), known)}"
         case "union_tag_invalid":
             kinds = context["expected_tags"].replace("'", "").split(", ")
             tag = context["tag"]
             return (*path, "kind"), f"unknown kind {shown(tag)}; {known_names(tag, kinds)}"
         case "union_tag_not_found":
-            return (*path, "kind"), "is missing"
+            slips = (key_hint(str(key), inner) for key, inner in value.items()) if isinstance(value, dict) else ()
+            slip = next((found for found in slips if found), "")
+            return (*path, "kind"), "is missing" + (f": {slip.removesuffix('; ')}" if slip else "")
         case "finite_number":
             return path, f"must be finite, is {shown(value)}"
         case "float_type" if isinstance(value, int) and not isinstance(value, bool):
@@ -171,7 +226,10 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
         case "less_than":
             return path, f"must be less than {_number(context['lt'])}, is {shown(value)}"
         case "literal_error":
-            return path, f"must be {context['expected'].replace(chr(39), '')}, is {shown(value)}"
+            return (
+                path,
+                f"must be {context['expected'].replace(chr(39), '')}, is {shown(value)}{_choice(value, context)}",
+            )
         case "string_pattern_mismatch" if context["pattern"] == NAME_PATTERN:
             return path, f"must not hold a dot or a control character: {shown(value)}"
         case "string_too_short":
@@ -181,7 +239,7 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
         case "value_error":
             return path, str(context["error"])
         case _ if kind in _EXPECTED:
-            return path, f"must be {_EXPECTED[kind]}, is {shown(value)}"
+            return path, f"must be {_EXPECTED[kind]}, is {_told(value)}"
         case _:
             return path, f"{details['msg']}: {shown(value)}"
 
@@ -197,6 +255,17 @@ _EXPECTED = {
     "model_type": "a mapping",
     "model_attributes_type": "a mapping",
 }
+
+
+def _told(value: object) -> str:
+    """A value of the wrong type, and what was probably meant by it."""
+    return shown(value) + (hint(value) if isinstance(value, str) else "")
+
+
+def _choice(value: object, context: Mapping[str, Any]) -> str:
+    names = re.findall("'([^']*)'", context["expected"])
+    close = near_names(value, names, 1) if isinstance(value, str) else []
+    return f"; did you mean {close[0]}?" if close else ""
 
 
 def _number(limit: float) -> str:

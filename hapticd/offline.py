@@ -118,7 +118,7 @@ def new_world(table: CData) -> CData:
 
 def _rate(rate_hz: float) -> float:
     try:
-        return Servo.model_validate({"rate_hz": rate_hz}).rate_hz
+        return Servo.parsed({"rate_hz": rate_hz}).rate_hz
     except ValidationError as error:
         raise InvalidError(problems_of(error)) from None
 
@@ -362,6 +362,7 @@ def simulate_run(
         lambda id: target_of(scene.config.scene.objects.get(id), scene.config.materials),
         grip_of(device),
         device.start_m,
+        scene.config.scene.objects,
     )
     count = _ticks(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
     stability = scene.stability()

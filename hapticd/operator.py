@@ -18,17 +18,18 @@ import csv
 import io
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError, model_validator
 
-from hapticd.errors import InvalidError, Path, Problem, path_text, quoted, shown
+from hapticd.document_kinds import refuse_other_kinds
+from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted, shown
 from hapticd.model import Coordinate, Model, Name, faults_of, plain
-from hapticd.yaml_source import load_path, load_text, one_line, read_file
+from hapticd.yaml_source import Document, load_path, load_text, one_line, read_file, refuse_recording
 
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 Point: TypeAlias = tuple[float, float]
@@ -174,20 +175,24 @@ class Operator:
     waypoints: tuple[tuple[float, float, float], ...] | None
     gesture: TapGesture | StrokeGesture | PunctureGesture | None
     interpolation: Interpolation = "linear"
+    document: Document | None = field(default=None, compare=False, repr=False)
+    """What it was read from, if that was YAML or JSON."""
 
     def waypoints_for(
-        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point
+        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point, ids: Iterable[str] = ()
     ) -> npt.NDArray[np.float64]:
         """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `wish_m` now.
 
-        `target_of` gives what can be touched of an id, None for anything else. Raises InvalidError (`where`
-        is inside `gesture`) for an object that is none or that the gesture does not fit.
+        `target_of` gives what can be touched of an id, None for anything else; `ids` are those of the scene. Raises
+        InvalidError (`where` is inside `gesture`) for an object that is none or that the gesture does not fit.
         """
         if self.gesture is None:
             return np.array(self.waypoints, dtype=np.float64)
         target = target_of(self.gesture.object)
         if target is None:
-            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(self.gesture.object)}"
+            wanted = self.gesture.object
+            known = known_names(wanted, (id for id in ids if target_of(id) is not None))
+            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(wanted)}; {known}"
             raise InvalidError([Problem("gesture.object", problem)])
         return gesture_waypoints(self.gesture, target, grip, wish_m)
 
@@ -216,10 +221,13 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
         return _load_csv(name)
     # JSON is YAML, but for tabs, which in JSON can only be white space.
     document = load_text(_read(name).replace("\t", " "), name) if ending == ".json" else load_path(name)
+    refuse_other_kinds(document, "waypoints", "gesture")
+    if isinstance(document.data, dict) and "kind" in document.data:
+        document = document.below("gesture")
     faults, operator = _parse(document.data)
     if operator is None:
-        raise InvalidError(Problem(document.where(path), text) for path, text in faults)
-    return operator
+        raise InvalidError(document.problem(path, text) for path, text in faults)
+    return replace(operator, document=document)
 
 
 def gesture_waypoints(
@@ -349,7 +357,7 @@ def _parse(data: object) -> tuple[list[tuple[Path, str]], Operator | None]:
     if not isinstance(data, dict):
         return [((), "must be a mapping with waypoints or gesture")], None
     try:
-        params = OperatorParams.model_validate(data)
+        params = OperatorParams.parsed(data)
     except ValidationError as error:
         return faults_of(error), None
     if params.waypoints is None:
@@ -446,6 +454,7 @@ def _line(name: str, line: int) -> str:
 
 def _read(name: str) -> str:
     content = read_file(name, MAX_BYTES)
+    refuse_recording(content, name)
     if len(content) > MAX_BYTES:
         raise InvalidError([Problem(_line(name, 1), f"larger than {MAX_BYTES} bytes")])
     try:

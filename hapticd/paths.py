@@ -1,15 +1,16 @@
 """Where a daemon and its clients meet: the runtime directory, and the names in it.
 
-The directory is `$RUNTIME_DIRECTORY` where systemd gives one, else `$XDG_RUNTIME_DIR/hapticd`, else
-`/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so that whoever connects to a name
-in it talks to the daemon of that owner.
+The directory is the one that was named, else `$HAPTICD_RUNTIME_DIR`, else `$RUNTIME_DIRECTORY` where systemd gives one,
+else `$XDG_RUNTIME_DIR/hapticd`, else `/tmp/hapticd-UID`. Only the directory's owner can put sockets into it, so that
+whoever connects to a name in it talks to the daemon of that owner.
 """
 
 from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,6 +19,9 @@ from hapticd.errors import HapticdError
 
 SYSTEM_DIRECTORY: Final = Path("/run/hapticd")
 """The runtime directory of the service of the system. It is there while the service runs."""
+
+_NAMED_BY: Final = ("HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR")
+"""The variables that name a runtime directory."""
 
 # sockaddr_un has room for 108 bytes, the last of which is NUL.
 _LONGEST_SOCKET_NAME = 107
@@ -70,6 +74,8 @@ def runtime_paths(
     environ = os.environ if environ is None else environ
     if directory is not None:
         chosen = Path(directory)
+    elif environ.get("HAPTICD_RUNTIME_DIR"):
+        chosen = Path(environ["HAPTICD_RUNTIME_DIR"])
     elif environ.get("RUNTIME_DIRECTORY"):
         # systemd lists several directories separated by colons; the first is the service's own.
         chosen = Path(environ["RUNTIME_DIRECTORY"].split(":")[0])
@@ -112,27 +118,33 @@ def check_directory(paths: RuntimePaths) -> None:
         )
 
 
-def make_directory(paths: RuntimePaths, group: int | None = None) -> None:
+def make_directory(paths: RuntimePaths) -> None:
     """Creates the directory, or takes the one that is there if it passes `check_directory`.
 
-    Its mode becomes 0750 and its group `group` where a group is given, else 0700; one that is there already
-    keeps 0750 or 0700, as systemd or an administrator chose it. Missing parents are made, for the user
-    alone.
+    A new one has mode 0700 from the beginning, whatever the umask: a client that looks for its daemon can always enter
+    it. One that is there already keeps 0750 or 0700, as systemd or an administrator chose it, and gets 0700 otherwise.
+    Missing parents are made, for the user alone. The umask is changed meanwhile, for every thread of the process.
     """
     try:
-        paths.directory.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        try:
-            os.mkdir(paths.directory, 0o700)
-            chosen = False
-        except FileExistsError:
-            check_directory(paths)
-            chosen = stat.S_IMODE(os.lstat(paths.directory).st_mode) in (0o700, 0o750)
-        if not chosen:
-            if group is not None:
-                os.chown(paths.directory, -1, group)
-            os.chmod(paths.directory, 0o700 if group is None else 0o750)
+        with _umask(0o077):
+            paths.directory.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.mkdir(paths.directory)
+            except FileExistsError:
+                check_directory(paths)
+                if stat.S_IMODE(os.lstat(paths.directory).st_mode) not in (0o700, 0o750):
+                    os.chmod(paths.directory, 0o700)
     except OSError as error:
         raise HapticdError(f"runtime directory {paths.directory}: {error.filename}: {error.strerror}") from None
+
+
+@contextmanager
+def _umask(mask: int) -> Iterator[None]:
+    before = os.umask(mask)
+    try:
+        yield
+    finally:
+        os.umask(before)
 
 
 def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePaths:
@@ -142,7 +154,7 @@ def daemon_paths(directory: str | os.PathLike[str] | None = None) -> RuntimePath
     to that daemon's user. The one under /tmp must be the user's own, since anybody could have made it.
     """
     paths = runtime_paths(directory)
-    named = directory is not None or any(map(os.environ.get, ("RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR")))
+    named = directory is not None or any(map(os.environ.get, _NAMED_BY))
     if not named and os.path.lexists(paths.directory):
         check_directory(paths)
     return paths

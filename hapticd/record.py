@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -16,30 +17,36 @@ from typing import Any, Final, cast
 import numpy as np
 import numpy.typing as npt
 
-from hapticd import calls
+from hapticd import calls, words
 from hapticd.calls import Topic
 from hapticd.client import Client, Subscription
+from hapticd.clock import Moment, moment_of
 from hapticd.errors import HapticdError
+from hapticd.missed import gaps_of, missed_periods, share
 from hapticd.samples import SampleBatch, SampleStream
 from hapticd.sink import NO_TIME, DiskFullError, Samples, Sink, event_array, open_sink
 
-__all__ = ["NO_TIME", "Recording", "event_array", "open_sink", "record"]
+__all__ = ["NO_TIME", "RecordSummary", "event_array", "open_sink", "record"]
 
 MOST_GAPS: Final = 1000
 """Gaps that a recording lists; the ticks of its samples show all of them."""
 
 LAST_CHANGE_S: Final = 1.0
-"""How long, at the end, the change is waited for that the last samples were rendered with."""
+"""How long, at the end, is waited for what was before it: the last tick, and the change that it was rendered with."""
+
+STOPPED: Final = "stopped"
+"""Why a recording ended that somebody stopped."""
 
 _LOOKS: Final = 10
 """Attempts to read scene and materials while somebody changes the materials."""
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordSummary:
     """What a recording holds, and what it lacks."""
 
     file: str
+    """Where it is."""
     ticks: int
     duration_s: float
     events: int
@@ -49,21 +56,38 @@ class Recording:
     """Samples that the daemon's ring had no room for."""
     missing_revisions: tuple[int, ...]
     """Revisions of the scene that samples were rendered with and that are not in it."""
-    ended: str | None
+    missed_periods: int
+    """Periods in which the servo rendered no tick though one was due."""
+    started: Moment | None
+    """The daemon's clocks at the start; None: of a daemon that does not tell them."""
+    ended: Moment | None
+    """The daemon's clocks at the end."""
+    ended_because: str | None
     """Why it ended early, None where it did not."""
+    displaced: str | None
+    """Where it was to be, and another file had appeared meanwhile; None: it is where it was to be."""
+    warning: str | None
+    """More periods were missed than `servo.overruns.threshold`; None: not so many."""
 
     def summary(self) -> str:
         """One line for people."""
-        text = f"{self.file}: {self.ticks} ticks in {self.duration_s:.3f} s, {self.events} events, "
         missing = self.lost + self.dropped
+        lost = "nothing lost"
         if missing:
-            where = f"{self.lost} on the way here, {self.dropped} in the daemon's ring"
-            text += f"{missing} ticks lost ({where})"
-        else:
-            text += "nothing lost"
+            where = f"{self.lost:,} on the way here, {self.dropped:,} in the daemon's ring"
+            lost = f"{words.count(missing, 'tick')} lost ({where})"
+        text = f"{self.file}: {words.count(self.ticks, 'tick')} in {self.duration_s:.3f} s, "
+        text += f"{missed_text(self.missed_periods, self.ticks + missing)}, {lost}, {words.count(self.events, 'event')}"
         if self.missing_revisions:
-            text += f"; {len(self.missing_revisions)} revisions of the scene are not in it"
+            text += f"; {words.count(len(self.missing_revisions), 'revision')} of the scene not in it"
         return text
+
+
+def missed_text(missed: int, rendered: int) -> str:
+    """Missed periods, and their share of those that were due, in words."""
+    if not missed:
+        return "no period missed"
+    return f"{words.count(missed, 'period')} missed ({words.percent(share(missed, rendered))})"
 
 
 def record(
@@ -71,51 +95,68 @@ def record(
     target: str | os.PathLike[str],
     duration_s: float | None = None,
     *,
+    overwrite: bool = False,
+    notes: Mapping[str, str] | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[float], None] = lambda recorded_s: None,
-) -> Recording:
+) -> RecordSummary:
     """Records every tick and every event into `target`, for `duration_s` of the daemon's time or until
-    `stop` is set.
+    `stop` is set; then what the daemon had rendered by that time is in it.
 
-    What was recorded is kept when it is stopped, when the daemon goes away and when the disk is full. `progress` is
-    called with the time recorded so far. Raises HapticdError where the target cannot be written, before anything is
-    recorded.
+    What was recorded is kept when it is stopped, when the daemon goes away and when the disk is full. `notes` are kept
+    in it. `progress` is called with the time recorded so far, which is 0 until the first sample was taken. Raises
+    HapticdError where the target cannot be written, or is there already and `overwrite` does not say that it is to be
+    replaced, before anything is recorded.
     """
-    with open_sink(target) as sink:
-        take = _Take(client, sink, duration_s)
+    with open_sink(target, overwrite) as sink:
+        take = _Take(client, sink, duration_s, dict(notes or {}))
         try:
             ended = take.run(stop or threading.Event(), progress)
+            if ended is None:
+                take.look_at_clock()
         except DiskFullError as error:
             ended = str(error)
+            take.look_at_clock()
         if sink.count == 0:
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
-        kept = take.account(ended)
-        sink.finish({"recording": kept})
-        if sink.count != kept["ticks"]:  # the disk was full, and the end gave way to what else is in the file
-            kept = take.account(ended)
-        return Recording(
-            os.fspath(target),
+        # Told again where the disk was full, and the end gave way to what else is in the file.
+        sink.finish(lambda: {"recording": take.account(ended)})
+        kept, name = take.account(ended), os.fspath(target)
+        return RecordSummary(
+            str(sink.target) if sink.displaced else name,
             sink.count,
             kept["duration_s"],
             sink.event_count,
             kept["lost"],
             kept["dropped"],
             tuple(kept["missing_revisions"]),
+            kept["missed_periods"],
+            moment_of(kept["started"]),
+            moment_of(kept["ended"]),
             ended,
+            name if sink.displaced else None,
+            take.warning(kept),
         )
 
 
 class _Take:
     """One recording under way."""
 
-    def __init__(self, client: Client, sink: Sink, duration_s: float | None) -> None:
+    def __init__(self, client: Client, sink: Sink, duration_s: float | None, notes: dict[str, str]) -> None:
         self._client = client
+        self._notes = notes
         self._sink = sink
         self._scenes = _Scenes(client, sink)
         self._stream = SampleStream(warn=False)
         self._span = _Span(duration_s)
         self._gaps: list[tuple[int, int]] = []
-        self._started_ns = 0
+        self._status: Mapping[str, Any] = {}
+        """At the start."""
+        self._newest: Mapping[str, Any] = {}
+        self._rates: list[tuple[int, float]] = []
+        """The servo's from a tick on."""
+        self._missed_at, self._missed = array("Q"), array("Q")
+        """Where periods were missed, the last tick of the batch, and how many in it."""
 
     def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
         """Takes what comes; why it ended early, None where it did not."""
@@ -124,9 +165,10 @@ class _Take:
             self._begin()
             silent_since = time.monotonic()
             while not span.over:
-                if stop.is_set():
-                    self._await_changes(messages)
-                    return "stopped"
+                if stop.is_set() and not span.ends:
+                    # What somebody did before stopping it is in it.
+                    span.end_at(self._look())
+                    continue
                 received = messages.receive(0.1)
                 if received is None:
                     if time.monotonic() - silent_since > client.timeout_s:
@@ -141,18 +183,34 @@ class _Take:
                     self._take(batch)
                     progress(span.recorded_s)
                 elif topic == "event":
+                    if message["event"] == "rate":
+                        self._rates.append((int(str(message["tick"])), float(str(message["rate_hz"]))))
                     span.hold(message)
                 elif topic == "change":
                     self._scenes.take(message)
                 else:
+                    self._newest = message
                     self._sink.write_status(message)
             self._await_changes(messages)
+        return STOPPED if span.ends else None
+
+    def _look(self) -> int | None:
+        """The tick that the servo is at; None where nobody answers."""
+        with suppress(HapticdError):
+            self._newest = self._client.get_status()
+            return cast("int | None", self._newest.get("tick"))
         return None
+
+    def look_at_clock(self) -> None:
+        """Asks the daemon for its clocks, where it is there; a status of the last second has them anyway."""
+        self._look()
 
     def _begin(self) -> None:
         start = self._scenes.begin()
-        self._started_ns = start["status"]["started_ns"]
-        self._sink.begin({"config": self._client.get_config()["config"], **start})
+        self._status = self._newest = start["status"]
+        self._rates = [(0, self._status["rate_hz"])]
+        about = {"started": self._status.get("clock"), "notes": self._notes}
+        self._sink.begin({"config": self._client.get_config()["config"], **start}, about)
         self._sink.write_change({"revision": self._scenes.revision})
 
     def _await_changes(self, messages: Subscription[tuple[Topic, dict[str, object]]]) -> None:
@@ -166,7 +224,7 @@ class _Take:
     def _restarted(self) -> bool:
         """Whether those whose samples are missing are another daemon's. Where nobody answers, silence will tell."""
         with suppress(calls.DaemonNotRunning):
-            return self._client.get_status()["started_ns"] != self._started_ns
+            return bool(self._client.get_status()["started_ns"] != self._status["started_ns"])
         return False
 
     def _take(self, batch: SampleBatch) -> None:
@@ -176,11 +234,14 @@ class _Take:
         if len(samples) == 0:
             return
         ticks = samples["tick"].astype(np.int64)
-        before = self._sink.last_tick if self._sink.count else int(ticks[0]) - 1
-        steps = np.diff(ticks, prepend=before)
-        for place in np.flatnonzero(steps != 1)[: MOST_GAPS - len(self._gaps)].tolist():
-            missing = int(steps[place]) - 1
-            self._gaps.append((int(ticks[place]) - missing, missing))
+        before = (self._sink.last_tick, self._sink.last_time_ns) if self._sink.count else None
+        self._gaps += gaps_of(ticks, before and before[0])[: MOST_GAPS - len(self._gaps)]
+        since, rates = zip(*self._rates, strict=True)
+        places = np.searchsorted(np.array(since), ticks, side="right") - 1
+        missed = missed_periods(samples, np.array(rates)[places], before)
+        if missed:
+            self._missed_at.append(int(ticks[-1]))
+            self._missed.append(missed)
         self._scenes.show(samples["revision"])
         self._sink.write(samples)
         for event in self._span.release():
@@ -195,9 +256,27 @@ class _Take:
             "lost": self._stream.lost,
             "dropped": self._stream.dropped,
             "gaps": self._gaps,
+            "missed_periods": sum(
+                missed for at, missed in zip(self._missed_at, self._missed, strict=True) if at <= self._sink.last_tick
+            ),
             "missing_revisions": self._scenes.missing,
-            "ended": ended,
+            "started": self._status.get("clock"),
+            "ended": self._newest.get("clock"),
+            "ended_because": ended,
+            "notes": self._notes,
         }
+
+    def warning(self, kept: Mapping[str, Any]) -> str | None:
+        """Where more periods were missed than the configuration puts up with."""
+        threshold = self._status.get("overruns", {}).get("threshold")
+        missed, rendered = kept["missed_periods"], kept["ticks"] + kept["lost"] + kept["dropped"]
+        if threshold is None or share(missed, rendered) <= threshold:
+            return None
+        part = words.percent(share(missed, rendered))
+        return (
+            f"{missed:,} of {missed + rendered:,} periods were missed ({part}), more than "
+            f"servo.overruns.threshold ({words.percent(threshold)}); `hapticd doctor` says what the machine lacks"
+        )
 
 
 class _Scenes:
@@ -324,7 +403,24 @@ class _Span:
         self._last_ns = 0
         self._period_ns = 0
         self._held: list[dict[str, Any]] = []
-        self.over = False
+        self._last_tick = 0
+        self._give_up_at = 0.0
+        self.ends = False
+        """Somebody stopped it."""
+        self._complete: bool = False
+
+    @property
+    def over(self) -> bool:
+        """Nothing more is to be taken."""
+        if not self.ends:
+            return self._complete
+        return self._complete or self._end_tick > self._last_tick or time.monotonic() > self._give_up_at
+
+    def end_at(self, tick: int | None) -> None:
+        """It is over once this tick was taken, or soon; None: at once."""
+        self.ends, self._complete = True, self._complete or tick is None
+        self._last_tick = tick or 0
+        self._give_up_at = time.monotonic() + LAST_CHANGE_S
 
     @property
     def recorded_s(self) -> float:
@@ -351,7 +447,7 @@ class _Span:
             # outside.
             inside = times - self._first_ns + self._period_ns // 2 < self._duration_ns
             kept = batch[inside]
-            self.over = len(kept) < len(batch)
+            self._complete = len(kept) < len(batch)
         if len(kept):
             self._end_tick = int(kept["tick"][-1]) + 1
             self._last_ns = int(kept["time_ns"][-1])

@@ -1,10 +1,11 @@
-"""Recordings, read back: samples as they were, and what they were rendered with.
+"""Recordings, read back: samples and events as they were, and what they were rendered with.
 
 A recording may come from anybody. What it claims to hold is compared with what it is before there is memory for it.
 """
 
 from __future__ import annotations
 
+import csv
 import io
 import json
 import math
@@ -12,8 +13,8 @@ import os
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, TYPE_CHECKING, Any, Final, cast
@@ -22,7 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.core import SAMPLE_DTYPE
+from hapticd.document_kinds import refuse_documents
 from hapticd.errors import HapticdError
+from hapticd.event_columns import ROWS_BYTES, event_of_cells, events_of_rows
 from hapticd.yaml_source import one_line
 
 if TYPE_CHECKING:
@@ -35,6 +38,10 @@ _LEAST_MCAP: Final = 8 + 29 + 8
 """Bytes of magic, footer and magic."""
 _LARGEST_CHUNK: Final = 1 << 26
 """Bytes of a chunk of a .mcap; ours have up to a second of samples."""
+_WIDEST_ROW: Final = 1 << 20
+"""Bytes of an event in a .npz; the longest mark has 37 kB."""
+_MOST_EVENTS: Final = 100_000
+"""Events that a .npz may hold whatever its size, and one more for each of its compressed bytes."""
 _WRONG: Final = (
     ValueError,
     KeyError,
@@ -42,6 +49,7 @@ _WRONG: Final = (
     TypeError,
     AttributeError,
     EOFError,
+    csv.Error,
     RecursionError,
     OverflowError,
     TokenError,
@@ -57,6 +65,10 @@ class Recorded:
     """(n,) records of `hapticd.SAMPLE_DTYPE`."""
     texts: Mapping[str, Any]
     """What stands beside them, by name: `status`, `config`, `scene`, `materials`, `changes`, `recording`."""
+    events: list[dict[str, Any]] = field(default_factory=list)
+    """As in telemetry, in the order of the file."""
+    truth: npt.NDArray[np.float64] | None = None
+    """(n, 4): of a simulation, the handle's own x, y (m) and its velocity along x, y (m/s)."""
 
 
 def load_recorded(path: str | os.PathLike[str]) -> Recorded:
@@ -65,6 +77,7 @@ def load_recorded(path: str | os.PathLike[str]) -> Recorded:
     name = os.fspath(path)
     load = forms.get(Path(path).suffix.lower())
     if load is None:
+        refuse_documents(name)
         raise HapticdError(f"{name}: must end in .npz, .csv or .mcap")
     try:
         return load(Path(path))
@@ -100,12 +113,18 @@ def _samples(count: int, columns: Callable[[str], npt.NDArray[Any]]) -> Samples:
 def _load_npz(path: Path) -> Recorded:
     texts: dict[str, Any] = {}
     given: npt.NDArray[Any] | None = None
+    truth: npt.NDArray[Any] | None = None
+    events: list[dict[str, Any]] = []
     with zipfile.ZipFile(path) as file:
         for info in file.infolist():
             name = info.filename.removesuffix(".npy")
             if name == "samples":
                 given = _read_array(file, info)
-            elif name != "events":
+            elif name == "truth":
+                truth = _read_array(file, info)
+            elif name == "events":
+                events += (event for rows in _read_rows(file, info) for event in events_of_rows(rows))
+            else:
                 text = _read_array(file, info)
                 if text.dtype.kind == "U" and text.ndim == 0:
                     # Not by numpy, which makes strings of whatever numbers stand there.
@@ -113,26 +132,57 @@ def _load_npz(path: Path) -> Recorded:
                     texts[name] = json.loads(text.tobytes().decode(order).rstrip("\0"))
     if given is None or given.ndim != 1 or given.dtype.names is None:
         raise ValueError("it has no samples")
-    if given.dtype == SAMPLE_DTYPE:
-        return Recorded(given, texts)
-    return Recorded(_samples(len(given), given.__getitem__), texts)
+    if truth is not None and (truth.shape != (len(given), 4) or truth.dtype != np.float64):
+        raise ValueError(f"truth has shape {truth.shape} of {truth.dtype}, not ({len(given)}, 4) of float64")
+    samples = given if given.dtype == SAMPLE_DTYPE else _samples(len(given), given.__getitem__)
+    return Recorded(samples, texts, events, truth)
+
+
+def _read_head(member: IO[bytes], info: zipfile.ZipInfo) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and type of a member of a .npz."""
+    version = np.lib.format.read_magic(member)
+    if version == (1, 0):
+        shape, by_columns, dtype = np.lib.format.read_array_header_1_0(member)
+    elif version == (2, 0):
+        shape, by_columns, dtype = np.lib.format.read_array_header_2_0(member)
+    else:
+        raise ValueError(f"{info.filename}: arrays of version {version[0]}.{version[1]} are not read")
+    if dtype.hasobject or (by_columns and len(shape) > 1) or min(shape, default=0) < 0:
+        raise ValueError(f"{info.filename}: holds no plain array")
+    return shape, dtype
+
+
+def _open_member(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> IO[bytes]:
+    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError(f"{info.filename}: is encrypted, or compressed in another way than by deflate")
+    return file.open(info)
+
+
+def _read_rows(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[npt.NDArray[np.void]]:
+    """The events of a .npz, in stretches: one long mark widens all rows."""
+    with _open_member(file, info) as member:
+        shape, dtype = _read_head(member, info)
+        if len(shape) != 1 or (shape[0] and dtype.names is None) or dtype.itemsize > _WIDEST_ROW:
+            raise ValueError(f"{info.filename}: holds no events")
+        if shape[0] > _MOST_EVENTS + info.compress_size:
+            raise ValueError(f"{info.filename}: says that it has {shape[0]} events, in {info.compress_size} bytes")
+        left = shape[0] if dtype.itemsize else 0
+        most = max(1, ROWS_BYTES // max(1, dtype.itemsize))
+        while left:
+            count = min(left, most)
+            data = member.read(count * dtype.itemsize)
+            if len(data) != count * dtype.itemsize:
+                raise ValueError(f"{info.filename}: says that it has {shape[0]} events, and has not")
+            yield np.frombuffer(data, dtype)
+            left -= count
+        member.read(1)  # at its end the archive's checksum is looked at
 
 
 def _read_array(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> npt.NDArray[Any]:
     """A member of a .npz. numpy.load would make room for what its header says before it looks what there is."""
-    if info.flag_bits & 1 or info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(f"{info.filename}: is encrypted, or compressed in another way than by deflate")
-    with file.open(info) as member:
-        version = np.lib.format.read_magic(member)
-        if version == (1, 0):
-            shape, by_columns, dtype = np.lib.format.read_array_header_1_0(member)
-        elif version == (2, 0):
-            shape, by_columns, dtype = np.lib.format.read_array_header_2_0(member)
-        else:
-            raise ValueError(f"{info.filename}: arrays of version {version[0]}.{version[1]} are not read")
+    with _open_member(file, info) as member:
+        shape, dtype = _read_head(member, info)
         size = math.prod(shape) * dtype.itemsize
-        if dtype.hasobject or (by_columns and len(shape) > 1) or min(shape, default=0) < 0:
-            raise ValueError(f"{info.filename}: holds no plain array")
         # One more byte than there should be has the archive's checksum looked at.
         data = b"" if size > info.file_size else member.read(size + 1)
     if len(data) != size:
@@ -161,7 +211,14 @@ def _load_csv(path: Path) -> Recorded:
         found = np.stack([cells[:, names.index(one)].astype(base) for one in wanted], axis=1)
         return found if shape else found[:, 0]
 
-    return Recorded(_samples(len(cells), column), texts)
+    return Recorded(_samples(len(cells), column), texts, list(_events_csv(path)))
+
+
+def _events_csv(path: Path) -> Iterator[dict[str, Any]]:
+    with open(path.with_name(f"{path.stem}.events.csv"), encoding="utf-8", newline="") as file:
+        names = next(rows := csv.reader(file), [])
+        for row in rows:
+            yield event_of_cells(dict(zip(names, row, strict=True)))
 
 
 def _load_mcap(path: Path) -> Recorded:
@@ -175,10 +232,10 @@ def _load_mcap(path: Path) -> Recorded:
         from hapticd.mcap import needed
 
         raise needed() from None
-    from hapticd.mcap import CHANGE, MAGIC, SAMPLES, TOPICS, sample_schema
+    from hapticd.mcap import CHANGE, EVENT, MAGIC, SAMPLES, TOPICS, sample_schema
 
     texts: dict[str, Any] = {}
-    found: dict[str, list[bytes]] = {TOPICS[SAMPLES]: [], TOPICS[CHANGE]: []}
+    found: dict[str, list[bytes]] = {TOPICS[name]: [] for name in (SAMPLES, EVENT, CHANGE)}
     with open(path, "rb") as opened:
         if path.stat().st_size < _LEAST_MCAP or opened.read(len(MAGIC)) != MAGIC:
             raise ValueError("it is no whole MCAP file")
@@ -213,7 +270,11 @@ def _load_mcap(path: Path) -> Recorded:
         raise ValueError("a sample has another size than its fields")
     # Four bytes say how the record after them is encoded.
     samples = np.frombuffer(b"".join(message[4:] for message in found[TOPICS[SAMPLES]]), SAMPLE_DTYPE)
-    return Recorded(samples, texts | {"changes": [json.loads(message) for message in found[TOPICS[CHANGE]]]})
+    texts["changes"] = [json.loads(message) for message in found[TOPICS[CHANGE]]]
+    events = [json.loads(message) for message in found[TOPICS[EVENT]]]
+    if not all(isinstance(event, dict) for event in events):
+        raise ValueError("an event is no map")
+    return Recorded(samples, texts, events)
 
 
 class _Whole:

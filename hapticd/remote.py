@@ -6,8 +6,10 @@ import os
 import re
 import socket as network
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import zmq
 
@@ -22,6 +24,7 @@ PORT: Final = 9410
 _TCP: Final = re.compile(r"tcp://(\[[0-9A-Fa-f:.]+(?:%\w+)?\]|[^\[\]:/\s]+)(?::(\d{1,5}))?/?")
 _RECONNECT_MS: Final = 100
 _RECONNECT_MOST_MS: Final = 2000
+_LOOK_EVERY_S: Final = 0.1
 _FAILED: Final = (
     zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
     | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
@@ -96,9 +99,11 @@ class Remote:
         socket.setsockopt(zmq.TCP_KEEPALIVE_INTVL, 10)
         socket.setsockopt(zmq.TCP_KEEPALIVE_CNT, 3)
 
-    def knock(self, timeout_s: float, command: bool) -> tuple[bool, str] | None:
+    def knock(
+        self, timeout_s: float, command: bool, patient: bool = False, given_up: Callable[[], bool] = lambda: False
+    ) -> tuple[bool, str] | None:
         """None where the command (or the telemetry) socket lets us in; else whether it is there at all, and
-        why not."""
+        why not. Who is `patient` takes one that is not there for one that may come within the time."""
         try:
             network.getaddrinfo(self.host, self.port, type=network.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
@@ -111,33 +116,64 @@ class Remote:
             monitor: zmq.Socket[Any] = trial.get_monitor_socket(_FAILED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
             try:
                 trial.connect(endpoint)
-                return self._heard(monitor, endpoint, timeout_s)
+                return self._heard(monitor, command, timeout_s, patient, given_up)
             finally:
                 trial.disable_monitor()
                 monitor.close()
 
-    def _heard(self, monitor: zmq.Socket[Any], endpoint: str, timeout_s: float) -> tuple[bool, str] | None:
-        from zmq.utils.monitor import recv_monitor_message
-
-        deadline = time.monotonic() + timeout_s
-        while monitor.poll(max(0, int((deadline - time.monotonic()) * 1e3 + 0.999))):
-            told = recv_monitor_message(monitor)
-            match told["event"]:
+    def _heard(
+        self, monitor: zmq.Socket[Any], command: bool, timeout_s: float, patient: bool, given_up: Callable[[], bool]
+    ) -> tuple[bool, str] | None:
+        # It is known by the address that it was given by; telemetry has the port after that.
+        port = "" if command else f" (port {self.port + 1}, for telemetry)"
+        for event in monitored(monitor, timeout_s, given_up):
+            match event:
                 case zmq.EVENT_HANDSHAKE_SUCCEEDED:
                     return None
                 case zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-                    return True, f"the bridge at {endpoint} refuses our key {self.certificate.public_key[:8]}..."
+                    return True, f"the bridge at {self} refuses our key {self.certificate.public_key[:8]}..."
+                case zmq.EVENT_CLOSED if patient:
+                    continue
                 case zmq.EVENT_CLOSED:
-                    return False, f"no bridge at {endpoint}: nobody takes connections there"
+                    return False, f"no bridge at {self}: nobody takes connections there{port}"
                 case _:
                     return True, (
-                        f"the bridge at {endpoint} ended the handshake: its key is not the server_key that we were "
+                        f"the bridge at {self} ended the handshake: its key is not the server_key that we were "
                         "given, or it has all the connections that it takes"
                     )
-        return False, f"no bridge at {endpoint}: no answer within {timeout_s:g} s"
+        return False, f"no bridge at {self}: no answer within {timeout_s:g} s{port}"
 
 
-def remote(address: str, key: object, server_key: object) -> Remote:
+def monitored(
+    monitor: zmq.Socket[Any], timeout_s: float, given_up: Callable[[], bool] = lambda: False
+) -> Iterator[int]:
+    """What befalls a socket, as it does, for so long or until nobody waits for it any more."""
+    from zmq.utils.monitor import recv_monitor_message
+
+    deadline = time.monotonic() + timeout_s
+    while (left_s := deadline - time.monotonic()) > 0 and not given_up():
+        if monitor.poll(int(min(left_s, _LOOK_EVERY_S) * 1e3 + 0.999)):
+            yield recv_monitor_message(monitor)["event"]
+
+
+class Named(NamedTuple):
+    """An argument, and the variable of the environment that it came from; None: it was given by the caller."""
+
+    value: object
+    variable: str | None = None
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Errors name the variable."""
+        try:
+            yield
+        except HapticdError as error:
+            if self.variable is None:
+                raise
+            raise HapticdError(f"{self.variable}: {error}") from None
+
+
+def remote(address: Named, key: Named, server_key: Named) -> Remote:
     """A bridge at tcp://HOST or tcp://HOST:PORT.
 
     `key`: path of our secret key's file, or a Certificate; `server_key`: the bridge's public key, or a file with it.
@@ -145,17 +181,22 @@ def remote(address: str, key: object, server_key: object) -> Remote:
     """
     from hapticd.keys import Certificate, load_secret, public_key_of
 
-    try:
-        host, port = host_and_port(address, PORT)
-    except ValueError as error:
-        raise HapticdError(f"{address}: {error}, or tcp://HOST for port {PORT}") from None
-    if port in (0, 65535):
-        raise HapticdError(f"{address}: the port must be from 1 to 65534; telemetry has the one after it")
-    if not isinstance(key, str | os.PathLike | Certificate) or not isinstance(server_key, str | os.PathLike):
-        raise HapticdError(
-            f"{address}: a bridge needs key, the file of our secret key, and server_key, the bridge's public key"
-        )
-    certificate = key if isinstance(key, Certificate) else load_secret(key)
-    if certificate.secret_key is None:
-        raise HapticdError(f"{address}: key: needs the secret key too")
-    return Remote(host, port, certificate, public_key_of(server_key))
+    with address.blamed():
+        try:
+            host, port = host_and_port(str(address.value), PORT)
+        except ValueError as error:
+            raise HapticdError(f"{address.value}: {error}, or tcp://HOST for port {PORT}") from None
+        if port in (0, 65535):
+            raise HapticdError(f"{address.value}: the port must be from 1 to 65534; telemetry has the one after it")
+        ours, theirs = key.value, server_key.value
+        if not isinstance(ours, str | os.PathLike | Certificate) or not isinstance(theirs, str | os.PathLike):
+            raise HapticdError(
+                f"{address.value}: a bridge needs key, the file of our secret key, and server_key, the bridge's public "
+                "key; or HAPTICD_KEY and HAPTICD_SERVER_KEY"
+            )
+    with key.blamed():
+        certificate = ours if isinstance(ours, Certificate) else load_secret(ours)
+        if certificate.secret_key is None:
+            raise HapticdError(f"{address.value}: key: needs the secret key too")
+    with server_key.blamed():
+        return Remote(host, port, certificate, public_key_of(theirs))

@@ -6,6 +6,9 @@ from the same. So a replay begins where nothing was left of what had been before
 nothing is touched, rings or ramps. It begins anew where ticks are missing, after a fault, and at another rate. What it
 renders should be the recorded forces, bit for bit. Where it is not, something was not as the recording says it.
 
+Files of the flight recorder tell the scene at their beginning and what changed since, as recordings do. What was before
+the first change that such a file tells is not rendered.
+
 What a recording does not hold: the number of contacts that an object had before (which its noise begins from),
 membranes that had been punctured before, what a device played by itself, when in its period a real device's report
 came, and in which order the servo had met objects that are touched together (a sum's last bits).
@@ -22,17 +25,21 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from hapticd import words
 from hapticd.config import Device, load_config
 from hapticd.core import Flag
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
+from hapticd.flight_scene import MOST_OBJECTS
 from hapticd.materials import Material, validate_materials
 from hapticd.mode import Mode
 from hapticd.offline import Rerun
+from hapticd.place import displaced
 from hapticd.recorded import Recorded, Samples, load_recorded
-from hapticd.scene import Scene, validate_object, validate_scene
+from hapticd.scene import Scene, materials_of, validate_object, validate_scene
 from hapticd.sink import open_sink
+from hapticd.texture import Autoregressive, Stochastic
 
 FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
 """What is compared."""
@@ -40,6 +47,11 @@ FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
 NEEDED: Final = ("config", "scene", "materials", "changes")
 """What must stand in a recording beside the samples."""
 
+_LEFT_OUT: Final = {
+    "fault": "with a fault latched",
+    "scene": "whose scene is not in the file",
+    "begun_before": "until nothing was touched, rang or ramped",
+}
 _LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 _NO_TIME: Final = 0xFFFFFFFF
 
@@ -72,6 +84,11 @@ class Replay:
     """By field, over all ticks that were rendered again."""
     missing_revisions: tuple[int, ...]
     """Revisions whose scene is not in the recording; their ticks were not rendered again."""
+    left_out: Mapping[str, int]
+    """Why ticks were not rendered again, and how many: `fault` (one was latched), `scene` (it is not in the recording),
+    `begun_before` (what was touched, rang or ramped began before, or what was played before is not told)."""
+    doubts: tuple[str, ...]
+    """What the recording does not say, and may be why forces are others; none where all are as recorded."""
     settled: bool
     """False: the recording has no tick to begin from, and what was before it is taken for nothing."""
     texts: Mapping[str, Any]
@@ -80,29 +97,36 @@ class Replay:
     def summary(self) -> str:
         """One line for people."""
         ticks = len(self.samples)
-        text = f"{ticks} of {self.ticks} ticks rendered again, "
+        text = f"{ticks:,} of {words.count(self.ticks, 'tick')} rendered again, "
         if self.identical == ticks:
             text += "all as recorded, bit for bit"
         else:
             force = self.differences["force_n"]
-            text += f"{ticks - self.identical} not as recorded, the first is tick {self.first_different}; "
+            text += f"{ticks - self.identical:,} not as recorded, the first is tick {self.first_different}; "
             text += f"the force differs by {force.largest_n:.3g} N at most, {force.rms_n:.3g} N RMS"
+        left_out = [f"{count:,} {_LEFT_OUT[why]}" for why, count in self.left_out.items()]
+        if left_out:
+            text += f"; left out: {', '.join(left_out)}"
         if not self.settled:
             text += "; something is touched, rings or ramps in each of them"
         if self.missing_revisions:
-            text += f"; {len(self.missing_revisions)} revisions of the scene are missing"
-        return text
+            text += f"; {words.count(len(self.missing_revisions), 'revision')} of the scene missing"
+        return text + "".join(f"; {doubt}" for doubt in self.doubts)
 
-    def write(self, target: str | os.PathLike[str]) -> None:
-        """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it."""
-        with open_sink(target) as sink:
-            sink.begin({name: text for name, text in self.texts.items() if name not in ("changes", "recording")})
+    def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it, or
+        the target is there already."""
+        with open_sink(target, overwrite) as sink:
+            last = ("changes", "recording", "flight")
+            sink.begin({name: text for name, text in self.texts.items() if name not in last})
             for change in self.texts["changes"]:
                 sink.write_change(change)
             sink.write(self.samples)
             for event in self.events:
                 sink.write_event(event)
             sink.finish()
+            if sink.displaced:
+                raise HapticdError(displaced(target, sink.target))
 
     def to_dict(self) -> dict[str, object]:
         """As plain data, without samples and events."""
@@ -115,6 +139,8 @@ class Replay:
                 name: {"largest_n": one.largest_n, "rms_n": one.rms_n} for name, one in self.differences.items()
             },
             "missing_revisions": list(self.missing_revisions),
+            "left_out": dict(self.left_out),
+            "doubts": list(self.doubts),
             "settled": self.settled,
         }
 
@@ -127,6 +153,11 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     """
     recorded = load_recorded(path)
     missing = [name for name in NEEDED if not recorded.texts.get(name)]
+    if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
+        raise HapticdError(
+            f"{os.fspath(path)}: cannot be rendered again: its scene is not in it, as of all scenes of more than "
+            f"{MOST_OBJECTS:,} objects in files of the flight recorder"
+        )
     if missing:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")
     try:
@@ -145,7 +176,8 @@ def _replay(recorded: Recorded) -> Replay:
     revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz))
     known = [revision.number for revision in revisions]
     rates_hz = _rates(samples, revisions, rate_hz)
-    stretches, settled = _stretches(samples, rates_hz, np.isin(samples["revision"], known), texts)
+    is_known = np.isin(samples["revision"], known) & (samples["tick"] >= _complete_from(texts))
+    stretches, settled = _stretches(samples, rates_hz, is_known, texts)
     link_hz = (status.get("connection") or {}).get("link_hz")
 
     device = texts["config"]["device"]
@@ -190,6 +222,12 @@ def _replay(recorded: Recorded) -> Replay:
         different |= (again[name].view(np.uint64) != before[name].view(np.uint64)).any(axis=1)
     first = int(before["tick"][np.argmax(different)]) if different.any() else None
     missing = sorted(set(np.unique(samples["revision"]).tolist()) - set(known))
+    faults = samples["flags"] & Flag.FAULT != 0
+    counts = {
+        "fault": int(faults.sum()),
+        "scene": int((~np.isin(samples["revision"], known) & ~faults).sum()),
+    }
+    counts["begun_before"] = len(samples) - len(again) - sum(counts.values())
     return Replay(
         again,
         before,
@@ -199,6 +237,8 @@ def _replay(recorded: Recorded) -> Replay:
         first,
         {name: _difference(again[name] - before[name]) for name in FORCES},
         tuple(missing),
+        {why: count for why, count in counts.items() if count},
+        _doubts(configs[rate_hz].device, revisions) if different.any() else (),
         settled,
         texts,
     )
@@ -207,6 +247,34 @@ def _replay(recorded: Recorded) -> Replay:
 def _difference(between: npt.NDArray[np.float64]) -> Difference:
     square = (between**2).sum(axis=1)
     return Difference(float(np.sqrt(square.max())), float(np.sqrt(square.mean())))
+
+
+def _complete_from(texts: Mapping[str, Any]) -> int:
+    """The tick from which on every command is told; of what `hapticd record` wrote, all are."""
+    flight = texts.get("flight")
+    return int(flight.get("complete_from", 0)) if isinstance(flight, dict) else 0
+
+
+def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
+    """Which of the things that no recording says may matter in this one."""
+    noise = any(
+        isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
+        for revision in revisions
+        for item in revision.scene.objects.values()
+        for name in materials_of(item)
+        if name in revision.materials
+    )
+    membranes = any(item.kind == "membrane" for revision in revisions for item in revision.scene.objects.values())
+    doubts = []
+    if noise:
+        doubts.append("noise of textures depends on how often an object had been touched before")
+    if membranes:
+        doubts.append("membranes may have been punctured before")
+    if device.kind != "sim":
+        doubts.append("when in its period a report of the device came is not recorded")
+        if device.hid.offload == "auto":
+            doubts.append("nor is what the device played by itself")
+    return tuple(doubts)
 
 
 # ---- What was rendered ---------------------------------------------------------------------------------------------

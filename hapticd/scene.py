@@ -10,9 +10,10 @@ from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
 
+from hapticd.document_kinds import refuse_other_keys, refuse_other_kinds
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.model import MAX_FAULTS, Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
-from hapticd.yaml_source import Document, load_path, refuse_others
+from hapticd.yaml_source import Document, load_path
 
 MAX_OBJECTS: Final = 2**20
 """Address room; memory follows what is used."""
@@ -200,7 +201,7 @@ class Display(Model):
     """Which parts of the force are displayed."""
 
     force: bool = Field(default=True, description="Forces of objects and fields.")
-    vibration: bool = Field(default=True, description="Ringing modes.")
+    vibration: bool = Field(default=True, description="Ringing modes and the noise of textures.")
 
 
 class Scene(Model):
@@ -248,25 +249,29 @@ def load_scene(source: SceneSource) -> Scene:
     Whether its materials exist is not checked here: see reference_problems. Raises InvalidError, with file
     and line for a file; HapticdError for a file that cannot be read.
     """
-    if isinstance(source, Scene):
-        return source
+    return source if isinstance(source, Scene) else read_scene(source)[0]
+
+
+def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
+    """As load_scene; also the document that it stands in, and where."""
     document = Document(plain(source)) if isinstance(source, Mapping) else load_path(source)
+    refuse_other_kinds(document, "scene", "bare scene")
     data = document.data
     root: Path = ()
     if isinstance(data, dict) and "scene" in data:
-        refuse_others(document, (), (key for key in data if key != "scene"), "a scene, which is all")
+        refuse_other_keys(document, (), (key for key in data if key != "scene"), "a scene, which is all")
         data, root = data["scene"], ("scene",)
     try:
-        return Scene.model_validate(data)
+        return Scene.parsed(data), document, root
     except ValidationError as error:
         faults = faults_of(error)
-        raise InvalidError(Problem(document.where(root + path), text) for path, text in faults) from None
+        raise InvalidError(document.problem(root + path, text) for path, text in faults) from None
 
 
 def validate_scene(data: object, root: Path = ()) -> Scene:
     """A scene from plain data. Raises InvalidError; `where` begins with `root`."""
     try:
-        return Scene.model_validate(data)
+        return Scene.parsed(data)
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
 

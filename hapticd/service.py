@@ -46,6 +46,11 @@ class Step:
         text = self.what if self.kind == "note" else f"{self.kind} {self.what}"
         return f"{text}: {self.detail}" if self.detail else text
 
+    def would(self) -> str:
+        """As text, of a step that is only tried: nothing was done."""
+        done = {"wrote": "would write", "updated": "would update", "removed": "would remove", "ran": "would run"}
+        return str(self).replace(self.kind, done[self.kind], 1) if self.kind in done else str(self)
+
     def to_dict(self) -> dict[str, str]:
         """For programs."""
         return {"kind": self.kind, "what": self.what, "detail": self.detail}
@@ -185,10 +190,10 @@ class Service:
         if old is not None and _is_ours(old):
             return self._write(path, text, "updated")
         if old is not None and _sum_of(old) == _checksum(target.body):
-            return Step("kept", str(path), "somebody changed it, and it was made from the same as now")
+            return Step("kept", str(path), "changed by hand; what hapticd ships has not changed since")
         beside = _beside(path)
         self._write(beside, text, "wrote")
-        return Step("kept", str(path), f"somebody changed it; what it would be now is {beside.name} beside it")
+        return Step("kept", str(path), f"changed by hand; what hapticd ships now is beside it, as {beside.name}")
 
     def _write(self, path: Path, text: str, kind: Kind) -> Step:
         if not self._dry:
@@ -211,7 +216,7 @@ class Service:
             return Step("absent", str(path))
         old = _read(path)
         if old is None or not _is_ours(old):
-            return Step("kept", str(path), "somebody changed it")
+            return Step("kept", str(path), "changed by hand")
         if not self._dry:
             try:
                 path.unlink()
@@ -259,6 +264,11 @@ class Service:
         return " ".join(["systemctl", *(["--user"] if self._user else []), *words])
 
     def _commands(self, commands: Sequence[Sequence[str]]) -> Iterator[Step]:
+        if commands and self._root is not None and os.geteuid() != 0:
+            # Into a package's folder: who made it could give nothing in it to another user.
+            names = " and ".join(f"`{' '.join(word for word in words if '--root' not in word)}`" for words in commands)
+            yield Step("note", f"{names} need root: left to whoever installs the package")
+            return
         for words in commands:
             if shutil.which(words[0]) is None:
                 yield Step("note", f"{words[0]} is not here: `{' '.join(words)}` is left to you")

@@ -3,6 +3,8 @@
 What comes goes into a part file beside the target, so that memory stays bounded however long a recording is; the
 target is put in place at the end, whole, by a rename. A part is in the form of the target from its first byte on, so
 that the end needs no second copy. Events and what is said once go into a second part, the notes, one JSON value a line.
+A file that is there is replaced only with `overwrite`. Without it, a file that appears while the recording is made
+keeps its name, and the recording takes the next free one (`tap-2.npz`).
 
 What fails leaves no file and changes none, with two exceptions. A disk that is full takes no more, but what is on it is
 finished: samples at the end make room for what else belongs to the file. A process that was killed leaves its parts;
@@ -24,7 +26,6 @@ import errno
 import fcntl
 import io
 import json
-import math
 import os
 import zipfile
 import zlib
@@ -40,6 +41,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.errors import HapticdError
+from hapticd.event_columns import NO_TIME, cell_of, columns_of, dtype_of, event_array, rows_of
+from hapticd.place import is_there, numbered, put
+
+__all__ = ["NO_TIME", "DiskFullError", "Part", "Samples", "Sink", "event_array", "open_sink", "recover"]
 
 Samples: TypeAlias = npt.NDArray[np.void]
 
@@ -47,9 +52,6 @@ _AXES = ("x", "y")
 _CHECK_EVERY: Final = 1 << 18
 """Bytes of samples after which there is a place that a full disk may fall back to."""
 _FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
-
-NO_TIME: Final = -(2**63)
-"""What a time of an event that has none is; numpy's own NaT."""
 
 
 class DiskFullError(HapticdError):
@@ -99,12 +101,6 @@ class Part:
                 if line.endswith(b"\n"):
                     yield line
 
-    def place(self, target: Path) -> None:
-        """Puts it where it belongs, once the disk has all of it."""
-        os.fsync(self.fd)
-        os.replace(self.path, target)
-        self.close()
-
     def close(self) -> None:
         if not self._closed:
             self._closed = True
@@ -122,18 +118,25 @@ class Sink(ABC):
     Its methods raise HapticdError where the disk does not take what is written; DiskFullError where it is only full.
     """
 
-    def __init__(self, target: str | os.PathLike[str], *, left: int | None = None) -> None:
+    def __init__(self, target: str | os.PathLike[str], *, overwrite: bool = False, left: int | None = None) -> None:
         """`left`: the parts that this process left when it was killed are taken up.
 
-        Raises HapticdError where the target cannot be written; BlockingIOError where the process still lives.
+        Raises HapticdError where the target cannot be written, or is there already and not to be replaced;
+        BlockingIOError where the process still lives.
         """
         self.target = Path(os.path.realpath(target))
+        """Where it goes; once it is finished, where it is."""
+        self.displaced = False
+        """Another file had appeared at the target, so that it has another name."""
+        self._overwrite = overwrite
         self.count = 0
         """Samples written."""
         self.event_count = 0
         self.last_tick = -1
         self.last_time_ns = 0
         self.texts: dict[str, object] = {}
+        self.about: dict[str, object] = {}
+        """What of `recording` is known at the start."""
         self._process = os.getpid() if left is None else left
         self._name = os.fspath(target)
         self._dtype: np.dtype[np.void] | None = None
@@ -143,6 +146,8 @@ class Sink(ABC):
             raise HapticdError(f"{self._name}: is a directory")
         if self.target.exists() and not os.access(self.target, os.W_OK):
             raise HapticdError(f"{self._name}: may not be overwritten")
+        if left is None and not overwrite:
+            self.refuse_taken(target)
         try:
             self._part = self._open_part("part", left is not None)
             self._notes = self._open_part("notes", left is not None)
@@ -155,6 +160,20 @@ class Sink(ABC):
             self._fail(error)
 
     # ---- What each form does ---------------------------------------------------------------------------------------
+
+    @staticmethod
+    def files_of(target: Path) -> list[Path]:
+        """The files of a recording of this name, itself last."""
+        return [target]
+
+    @classmethod
+    def refuse_taken(cls, target: str | os.PathLike[str]) -> None:
+        """Raises HapticdError where a file of a recording of this name is there already."""
+        place = Path(os.path.realpath(target))
+        for path in reversed(cls.files_of(place)):
+            if os.path.lexists(path):
+                name = os.fspath(target)
+                raise is_there(name if path == place else os.path.join(os.path.dirname(name), path.name))
 
     @abstractmethod
     def _write(self, samples: Samples) -> None:
@@ -174,10 +193,12 @@ class Sink(ABC):
 
     # ---- What they share -------------------------------------------------------------------------------------------
 
-    def begin(self, texts: Mapping[str, object]) -> None:
-        """What is known at the start, by name; it is in the file also where the recording is killed."""
-        self.texts = dict(texts)
+    def begin(self, texts: Mapping[str, object], about: Mapping[str, object] | None = None) -> None:
+        """What is known at the start, by name, and of the text `recording`; it is in the file also where the recording
+        is killed."""
+        self.texts, self.about = dict(texts), dict(about or {})
         self._note("texts", self.texts)
+        self._note("about", self.about)
 
     def write(self, samples: Samples) -> None:
         """Appends samples; all have one dtype."""
@@ -206,18 +227,48 @@ class Sink(ABC):
         return
 
     def finish(
-        self, texts: Mapping[str, object] | None = None, arrays: Mapping[str, npt.NDArray[Any]] | None = None
+        self,
+        texts: Callable[[], Mapping[str, object]] | Mapping[str, object] | None = None,
+        arrays: Mapping[str, npt.NDArray[Any]] | None = None,
     ) -> None:
-        """Puts the target in place, with `texts` as JSON and `arrays` as they are where the format can."""
+        """Puts the target in place, with `texts` as JSON and `arrays` as they are where the format can.
+
+        `texts` may be a function, which is called again once samples were given up.
+        """
         while True:
             try:
-                self._finish(self.texts | dict(texts or {}), arrays or {})
+                found = texts() if callable(texts) else texts
+                self._finish(self.texts | dict(found or {}), arrays or {})
                 return
             except OSError as error:
                 if error.errno not in _FULL or not self._shorten():
                     self._fail(error)
                 self._shortened = True
                 self._recount()
+
+    def _put(self, parts: Mapping[Path, Part]) -> None:
+        """Gives parts, which the disk has all of then, their names among files_of(target); raises OSError, and none has
+        its name."""
+        for part in parts.values():
+            os.fsync(part.fd)
+        for number in numbers(1):
+            names = dict(zip(self.files_of(self.target), self.files_of(numbered(self.target, number)), strict=True))
+            placed: dict[Path, Part] = {}
+            try:
+                for path, part in parts.items():
+                    put(part.path, names[path], self._overwrite)
+                    placed[names[path]] = part
+            except OSError as error:
+                for path, part in placed.items():
+                    os.replace(path, part.path)
+                if isinstance(error, FileExistsError):
+                    continue
+                raise
+            self.displaced = number > 1
+            self.target = names[self.target]
+            for part in parts.values():
+                part.close()
+            return
 
     def read_events(self) -> Iterator[dict[str, Any]]:
         """Those of the samples that there are; all where no sample was given up."""
@@ -243,6 +294,8 @@ class Sink(ABC):
     def _take_up(self) -> None:
         for texts in self._noted("texts"):
             self.texts = texts
+        for about in self._noted("about"):
+            self.about = about
         for description in self._noted("dtype"):
             fields = [(name, form, *map(tuple, rest)) for name, form, *rest in description]
             self._dtype = np.dtype(fields)
@@ -325,8 +378,8 @@ class NpzSink(Sink):
         dtype = self._dtype or np.dtype([])
         if self.count == 0:
             self._lay_out(dtype)
-        columns = {"events": event_array(self.read_events), **arrays}
-        columns |= {name: np.array(json.dumps(value)) for name, value in self._all_texts(texts).items()}
+        members = {**arrays}
+        members |= {name: np.array(json.dumps(value)) for name, value in self._all_texts(texts).items()}
         size = self._part.size
         header = _npy_header(dtype, self.count, self._npy_size)
         checksum = crc32_of_both(zlib.crc32(header), self._checksum, size - self._start)
@@ -338,14 +391,25 @@ class NpzSink(Sink):
                     info.header_offset, info.CRC = 0, checksum
                     info.file_size = info.compress_size = self._npy_size + size - self._start
                     archive.infolist().append(info)
-                    for name, array in columns.items():
+                    self._write_events(archive)
+                    for name, array in members.items():
                         with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                             np.lib.format.write_array(member, array, allow_pickle=False)
             self._part.put(0, _local_header(self._MEMBER, info.file_size, checksum) + header)
-            self._part.place(self.target)
+            self._put({self.target: self._part})
         except OSError:
             self._part.cut(size)
             raise
+
+    def _write_events(self, archive: zipfile.ZipFile) -> None:
+        """Row by row: one long mark makes every row as long, which compression then takes away again."""
+        total, columns = columns_of(self.read_events())
+        info = zipfile.ZipInfo("events.npy")
+        info.compress_type = zipfile.ZIP_DEFLATED
+        with archive.open(info, "w", force_zip64=True) as member:
+            member.write(_npy_header(dtype_of(columns), total, 0))
+            for rows in rows_of(self.read_events(), columns):
+                member.write(rows.tobytes())
 
     def _shorten(self) -> bool:
         if self.count == 0:
@@ -459,18 +523,23 @@ class CsvSink(Sink):
         if self._part.size - self._checks[-1][0] >= _CHECK_EVERY:
             self._checks.append((self._part.size, self.count + len(samples), *last_of(samples)))
 
+    @staticmethod
+    def files_of(target: Path) -> list[Path]:
+        return [target.with_name(f"{target.stem}.{ending}") for ending in ("events.csv", "about.json")] + [target]
+
     def _finish(self, texts: Mapping[str, object], arrays: Mapping[str, npt.NDArray[Any]]) -> None:
-        made: list[tuple[str, Part]] = []
+        events, about, samples = self.files_of(self.target)
+        made: dict[Path, Part] = {}
         try:
-            made.append(("events.csv", self._make("events", self._events_text())))
-            about = self._all_texts(texts)
-            if about:
-                made.append(("about.json", self._make("about", [json.dumps(about, indent=1) + "\n"])))
-            for ending, part in made:
-                part.place(self.target.with_name(f"{self.target.stem}.{ending}"))
-            self._part.place(self.target)
+            made[events] = self._make("events", self._events_text())
+            told = self._all_texts(texts)
+            if told:
+                made[about] = self._make("about", [json.dumps(told, indent=1) + "\n"])
+            self._put({**made, samples: self._part})
+            if not told and self._overwrite:
+                about.unlink(missing_ok=True)  # it told of the recording that was replaced
         except OSError:
-            for _, part in made:
+            for part in made.values():
                 part.discard()
             raise
 
@@ -479,24 +548,23 @@ class CsvSink(Sink):
         try:
             for text in texts:
                 part.append(text.encode())
-            os.fsync(part.fd)
         except OSError:
             part.discard()
             raise
         return part
 
     def _events_text(self) -> Iterator[str]:
-        names = list(dict.fromkeys(name for event in self.read_events() for name in event))
-        text = io.StringIO()
-        writer = csv.DictWriter(text, names, lineterminator="\n")
+        # What every event has, so that a file without events has its line of names, too.
+        always = ("event", "tick", "time_ns")
+        names = list(dict.fromkeys((*always, *(name for event in self.read_events() for name in event))))
+        lines = _Lines()
+        writer = csv.DictWriter(lines, names, lineterminator="\r\n")
         writer.writeheader()
         for event in self.read_events():
-            if text.tell() >= _CHECK_EVERY:
-                yield text.getvalue()
-                text.seek(0)
-                text.truncate()
-            writer.writerow({name: _cell(value) for name, value in event.items()})
-        yield text.getvalue()
+            if lines.size >= _CHECK_EVERY:
+                yield lines.take()
+            writer.writerow({name: cell_of(name, value) for name, value in event.items()})
+        yield lines.take()
 
     def _shorten(self) -> bool:
         if self.count == 0:
@@ -527,16 +595,29 @@ class CsvSink(Sink):
         self._part.cut(size)
 
 
+class _Lines:
+    """What a csv.writer whose rows end in CR LF has written, with LF alone: so it quotes a CR within a text."""
+
+    def __init__(self) -> None:
+        self._rows: list[str] = []
+        self.size = 0
+
+    def write(self, row: str) -> None:
+        self._rows.append(row.removesuffix("\r\n") + "\n")
+        self.size += len(row)
+
+    def take(self) -> str:
+        text = "".join(self._rows)
+        self._rows, self.size = [], 0
+        return text
+
+
 def _csv_names(dtype: np.dtype[Any]) -> list[str]:
     names = []
     for name in dtype.names or ():
         shape = dtype[name].shape
         names += [name] if not shape else [f"{name}_{axis}" for axis in _AXES[: shape[0]]]
     return names
-
-
-def _cell(value: object) -> object:
-    return json.dumps(value) if isinstance(value, list | dict | bool) or value is None else value
 
 
 # ---- By name -----------------------------------------------------------------------------------------------------
@@ -556,9 +637,17 @@ def _form(target: str | os.PathLike[str]) -> type[Sink]:
             raise HapticdError(f"{os.fspath(target)}: must end in .npz, .csv or .mcap")
 
 
-def open_sink(target: str | os.PathLike[str]) -> Sink:
-    """The sink for a target, by its ending. Raises HapticdError for another, or an unwritable target."""
-    return _form(target)(target)
+def open_sink(target: str | os.PathLike[str], overwrite: bool = False) -> Sink:
+    """The sink for a target, by its ending. Raises HapticdError for another, an unwritable target, and, without
+    `overwrite`, for one that is there already."""
+    return _form(target)(target, overwrite=overwrite)
+
+
+def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
+    """Raises HapticdError for a target of another ending, and, without `overwrite`, for one that is there already."""
+    form = _form(target)
+    if not overwrite:
+        form.refuse_taken(target)
 
 
 def recover(target: str | os.PathLike[str]) -> list[Path]:
@@ -579,72 +668,12 @@ def recover(target: str | os.PathLike[str]) -> list[Path]:
             continue
         with sink:
             if sink.count:
-                sink.target = _free(place)
-                sink.finish({"recording": {"ticks": sink.count, "events": sink.event_count, "ended": "killed"}})
+                sink.target = place.with_name(f"{place.stem}.recovered{place.suffix}")
+                found = {"ticks": sink.count, "events": sink.event_count, "ended_because": "killed"}
+                sink.finish({"recording": {**sink.about, **found}})
                 made.append(sink.target)
     return made
 
 
 def _escaped(name: str) -> str:
     return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
-
-
-def _free(place: Path) -> Path:
-    for number in numbers(1):
-        name = place.with_name(f"{place.stem}.recovered{'' if number == 1 else f'-{number}'}{place.suffix}")
-        if not name.exists():
-            return name
-    raise AssertionError
-
-
-# ---- Events as columns --------------------------------------------------------------------------------------------
-
-
-def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArray[np.void]:
-    """Events as one structured array with a column for each key that occurs.
-
-    What a column is follows from what it holds, and not from whether every event has it; an event that has none holds
-
-    - truth values: i1, 0 or 1; -1
-    - whole numbers: i8; 0, or NO_TIME where the key ends in `_ns`
-    - numbers, and nothing but None: f8; NaN
-    - texts, and as JSON whatever else there is: text; ""
-
-    `events` is called twice.
-    """
-    kinds: dict[str, set[type]] = {}
-    widths: dict[str, int] = {}
-    total = 0
-    for event in events():
-        total += 1
-        for name, value in event.items():
-            kinds.setdefault(name, set()).add(type(value))
-            if not isinstance(value, int | float):
-                widths[name] = max(widths.get(name, 1), len(_text(value)))
-    columns = [(name, *_column(name, found - {type(None)}, widths.get(name, 1))) for name, found in kinds.items()]
-    array = np.zeros(total, np.dtype([(name, form) for name, form, _ in columns]))
-    for index, event in enumerate(events()):
-        array[index] = tuple(_value(event.get(name), form, absent) for name, form, absent in columns)
-    return array
-
-
-def _column(name: str, kinds: set[type], width: int) -> tuple[str, object]:
-    """The form of a column that holds such values, and what stands for none."""
-    if kinds == {bool}:
-        return "i1", -1
-    if kinds == {int}:
-        return "<i8", NO_TIME if name.endswith("_ns") else 0
-    # The id of an object is a text, also where all of them are gone.
-    if kinds <= {int, float} and name != "object":
-        return "<f8", math.nan
-    return f"<U{width}", ""
-
-
-def _text(value: object) -> str:
-    return "" if value is None else value if isinstance(value, str) else json.dumps(value)
-
-
-def _value(value: object, form: str, absent: object) -> object:
-    if value is None:
-        return absent
-    return _text(value) if form.startswith("<U") else value

@@ -7,7 +7,9 @@ collection. A slow subscriber costs itself messages (PUB drops them), nobody els
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from typing import Any, Final
 
 import numpy as np
@@ -58,12 +60,25 @@ class Telemetry:
         self._socket = socket
         self._status = status
         self._flight = flight
-        self._log = EventLog(monotonic_ns)
+        self._log = EventLog(missing=lambda: engine.granted is not None and bool(engine.granted.missing))
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
         self._events = records(EVENT_DTYPE, 1024)
         self._held = 0
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
+        self._wake = threading.Event()
+        self._asked: deque[Future[dict[str, object]]] = deque()
+
+    def wake(self) -> None:
+        """Ends the wait for the next message, so that `run` looks whether it is to stop. For any thread."""
+        self._wake.set()
+
+    def ask_state(self) -> Future[dict[str, object]]:
+        """What `state` says once there is a tick, of the newest at this time or of a later one. For any thread."""
+        answer: Future[dict[str, object]] = Future()
+        self._asked.append(answer)
+        self._wake.set()
+        return answer
 
     def run(self, stop: threading.Event) -> None:
         """Publishes until `stop` is set, and once more after it."""
@@ -75,9 +90,15 @@ class Telemetry:
             "status": round(STATUS_EVERY_S * 1e9),
         }
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
-        while not stop.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9)):
+        while True:
+            self._wake.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9))
+            self._wake.clear()
+            if stop.is_set():
+                break
             drained_ns = monotonic_ns()
+            asked = len(self._asked)
             self._drain()
+            self._answer(asked)
             self._log.flush()
             self._send_changes()
             now = monotonic_ns()
@@ -93,6 +114,7 @@ class Telemetry:
         self._send_changes()
         self._send_samples()
         self._send_state()
+        self._log.finish()
         if self._flight is not None:
             self._flight.finish()
 
@@ -153,15 +175,25 @@ class Telemetry:
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
             self._send("change", change_map(change))
+            if self._flight is not None:
+                self._flight.keep_change(change)
+
+    def _answer(self, count: int) -> None:
+        """Answers the first who asked for the state: those who did before the rings were drained."""
+        if count and self._newest is not None:
+            state = self._state(self._newest[0])
+            for _ in range(count):
+                self._asked.popleft().set_result(state)
 
     def _send_state(self) -> None:
         if self._newest is not None:
-            sample = self._newest[0]
-            flags = Flag(int(sample["flags"]))
-            state = sample_map(sample)
-            state["touching"] = self._engine.touching()
-            state["flag_names"] = [flag.name.lower() for flag in flags if flag.name]
-            self._send("state", state)
+            self._send("state", self._state(self._newest[0]))
+
+    def _state(self, sample: np.void) -> dict[str, object]:
+        state = sample_map(sample)
+        state["touching"] = self._engine.touching()
+        state["flag_names"] = [flag.name.lower() for flag in Flag(int(sample["flags"])) if flag.name]
+        return state
 
     def _send_status(self) -> None:
         self._send("status", self._status())
@@ -170,4 +202,12 @@ class Telemetry:
         self._socket.send_multipart([topic.encode(), wire.encode(message)])
 
     def _note(self, event: Any) -> dict[str, object]:
-        return event_map(event, self._engine.name_of(int(event["slot"]), int(event["generation"])))
+        """An event's map."""
+        name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
+        kind = int(event["kind"])
+        mark = self._engine.take_mark(int(event["code"])) if kind == EventKind.MARK else None
+        message = event_map(event, name, mark)
+        if kind == EventKind.GESTURE_END:
+            # Before it is sent: whoever subscribes and then asks for the status misses none.
+            self._engine.gesture_ended(message)
+        return message

@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
+from hapticd import words
 from hapticd.calls import KeyRefused, State, Status, Topic
 from hapticd.client import Client, Subscription
 from hapticd.errors import HapticdError
@@ -141,7 +142,7 @@ class View:
         if self.status is None:
             return Text(" connecting ".ljust(width), style="reverse")
         status = self.status
-        left = f" hapticd {status['version']}  {status['device']}  {status['rate_hz']:g} Hz"
+        left = f" hapticd {status['version']}  {status['device']}  {words.si(status['rate_hz'], 'Hz')}"
         right = f"forces {status['forces']} "
         style = {"on": "black on green", "off": "black on yellow"}.get(status["forces"], "bold white on red")
         line = Text()
@@ -179,17 +180,17 @@ class View:
         touching = state.get("touching", [])
         put("touching", ", ".join(touching) or "nothing", "bold" if touching else "")
         lines.append(Text())
-        put("rate", "" if self.rate_hz is None else f"{self.rate_hz:.0f} Hz")
+        put("rate", "" if self.rate_hz is None else f"{self.rate_hz:,.0f} Hz")
         late = [value / 1e3 for value in self._lateness]
         put("lateness", f"{late[-1]:.0f} us, worst seen {max(late):.0f}")
         put("work", f"{state['work_ns']} ns")
-        put("tick", f"{state['tick']}")
-        put("revision", f"{state['revision']}")
+        put("tick", f"{state['tick']:,}")
+        put("revision", f"{state['revision']:,}")
         if status is not None:
             counters = status["counters"]
             overruns, skipped = counters.get("overruns", 0), counters.get("skipped", 0)
-            put("overruns", f"{overruns}", "yellow" if overruns else "")
-            put("skipped", f"{skipped} ticks")
+            put("missed", words.count(skipped, "period"), "yellow" if skipped else "")
+            put("", f"{words.count(overruns, 'time')}" if skipped else "")
             faults = status["faults"]
             put("faults", ", ".join(faults) or "none", "bold red" if faults else "")
             if status["lease_s"] is not None:
@@ -224,13 +225,13 @@ class View:
         fx, fy = state["force_n"]
         faults = ", ".join(status["faults"]) if status is not None else ""
         parts = [
-            f"tick {state['tick']}",
+            f"tick {state['tick']:,}",
             f"position {x:+.3f} {y:+.3f} mm",
             f"force {fx:+.3f} {fy:+.3f} N",
             f"touching {', '.join(state.get('touching', [])) or 'nothing'}",
-            f"rate {self.rate_hz:.0f} Hz" if self.rate_hz is not None else "",
+            f"rate {self.rate_hz:,.0f} Hz" if self.rate_hz is not None else "",
             f"lateness {max(self._lateness) / 1e3:.0f} us at worst",
-            f"overruns {status['counters'].get('overruns', 0)}" if status is not None else "",
+            f"{words.count(status['counters'].get('skipped', 0), 'period')} missed" if status is not None else "",
             f"forces {status['forces']}" if status is not None else "",
             f"faults {faults}" if faults else "",
         ]
@@ -250,42 +251,46 @@ def _label(text: str) -> Text:
 def event_line(event: Mapping[str, object]) -> str:
     """An event in words: its kind, its object, and its other members."""
     kind, about = str(event.get("event", "event")), event.get("object")
-    words = [kind.replace("_", " "), *([str(about)] if about is not None else [])]
+    told = [kind.replace("_", " "), *([str(about)] if about is not None else [])]
     match kind:
         case "contact" if not event.get("appeared"):
-            words.append(
+            told.append(
                 f"at {_number(event, 'speed_m_per_s'):.3f} m/s, {_number(event, 'amplitude_m_per_s2'):.1f} m/s²"
             )
             if _number(event, "scale", 1.0) == 0:
-                words.append("not displayed")
+                told.append("not displayed")
             elif _number(event, "scale", 1.0) < 1:
-                words.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")
+                told.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")
         case "contact":
-            words.append("inside it when it appeared")
+            told.append("inside it when it appeared")
         case "groove":
-            words.append(f"{_number(event, 'grooves'):.0f} struck in this contact")
+            told.append(f"{_number(event, 'grooves'):.0f} struck in this contact")
         case "puncture":
-            words.append(f"at {1e3 * _number(event, 'depth_m'):.2f} mm")
+            told.append(f"at {1e3 * _number(event, 'depth_m'):.2f} mm")
         case "saturation":
-            words.append(f"wanted {_number(event, 'wanted_n'):.2f} N")
+            told.append(f"wanted {_number(event, 'wanted_n'):.2f} N")
         case "overrun":
-            words.append(f"{_number(event, 'missed'):.0f} ticks missed")
+            told.append(f"{words.count(round(_number(event, 'missed')), 'period')} missed")
         case "glitch":
-            words.append(f"a jump of {_number(event, 'speed_m_per_s'):.0f} m/s")
+            told.append(f"a jump of {_number(event, 'speed_m_per_s'):.0f} m/s")
         case "fault":
             faults = event.get("faults")
-            words.append(", ".join(map(str, faults)) if isinstance(faults, list) and faults else "cleared")
+            told.append(", ".join(map(str, faults)) if isinstance(faults, list) and faults else "cleared")
         case "overload":
-            words.append(f"{100 * _number(event, 'missed_share'):.0f} % of a second's ticks missed")
+            told.append(f"{words.percent(_number(event, 'missed_share'), 2)} of a second's periods missed")
         case "rate":
-            words.append(f"{_number(event, 'rate_hz'):g} Hz from now on")
+            told.append(f"{words.si(_number(event, 'rate_hz'), 'Hz')} from now on")
         case "resumed":
-            words.append(f"after {_number(event, 'suspended_s'):.0f} s of suspend")
+            told.append(f"after {words.duration(round(_number(event, 'suspended_s')))} of suspend")
         case "memory_refused":
-            words.append(str(event.get("problem")))
+            told.append(str(event.get("problem")))
+        case "mark":
+            told.append(str(event.get("text")))
+        case "gesture_end":
+            told.append("as it was meant" if event.get("completed") else "replaced by another")
         case "revision":
-            words.append(str(event.get("revision")))
-    return " ".join(words)
+            told.append(str(event.get("revision")))
+    return " ".join(told)
 
 
 def _number(event: Mapping[str, object], key: str, default: float = 0.0) -> float:
@@ -365,21 +370,25 @@ def draw_scene(
 # ---- the loop ----------------------------------------------------------------------------------------------
 
 
-def watch(client: Client, as_json: bool = False, console: Console | None = None) -> None:
-    """Shows the daemon live until it is interrupted (KeyboardInterrupt). A daemon that goes away is waited
-    for; a terminal that does raises HapticdError.
+def watch(
+    client: Client, as_json: bool = False, console: Console | None = None, duration_s: float | None = None
+) -> None:
+    """Shows the daemon live for `duration_s`, or until it is interrupted (KeyboardInterrupt). A daemon that goes away
+    is waited for; a terminal that does raises HapticdError.
 
     Where the console is no terminal, or for `as_json`, it prints a line a second and one for each event.
     """
     console = console or Console()
+    ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
     with client.telemetry("state", "event", "status") as messages:
         if as_json or not console.is_terminal:
-            for line in _lines(client, messages, as_json):
+            for line in _lines(client, messages, as_json, ends_s):
                 console.file.write(line + "\n")
                 console.file.flush()
         else:
             try:
-                _draw(client, messages, console)
+                if _draw(client, messages, console, ends_s):
+                    return
             except OSError:
                 if console.file.isatty():
                     raise
@@ -390,15 +399,15 @@ def watch(client: Client, as_json: bool = False, console: Console | None = None)
 _Messages: TypeAlias = Subscription[tuple[Topic, dict[str, object]]]
 
 
-def _draw(client: Client, messages: _Messages, console: Console) -> None:
-    """Draws until the terminal is gone."""
+def _draw(client: Client, messages: _Messages, console: Console, ends_s: float) -> bool:
+    """Draws until the time is over (true) or the terminal is gone (false)."""
     view = View()
     heard = shown = time.monotonic()
     asked = -math.inf
     with Live(console=console, screen=True, auto_refresh=False) as live:
         _first_status(client, view)
-        while True:
-            item = messages.receive(REFRESH_S)
+        while (now := time.monotonic()) < ends_s:
+            item = messages.receive(min(REFRESH_S, ends_s - now))
             now = time.monotonic()
             if item is not None:
                 heard = now
@@ -418,8 +427,9 @@ def _draw(client: Client, messages: _Messages, console: Console) -> None:
             if now - shown >= REFRESH_S:
                 shown = now
                 if not console.file.isatty():
-                    return
+                    return False
                 live.update(view.render(*console.size), refresh=True)
+    return True
 
 
 def _first_status(client: Client, view: View) -> None:
@@ -428,15 +438,17 @@ def _first_status(client: Client, view: View) -> None:
         view.feed("status", client.get_status())
 
 
-def _lines(client: Client, messages: _Messages, as_json: bool) -> Iterator[str]:
+def _lines(client: Client, messages: _Messages, as_json: bool, ends_s: float) -> Iterator[str]:
     view = View()
     heard = time.monotonic()
     due = -math.inf
     _first_status(client, view)
-    while True:
-        item = messages.receive(LOST_AFTER_S)
+    while (now := time.monotonic()) < ends_s:
+        item = messages.receive(min(LOST_AFTER_S, ends_s - now))
         now = time.monotonic()
         if item is None:
+            if now - heard < LOST_AFTER_S:
+                continue
             if view.lost_for_s is None:
                 yield json.dumps({"topic": "lost"}) if as_json else "daemon lost; waiting for it"
             view.lost_for_s = now - heard

@@ -19,6 +19,9 @@ from hapticd.errors import HapticdError
 PROTOCOL: Final = 1
 """Version of what is said over the sockets, apart from the version of the package."""
 
+GESTURE_ENDS: Final = 16
+"""So many ends of gestures stand in a status."""
+
 MAX_BODY: Final = 2 * 1024 * 1024
 """Largest body of a request, bytes."""
 

@@ -8,13 +8,14 @@ core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_BYTES, a
 
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import yaml
 
 from hapticd.errors import HapticdError, InvalidError, Problem, path_text, quoted, shown
+from hapticd.yaml_slips import LINE_BREAKS, diagnose
 
 MAX_DEPTH = 32
 MAX_BYTES = 2 * 1024 * 1024
@@ -33,23 +34,16 @@ _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 _LONGEST_NUMBER = 400
-# Commands that take what stands in a file beside what another one takes.
-_TAKERS = {
-    "servo": "hapticd run -c",
-    "device": "hapticd run -c",
-    "materials": "hapticd material set",
-    "scene": "hapticd scene set",
-    "display": "hapticd scene set",
-    "ramp_s": "hapticd scene set",
-}
+_ARCHIVES = (b"PK\x03\x04", b"\x89MCAP0\r\n", b"tick,time_ns,")
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @dataclass(slots=True)
 class _Marks:
-    """Line of a value (of its key, in a mapping), and the marks of what it holds."""
+    """Line and column of a value (of its key, in a mapping), from 1, and the marks of what it holds."""
 
     line: int
+    column: int
     children: dict[str | int, "_Marks"] = field(default_factory=dict)
 
 
@@ -60,24 +54,46 @@ class Document:
     data: Json
     name: str | None = None
     _marks: _Marks | None = None
+    _above: tuple[str, ...] = ()
+
+    def below(self, key: str) -> "Document":
+        """The same document as what stands below `key` in a larger one; places are told as they are in the file."""
+        return replace(self, data={key: self.data}, _above=(key, *self._above))
+
+    def problem(self, path: Sequence[str | int], text: str) -> Problem:
+        """A fault of the part at `path`."""
+        if self.name is not None and text.endswith("must be a mapping, is null"):
+            text += ": what belongs to it is indented below it"
+        return Problem(self.where(path), text)
 
     def line_of(self, path: Sequence[str | int]) -> int | None:
         """The line, from 1, of the key or list item at `path`; None where the document has no such place."""
         marks = self._marks
-        for element in path:
+        for element in self.own(path):
             if marks is None:
                 return None
             marks = marks.children.get(element)
         return None if marks is None else marks.line
 
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN` of the key or list item at `path`, or of the nearest one around it."""
+        marks = near = self._marks
+        for element in self.own(path):
+            marks = None if marks is None else marks.children.get(element)
+            near = near if marks is None else marks
+        line, column = (1, 1) if near is None else (near.line, near.column)
+        return f"{one_line(self.name or '')}:{line}:{column}"
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file, without the keys that the document was put below."""
+        return path[len(self._above) :]
+
     def where(self, path: Sequence[str | int]) -> str:
-        """`FILE:LINE: servo.rate_hz`; where `path` is missing, the nearest line there is."""
+        """`FILE:LINE:COLUMN: servo.rate_hz`; without a file the path alone."""
+        told = path_text(self.own(path))
         if self.name is None:
-            return path_text(path)
-        lines = (self.line_of(path[:length]) for length in range(len(path), -1, -1))
-        line = next((line for line in lines if line is not None), 1)
-        place = f"{one_line(self.name)}:{line}"
-        return f"{place}: {path_text(path)}" if path else place
+            return told
+        return f"{self.place(path)}: {told}" if told else self.place(path)
 
 
 @dataclass(slots=True)
@@ -87,7 +103,7 @@ class _Open:
     data: "list[Json] | dict[str, Json]"
     marks: _Marks
     key: str | None = None
-    key_line: int = 0
+    key_at: tuple[int, int] = (0, 0)
 
 
 def load_path(path: "str | os.PathLike[str]") -> Document:
@@ -98,17 +114,6 @@ def load_path(path: "str | os.PathLike[str]") -> Document:
     """
     name = os.fspath(path)
     return load_bytes(read_file(name, MAX_BYTES), name)
-
-
-def refuse_others(document: Document, path: Sequence[str], others: Iterable[str], what: str) -> None:
-    """Refuses keys of the mapping at `path`; `what` says what alone is taken there: "a scene, which is all"."""
-    problems = []
-    for key in others:
-        taker = f"; that is for {_TAKERS[key]}" if key in _TAKERS else ""
-        text = f"does not belong to {what} that is taken here{taker}"
-        problems.append(Problem(document.where((*path, key)), text))
-    if problems:
-        raise InvalidError(problems)
 
 
 def read_file(name: str, most: int) -> bytes:
@@ -124,6 +129,7 @@ def read_file(name: str, most: int) -> bytes:
 
 def load_bytes(content: bytes, name: str) -> Document:
     """Parses one YAML document, as UTF-8. Raises InvalidError as load_path does."""
+    refuse_recording(content, name)
     if len(content) > MAX_BYTES:
         raise _refusal(name, 0, 0, f"larger than {MAX_BYTES} bytes")
     try:
@@ -132,6 +138,14 @@ def load_bytes(content: bytes, name: str) -> Document:
         before = error.object[: error.start].decode("utf-8-sig")
         raise _refusal(name, *_line_column(before), "not UTF-8") from None
     return _parse(text, name, _LOADER)
+
+
+def refuse_recording(content: bytes, name: str) -> None:
+    """Raises InvalidError for a recording where somebody's text is to be read."""
+    if content.startswith(_ARCHIVES):
+        ours = b"samples.npy" in content or not content.startswith(_ARCHIVES[0])
+        told = f"holds a recording; use: hapticd replay {one_line(name)}" if ours else "is an archive, no YAML"
+        raise InvalidError([Problem(one_line(name), told)])
 
 
 def load_text(text: str, name: str) -> Document:
@@ -146,9 +160,14 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
     try:
         return _build(loader(text), name)
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        at = (mark.line, mark.column) if mark else (0, 0)
-        raise _refusal(name, *at, error.problem or "not YAML") from None
+        at = _place(error.problem_mark)
+        raise _refusal(
+            name, *diagnose(text, error.problem or "not YAML", at or (0, 0), _place(error.context_mark))
+        ) from None
+
+
+def _place(mark: "yaml.Mark | None") -> tuple[int, int] | None:
+    return None if mark is None else (mark.line, mark.column)
 
 
 def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
@@ -174,14 +193,14 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                 value = _value(event, refuse)
                 top = stack[-1] if stack else None
                 if top is not None and isinstance(top.data, dict) and top.key is None:
-                    top.key, top.key_line = _key(value, top.data, refuse), line + 1
+                    top.key, top.key_at = _key(value, top.data, refuse), (line + 1, column + 1)
                     continue
-                marks = _Marks(line + 1)
+                marks = _Marks(line + 1, column + 1)
                 if top is None:
                     root = Document(value, name, marks)
                 elif isinstance(top.data, dict):
                     assert top.key is not None
-                    marks.line = top.key_line
+                    marks.line, marks.column = top.key_at
                     top.data[top.key] = value
                     top.marks.children[top.key] = marks
                     top.key = None
@@ -192,7 +211,7 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                     if len(stack) == MAX_DEPTH:
                         raise refuse(f"nested deeper than {MAX_DEPTH} levels")
                     stack.append(_Open(value, marks))
-    return root or Document(None, name, _Marks(1))
+    return root or Document(None, name, _Marks(1, 1))
 
 
 def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError]) -> str:
@@ -236,7 +255,7 @@ def _scalar(event: yaml.ScalarEvent, refuse: Callable[[str], InvalidError]) -> J
 
 
 def _line_column(before: str) -> tuple[int, int]:
-    lines = re.split("\r\n|[\r\n\x85\u2028\u2029]", before)
+    lines = LINE_BREAKS.split(before)
     return len(lines) - 1, len(lines[-1])
 
 

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from hapticd.cli import main
 
 
 def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:
-    """The one line on stderr of a command that fails with `code`."""
+    """The one line on stderr of a command that fails with `code`; with --json, in the words of one without."""
     assert main(arguments) == code
     captured = capsys.readouterr()
     assert captured.out == ""
+    if "--json" in arguments:
+        told = json.loads(captured.err)
+        assert list(told) == ["error"] and told["error"]["exit_code"] == code
+        assert list(told["error"]) == ["message", "code", "exit_code", "problems"]
+        return f"hapticd: {told['error']['message']}\n"
     assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1, captured.err
     return captured.err

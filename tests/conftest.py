@@ -1,7 +1,10 @@
-"""Set up for every test: nothing random from run to run in CI, no window, nothing that depends on load."""
+"""Set up for every test: nothing random from run to run in CI, no window, nothing that depends on load, nothing of the
+shell that it was started from.
+"""
 
 import gc
 import os
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -9,6 +12,16 @@ from hypothesis import HealthCheck, settings
 
 # Before anything imports matplotlib.
 os.environ["MPLBACKEND"] = "Agg"
+
+# What the user set for the commands is not for the tests.
+for _name in [name for name in os.environ if name.startswith("HAPTICD_")]:
+    del os.environ[_name]
+
+# A job that a script put in the background ignores interrupts, and one under nohup the end of its terminal. Every
+# process that a test starts would inherit that, and the test that interrupts it would wait for ever.
+for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, _handler)
 
 # Deadlines and `too_slow` would test the machine's load. CI repeats its examples, others try new ones.
 _CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -22,6 +35,13 @@ def pytest_collection_finish() -> None:
     Python for longer than a device of this process may be late."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _no_configuration_of_the_user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("config")))
+        yield
 
 
 @pytest.fixture(autouse=True, scope="session")

@@ -7,8 +7,9 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,14 @@ import hapticd
 
 connect = partial(hapticd.connect, timeout_s=60.0)
 """The client, with the patience that a busy machine asks for; the bound only keeps a broken test from hanging."""
+
+
+def until(what: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    """Waits for what another process does and does not tell; the bound only keeps a broken test from hanging."""
+    pause, deadline = threading.Event(), time.monotonic() + timeout_s
+    while not what():
+        assert time.monotonic() < deadline
+        pause.wait(0.01)
 
 
 class Daemon:

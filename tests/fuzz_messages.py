@@ -62,19 +62,23 @@ SCENE: Final = {"objects": {"floor": OBJECTS[0], "skin": OBJECTS[4], "peg": OBJE
 GRAIN: Final = {"peak_hz": 200, "mean_hz": 260, "velocity_gain_per_s": 20, "direction": "normal", "seed": 7}
 
 PARSE, INVALID, NO_METHOD, PARAMS = -32700, -32600, -32601, -32602
-CHANGES: Final = frozenset(("set_scene", "update_scene", "update_materials", "reload"))
+CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
 PARAMETERS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
     name: (frozenset(required.split()), frozenset(optional.split()))
     for name, required, optional in (
         ("get_status", "", ""),
+        ("get_state", "", ""),
         ("get_config", "", ""),
         ("get_scene", "", ""),
         ("set_scene", "scene", "expect_revision wait"),
         ("update_scene", "objects", "expect_revision wait"),
         ("get_materials", "", ""),
+        ("set_materials", "materials", "expect_revision wait"),
         ("update_materials", "materials", "expect_revision wait"),
+        ("apply", "", "materials scene expect_revision wait"),
         ("play", "direction amplitude_m_per_s2", "mode material"),
         ("reset", "", "objects"),
+        ("mark", "text", "data"),
         ("set_forces", "enabled", ""),
         ("set_operator", "", "waypoints interpolation gesture"),
         ("lease", "duration_s", "token"),
@@ -86,25 +90,38 @@ PARAMETERS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
 RESULTS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
     name: (frozenset(always.split()), frozenset(sometimes.split()))
     for name, always, sometimes in (
+        (
+            "get_state",
+            "tick time_ns position_m velocity_m_per_s contact_force_n vibration_force_n force_n revision flags"
+            " lateness_ns work_ns touching flag_names",
+            "",
+        ),
         ("get_config", "config", ""),
         ("get_scene", "scene revision", ""),
-        ("set_scene", "revision", "tick warning"),
-        ("update_scene", "revision", "tick warning"),
+        ("set_scene", "revision", "tick warning warnings"),
+        ("update_scene", "revision", "tick warning warnings"),
         ("get_materials", "materials revision", ""),
-        ("update_materials", "revision", "tick warning"),
-        ("play", "tick displayed_hz", ""),
+        ("set_materials", "revision", "tick warning warnings"),
+        ("update_materials", "revision", "tick warning warnings"),
+        ("apply", "revision", "tick warning warnings"),
+        ("play", "tick displayed_hz", "warnings"),
         ("reset", "tick", ""),
+        ("mark", "tick", ""),
         ("set_forces", "forces tick", ""),
-        ("set_operator", "duration_s tick", ""),
+        ("set_operator", "duration_s tick", "warnings"),
         ("lease", "token", "warning"),
-        ("reload", "revision", "tick warning"),
+        ("reload", "revision", "tick warning warnings"),
         ("dump_flight", "file", ""),
     )
 }
 ERRORS: Final[dict[str, frozenset[int]]] = {
     "set_scene": frozenset((-32001, -32006)),
     "update_scene": frozenset((-32001, -32006)),
+    "set_materials": frozenset((-32001, -32006)),
     "update_materials": frozenset((-32001, -32006)),
+    "apply": frozenset((-32001, -32006)),
+    "get_state": frozenset((-32006,)),
+    "mark": frozenset((-32005, -32006)),
     "reload": frozenset((-32001, -32006)),
     "play": frozenset((-32003, -32005, -32006)),
     "reset": frozenset((-32005, -32006)),
@@ -289,10 +306,18 @@ POISONS: Final[dict[str, tuple[Tree, ...]]] = {
 
 
 def _poisoned(method: str, params: Tree) -> bool:
-    holder = params.get("scene") if method == "set_scene" else params
-    kind = "materials" if method == "update_materials" else "objects"
-    held = holder.get(kind) if type(holder) is dict else None
-    return type(held) is dict and held.get(POISON) in POISONS[kind]
+    return any(type(held) is dict and held.get(POISON) in POISONS[kind] for kind, held in _held(method, params))
+
+
+def _held(method: str, params: dict[str, Tree]) -> list[tuple[str, Tree]]:
+    """What a change holds by name, with its kind."""
+    scene = params.get("scene")
+    held = [("objects", scene.get("objects"))] if type(scene) is dict and method in ("set_scene", "apply") else []
+    if method == "update_scene":
+        held.append(("objects", params.get("objects")))
+    if method in ("set_materials", "update_materials", "apply"):
+        held.append(("materials", params.get("materials")))
+    return held
 
 
 _MAY: Final = {
@@ -342,6 +367,14 @@ def seeds() -> dict[str, list[bytes]]:
             "update_materials",
             {"materials": {"mine": None, "steel": {"tap": {"attack_slope_per_s": 300}}, "comb": None}},
         ),
+        *(
+            ("set_materials", {"materials": {"mine": item}, "wait": number % 4 == 0})
+            for number, item in enumerate(MATERIALS)
+        ),
+        *(("apply", {"materials": {"mine": item}, "scene": SCENE}) for item in MATERIALS),
+        *(("apply", {"scene": {"objects": {"floor": item}}}) for item in OBJECTS),
+        ("mark", {"text": "trial 3"}),
+        ("mark", {"text": "trial 4", "data": {"condition": [1, 2.5, None, {"left": True}]}}),
         ("play", {"material": "cellophane", "direction": [0, 1], "amplitude_m_per_s2": 3.5}),
         (
             "play",
@@ -364,6 +397,7 @@ def seeds() -> dict[str, list[bytes]]:
         ("get_scene", {}),
         ("get_materials", {}),
         ("get_status", {}),
+        ("get_state", {}),
     ]
     for method, params in calls:
         found.setdefault(method, []).append(
@@ -375,7 +409,11 @@ def seeds() -> dict[str, list[bytes]]:
 WEIGHTS: Final = {
     "set_scene": 20,
     "update_scene": 20,
+    "set_materials": 6,
     "update_materials": 14,
+    "apply": 6,
+    "mark": 6,
+    "get_state": 1,
     "play": 12,
     "set_operator": 10,
     "reset": 6,
@@ -556,12 +594,11 @@ def _hush(source: random.Random, tree: Tree) -> None:
     method, params = tree.get("method"), tree.setdefault("params", {})
     if type(method) is not str or method not in CHANGES or type(params) is not dict:
         return
-    holder = params.get("scene", params)
-    kind = "materials" if method == "update_materials" else "objects"
-    held = holder.get(kind) if type(holder) is dict else None
-    if method == "reload" or type(held) is not dict or source.random() < 0.2:
+    found = [(kind, held) for kind, held in _held(method, params) if type(held) is dict]
+    if not found or source.random() < 0.2:
         params["expect_revision"] = NEVER
     else:
+        kind, held = source.choice(found)
         held[POISON] = source.choice(POISONS[kind])
 
 
@@ -771,14 +808,26 @@ class Traffic:
         assert asked.poll(int(1e3 * ANSWERED_S))
         return asked.recv()
 
+    def turn_forces_on(self) -> None:
+        """Clears every fault. A lease that lapses while this is taken is over when it is asked once more."""
+        assert not self._count
+        body = msgpack.packb({"jsonrpc": "2.0", "id": "on", "method": "set_forces", "params": {"enabled": True}})
+        error = self._answered(body).get("error")
+        if error is not None:
+            assert error["data"] == {"faults": ["lease"]}, error
+            self._asked(body)
+
     def _asked(self, body: bytes) -> Tree:
+        answer = self._answered(body)
+        assert "result" in answer, answer
+        return answer["result"]
+
+    def _answered(self, body: bytes) -> Tree:
         asked = self._sockets[0]
         asked.send(body)
         if not asked.poll(int(1e3 * ANSWERED_S)):
             raise Failure(f"not answered within {ANSWERED_S:g} s: {body!r}")
-        answer = msgpack.unpackb(asked.recv())
-        assert "result" in answer, answer
-        return answer["result"]
+        return msgpack.unpackb(asked.recv())
 
     def vanish(self, source: random.Random) -> None:
         """A client that sends and is gone, and one that does not speak ZeroMQ."""
@@ -872,7 +921,7 @@ class Book:
             # The machine did not let it run.
             self.stalls += 1
             faults.remove("control")
-            traffic.ask("set_forces", {"enabled": True})
+            traffic.turn_forces_on()
         assert faults <= ({"lease"} if traffic.leased else set()), f"{faults}, busy for {busy:.2f} of the time"
 
 
@@ -926,7 +975,7 @@ def run(source: random.Random, runs: int, progress: Callable[[str], None] = lamb
                     traffic.vanish(source)
                     # So that the scene has what the requests speak of, and does not grow without end.
                     book.look(None)
-                    traffic.ask("set_forces", {"enabled": True})
+                    traffic.turn_forces_on()
                     traffic.ask("reload")
                     book.look(None)
                 if rounds == 40:
@@ -941,7 +990,7 @@ def run(source: random.Random, runs: int, progress: Callable[[str], None] = lamb
                 found.grown_mb = memory_mb(daemon.process.pid) - memory
                 assert found.grown_mb < GROWTH_MB, f"the daemon's memory grew by {found.grown_mb:.1f} MB"
             # What lapsed is over when the forces are turned on; nothing else may be left.
-            traffic.ask("set_forces", {"enabled": True})
+            traffic.turn_forces_on()
             status = traffic.ask("get_status")
             assert status["faults"] == [] and status["state"] == "running"
         except (AssertionError, zmq.ZMQError) as error:

@@ -89,6 +89,7 @@ def whole(ending: str) -> dict[str, bytes]:
                 sink.write_change(change)
             sink.write(samples)
             sink.write_event({"event": "contact", "tick": 3, "time_ns": 300000, "object": "floor"})
+            sink.write_event({"event": "mark", "tick": 9, "time_ns": 900000, "text": "one", "data": {"a": [1, None]}})
             sink.finish()
         return {path.name.removeprefix("r"): path.read_bytes() for path in Path(folder).iterdir()}
 

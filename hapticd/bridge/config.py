@@ -7,12 +7,14 @@ from typing import Final, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from hapticd.document_kinds import refuse_other_kinds
 from hapticd.errors import InvalidError, Problem, quoted
 from hapticd.keys import is_key
 from hapticd.model import Model, Name, faults_of
 from hapticd.remote import PORT, host_and_port, is_loopback
+from hapticd.trusted import read_trusted
 from hapticd.wire import MAX_BODY
-from hapticd.yaml_source import Document, load_path
+from hapticd.yaml_source import MAX_BYTES, Document, load_bytes
 
 DEFAULT_PATH: Final = "/etc/hapticd/bridge.yaml"
 METRICS_PORT: Final = 9417
@@ -105,9 +107,11 @@ def metrics_place(text: str) -> tuple[str, int]:
 def load_bridge(path: str | os.PathLike[str]) -> BridgeConfig:
     """The configuration in a file, with `server_key` as a path from here.
 
-    Raises InvalidError, which names every fault with file, line and key; HapticdError for a file that cannot be read.
+    Raises InvalidError, which names every fault with file, line and key; HapticdError for a file that cannot be read,
+    or that others than root and we may change: it says who is let in.
     """
-    document = load_path(path)
+    document = load_bytes(read_trusted(path, MAX_BYTES), os.fspath(path))
+    refuse_other_kinds(document, "bridge")
     if not isinstance(document.data, dict):
         known = ", ".join(BridgeConfig.model_fields)
         raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
@@ -118,7 +122,7 @@ def load_bridge(path: str | os.PathLike[str]) -> BridgeConfig:
 
 def _validated(document: Document) -> BridgeConfig:
     try:
-        return BridgeConfig.model_validate(document.data)
+        return BridgeConfig.parsed(document.data)
     except ValidationError as error:
         faults = faults_of(error)
-        raise InvalidError(Problem(document.where(path), text) for path, text in faults) from None
+        raise InvalidError(document.problem(path, text) for path, text in faults) from None

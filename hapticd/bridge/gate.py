@@ -71,7 +71,7 @@ class Gate:
     ) -> None:
         self.context, self.folder, self.accounts, self.link = context, folder, accounts, link
         self.command_endpoint = command_endpoint
-        self._tell = Teller(_log.warning)
+        self.tell = Teller(_log.warning)
         self._welcome = Teller(_log.info)
         self.accepted = 0
         self.refused: Counter[str] = Counter()
@@ -139,7 +139,7 @@ class Gate:
     def refuse(self, connection: Connection, reason: str, line: str, who: str = "") -> None:
         """Counts and tells a refusal."""
         self.refused[reason] += 1
-        self._tell(
+        self.tell(
             f"{reason} {who} {connection.kind} {connection.host}",
             f"refused {connection.host} at the {connection.kind} socket: {line}",
         )
@@ -172,7 +172,9 @@ class Gate:
                 connection.relay.daemon_lost()
 
     def tick(self) -> None:
-        """Once a second: subscriptions are looked at although no telemetry comes."""
+        """Once a second: subscriptions are looked at although no telemetry comes, and the log is told what is due."""
+        self.tell.flush()
+        self._welcome.flush()
         for connection in list(self._connections.values()):
             connection.take_subscriptions()
 
@@ -298,7 +300,8 @@ class Connection(asyncio.Protocol):
         try:
             await asyncio.get_running_loop().create_unix_connection(lambda: _Inner(self), path)
         except OSError as error:
-            _log.error("a connection from %s failed: %s: %s", self.host, path, error.strerror)
+            line = f"a connection from {self.host} failed: {path}: {error.strerror}"
+            self._gate.tell(f"failed {error.errno} {self.host}", line)
             self.close()
 
     def inner_made(self, transport: asyncio.Transport) -> None:
@@ -322,7 +325,8 @@ class Connection(asyncio.Protocol):
         """libzmq has ended the connection: refused, or for what came over it."""
         if self.account is not None:
             if not self._closed:
-                _log.info("%s: a connection from %s ended by what came over it", self.account.name, self.host)
+                line = f"{self.account.name}: a connection from {self.host} ended by what came over it"
+                self._gate.tell(f"ended {self.account.name} {self.host}", line)
             self.close()
         elif not self._closed and "refused" not in self._held:
             self._gate.refuse(self, "key", "no handshake of CURVE with the bridge's key")

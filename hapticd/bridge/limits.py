@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections import OrderedDict
 from collections.abc import Callable
 from typing import Final
 
+from hapticd.repeats import Repeats
+
 Clock = Callable[[], float]
 
-TOLD_EVERY_S: Final = 60.0
-_REMEMBERED: Final = 256
 _LINES: Final = 20.0
 _LINES_PER_S: Final = 1.0
 
@@ -31,24 +30,30 @@ class Bucket:
 
 
 class Teller:
-    """Tells a line of each kind at once, its repetitions once a minute, and never many a second: whoever knocks at the
-    door cannot fill the log."""
+    """Tells a line of each kind at once, its repetitions as `repeats` says, and never many a second: whoever knocks at
+    the door cannot fill the log."""
 
     def __init__(self, tell: Callable[[str], None], now: Clock = time.monotonic) -> None:
         self._tell, self._now = tell, now
-        self._kinds: OrderedDict[str, tuple[float, int]] = OrderedDict()
         self._lines = Bucket(_LINES_PER_S, _LINES, now)
         self._until = 0.0
+        self._repeats = Repeats(now, self._room)
+
+    def __len__(self) -> int:
+        """Kinds that are remembered."""
+        return len(self._repeats)
 
     def __call__(self, kind: str, line: str) -> None:
         """`kind`: lines of one kind repeat each other."""
+        self._repeats.note(kind, lambda since: self._tell(line + since.more))
+
+    def flush(self) -> None:
+        """Tells what was held back and is due."""
+        self._repeats.flush()
+
+    def _room(self) -> bool:
         now = self._now()
-        told_at, unsaid = self._kinds.pop(kind, (-TOLD_EVERY_S, 0))
-        if now - told_at < TOLD_EVERY_S or now < self._until:
-            self._kinds[kind] = (told_at, unsaid + 1)
-        else:
-            self._kinds[kind] = (now, 0)
-            self._until = now + self._lines.take(1.0)
-            self._tell(f"{line} ({unsaid} more of these were not told)" if unsaid else line)
-        while len(self._kinds) > _REMEMBERED:
-            self._kinds.popitem(last=False)
+        if now < self._until:
+            return False
+        self._until = now + self._lines.take(1.0)
+        return True

@@ -40,17 +40,24 @@ _LONGEST_FOLDER: Final = 80
 _log = logging.getLogger("hapticd.bridge")
 
 
-def run(config_path: str, runtime_dir: str | None, listen: str | None = None, metrics: str | None = None) -> int:
+def run(
+    config_path: str,
+    runtime_dir: str | None,
+    listen: str | None = None,
+    metrics: str | None = None,
+    log_level: str = "info",
+) -> int:
     """Runs the bridge until SIGTERM or SIGINT; returns its exit code. SIGHUP reloads the configuration's clients and
     limits.
 
-    `listen` and `metrics` take the place of the configuration's. Raises HapticdError where it cannot start.
+    `listen` and `metrics` take the place of the configuration's. `log_level`: one of journal.LEVELS. Raises
+    HapticdError where it cannot start.
     """
     memory.settle()
     os.umask(0o077)
     _more_descriptors()
     loader = _loader(config_path, listen, metrics)
-    with journal.attached(), tempfile.TemporaryDirectory(prefix="hapticd-bridge-") as folder:
+    with journal.attached(log_level), tempfile.TemporaryDirectory(prefix="hapticd-bridge-") as folder:
         if len(os.fsencode(folder)) > _LONGEST_FOLDER:
             raise HapticdError(f"TMPDIR: {folder} is too long for sockets (at most {_LONGEST_FOLDER} bytes)")
         return asyncio.run(_Bridge(loader, daemon_paths(runtime_dir), folder).run())
@@ -68,7 +75,7 @@ def _loader(path: str, listen: str | None, metrics: str | None) -> Callable[[], 
         config = load_bridge(path)
         changes = {key: value for key, value in (("listen", listen), ("metrics", metrics)) if value is not None}
         try:
-            return BridgeConfig.model_validate({**config.model_dump(), **changes})
+            return BridgeConfig.parsed({**config.model_dump(), **changes})
         except ValidationError as error:
             raise InvalidError(problems_of(error)) from None
 
@@ -136,8 +143,8 @@ class _Bridge:
         return 1 if failed else 0
 
     def _lost(self) -> None:
-        _log.warning("the daemon at %s went away", self._paths.directory)
         if self._gate is not None:
+            self._gate.tell("daemon", f"the daemon at {self._paths.directory} went away")
             self._gate.daemon_lost()
 
     def _publish(self, frames: list[bytes]) -> None:

@@ -132,6 +132,7 @@ class Relay:
         answerable, id = (True, None) if body is None else peek(body)
         self._request = _Request(frames, answerable, id)
         size = sum(map(len, frames))
+        _log.debug("%s: a request of %d bytes", self._account.name, size)
         if size > self._largest():
             told = f"the message has {size} bytes: at most {self._largest()} are taken by the bridge"
             self._refuse(_Request(frames, True, None), wire.Code.PARSE, told)
@@ -178,6 +179,7 @@ class Relay:
         self._look()
 
     def _refuse(self, request: _Request, code: wire.Code, told: str) -> None:
+        _log.debug("%s: refused, %d: %s", self._account.name, code, told)
         if request.answerable:
             delimited, _ = wire.open_envelope(request.frames)
             self._reply = wire.close_envelope(delimited, wire.error_reply(request.id, code, told))

@@ -14,6 +14,8 @@ import zmq
 import zmq.asyncio
 from zmq.utils import z85
 
+from hapticd.repeats import Repeats
+
 OK: Final = b"200"
 LATER: Final = b"300"
 """No room now: libzmq closes the connection, and the client tries again."""
@@ -30,9 +32,11 @@ Judge = Callable[[str, str], bytes]
 
 async def authenticate(socket: zmq.asyncio.Socket, judge: Judge) -> None:
     """Answers every handshake of this context, until cancelled."""
+    repeats = Repeats()
     while True:
         frames: list[bytes] = await socket.recv_multipart()
-        await socket.send_multipart(_answer(frames, judge))
+        await socket.send_multipart(_answer(frames, judge, repeats))
+        repeats.flush()
 
 
 def bind(context: zmq.asyncio.Context) -> zmq.asyncio.Socket:
@@ -43,14 +47,15 @@ def bind(context: zmq.asyncio.Context) -> zmq.asyncio.Socket:
     return socket
 
 
-def _answer(frames: list[bytes], judge: Judge) -> list[bytes]:
+def _answer(frames: list[bytes], judge: Judge, repeats: Repeats) -> list[bytes]:
     # Version, request id, domain, address, routing id, mechanism, and CURVE's public key.
     version, request, domain, _, _, mechanism, *credentials = frames
     status = REFUSED
     if version == _VERSION and mechanism == b"CURVE" and len(credentials) == 1 and len(credentials[0]) == 32:
         try:
             status = judge(domain.decode("ascii", "replace"), z85.encode(credentials[0]).decode())
-        except Exception:
+        except Exception as error:
             # A defect of ours, or no descriptors left: it costs this connection, nobody else's.
-            _log.exception("a handshake failed")
+            failure = error
+            repeats.note("handshake", lambda since: _log.error("a handshake failed%s", since.more, exc_info=failure))
     return [_VERSION, request, status, b"", b"", b""]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,15 +28,15 @@ def require(path: str) -> None:
         import matplotlib  # noqa: F401
         from matplotlib.backend_bases import FigureCanvasBase
     except ImportError:
-        raise HapticdError("a plot needs matplotlib: pip install 'hapticd[plots]'") from None
+        raise HapticdError("a plot needs matplotlib: pip install 'hapticd[fit]'") from None
     known = sorted(FigureCanvasBase.get_supported_filetypes())
     ending = os.path.splitext(path)[1].lower().lstrip(".")
     if ending and ending not in known:
         raise HapticdError(f"{path}: cannot be drawn: must end in .png or another of {', '.join(known)}")
 
 
-def save(path: str | os.PathLike[str], curves: Sequence[Curve]) -> None:
-    """Draws the curves into a file whose ending says the kind."""
+def drawn(path: str | os.PathLike[str], curves: Sequence[Curve]) -> bytes:
+    """The picture of the curves, of the kind that the ending of `path` says; without one, a PNG."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -60,7 +61,9 @@ def save(path: str | os.PathLike[str], curves: Sequence[Curve]) -> None:
     below.set_ylabel("phase, degrees")
     below.set_xlabel("Hz")
     try:
-        figure.savefig(path, dpi=120)
+        content = io.BytesIO()
+        figure.savefig(content, dpi=120, format=os.path.splitext(path)[1].lower().lstrip(".") or "png")
+        return content.getvalue()
     except (OSError, ValueError) as error:
         raise HapticdError(f"{os.fspath(path)}: cannot be drawn: {error}") from None
     finally:

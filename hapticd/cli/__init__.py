@@ -1,13 +1,13 @@
 """The command line. Each command stands in a module of its own, which is loaded when it is used.
 
-A command ends with exit code 0, or with another and one line on stderr: 1 for what was asked but could not
-be done, 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
+A command ends with exit code 0, or with another and one line on stderr (see `failure`): 1 for what was asked but could
+not be done (output that nobody takes among it), 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
 """
 
 from __future__ import annotations
 
+import difflib
 import importlib
-import os
 import sys
 from collections.abc import Sequence
 from typing import Final
@@ -15,6 +15,8 @@ from typing import Final
 import click
 
 from hapticd._version import __version__
+from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.streams import guarded
 from hapticd.errors import HapticdError
 
 _HOMES: Final = {
@@ -23,16 +25,19 @@ _HOMES: Final = {
     "reload": "daemon",
     "scene": "scene",
     "material": "material",
+    "apply": "apply",
     "play": "command",
     "force": "command",
     "reset": "command",
     "operator": "command",
+    "mark": "mark",
     "watch": "telemetry",
     "record": "telemetry",
     "flight": "telemetry",
     "replay": "offline",
     "simulate": "offline",
     "check": "check",
+    "paths": "paths",
     "schema": "offline",
     "devices": "devices",
     "bench": "bench",
@@ -44,6 +49,7 @@ _HOMES: Final = {
     "doctor": "doctor",
     "install-service": "service",
     "stop-device": "service",
+    "completion": "completion",
 }
 """The commands in the order in which a person meets them, and the modules that they stand in."""
 
@@ -53,6 +59,7 @@ _HERE_ALONE: Final = frozenset(
         "replay",
         "simulate",
         "check",
+        "paths",
         "schema",
         "devices",
         "bench",
@@ -64,6 +71,7 @@ _HERE_ALONE: Final = frozenset(
         "doctor",
         "install-service",
         "stop-device",
+        "completion",
     ]
 )
 """Those that ask no daemon, or only this machine's: --connect means nothing to them."""
@@ -76,9 +84,22 @@ class _LazyGroup(click.Group):
         except KeyboardInterrupt:
             # Told to click as an ordinary end, since it would print something for an interrupt.
             raise click.exceptions.Exit(130) from None
+        except BrokenPipeError as error:
+            # For which click would end us without a word.
+            raise HapticdError(str(error.strerror)) from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(_HOMES)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        try:
+            return super().resolve_command(ctx, args)
+        except click.NoSuchCommand as error:
+            # Click compares with the commands that are loaded, of which there are none.
+            close = difflib.get_close_matches(error.command_name, self.list_commands(ctx), n=1)
+            raise click.NoSuchCommand(error.command_name, possibilities=close, ctx=ctx) from None
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         home = _HOMES.get(cmd_name)
@@ -90,22 +111,47 @@ class _LazyGroup(click.Group):
         return command
 
 
-@click.group(cls=_LazyGroup, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+_ENVIRONMENT: Final = """\b
+Environment:
+  HAPTICD_CONFIG       Configuration files where no -c is given; several are separated by colons.
+  HAPTICD_RUNTIME_DIR  Where the sockets are, as --runtime-dir.
+  HAPTICD_CONNECT, HAPTICD_KEY, HAPTICD_SERVER_KEY
+                       As --connect, --key and --server-key.
+"""
+
+
+@click.group(
+    cls=_LazyGroup,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog=_ENVIRONMENT,
+)
 @click.version_option(__version__, "-V", "--version", message="hapticd %(version)s")
 @click.option(
     "--runtime-dir",
-    type=click.Path(file_okay=False),
+    type=click.Path(file_okay=False, readable=False),
     metavar="DIR",
-    help="Where the sockets are [default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd or /tmp/hapticd-UID].",
+    help="Where the sockets are  [env var: HAPTICD_RUNTIME_DIR; default: $RUNTIME_DIRECTORY, $XDG_RUNTIME_DIR/hapticd "
+    "or /tmp/hapticd-UID]",
 )
 @click.option(
     "--connect",
     metavar="tcp://HOST[:PORT]",
     envvar="HAPTICD_CONNECT",
+    show_envvar=True,
     help="A bridge to a daemon on another machine, instead; needs both keys.",
 )
-@click.option("--key", metavar="FILE", envvar="HAPTICD_KEY", help="Our secret key.")
-@click.option("--server-key", metavar="FILE", envvar="HAPTICD_SERVER_KEY", help="The bridge's public key.")
+@click.option(
+    "--key", type=click.Path(), metavar="FILE", envvar="HAPTICD_KEY", show_envvar=True, help="Our secret key."
+)
+@click.option(
+    "--server-key",
+    type=click.Path(),
+    metavar="FILE",
+    envvar="HAPTICD_SERVER_KEY",
+    show_envvar=True,
+    help="The bridge's public key.",
+)
 @click.pass_context
 def cli(
     ctx: click.Context, runtime_dir: str | None, connect: str | None, key: str | None, server_key: str | None
@@ -130,6 +176,13 @@ def cli(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
+    with guarded() as told:
+        code = _run(arguments)
+    return code or int(told.lost)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    as_json = asks_for_json(sys.argv[1:] if arguments is None else arguments)
     try:
         result = cli.main(
             args=None if arguments is None else list(arguments), prog_name="hapticd", standalone_mode=False
@@ -138,25 +191,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
         return result if isinstance(result, int) else 0
     except HapticdError as error:
-        return _told(str(error), 1)
+        return tell(error, 1, as_json)
     except click.ClickException as error:
-        hint = ""
-        if isinstance(error, click.UsageError) and error.ctx is not None:
-            hint = f" (see {error.ctx.command_path} --help)"
-        return _told(error.format_message() + hint, error.exit_code)
+        return tell(error, error.exit_code, as_json)
     except (KeyboardInterrupt, click.Abort):
         return 130
-    except BrokenPipeError:
-        # Whoever read our output has had enough. Nothing more can be written, not even at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
     except MemoryError:
-        return _told("there is not enough memory for this; a shorter run or a lower rate needs less", 1)
+        return tell("there is not enough memory for this; a shorter run or a lower rate needs less", 1, as_json)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        return _told(f"{where}{error.strerror or error}", 1)
-
-
-def _told(message: str, code: int) -> int:
-    print("hapticd:", " ".join(message.split()), file=sys.stderr)
-    return code
+        return tell(f"{where}{error.strerror or error}", 1, as_json)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, check_new, config_option, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json, write_whole, yaml_text
 
 if TYPE_CHECKING:
     from hapticd.calibration.handle import Calibration
@@ -20,11 +20,12 @@ DEFAULT_FORCE_N = 1.0
 
 @click.command("calibrate", short_help="Measure handle and grip.")
 @config_option
-@click.option("-o", "--output", metavar="FILE", help="Write the device section there, too.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the device section there, too.")
 @click.option("--overwrite", is_flag=True, help="Replace what is there.")
-@click.option("--plot", metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
+@click.option("--plot", type=click.Path(), metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
 @click.option(
     "--accelerometer",
+    type=click.Path(),
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2).",
 )
@@ -90,7 +91,7 @@ def calibrate_command(
         with _progress() as progress:
             found = handle.calibrate(config, axis, force_n, ask, progress, wide=accelerometer is not None)
     except KeyboardInterrupt:
-        click.echo("hapticd: interrupted; the force is zero, nothing was written", err=True)
+        note("interrupted; the force is zero, nothing was written")
         raise
     if accelerometer is not None:
         recorded()
@@ -99,12 +100,14 @@ def calibrate_command(
     if as_json:
         print_json({**found.to_dict(), **section})
     else:
-        _table(found)
-        click.echo(yaml_text(section))
+        # The section is what is read on, where it goes to no file: then the table is beside it.
+        _table(found, beside=output is None)
+        if output is None:
+            click.echo(yaml_text(section))
     if output is not None:
-        write_whole(output, yaml_text(section) + "\n")
+        write_whole(output, yaml_text(section) + "\n", overwrite)
     if plot is not None:
-        drawing.save(plot, found.curves())
+        write_whole(plot, drawing.drawn(plot, found.curves()), overwrite)
 
 
 @contextmanager
@@ -130,7 +133,7 @@ def _progress() -> Iterator[Callable[[str], None]]:
         yield show
 
 
-def _table(found: Calibration) -> None:
+def _table(found: Calibration, beside: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -139,7 +142,7 @@ def _table(found: Calibration) -> None:
         table.add_column(head, justify="left" if head in ("", "unit") else "right")
     for name, estimate, unit in found.rows():
         table.add_row(name, f"{estimate.value:.4g}", f"{estimate.low:.4g} to {estimate.high:.4g}", unit)
-    console = Console()
+    console = Console(stderr=beside, soft_wrap=True)
     console.print(table)
     for line in found.notes():
-        click.echo(line)
+        console.print(line, markup=False, highlight=False)

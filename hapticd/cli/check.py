@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import config_option, json_option, print_json
+from hapticd.cli.common import config_option, json_option, note, print_json
+from hapticd.stability_words import stability_words
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -40,7 +41,7 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     if report.faults == 0:
         return 0
     things = "one thing" if report.faults == 1 else f"{report.faults} things"
-    click.echo(f"hapticd: {things} of the scene cannot be shown as meant, or may oscillate", err=True)
+    note(f"{things} of the scene cannot be shown as meant, or may oscillate")
     return 1
 
 
@@ -77,15 +78,17 @@ def _print(report: Report, console: Console) -> None:
             "felt wrong by: the handle's acceleration against the library's, 30 Hz to 0.4 of the rate, with "
             f"compensation: {output.compensation}"
         )
-    if stability.unknown is not None:
-        console.print(f"stability: not known: {stability.unknown}", markup=False)
-    elif stability.sets:
+    if stability.sets:
         console.print(_sets(report))
         left = stability.sets - len(stability.worst)
         if left > 0:
             console.print(
                 f"shown are those with the least margin of {stability.sets} sets, {stability.unsafe} of them not safe"
             )
+    for what, words in stability_words(stability.to_dict()):
+        if what == "unsafe":  # among the problems below
+            continue
+        console.print(f"{what}: {words}", markup=False)
     for problem in (*report.refused, *report.undisplayable, *report.warnings, *stability.problems()):
         console.print(str(problem), markup=False)
     if report.faults == 0:

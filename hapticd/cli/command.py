@@ -6,11 +6,13 @@ import re
 
 import click
 
-from hapticd.cli.common import Finite, daemon, json_option, print_result, yaml_file
+from hapticd import words
+from hapticd.cli import names
+from hapticd.cli.common import Finite, daemon, json_option, operator_file, print_result
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")
-@click.argument("material", required=False)
+@click.argument("material", required=False, shell_complete=names.materials)
 @click.option(
     "--mode",
     "mode_text",
@@ -54,8 +56,12 @@ def play_command(
     with daemon(ctx) as client:
         result = client.play(material, mode=mode, direction=direction, amplitude_m_per_s2=amplitude)
     shown = result["displayed_hz"]
-    heard = f"shown at {shown:g} Hz" if shown is not None else "silent: its frequency is above 0.4 of the servo's rate"
-    print_result(result, as_json, f"struck at tick {result['tick']}, {heard}")
+    heard = (
+        f"shown at {words.si(shown, 'Hz')}"
+        if shown is not None
+        else "silent: its frequency is above 0.4 of the servo's rate"
+    )
+    print_result(result, as_json, f"struck at tick {result['tick']:,}, {heard}")
 
 
 def _mode(text: str) -> dict[str, float]:
@@ -79,34 +85,40 @@ def _mode(text: str) -> dict[str, float]:
 @click.pass_context
 def force_command(ctx: click.Context, state: str, as_json: bool) -> None:
     """Turn forces on or off; on clears a latched fault whose cause is gone."""
+    from hapticd.calls import RemoteError
+    from hapticd.wire import Code
+
     with daemon(ctx) as client:
-        result = client.set_forces(state == "on")
+        try:
+            result = client.set_forces(state == "on")
+        except RemoteError as error:
+            if error.code != Code.FORCES_OFF:
+                raise
+            # What the daemon tells every client is to turn them on, which was just refused.
+            why = error.message.partition(": ")[0]
+            raise RemoteError(error.code, f"{why}, which is still so: they stay off", error.data) from None
     print_result(result, as_json, f"forces {result['forces']}")
 
 
 @click.command("reset", short_help="Heal membranes and clear contacts.")
-@click.argument("objects", nargs=-1)
+@click.argument("objects", nargs=-1, shell_complete=names.objects)
 @json_option
 @click.pass_context
 def reset_command(ctx: click.Context, objects: tuple[str, ...], as_json: bool) -> None:
     """Heal membranes and clear contacts, of OBJECTS or of all."""
     with daemon(ctx) as client:
         result = client.reset(objects or None)
-    print_result(result, as_json, f"reset at tick {result['tick']}")
+    print_result(result, as_json, f"reset at tick {result['tick']:,}")
 
 
 @click.command("operator", short_help="Move the simulated joystick's hand.")
-@click.argument("file")
+@click.argument("file", shell_complete=names.operators)
 @json_option
 @click.pass_context
 def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
-    """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints)."""
-    from hapticd.operator import load_operator
-
-    operator = load_operator(yaml_file(file))
+    """Let the simulated joystick's hand do what FILE says (YAML waypoints or a gesture, or CSV waypoints; or
+    the name of a shipped operator)."""
+    source = operator_file(file)
     with daemon(ctx) as client:
-        if operator.gesture is not None:
-            result = client.set_operator(gesture=operator.gesture.to_dict())
-        else:
-            result = client.set_operator(operator.waypoints, interpolation=operator.interpolation)
-    print_result(result, as_json, f"under way for {result['duration_s']:g} s")
+        result = client.set_operator(source)
+    print_result(result, as_json, f"takes {words.duration(result['duration_s'])}")

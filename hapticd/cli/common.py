@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
 import re
-import shutil
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
+from click.core import ParameterSource
 
+from hapticd.cli import names
+from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, quoted
+from hapticd.journal import LEVELS
+from hapticd.place import displaced, place
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -34,6 +40,10 @@ class Finite(click.FloatRange):
             self.fail(f"{number} is not a finite number", param, ctx)
         return number
 
+    def _describe_range(self) -> str:
+        # Of a range without ends click's help says x<=None.
+        return "" if self.min is None and self.max is None else super()._describe_range()
+
 
 def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
@@ -42,9 +52,14 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     from hapticd.remote import PORT, host_and_port
 
     root = ctx.find_root()
-    place, timeout_s = root.params.get("connect"), TIMEOUT_S if timeout_s is None else timeout_s
+    timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
+    # What stands in the environment is taken from there by `connect`, which names the variable in its errors.
+    place, key, server_key = (
+        root.params.get(name) if root.get_parameter_source(name) == ParameterSource.COMMANDLINE else None
+        for name in ("connect", "key", "server_key")
+    )
     if place is None:
-        return connect(cast("str | None", root.obj), timeout_s)
+        return connect(cast("str | None", root.obj), timeout_s, key=key, server_key=server_key)
     try:
         host_and_port(place, PORT)
     except ValueError as error:
@@ -52,7 +67,7 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     missing = [f"--{name.replace('_', '-')}" for name in ("key", "server_key") if root.params.get(name) is None]
     if missing:
         raise click.UsageError(f"--connect needs {' and '.join(missing)}, or the variables of both", root)
-    return connect(place, timeout_s, key=root.params.get("key"), server_key=root.params.get("server_key"))
+    return connect(place, timeout_s, key=key, server_key=server_key)
 
 
 def config_option(command: _F) -> _F:
@@ -63,13 +78,32 @@ def config_option(command: _F) -> _F:
         "configs",
         multiple=True,
         metavar="FILE",
-        help="Configuration; later files override earlier ones [default: the simulated joystick].",
+        shell_complete=names.scenes,
+        help="Configuration, a scene, or the name of a shipped scene; later files override earlier ones  [env var: "
+        "HAPTICD_CONFIG; default: ~/.config/hapticd/config.yaml, /etc/hapticd/config.yaml or, without these, the "
+        "simulated joystick]",
     )(command)
 
 
 def json_option(command: _F) -> _F:
     """The option `--json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON, for programs.")(command)
+
+
+def log_options(command: _F) -> _F:
+    """The options of what runs until it is ended: how much stands in its log, as the parameter `log_level`."""
+
+    @click.option("-q", "--quiet", is_flag=True, help="Log warnings and errors alone.")
+    @click.option("-v", "--verbose", is_flag=True, help="Log each request and each event, too.")
+    @click.option("--log-level", type=click.Choice(LEVELS), help="The least important line of the log [default: info].")
+    @functools.wraps(command)
+    def with_level(*args: Any, quiet: bool, verbose: bool, log_level: str | None, **options: Any) -> Any:
+        if quiet + verbose + (log_level is not None) > 1:
+            raise click.UsageError("-q, -v and --log-level say the same: give one")
+        level = log_level or ("warning" if quiet else "debug" if verbose else "info")
+        return command(*args, log_level=level, **options)
+
+    return cast(_F, with_level)
 
 
 def change_options(command: _F) -> _F:
@@ -85,19 +119,75 @@ def yaml_file(name: str) -> str:
     return "/dev/stdin" if name == "-" else name
 
 
+def scene_file(name: str) -> str:
+    """As yaml_file, where the name of a shipped scene does too. Raises HapticdError for a name that is neither."""
+    from hapticd.shipped_files import file_of
+
+    return file_of(name, "scenes")
+
+
+def operator_file(name: str) -> str:
+    """As scene_file, of operators."""
+    from hapticd.shipped_files import file_of
+
+    return file_of(name, "operators")
+
+
 def print_json(value: object) -> None:
     """One line of JSON."""
     click.echo(json.dumps(value, ensure_ascii=False))
 
 
+def note(text: str) -> None:
+    """A line for people beside the result: on stderr, since stdout is the result's.
+
+    With --json it is left out: the result says the same, and stderr holds nothing but the object of an error.
+    """
+    ctx = click.get_current_context(silent=True)
+    if ctx is not None and ctx.params.get("as_json"):
+        return
+    click.echo(f"hapticd: {shell_words(text)}", err=True)
+
+
 def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None:
-    """The result as JSON, or `text`; a warning in the result goes to stderr."""
+    """The result as JSON, which holds its warnings, or `text`, and the warnings on stderr."""
     if as_json:
         print_json(result)
-    else:
-        click.echo(text)
+        return
+    click.echo(text)
     if "warning" in result:
-        click.echo(f"hapticd: {result['warning']}", err=True)
+        note(f"warning: {result['warning']}")
+    for warned in cast("list[Mapping[str, str]]", result.get("warnings", [])):
+        note(f"warning: {warned['where']}: {warned['problem']}")
+
+
+def overwrite_option(command: _F) -> _F:
+    """The option `--overwrite`."""
+    return click.option("--overwrite", is_flag=True, help="Replace a file that is there.")(command)
+
+
+def notes_option(command: _F) -> _F:
+    """The option `--note`: the notes as a dictionary."""
+    return click.option(
+        "--note",
+        "notes",
+        multiple=True,
+        metavar="KEY=VALUE",
+        callback=_notes,
+        help="Keep a note in the recording; may be given several times.",
+    )(command)
+
+
+def _notes(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, str]:
+    notes: dict[str, str] = {}
+    for text in given:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise click.BadParameter(f"{text!r} is not of the form KEY=VALUE", ctx, param)
+        if key.strip() in notes:
+            raise click.BadParameter(f"{key.strip()!r} is given twice", ctx, param)
+        notes[key.strip()] = value
+    return notes
 
 
 def check_new(target: str, overwrite: bool) -> None:
@@ -109,38 +199,30 @@ def check_new(target: str, overwrite: bool) -> None:
         raise HapticdError(f"{target}: cannot be written: there is no folder {folder}")
 
 
-def write_whole(path: str, content: str | bytes) -> None:
-    """Writes a file, or leaves the one that is there as it is. Raises HapticdError."""
+def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
+    """Writes a file, or leaves the one that is there as it is. Raises HapticdError.
+
+    A file that has appeared since `check_new` keeps its name without `overwrite`; what was to be written then gets the
+    next free one, which the error says.
+    """
     data = content.encode() if isinstance(content, str) else content
-    target = os.path.realpath(path)
-    part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
+    target = Path(os.path.realpath(path))
+    part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        if os.path.exists(target) and not os.path.isfile(target):
+        if target.exists() and not target.is_file():
             # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
             with open(target, "wb") as file:
                 file.write(data)
             return
         with open(part, "xb") as file:
             file.write(data)
-        os.replace(part, target)
+        placed = place(part, target, overwrite)
     except OSError as error:
         with suppress(OSError):
-            os.unlink(part)
+            part.unlink()
         raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def copy_whole(source: str, path: str) -> None:
-    """Copies a file, or leaves the one that is there as it is. Raises HapticdError."""
-    target = os.path.realpath(path)
-    part = os.path.join(os.path.dirname(target), f".{os.path.basename(target)}.{os.getpid()}.part")
-    try:
-        with open(source, "rb") as origin, open(part, "xb") as file:
-            shutil.copyfileobj(origin, file, 1 << 20)
-        os.replace(part, target)
-    except OSError as error:
-        with suppress(OSError):
-            os.unlink(part)
-        raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
+    if placed != target:
+        raise HapticdError(displaced(path, placed))
 
 
 def print_yaml(value: Mapping[str, object]) -> None:
@@ -175,8 +257,8 @@ def _flow(value: object) -> str:
 
 def changed(result: Mapping[str, object]) -> str:
     """What a change of the scene did, in words."""
-    tick = f", in force from tick {result['tick']} on" if "tick" in result else ""
-    return f"revision {result['revision']}{tick}"
+    tick = f", in force from tick {result['tick']:,} on" if "tick" in result else ""
+    return f"revision {result['revision']:,}{tick}"
 
 
 def duration(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:

@@ -10,7 +10,19 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd.cli.common import Finite, duration, json_option, print_json, write_whole, yaml_text
+from hapticd import words
+from hapticd.cli.common import (
+    Finite,
+    check_new,
+    config_option,
+    duration,
+    json_option,
+    note,
+    overwrite_option,
+    print_json,
+    write_whole,
+    yaml_text,
+)
 from hapticd.errors import HapticdError, quoted
 
 if TYPE_CHECKING:
@@ -34,7 +46,7 @@ def devices_command(ctx: click.Context, as_json: bool) -> None:
     if as_json:
         print_json([item.to_dict() for item in found])
     elif not found:
-        click.echo("no HID device is connected, or the kernel has no hidraw")
+        note("no HID device is connected, or the kernel has no hidraw")
     for item in () if as_json else found:
         click.echo(f"{item}, {item.bus}")
         click.echo(f"    {_verdict(item)}")
@@ -47,30 +59,36 @@ def _verdict(item: Found) -> str:
         return f"cannot be driven without a description: {item.why_not()}"
     said = "can be driven"
     if item.out_interval_s:
-        said += f", a report every {1e3 * item.out_interval_s:g} ms"
+        said += f", a report every {words.si(item.out_interval_s, 's')}"
     return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
 
 
 @devices_command.command("dump")
 @click.argument("device", metavar="DEVICE")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where the recording goes.")
+@click.option("-o", "--output", required=True, type=click.Path(), metavar="FILE", help="Where the recording goes.")
 @click.option(
     "--for", "duration_s", callback=duration, default="5s", show_default=True, metavar="TIME", help="How long."
 )
-def dump_command(device: str, output: str, duration_s: float) -> None:
+@overwrite_option
+@json_option
+def dump_command(device: str, output: str, duration_s: float, overwrite: bool, as_json: bool) -> None:
     """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
     or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
     from hapticd.hid.discover import find
-    from hapticd.hid.replay import Recording, record, save
+    from hapticd.hid.replay import Recording, record, text_of
 
+    check_new(output, overwrite)
     item = _named(device, find())
     fd = os.open(item.path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         reports = record(fd, duration_s)
     finally:
         os.close(fd)
-    save(output, Recording(item.name, item.vendor, item.product, item.descriptor, reports))
-    click.echo(f"{len(reports)} reports of {item} in {output}")
+    write_whole(output, text_of(Recording(item.name, item.vendor, item.product, item.descriptor, reports)), overwrite)
+    if as_json:
+        print_json({"file": output, "device": item.to_dict(), "reports": len(reports)})
+    else:
+        click.echo(f"{words.count(len(reports), 'report')} of {item} in {output}")
 
 
 def _named(device: str, found: Sequence[Found]) -> Found:
@@ -84,7 +102,7 @@ def _named(device: str, found: Sequence[Found]) -> Found:
 
 
 @devices_command.command("calibrate")
-@click.option("-c", "--config", "configs", multiple=True, metavar="FILE", help="Configuration that names the device.")
+@config_option
 @click.option(
     "--force",
     "force_n",
@@ -92,9 +110,13 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     metavar="N",
     help="Force to push with [default: 5 % of full].",
 )
-@click.option("-o", "--output", metavar="FILE", help="Write the section there, too.")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the section there, too.")
+@overwrite_option
 @click.option("--yes", is_flag=True, help="Nobody holds the handle; do not ask.")
-def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: str | None, yes: bool) -> None:
+@json_option
+def calibrate_command(
+    configs: tuple[str, ...], force_n: float | None, output: str | None, overwrite: bool, yes: bool, as_json: bool
+) -> None:
     """Find out which way a device pushes, and print the configuration that says so.
 
     The handle is pushed gently along each axis, both ways; nobody may hold it.
@@ -106,6 +128,8 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
         raise click.UsageError(f"-o {output}: would take the place of the configuration; name another file")
+    if output is not None:
+        check_new(output, overwrite)
     config = config_of(configs)
     hid = config.device.hid
     most_n = MOST_OF_FULL * hid.full_scale_force_n
@@ -115,7 +139,9 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
     opened = open_hid(hid.model_copy(update={"force_axes": ForceAxes()}))
     try:
         if not yes:
-            click.confirm(f"{opened.name} at {opened.device.path} will move. Is every hand off it?", abort=True)
+            click.confirm(
+                f"{opened.name} at {opened.device.path} will move. Is every hand off it?", abort=True, err=True
+            )
         found = calibrate(opened.device, opened.driver, hid, force_n)
     finally:
         opened.device.close()
@@ -124,9 +150,12 @@ def calibrate_command(configs: tuple[str, ...], force_n: float | None, output: s
     }
     text = yaml_text(section)
     # Whatever becomes of the file, what was found is told.
-    click.echo(text)
+    if as_json:
+        print_json(section)
+    else:
+        click.echo(text)
     if output is not None:
-        write_whole(output, text + "\n")
+        write_whole(output, text + "\n", overwrite)
 
 
 @devices_command.command("parse")

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import click
 
-from hapticd.cli.common import config_option, json_option, print_json
+from hapticd import words
+from hapticd.cli.common import config_option, json_option, note, print_json
 
 _ANSWER_S = 2.0
 
@@ -23,17 +24,17 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     """
     from hapticd._version import __version__
     from hapticd.client import DaemonNotRunning, connect
-    from hapticd.config import default_config, load_config
+    from hapticd.config import config_of
     from hapticd.doctor import diagnose
     from hapticd.doctor.machine import Machine, Needs
-    from hapticd.paths import SYSTEM_DIRECTORY
+    from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths
 
-    config = load_config(configs) if configs else default_config()
+    config = config_of(configs)
 
     def asked() -> Mapping[str, object] | None:
         # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.
         named = ctx.find_root().obj
-        for place in (named,) if named is not None else (None, SYSTEM_DIRECTORY):
+        for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
             try:
                 with connect(place, _ANSWER_S) as client:
                     return client.get_status()
@@ -55,5 +56,6 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     failed = [finding.name for finding in findings if finding.verdict == "fail"]
     if not failed:
         return 0
-    click.echo(f"hapticd: not ready: {', '.join(dict.fromkeys(failed))}", err=True)
+    if not as_json:
+        note(f"not ready: {words.listed(list(dict.fromkeys(failed)))}")
     return 1

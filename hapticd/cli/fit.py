@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
 
-from hapticd.cli.common import Finite, check_new, json_option, print_json, write_whole, yaml_text
+from hapticd.cli.common import Finite, check_new, json_option, note, print_json, write_whole, yaml_text
 from hapticd.cli.synthesize import synthesize_command
 from hapticd.errors import HapticdError
 
@@ -69,10 +69,12 @@ def _options(command: _F) -> _F:
             metavar="N/M",
             help=f"Stiffness of the material where the recordings do not tell it [default: {STIFFNESS_N_PER_M:g}].",
         ),
-        click.option("--report", metavar="FILE.html|.png", help="Draw recording and model (needs matplotlib)."),
+        click.option(
+            "--report", type=click.Path(), metavar="FILE.html|.png", help="Draw recording and model (needs matplotlib)."
+        ),
         click.option("--name", metavar="NAME", help="Name of the material [default: the output's, without .yaml]."),
-        click.option("-o", "--output", metavar="FILE", help="Write the material there, as YAML."),
-        click.argument("files", nargs=-1, required=True, metavar="FILES..."),
+        click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the material there, as YAML."),
+        click.argument("files", nargs=-1, required=True, type=click.Path(), metavar="FILES..."),
     ):
         command = option(command)
     return command
@@ -221,15 +223,20 @@ def _run(
     fresh = {"materials": {name: material.to_dict()}}
     if output is not None:
         whole = {**library, name: material}
-        write_whole(output, yaml_text({"materials": {key: each.to_dict() for key, each in whole.items()}}) + "\n")
+        write_whole(
+            output,
+            yaml_text({"materials": {key: each.to_dict() for key, each in whole.items()}}) + "\n",
+            overwrite or merge,
+        )
     if report is not None and picture is not None:
-        write_whole(report, picture)
+        write_whole(report, picture, overwrite)
     if as_json:
         print_json({"kind": kind, "fit": _finite(fitted.fit.to_dict()), "notes": notes, **fresh})
         return
-    _tell(kind, fitted.fit)
-    for note in notes:
-        click.echo(f"hapticd: {note}", err=True)
+    # The material is what is read on, where it goes to no file: then the table is beside it.
+    _tell(kind, fitted.fit, beside=output is None)
+    for line in notes:
+        note(line)
     if output is None:
         click.echo(yaml_text(fresh))
 
@@ -310,7 +317,7 @@ def _progress(steps: int) -> Iterator[_Step]:
         yield show
 
 
-def _tell(kind: Kind, found: Fit) -> None:
+def _tell(kind: Kind, found: Fit, beside: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -322,10 +329,10 @@ def _tell(kind: Kind, found: Fit) -> None:
         table.add_column(head, justify="left" if head in (kind, "unit") else "right", no_wrap=True)
     for row in figure_rows(estimates(found), plain_figures(found)):
         table.add_row(*row)
-    Console(soft_wrap=True).print(table)
-    click.echo(found.verdict)
+    Console(soft_wrap=True, stderr=beside).print(table)
+    click.echo(found.verdict, err=beside)
     for warning in found.warnings:
-        click.echo(f"hapticd: {warning}", err=True)
+        note(warning)
 
 
 def _finite(value: object) -> object:

@@ -6,14 +6,36 @@ import json
 
 import click
 
-from hapticd.cli.common import duration, json_option, print_json, yaml_file
+from hapticd import words
+from hapticd.cli import names
+from hapticd.cli.common import (
+    duration,
+    json_option,
+    note,
+    notes_option,
+    operator_file,
+    overwrite_option,
+    print_json,
+    scene_file,
+)
 from hapticd.errors import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
-@click.argument("scene")
-@click.option("--operator", "operator_file", required=True, metavar="FILE", help="What the hand does (YAML or CSV).")
-@click.option("-o", "--output", required=True, metavar="FILE", help="Where the samples go (.npz, .csv or .mcap).")
+@click.argument("scene", shell_complete=names.scenes)
+@click.option(
+    "--operator",
+    metavar="FILE",
+    shell_complete=names.operators,
+    help="What the hand does (YAML or CSV), or a shipped operator's name  [default: of a shipped scene, its own]",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(),
+    metavar="FILE",
+    help="Where the samples go (.npz, .csv or .mcap)  [default: nowhere, the summary alone is printed]",
+)
 @click.option(
     "--for",
     "duration_s",
@@ -22,45 +44,78 @@ from hapticd.errors import undisplayable_text
     help="How long: 5s, 500ms [default: as long as the operator].",
 )
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
+@notes_option
+@overwrite_option
 @json_option
 def simulate_command(
-    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float | None, as_json: bool
+    scene: str,
+    operator: str | None,
+    output: str | None,
+    duration_s: float | None,
+    rate_hz: float | None,
+    notes: dict[str, str],
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
-    """Run SCENE (YAML: a scene or a whole configuration) with the simulated joystick, without daemon and
-    clock.
+    """Run SCENE (YAML: a scene or a whole configuration; or the name of a shipped scene) with the simulated joystick,
+    without daemon and clock.
 
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
-    from hapticd.cli.simulation import simulate_to_file
+    from hapticd.cli.simulation import simulate_files
 
-    result = simulate_to_file(yaml_file(scene), yaml_file(operator_file), output, duration_s, rate_hz)
+    file = scene_file(scene)
+    operator = operator or _own_operator(file)
+    if operator is None:
+        raise click.UsageError("Missing option '--operator'.")
+    if output is None and (notes or overwrite):
+        raise click.UsageError("--note and --overwrite are for a file: name it with -o")
+    result = simulate_files(
+        file, operator_file(operator), output, duration_s, rate_hz, overwrite=overwrite, notes=notes
+    )
     for mode in result["undisplayable"]:
-        click.echo(f"hapticd: {undisplayable_text(mode)}", err=True)
+        note(undisplayable_text(mode))
     for warning in result["warnings"]:
-        click.echo(f"hapticd: {warning['where']}: {warning['problem']}", err=True)
+        note(f"{warning['where']}: {warning['problem']}")
     if as_json:
         print_json(result)
     else:
-        length = f"{result['ticks']} ticks in {result['duration_s']:.3f} s"
-        click.echo(f"{result['file']}: {length}, {result['events']} events")
+        length = f"{words.count(result['ticks'], 'tick')} in {result['duration_s']:.3f} s"
+        kinds = ", ".join(words.count(number, kind) for kind, number in result["event_counts"].items())
+        told = f"{words.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
+        force = f"largest force {words.si(result['largest_force_n'], 'N')}"
+        click.echo(f"{result['file'] or scene}: {length}, {told}, {force}")
+
+
+def _own_operator(scene: str) -> str | None:
+    """The operator of a shipped scene."""
+    from hapticd.shipped_files import shipped_scenes
+
+    return next((each.operator for each in shipped_scenes() if each.file == scene), None)
 
 
 @click.command("replay", short_help="Render a recording again, and compare.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option("-o", "--output", metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap).")
+@click.option(
+    "-o", "--output", type=click.Path(), metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap)."
+)
+@overwrite_option
 @json_option
-def replay_command(file: str, output: str | None, as_json: bool) -> int:
-    """Render what FILE (.npz, .csv or .mcap of `record` or `simulate`) was rendered with again, without daemon and
-    clock, and compare the forces.
+def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
+    """Render FILE (.npz, .csv or .mcap of `record`, `simulate` or `flight`) again, without daemon and clock, and
+    compare the forces.
 
     Ends with 1 where they are not the recorded ones, bit for bit.
     """
     from hapticd.replayed import replay
+    from hapticd.sink import check_target
 
+    if output is not None:
+        check_target(output, overwrite)
     again = replay(file)
     if output is not None:
-        again.write(output)
+        again.write(output, overwrite)
     if as_json:
         print_json(again.to_dict())
     else:

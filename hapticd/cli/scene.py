@@ -1,9 +1,10 @@
-"""`hapticd scene get | set | update`."""
+"""`hapticd scene list | get | set | update`."""
 
 from __future__ import annotations
 
 import click
 
+from hapticd.cli import names
 from hapticd.cli.common import (
     change_options,
     changed,
@@ -12,6 +13,7 @@ from hapticd.cli.common import (
     print_json,
     print_result,
     print_yaml,
+    scene_file,
     yaml_file,
 )
 
@@ -19,6 +21,22 @@ from hapticd.cli.common import (
 @click.group("scene", no_args_is_help=False)
 def scene_command() -> None:
     """Read or change the scene."""
+
+
+@scene_command.command("list")
+@json_option
+def scene_list(as_json: bool) -> None:
+    """List the scenes that ship with hapticd: each name does where a command takes a scene."""
+    from hapticd.shipped_files import shipped_scenes
+
+    scenes = shipped_scenes()
+    if as_json:
+        print_json([scene.to_dict() for scene in scenes])
+        return
+    width = max(len(scene.name) for scene in scenes)
+    for scene in scenes:
+        made_for = f" (operator: {scene.operator})" if scene.operator else ""
+        click.echo(f"{scene.name:<{width}}  {scene.shows}{made_for}")
 
 
 @scene_command.command("get")
@@ -36,19 +54,20 @@ def scene_get(ctx: click.Context, as_json: bool) -> None:
 
 
 @scene_command.command("set")
-@click.argument("file")
+@click.argument("file", shell_complete=names.scenes)
 @change_options
 @json_option
 @click.pass_context
 def scene_set(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
-    """Replace the scene by that in FILE (YAML; - is the standard input)."""
+    """Replace the scene by that in FILE (YAML, or the name of a shipped scene; - is the standard input)."""
+    source = scene_file(file)
     with daemon(ctx) as client:
-        result = client.set_scene(yaml_file(file), expect_revision, wait)
+        result = client.set_scene(source, expect_revision, wait)
     print_result(result, as_json, changed(result))
 
 
 @scene_command.command("update")
-@click.argument("file")
+@click.argument("file", type=click.Path())
 @change_options
 @json_option
 @click.pass_context

@@ -17,9 +17,9 @@ from hapticd.errors import HapticdError
 @click.option("--uninstall", is_flag=True, help="Take it away again, but for what somebody changed.")
 @click.option(
     "--root",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Into another root, as for a package; the running system is not touched.",
+    help="Into another root, as for a package, made if it is missing; the running system is not touched.",
 )
 @json_option
 def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Path | None, as_json: bool) -> int:
@@ -29,8 +29,6 @@ def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Pa
     if user and root is not None:
         raise click.UsageError("--root is for the system's service, not for --user")
     service = Service(Installation.this(), user=user, root=root, dry_run=dry_run)
-    if dry_run and not as_json:
-        click.echo("nothing is changed; what would be done:")
     failed = []
     steps = []
     for step in service.uninstall() if uninstall else service.install():
@@ -38,7 +36,7 @@ def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Pa
         if step.kind == "failed":
             failed.append(step)
         if not as_json:
-            click.echo(str(step))
+            click.echo(step.would() if dry_run else str(step))
     if as_json:
         print_json(steps)
     if failed:

@@ -2,65 +2,102 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import asdict
 from typing import TypedDict
 
+import numpy as np
+
 from hapticd.config import Config, load_config
+from hapticd.core import EventKind
+from hapticd.document_kinds import refuse_other_kinds
+from hapticd.errors import HapticdError
 from hapticd.events import event_map
-from hapticd.offline import simulate_run
-from hapticd.scene import load_scene
-from hapticd.sink import open_sink
+from hapticd.offline import Run, simulate_run
+from hapticd.place import displaced
+from hapticd.sink import Sink, open_sink
 from hapticd.yaml_source import load_path
 
 
 class SimulationResult(TypedDict):
-    """What was written."""
+    """What was simulated."""
 
-    file: str
+    file: str | None
+    """Where it was written to, if it was."""
     ticks: int
     duration_s: float
     events: int
+    event_counts: dict[str, int]
+    """How many there were of each kind of event."""
+    largest_force_n: float
+    """Largest magnitude of the command."""
     undisplayable: list[dict[str, object]]
     warnings: list[dict[str, str]]
 
 
-def simulate_to_file(
-    scene: str, operator_file: str, output: str, duration_s: float | None, rate_hz: float | None
+def simulate_files(
+    scene: str,
+    operator_file: str,
+    output: str | None,
+    duration_s: float | None,
+    rate_hz: float | None,
+    *,
+    overwrite: bool = False,
+    notes: Mapping[str, str] | None = None,
 ) -> SimulationResult:
-    """Runs a scene or a configuration with the simulated joystick, into a file; without a rate at its own.
+    """Runs a scene or a configuration with the simulated joystick, into a file if one is named; without a rate at its
+    own.
 
-    Raises HapticdError or InvalidError for what cannot be read, run or written.
+    Raises HapticdError or InvalidError for what cannot be read, run or written, before anything is run for a file that
+    is there already and not to be replaced.
     """
-    with open_sink(output) as sink:
+    with nullcontext() if output is None else open_sink(output, overwrite) as sink:
         config = _config(scene)
         run = simulate_run(config, operator_file, duration_s, rate_hz)
-        servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
-        sink.begin(
-            {
-                "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
-                "scene": config.scene.to_dict(),
-                "materials": {name: material.to_dict() for name, material in config.materials.items()},
-            }
-        )
-        sink.write_change({"revision": 1})
-        sink.write(run.samples)
-        for event in run.events:
-            place = int(event["slot"]), int(event["generation"])
-            sink.write_event(event_map(event, run.objects.get(place)))
-        sink.finish(arrays={} if run.truth is None else {"truth": run.truth})
-    ticks = len(run.samples)
+        if sink is not None:
+            _write(sink, config, run, notes or {})
+            if sink.displaced:
+                raise HapticdError(displaced(str(output), sink.target))
+    magnitudes = np.hypot(*run.samples["force_n"].T)
     return {
         "file": output,
-        "ticks": ticks,
-        "duration_s": ticks / run.rate_hz,
+        "ticks": len(run.samples),
+        "duration_s": len(run.samples) / run.rate_hz,
         "events": len(run.events),
+        "event_counts": dict(Counter(EventKind(int(kind)).name.lower() for kind in run.events["kind"])),
+        "largest_force_n": float(magnitudes.max(initial=0.0)),
         "undisplayable": [asdict(mode) for mode in run.undisplayable],
         "warnings": [asdict(problem) for problem in run.warnings],
     }
 
 
+def _write(sink: Sink, config: Config, run: Run, notes: Mapping[str, str]) -> None:
+    servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
+    sink.begin(
+        {
+            "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
+            "scene": config.scene.to_dict(),
+            "materials": {name: material.to_dict() for name, material in config.materials.items()},
+        }
+    )
+    sink.write_change({"revision": 1})
+    sink.write(run.samples)
+    for event in run.events:
+        place = int(event["slot"]), int(event["generation"])
+        sink.write_event(event_map(event, run.objects.get(place)))
+    ticks = len(run.samples)
+    about = {
+        "ticks": ticks,
+        "duration_s": ticks / run.rate_hz,
+        "events": len(run.events),
+        "missed_periods": 0,
+        "notes": dict(notes),
+    }
+    sink.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
+
+
 def _config(path: str) -> Config:
-    data = load_path(path).data
-    if isinstance(data, dict) and not data.keys() & Config.model_fields.keys():
-        return load_config({"scene": load_scene(path)})
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
     return load_config(path)

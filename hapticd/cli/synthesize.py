@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
-from hapticd.cli.common import Finite, check_new, config_option, json_option, print_json
+from hapticd import words
+from hapticd.cli import names
+from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json, write_whole
 from hapticd.errors import HapticdError, known_names, quoted
 
 if TYPE_CHECKING:
@@ -51,7 +53,9 @@ def _stylus_options(command: _F) -> _F:
         _number("--noise", "noise_rms", 0.0, 10.0, "PART", "RMS of the noise, of the largest acceleration.", 0.02),
         _number("--rate", "rate_hz", 100.0, 1e6, "HZ", "Samples a second.", 25_000.0),
         config_option,
-        click.option("-o", "--output", required=True, metavar=f"FILE{ENDING}", help="Where it goes."),
+        click.option(
+            "-o", "--output", required=True, type=click.Path(), metavar=f"FILE{ENDING}", help="Where it goes."
+        ),
     ):
         command = option(command)
     return command
@@ -73,7 +77,15 @@ def _several(flag: str, name: str, high: float, unit: str, text: str, default: S
 
 
 def _material_option(default: str) -> Callable[[_F], _F]:
-    return click.option("--material", "name", default=default, show_default=True, metavar="NAME", help="Of what.")
+    return click.option(
+        "--material",
+        "name",
+        default=default,
+        show_default=True,
+        metavar="NAME",
+        shell_complete=names.shipped_materials,
+        help="Of what.",
+    )
 
 
 _stroke_options: Final = (
@@ -223,14 +235,13 @@ def _run(
     full_scale_m_per_s2: float | None,
     **stylus: Any,
 ) -> None:
-    from hapticd.config import load_config
-    from hapticd.fit.recording import save
+    from hapticd.config import config_of
+    from hapticd.fit.recording import npz_of
     from hapticd.fit.synthesize import Stylus
-    from hapticd.materials import shipped_materials
 
     if os.path.splitext(output)[1].lower() != ENDING:
         raise HapticdError(f"{output}: is no recording: must end in {ENDING}")
-    materials: Mapping[str, Material] = load_config(configs).materials if configs else shipped_materials()
+    materials: Mapping[str, Material] = config_of(configs).materials
     if name not in materials:
         raise HapticdError(f"unknown material {quoted(name)}; {known_names(name, materials)}")
     made = Stylus(**stylus, full_scale_m_per_s2=math.inf if full_scale_m_per_s2 is None else full_scale_m_per_s2)
@@ -242,19 +253,17 @@ def _run(
     for target in targets:
         check_new(target, overwrite)
     for target, recording in zip(targets, recordings, strict=True):
-        save(recording, target)
+        write_whole(target, npz_of(recording), overwrite)
     if as_json:
         print_json({"kind": kind, "material": name, "truth": truth, "files": targets})
         return
     from hapticd.schema import unit_of
 
-    click.echo(f"the truth of {name}:")
     for key, value in truth.items():
-        click.echo(f"  {key}: {value:.6g} {unit_of(key) or ''}".rstrip())
+        click.echo(f"{key}: {value:.6g} {unit_of(key) or ''}".rstrip())
     if not truth:
-        click.echo("  its models")
-    for target in targets:
-        click.echo(target)
+        note(f"the truth of {name} is its models")
+    note(f"{words.count(len(targets), 'recording')} of {name}: {', '.join(targets)}")
 
 
 def _targets(output: str, count: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""`hapticd watch` and `hapticd record`."""
+"""`hapticd watch`, `hapticd record` and `hapticd flight`."""
 
 from __future__ import annotations
 
@@ -13,20 +13,27 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hapticd.cli.common import copy_whole, daemon, duration, json_option, print_json
+from hapticd.cli.common import daemon, duration, json_option, note, notes_option, overwrite_option, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hapticd.record import Recording
+    from hapticd.record import RecordSummary
 
 
 @click.command("watch", short_help="Show what happens, live.")
+@click.option(
+    "--for",
+    "duration_s",
+    metavar="TIME",
+    callback=duration,
+    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
+)
 @json_option
 @click.pass_context
-def watch_command(ctx: click.Context, as_json: bool) -> None:
-    """Show position, forces, contacts and faults live, until Ctrl-C.
+def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -> None:
+    """Show position, forces, contacts and faults live, for some time or until Ctrl-C.
 
     Into a file or a pipe it prints a line a second, and one for each event.
     """
@@ -37,7 +44,7 @@ def watch_command(ctx: click.Context, as_json: bool) -> None:
 
     signal.signal(signal.SIGTERM, end)  # so that the terminal is put back as it was
     with daemon(ctx) as client:
-        watch(client, as_json)
+        watch(client, as_json, duration_s=duration_s)
 
 
 @click.command("record", short_help="Record telemetry to a file.")
@@ -49,11 +56,15 @@ def watch_command(ctx: click.Context, as_json: bool) -> None:
     callback=duration,
     help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
 )
+@notes_option
+@overwrite_option
 @json_option
 @click.pass_context
-def record_command(ctx: click.Context, file: str, duration_s: float | None, as_json: bool) -> int:
-    """Record every tick and event into FILE (.npz, .csv or .mcap), replacing it when the recording is complete, and
-    what they were rendered with, for `hapticd replay`.
+def record_command(
+    ctx: click.Context, file: str, duration_s: float | None, notes: dict[str, str], overwrite: bool, as_json: bool
+) -> int:
+    """Record every tick and event into FILE (.npz, .csv or .mcap), and what they were rendered with, for
+    `hapticd replay`. FILE is there once the recording is complete.
 
     With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
     What a recording into FILE left that was killed becomes NAME.recovered.ENDING.
@@ -61,7 +72,7 @@ def record_command(ctx: click.Context, file: str, duration_s: float | None, as_j
     from dataclasses import asdict
 
     from hapticd.record import record
-    from hapticd.sink import recover
+    from hapticd.sink import check_target, recover
 
     stop = threading.Event()
     received: list[int] = []
@@ -70,35 +81,47 @@ def record_command(ctx: click.Context, file: str, duration_s: float | None, as_j
         received.append(number)
         stop.set()
 
-    for recovered in recover(file):
-        click.echo(f"hapticd: {recovered}: what a recording held that was killed", err=True)
+    check_target(file, overwrite)
+    recovered = [os.fspath(path) for path in recover(file)]
+    for path in recovered:
+        note(f"{path}: what a recording held that was killed")
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             with _progress(duration_s) as progress:
-                recording = record(client, file, duration_s, stop=stop, progress=progress)
+                recording = record(
+                    client, file, duration_s, overwrite=overwrite, notes=notes, stop=stop, progress=progress
+                )
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
     if as_json:
-        print_json(asdict(recording))
+        print_json({**asdict(recording), "recovered": recovered})
     else:
         click.echo(recording.summary())
+    if recording.warning is not None:
+        note(recording.warning)
     return _exit_code(recording, duration_s, received)
 
 
 @click.command("flight", short_help="Write the last seconds to a file.")
 @click.argument("file", required=False, type=click.Path(dir_okay=False))
+@overwrite_option
 @json_option
 @click.pass_context
-def flight_command(ctx: click.Context, file: str | None, as_json: bool) -> None:
-    """Have the flight recorder write the last seconds of samples and events to a file, and copy that to FILE.
+def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_json: bool) -> None:
+    """Have the flight recorder write the last seconds of samples and events to a file, and write what is in it to FILE
+    (.npz, .csv or .mcap), too.
 
     Through a bridge the file stays on the daemon's machine: FILE is for a daemon of this one.
     """
     here = ctx.find_root().params["connect"] is None
     if file is not None and not here:
         raise click.UsageError("FILE is for a daemon of this machine; through a bridge its file stays there", ctx)
+    if file is not None:
+        from hapticd.sink import check_target
+
+        check_target(file, overwrite)
     with daemon(ctx) as client:
         written = client.dump_flight()["file"]
         # The file's name appears when it is whole; where it does not come, the status says why.
@@ -111,18 +134,28 @@ def flight_command(ctx: click.Context, file: str | None, as_json: bool) -> None:
                 raise HapticdError(f"the flight recorder did not write {written}: {problem or 'its log says why'}")
             time.sleep(0.05)
     if file is not None:
-        copy_whole(written, file)
+        from hapticd.place import displaced
+        from hapticd.recording import load
+
+        place = load(written).save(file, overwrite)
+        if place.name != os.path.basename(os.path.realpath(file)):
+            raise HapticdError(displaced(file, place))
     if as_json:
         print_json({"file": file or written})
     else:
         click.echo(file or written)
 
 
-def _exit_code(recording: Recording, duration_s: float | None, received: list[int]) -> int:
+def _exit_code(recording: RecordSummary, duration_s: float | None, received: list[int]) -> int:
+    from hapticd.place import displaced
+
+    if recording.displaced is not None:
+        note(displaced(recording.displaced, recording.file))
+        return 1
     if received:
         return 0 if duration_s is None else 128 + received[0]
-    if recording.ended is not None:
-        click.echo(f"hapticd: {recording.ended}; {recording.file} holds what came before", err=True)
+    if recording.ended_because is not None:
+        note(f"{recording.ended_because}; {recording.file} holds what came before")
         return 1
     return 0
 

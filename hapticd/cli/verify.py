@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, config_option, json_option, print_json
+from hapticd.cli.common import Finite, config_option, json_option, note, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -18,12 +18,17 @@ if TYPE_CHECKING:
 @config_option
 @click.option(
     "--recording",
+    type=click.Path(),
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2); a real "
     "device needs one.",
 )
-@click.option("--scale", type=Finite(), default=1.0, metavar="FACTOR", help="On the recording's numbers.")
-@click.option("--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S")
+@click.option(
+    "--scale", type=Finite(), default=1.0, show_default=True, metavar="FACTOR", help="Of the recording's numbers."
+)
+@click.option(
+    "--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S", help="Speed of a tap."
+)
 @click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @json_option
@@ -58,7 +63,7 @@ def verify_command(
     try:
         played = verify.play(config, strikes, axis, lambda text: None)
     except KeyboardInterrupt:
-        click.echo("hapticd: interrupted; the force is zero", err=True)
+        note("interrupted; the force is zero")
         raise
     if recording is None:
         verdicts = verify.from_simulation(config, played)
@@ -93,4 +98,4 @@ def _table(verdicts: list[Verdict]) -> None:
             f"{each.strength:.3f}",
             f"{100 * each.error:.1f} %",
         )
-    Console().print(table)
+    Console(soft_wrap=True).print(table)

@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import Progress
 
+from hapticd.cli.streams import guarded
 from hapticd.client import Client
 from hapticd.demo import comb, puncture, sandpaper, taps
 from hapticd.demo.marks import Marks
@@ -86,7 +87,10 @@ def _performed(daemon: Client, progress: Progress, tapped: Iterable[str]) -> dic
 if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
-        sys.exit(main())
+        with guarded():
+            code = main()
+            sys.stdout.flush()
+        sys.exit(code)
     except HapticdError as problem:
         print(f"hapticd demo: {problem}", file=sys.stderr)
         sys.exit(1)

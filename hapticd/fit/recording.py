@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, ValidationError
 
+from hapticd.document_kinds import refuse_documents
 from hapticd.errors import HapticdError, InvalidError, Problem, known_names, quoted
 from hapticd.fit.regression import Floats, require_scipy
 from hapticd.fit.sensor import Sensor
@@ -139,9 +140,11 @@ class Recording:
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
-    """Reads a recording. Raises RecordingError (one line), or InvalidError for faults in the YAML beside it."""
+    """Reads a recording. Raises RecordingError (one line), or InvalidError for faults in the YAML beside it
+    and for a YAML file that is for another command."""
     name = os.fspath(path)
     shown = one_line(name)
+    refuse_documents(name)
     try:
         content = _content(name, MAX_BYTES)
         beside = _beside(name)
@@ -173,17 +176,24 @@ def load(path: str | os.PathLike[str]) -> Recording:
     )
 
 
-def save(recording: Recording, path: str | os.PathLike[str]) -> None:
-    """Writes a recording as .npz, which `load` reads without a YAML. Raises HapticdError where it cannot."""
+def npz_of(recording: Recording) -> bytes:
+    """A recording as a .npz, which `load` reads without a YAML."""
     arrays: dict[str, Floats] = {"rate_hz": np.array(recording.rate_hz)}
     for name in NAMES.values():
         values = getattr(recording, name, None)
         if values is not None:
             arrays[name] = np.asarray(values, dtype=np.float64)
+    content = io.BytesIO()
+    np.savez(content, **arrays)  # type: ignore[arg-type]
+    return content.getvalue()
+
+
+def save(recording: Recording, path: str | os.PathLike[str]) -> None:
+    """Writes a recording as .npz, in place of a file that is there. Raises HapticdError where it cannot."""
     name = os.fspath(path)
     try:
         with open(name, "wb") as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
+            stream.write(npz_of(recording))
     except OSError as error:
         raise HapticdError(f"{one_line(name)}: cannot be written: {error.strerror}") from None
 
@@ -220,7 +230,7 @@ def _beside(name: str) -> RecordingSidecar:
     if document.data is None:
         return RecordingSidecar()
     try:
-        beside = RecordingSidecar.model_validate(document.data)
+        beside = RecordingSidecar.parsed(document.data)
     except ValidationError as error:
         raise InvalidError(Problem(document.where(where), text) for where, text in faults_of(error)) from None
     problems = [

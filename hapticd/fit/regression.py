@@ -31,7 +31,7 @@ def require_scipy() -> None:
     try:
         import scipy  # noqa: F401
     except ImportError:
-        raise HapticdError("fitting recordings needs scipy: pip install 'hapticd[plots]'") from None
+        raise HapticdError("fitting recordings needs scipy: pip install 'hapticd[fit]'") from None
 
 
 @dataclass(frozen=True, slots=True)

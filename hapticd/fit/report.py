@@ -93,7 +93,7 @@ def require(path: str) -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError:
-        raise HapticdError("a report needs matplotlib: pip install 'hapticd[plots]'") from None
+        raise HapticdError("a report needs matplotlib: pip install 'hapticd[fit]'") from None
     if os.path.splitext(path)[1].lower() not in ENDINGS:
         raise HapticdError(f"{path}: is no kind of report: must end in {' or '.join(ENDINGS)}")
 

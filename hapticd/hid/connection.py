@@ -21,6 +21,7 @@ from hapticd.errors import HapticdError
 from hapticd.hid.device import Device, Driver
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
+from hapticd.repeats import STATE_S, Repeats
 from hapticd.stopper import StopFile
 
 RETRY_S: Final = 0.25
@@ -119,6 +120,7 @@ class Connection:
         self._hands = threading.Lock()
         self._abandoned = False
         self._thread: threading.Thread | None = None
+        self._repeats = Repeats()
 
     # ---- Life ------------------------------------------------------------------------------------------------------
 
@@ -196,6 +198,7 @@ class Connection:
 
     def _run(self) -> None:
         while not self._stop.is_set():
+            self._repeats.flush()
             if self._live is None:
                 if not self._stop.wait(RETRY_S):
                     self._try(self._connect)
@@ -218,12 +221,17 @@ class Connection:
             self._lose(str(error))
         except Exception as error:
             # A fault of ours. Without this thread nobody would look for the device again.
-            _log.exception("the thread of the device")
+            failure = error
+            self._repeats.note(
+                "failed", lambda since: _log.error("the thread of the device failed%s", since.more, exc_info=failure)
+            )
             self._lose(f"{type(error).__name__}: {error}")
 
     def _lose(self, why: str) -> None:
         if why != self._problem:
-            _log.warning("device lost: %s", why)
+            self._repeats.note(
+                "lost", lambda since: _log.warning("device lost: %s%s", why, since.more), longest_s=STATE_S
+            )
         self._problem = why
         self._let_go(orderly=False)
 
@@ -254,7 +262,10 @@ class Connection:
             raise
         self._connects += 1
         if self._problem is not None:
-            _log.info("device found: %s at %s", opened.name, opened.device.path)
+            name, path = opened.name, opened.device.path
+            self._repeats.note(
+                "found", lambda since: _log.info("device found: %s at %s%s", name, path, since.more), longest_s=STATE_S
+            )
         self._problem = None
         # Last: whoever hears that it is connected hears of no problem, and has it counted.
         self._live = live = _Live(opened, plan, link)
@@ -288,7 +299,10 @@ class Connection:
         assert live is not None
         if self._problem is None:
             self._resets += 1
-            _log.warning("device reset: %s is set up anew", live.opened.name)
+            name = live.opened.name
+            self._repeats.note(
+                "reset", lambda since: _log.warning("device reset: %s is set up anew%s", name, since.more)
+            )
         plan = replace(live.opened.driver.set_up(live.opened.device), on_change=live.plan.on_change)
         if plan != live.plan:
             self._hand_over(live.opened.device, plan)
@@ -302,8 +316,8 @@ class Connection:
             lib.hd_hid_clear_reset(self.hid)
             self._problem = None
         elif self._problem is None:
-            self._problem = "the device keeps its actuators off"
-            _log.warning("%s", self._problem)
+            self._problem = told = "the device keeps its actuators off"
+            self._repeats.note("actuators", lambda since: _log.warning("%s%s", told, since.more))
 
     def _actuators(self) -> bool | None:
         """Whether the device says that its actuators are on; None where it says nothing."""

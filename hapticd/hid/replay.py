@@ -51,19 +51,23 @@ class Recording:
         return all(before[1] != after[1] for before, after in pairwise(self.reports))
 
 
+def text_of(recording: Recording) -> str:
+    """What the file of a recording holds."""
+    head = {
+        "recording": VERSION,
+        "name": recording.name,
+        "vendor": recording.vendor,
+        "product": recording.product,
+        "descriptor": recording.descriptor.hex(),
+    }
+    lines = [json.dumps([round(time_s, 6), report.hex()]) for time_s, report in recording.reports]
+    return "\n".join([json.dumps(head), *lines, ""])
+
+
 def save(path: str | os.PathLike[str], recording: Recording) -> None:
-    """Writes a recording. Raises OSError."""
+    """Writes a recording, in place of a file that is there. Raises OSError."""
     with open(path, "w", encoding="utf-8") as file:
-        head = {
-            "recording": VERSION,
-            "name": recording.name,
-            "vendor": recording.vendor,
-            "product": recording.product,
-            "descriptor": recording.descriptor.hex(),
-        }
-        print(json.dumps(head), file=file)
-        for time_s, report in recording.reports:
-            print(json.dumps([round(time_s, 6), report.hex()]), file=file)
+        file.write(text_of(recording))
 
 
 def load(path: str | os.PathLike[str]) -> Recording:

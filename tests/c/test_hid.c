@@ -42,7 +42,10 @@ static const struct hd_hid_plan plan = {
 };
 
 static void open_pair(int fds[2]) {
+    const int bytes = 32768; /* what is sent and not heard yet: fewer messages than MANY, however they are counted */
+
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET, 0, fds) == 0);
+    CHECK(setsockopt(fds[OURS], SOL_SOCKET, SO_SNDBUF, &bytes, sizeof bytes) == 0);
 }
 
 static void close_pair(int fds[2]) {
@@ -91,16 +94,29 @@ static struct message hear(int fd) {
     return message;
 }
 
-static void expect(int fd, uint8_t id, int value) {
+static void expect_at(int line, int fd, uint8_t id, int value) {
     const struct message message = hear(fd);
 
+    if (message.id != id || message.value != value)
+        fprintf(stderr, "line %d: heard report %d with %d, not report %d with %d\n", line, message.id, message.value,
+                id, value);
     CHECK(message.id == id && message.value == value);
 }
 
-/* A force of zero, both messages. */
+#define expect(fd, id, value) expect_at(__LINE__, fd, id, value)
+
+/* A force of zero, both messages, in their order. */
 static void expect_rest(int fd) {
     expect(fd, 5, 0);
     expect(fd, 6, 0);
+}
+
+/* The same where the force changes while the writer is at work: the writer may come to the second message first. */
+static void expect_rest_in_any_order(int fd) {
+    const struct message first = hear(fd);
+
+    CHECK((first.id == 5 || first.id == 6) && first.value == 0);
+    expect(fd, first.id == 5 ? 6 : 5, 0);
 }
 
 static void expect_end(int fd) {
@@ -141,7 +157,7 @@ static void await_reports(struct hd_hid *hid, uint64_t count) {
         sched_yield();
 }
 
-/* The next look that has something new: its report was read before, but perhaps is not published yet. */
+/* The next look that has something new. */
 static struct hd_look await_fresh(struct hd_hid *hid) {
     struct hd_look look;
 
@@ -150,10 +166,19 @@ static struct hd_look await_fresh(struct hd_hid *hid) {
     return look;
 }
 
-static struct hd_hid *connected(int fd, const struct hd_hid_plan *with) {
+/* Its end waits for a writer that the machine keeps from running. */
+static struct hd_hid *patient(void) {
     struct hd_hid *hid = hd_hid_new();
 
-    CHECK(hid != NULL && hd_hid_connect(hid, with, fd, 0) == HD_OK);
+    CHECK(hid != NULL);
+    hd_hid_set_parting(hid, PATIENCE_NS);
+    return hid;
+}
+
+static struct hd_hid *connected(int fd, const struct hd_hid_plan *with) {
+    struct hd_hid *hid = patient();
+
+    CHECK(hd_hid_connect(hid, with, fd, 0) == HD_OK);
     return hid;
 }
 
@@ -164,13 +189,12 @@ static int near(double a, double b) {
 /* ---- In ---------------------------------------------------------------------------------------------------------- */
 
 static void positions(void) {
-    struct hd_hid *hid = hd_hid_new();
+    struct hd_hid *hid = patient();
     struct hd_look look;
     int64_t arrival_ns;
     int64_t before_ns;
     int fds[2];
 
-    CHECK(hid != NULL);
     hd_hid_await_enable(hid);
     look = look_at(hid);
     CHECK(look.gone && !look.fresh && look.connection == 0);
@@ -274,17 +298,20 @@ static void on_change(void) {
 }
 
 /* A report right behind another that was held up: a device of full speed reports no faster than its frames, also one
- * that reports only what changes. Else every jitter of the reader would make the handle jump. */
-static void on_change_held_up(void) {
+ * that reports only what changes. Else every jitter of the reader would make the handle jump. 0: the machine was so
+ * slow that nothing is known of what is usual. */
+static int held_up(void) {
     struct hd_hid_plan changes = plan;
+    const int64_t begin_ns = hd_clock_now_ns();
     struct hd_look look;
     struct hd_hid *hid;
+    int known = 1;
     int fds[2];
 
     changes.on_change = 1;
     open_pair(fds);
     hid = connected(fds[OURS], &changes);
-    for (int i = 1; i <= 24; i++) {
+    for (int i = 1; i <= 24 && known; i++) {
         /* The device's own time: 2 ms, and now and then none. */
         const int64_t until_ns = hd_clock_now_ns() + (i > 8 && i % 4 == 0 ? 0 : 2000000);
         while (hd_clock_now_ns() < until_ns) {
@@ -296,9 +323,16 @@ static void on_change_held_up(void) {
         if (i > 8 && i % 4 == 0) {
             CHECK(look.reading.interval_s > 0.4e-3);
         }
+        known = i != 8 || hd_clock_now_ns() - begin_ns < 4 * 50000000; /* four reports, less than 50 ms apart */
     }
     hd_hid_free(hid);
     close_pair(fds);
+    return known;
+}
+
+static void on_change_held_up(void) {
+    while (!held_up()) {
+    }
 }
 
 static void states(void) {
@@ -341,10 +375,9 @@ static void forces(void) {
     const double none[2] = {(double)NAN, 1.0};
     const double old[2] = {1.0, 1.0};
     const double up[2] = {0.0, 3.0};
-    struct hd_hid *hid = hd_hid_new();
+    struct hd_hid *hid = patient();
     int fds[2];
 
-    CHECK(hid != NULL);
     hd_hid_step_put(hid, hd_clock_now_ns(), old); /* before the connection: not of it */
     open_pair(fds);
     CHECK(hd_hid_connect(hid, &plan, fds[OURS], 0) == HD_OK);
@@ -356,7 +389,7 @@ static void forces(void) {
     for (int i = 0; i < 1000; i++)
         put(hid, 1.5001, -100.0);
     hd_hid_step_put(hid, hd_clock_now_ns() + PATIENCE_NS, none);
-    expect_rest(fds[DEVICE]);
+    expect_rest_in_any_order(fds[DEVICE]);
     put(hid, -2.0, 0.0);
     expect(fds[DEVICE], 5, -200);
     hd_hid_expect_ticks(hid, (int64_t)PATIENCE_NS * 1000); /* it is looked for a newer one all the same */
@@ -383,23 +416,36 @@ static void forces(void) {
     close_pair(fds);
 }
 
-/* A device that is written to as rarely as may be has all of the end within its bound, too. */
-static void end_of_a_slow_one(void) {
+/* A device that is written to as rarely as may be has all of the end within its bound, too. 0: not this time. */
+static int slow_one_ends(void) {
     struct hd_hid_plan slow = plan;
-    struct hd_hid *hid;
+    struct hd_hid *hid = hd_hid_new();
     int fds[2];
+    int error;
 
     slow.write_interval_ns = 100000000;
     open_pair(fds);
-    hid = connected(fds[OURS], &slow);
+    CHECK(hid != NULL && hd_hid_connect(hid, &slow, fds[OURS], 0) == HD_OK);
     expect_rest(fds[DEVICE]);
     put(hid, 1.0, 0.0);
     expect(fds[DEVICE], 5, 100);
-    CHECK(hd_hid_disconnect(hid, 1) == 0);
-    expect_end(fds[DEVICE]);
-    expect_silence(fds[DEVICE]);
+    error = hd_hid_disconnect(hid, 1);
+    CHECK(error == 0 || error == ETIMEDOUT);
+    if (error == 0) {
+        expect_end(fds[DEVICE]);
+        expect_silence(fds[DEVICE]);
+    }
     hd_hid_free(hid);
     close_pair(fds);
+    return error == 0;
+}
+
+/* It leaves a quarter of a second to the machine, which may take more than that. */
+static void end_of_a_slow_one(void) {
+    int tries = 1;
+
+    while (!slow_one_ends())
+        CHECK(++tries < 20);
 }
 
 /* A device that was reset gets no force until it is set up again, and then all of it bit by bit. */
@@ -476,7 +522,7 @@ static void forgotten_effects(void) {
 }
 
 /* Report 4: an index and whether that plays. Effects 3 and 7 are ours, renewed by message 10. */
-/* Renewals: more than the socket holds, so that the last of them is from after the first was heard. */
+/* Renewals: more than the socket holds (open_pair), so that the last of them is from after the first was heard. */
 #define MANY 300
 
 static struct hd_hid_plan watched_plan(void) {
@@ -543,11 +589,9 @@ static void effects_that_end(void) {
     hear_renewals(fds[DEVICE], MANY);
     CHECK(!status_of(hid).reset && status_of(hid).short_reports == 1 && hd_hid_wait(hid, 0) == 0);
     for (int i = 0; i < 3; i++) {
-        const uint64_t reports = status_of(hid).reports;
-
         tell_effect(fds[DEVICE], 3, 1);
         tell_effect(fds[DEVICE], 7, 1);
-        await_reports(hid, reports + 2);
+        await_reports(hid, 6 + 3 * (uint64_t)i + 2);
         hear_renewals(fds[DEVICE], MANY);
         hear_force(fds[DEVICE], 500);
         CHECK(!status_of(hid).reset);
@@ -578,15 +622,12 @@ static void paused(void) {
     await_reports(hid, 2);
     hear_renewals(fds[DEVICE], MANY);
     for (int i = 0; i < 3; i++) {
-        const uint64_t reports = status_of(hid).reports;
-
         tell_states(fds[DEVICE], 2);
-        await_reports(hid, reports + 1);
         hear_force(fds[DEVICE], 500);
         tell_states(fds[DEVICE], 2 | 4);
         tell_effect(fds[DEVICE], 3, 0); /* that is why */
         hear_force(fds[DEVICE], 0);
-        await_reports(hid, reports + 3);
+        await_reports(hid, 2 + 4 * (uint64_t)i + 3);
         CHECK(hear_renewals(fds[DEVICE], MANY) == 0 && !status_of(hid).reset);
         tell_effect(fds[DEVICE], 3, 1);
     }
@@ -655,9 +696,8 @@ static void renewal(void) {
 /* ---- Ends -------------------------------------------------------------------------------------------------------- */
 
 static void unplugged(void) {
-    struct hd_hid *hid = hd_hid_new();
+    struct hd_hid *hid = patient();
 
-    CHECK(hid != NULL);
     for (int i = 0; i < 20; i++) {
         struct hd_look look;
         int fds[2];
@@ -749,6 +789,8 @@ static void stuck(int flags) {
     CHECK(hd_hid_connect(hid, &plan, first[OURS], 0) == HD_OK);
     expect(first[DEVICE], 5, 0);
     expect(first[DEVICE], 6, 0);
+    while (status_of(hid).writes < 2)
+        sched_yield();
     fill(first[OURS]);
     for (int i = 1; i <= 1000; i++) {
         put(hid, 0.001 * i, 1.0);
@@ -826,6 +868,23 @@ static void unplug(struct joystick *joystick) {
     close(joystick->fd);
 }
 
+/* Control, of which this test is not: the one that tests waits at times for as long as it takes. */
+struct beater {
+    struct hd_servo *servo;
+    struct hd_atomic_u32 ends;
+    pthread_t thread;
+};
+
+static void *beater_main(void *argument) {
+    struct beater *beater = argument;
+
+    while (!hd_atomic_u32_load_acquire(&beater->ends)) {
+        hd_servo_beat(beater->servo);
+        hd_clock_sleep_until(hd_clock_now_ns() + 1000000);
+    }
+    return NULL;
+}
+
 /* Everything up to the first event of a kind; samples are checked on the way. */
 static struct hd_event await_event(struct hd_servo *servo, uint32_t kind) {
     static int64_t last_ns; /* of any servo: they run one after the other */
@@ -843,7 +902,6 @@ static struct hd_event await_event(struct hd_servo *servo, uint32_t kind) {
         while (hd_servo_read_events(servo, &event, 1, &dropped) == 1)
             if (event.kind == kind)
                 return event;
-        hd_servo_beat(servo);
         sched_yield();
     }
 }
@@ -857,13 +915,9 @@ static void switch_forces(struct hd_servo *servo) {
     CHECK(hd_servo_wait_command(servo, sequence, PATIENCE_NS, &tick) == HD_OK);
 }
 
-static void await_force(struct hd_servo *servo, struct joystick *joystick, int least, int most) {
-    int64_t force;
-
-    while ((force = hd_atomic_i64_load_relaxed(&joystick->force)) < least || force > most) {
-        hd_servo_beat(servo);
+static void await_force(struct joystick *joystick, int wanted) {
+    while (hd_atomic_i64_load_relaxed(&joystick->force) != wanted)
         sched_yield();
-    }
 }
 
 static void with_servo(uint32_t clock) {
@@ -892,19 +946,22 @@ static void with_servo(uint32_t clock) {
     const double still[1][3] = {{0.0, 0.0, 0.0}};
     struct hd_operator *path = hd_operator_new(still[0], 1, HD_LINEAR);
     struct hd_command command = {.kind = HD_COMMAND_OPERATOR, .revision = 1, .path = path};
-    struct hd_hid *hid = hd_hid_new();
+    struct hd_hid *hid = patient();
+    struct beater beater = {.servo = NULL};
     struct joystick joystick;
     struct hd_counters counters;
     struct hd_servo *servo;
     struct hd_grant grant;
     uint64_t sequence;
 
-    CHECK(hid != NULL && path != NULL);
+    CHECK(path != NULL);
     CHECK(hd_servo_new(&config, NULL, NULL) == NULL);
     servo = hd_servo_new(&config, NULL, hid);
     CHECK(servo != NULL && hd_servo_publish(servo, &table) == HD_OK);
     CHECK(hd_servo_send(servo, &command, 1, &sequence) == HD_ERR_INVALID);
     CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    beater.servo = servo;
+    CHECK(pthread_create(&beater.thread, NULL, beater_main, &beater) == 0);
     await_event(servo, HD_EVENT_DEVICE_LOST); /* there is none yet */
     for (int i = 0; i < 3; i++) {
         plug(&joystick, hid);
@@ -912,24 +969,24 @@ static void with_servo(uint32_t clock) {
         switch_forces(servo);
         hd_atomic_i64_store_relaxed(&joystick.y, 200); /* 2 mm below the wall: 2 N upwards */
         await_event(servo, HD_EVENT_CONTACT);
-        await_force(servo, &joystick, 200, 200);
+        await_force(&joystick, 200);
         if (i == 1) { /* taken away and put back between two looks, perhaps */
             hd_hid_disconnect(hid, 1);
             unplug(&joystick);
             plug(&joystick, hid);
             CHECK(await_event(servo, HD_EVENT_FAULT).code == HD_FAULT_DEVICE);
             await_event(servo, HD_EVENT_DEVICE_FOUND);
-            await_force(servo, &joystick, 0, 0);
+            await_force(&joystick, 0);
         }
         unplug(&joystick);
         CHECK(hd_hid_wait(hid, PATIENCE_NS) == 1);
         await_event(servo, HD_EVENT_DEVICE_LOST);
-        do /* of the tick that has told it */
-            hd_servo_counters(servo, &counters);
-        while (counters.faults == 0);
+        hd_servo_counters(servo, &counters);
         CHECK(counters.faults == HD_FAULT_DEVICE);
     }
     CHECK(hd_servo_stop(servo) == HD_OK);
+    hd_atomic_u32_store_release(&beater.ends, 1);
+    CHECK(pthread_join(beater.thread, NULL) == 0);
     hd_servo_counters(servo, &counters);
     CHECK(counters.ticks > 0 && counters.glitches == 0);
     hd_servo_free(servo);
@@ -955,7 +1012,7 @@ static void led_out_of_phase(void) {
                                    .max_speed_m_per_s = 1000.0,
                                    .ramp_s = 0.1,
                                    .ramp_step = 0.5};
-    struct hd_hid *hid = hd_hid_new();
+    struct hd_hid *hid = patient();
     struct hd_servo *servo = hd_servo_new(&config, NULL, hid);
     struct hd_sample sample;
     struct hd_sample later;

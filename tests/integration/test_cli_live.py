@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -31,7 +32,7 @@ OPERATOR = "waypoints: [[0, 0, 0.01], [0.1, 0, 0.01], [0.2, 0, -0.003], [0.3, 0,
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     config = tmp_path_factory.mktemp("config") / "quiet.yaml"
-    config.write_text("servo: {rate_hz: 1000, realtime: off}\n")
+    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}\n")
     with running_daemon("-c", str(config)) as daemon:
         yield daemon
 
@@ -83,15 +84,29 @@ def test_status(shell: Shell) -> None:
     status = json.loads(shell("status", "--json"))
     assert status["rate_hz"] == 1000
     text = shell("status")
-    assert "sim at 1000 Hz" in text and "forces" in text
+    assert "sim at 1 kHz" in text and "forces" in text
 
 
+@pytest.mark.parametrize("name", ["HAPTICD_RUNTIME_DIR", "RUNTIME_DIRECTORY"])
 def test_the_runtime_directory_may_come_from_the_environment(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    monkeypatch.setenv("RUNTIME_DIRECTORY", str(daemon.directory))
+    monkeypatch.setenv(name, str(daemon.directory))
     assert main(["status"]) == 0
-    assert "sim at 1000 Hz" in capsys.readouterr().out
+    assert "sim at 1 kHz" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("arguments", [["status"], ["scene", "get"], ["watch"], ["watch", "--json"]])
+def test_a_full_disk_ends_what_prints_in_one_line(daemon: Daemon, arguments: list[str]) -> None:
+    words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), *arguments]
+    with open("/dev/full", "wb") as full:
+        process = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    lost = "standard output: cannot be written: No space left on device"
+    assert process.returncode == 1
+    if "--json" in arguments:
+        assert json.loads(process.stderr)["error"]["message"] == lost
+    else:
+        assert process.stderr == f"hapticd: {lost}\n"
 
 
 def test_a_scene_goes_round(shell: Shell) -> None:
@@ -114,17 +129,17 @@ def test_the_standard_input_is_a_file(daemon: Daemon) -> None:
 
 def test_scene_update(shell: Shell) -> None:
     shell("scene", "set", "scene.yaml")
-    Path("update.yaml").write_text("objects:\n  floor: {material: steel}\n  skin: null\n")
+    Path("update.yaml").write_text("objects:\n  floor: {material: acrylic}\n  skin: null\n")
     shell("scene", "update", "update.yaml")
     scene = json.loads(shell("scene", "get", "--json"))["scene"]
-    assert list(scene["objects"]) == ["floor"] and scene["objects"]["floor"]["material"] == "steel"
+    assert list(scene["objects"]) == ["floor"] and scene["objects"]["floor"]["material"] == "acrylic"
 
 
 def test_a_scene_that_is_wrong_changes_nothing(shell: Shell) -> None:
     shell("scene", "set", "scene.yaml")
     before = shell("scene", "get")
     Path("bad.yaml").write_text(SCENE.replace("[0, 1]", "[0, off]", 1))
-    assert "bad.yaml:3: scene.objects.floor.normal[1]" in shell.fails("scene", "set", "bad.yaml")
+    assert "bad.yaml:3:54: scene.objects.floor.normal[1]" in shell.fails("scene", "set", "bad.yaml")
     Path("bad.yaml").write_text(SCENE.replace("wood", "woood"))
     assert 'unknown material "woood"; did you mean wood?' in shell.fails("scene", "set", "bad.yaml")
     assert "is stale" in shell.fails("scene", "set", "scene.yaml", "--expect-revision", "0")
@@ -142,17 +157,137 @@ def test_materials(shell: Shell) -> None:
     assert "materials.felt.stiffness_n_per_m" in shell.fails("material", "set", "felt.yaml")
 
 
+def test_materials_are_set_whole_and_updated_in_parts(shell: Shell) -> None:
+    def lichen() -> object:
+        return json.loads(shell("material", "get", "lichen", "--json"))["materials"]["lichen"]
+
+    Path("m.yaml").write_text("materials:\n  lichen: {stiffness_n_per_m: 90, damping_n_s_per_m: 1}\n")
+    shell("material", "set", "m.yaml", "--wait")
+    Path("m.yaml").write_text("lichen: {stiffness_n_per_m: 80}\n")
+    shell("material", "update", "m.yaml")
+    assert lichen() == {"stiffness_n_per_m": 80, "damping_n_s_per_m": 1}
+    shell("material", "set", "m.yaml")
+    assert lichen() == {"stiffness_n_per_m": 80, "damping_n_s_per_m": 0}
+    Path("m.yaml").write_text("lichen: null\n")
+    assert "update_materials removes" in shell.fails("material", "set", "m.yaml")
+    shell("material", "update", "m.yaml")
+    assert shell.fails("material", "get", "lichn").startswith('hapticd: unknown material "lichn"; known: ')
+
+
+def test_apply(shell: Shell) -> None:
+    Path("fur.yaml").write_text("materials:\n  fur: {stiffness_n_per_m: 90}\n")
+    Path("bare.yaml").write_text("objects:\n  rug: {kind: wall, point_m: [0, 0], normal: [0, 1], material: fur}\n")
+    before = json.loads(shell("status", "--json"))["revision"]
+    result = json.loads(shell("apply", "fur.yaml", "bare.yaml", "--wait", "--json"))
+    assert result["revision"] == before + 1 and result["tick"] > 0
+    assert list(json.loads(shell("scene", "get", "--json"))["scene"]["objects"]) == ["rug"]
+    assert json.loads(shell("apply", "comb", "--expect-revision", str(before + 1), "--json"))["revision"] == before + 2
+    assert "floor" in json.loads(shell("scene", "get", "--json"))["scene"]["objects"]
+    Path("more.yaml").write_text(
+        "scene:\n  objects:\n    rag: {kind: wall, point_m: [0, 0], normal: [0, 1], material: fur}\n"
+    )
+    shell("apply", "comb", "more.yaml", "--json")
+    assert {"floor", "rag"} <= json.loads(shell("scene", "get", "--json"))["scene"]["objects"].keys()
+    shell("scene", "set", "scene.yaml")
+    told = "bare.yaml:1:1: ramp_s: must be at most 1, is 2"
+    Path("bare.yaml").write_text("ramp_s: 2\n")
+    assert shell.fails("apply", "fur.yaml", "bare.yaml") == f"hapticd: {told}\n"
+    Path("unknown.yaml").write_text(
+        "scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: fr}\n"
+    )
+    told = shell.fails("apply", "fur.yaml", "unknown.yaml")
+    assert told.startswith('hapticd: unknown.yaml:3:54: scene.objects.a.material: unknown material "fr"; ')
+    Path("bare.yaml").write_text("materials: {}\ngesture: {}\n")
+    assert "bare.yaml:2:1: gesture: does not belong to materials and a scene, which " in shell.fails(
+        "apply", "bare.yaml"
+    )
+    assert shell.fails("apply", "operator.yaml") == (
+        "hapticd: operator.yaml: holds waypoints; use: hapticd operator operator.yaml\n"
+    )
+    Path("bare.yaml").write_text("floor: {material: steel}\n")
+    assert "bare.yaml:1:1: holds neither materials nor a scene" in shell.fails("apply", "bare.yaml")
+    assert json.loads(shell("status", "--json"))["revision"] == before + 4
+
+
+def test_mark(shell: Shell, daemon: Daemon) -> None:
+    with connect(daemon.directory) as client, client.events() as events:
+        tick = json.loads(shell("mark", "trial 3", "--data", '{"side": "left"}', "--json"))["tick"]
+        mark = next(event for event in events if event["event"] == "mark")
+    assert (mark["tick"], mark["text"], mark["data"]) == (tick, "trial 3", {"side": "left"})
+    assert shell("mark", "trial 4").startswith("marked at tick ")
+
+
+def test_shipped_scenes_and_operators_by_their_names(shell: Shell) -> None:
+    shell("scene", "set", "corner", "--json")
+    assert list(json.loads(shell("scene", "get", "--json"))["scene"]["objects"]) == ["floor", "side"]
+    assert shell("operator", "corner") == "takes 2 s\n"
+    assert "did you mean corner?" in shell.fails("scene", "set", "cornr")
+    assert "did you mean stroke?" in shell.fails("operator", "strok")
+
+
+def test_files_for_another_command(shell: Shell) -> None:
+    Path("wool.yaml").write_text("materials:\n  wool: {stiffness_n_per_m: 90}\n")
+    Path("part.yaml").write_text("lamp: {kind: viscous, damping_n_s_per_m: 1}\n")
+    for command in (["scene", "set"], ["scene", "update"], ["material", "set"], ["material", "update"]):
+        for name, what, taker in (
+            ("scene.yaml", "a scene", "scene set"),
+            ("part.yaml", "objects", "scene update"),
+            ("wool.yaml", "materials", "material set"),
+            ("operator.yaml", "waypoints", "operator"),
+        ):
+            if taker.split()[0] == command[0] and (command[1] == "update" or taker == " ".join(command)):
+                continue
+            told = f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}\n"
+            assert shell.fails(*command, name) == told
+    np.savez("r.npz", samples=np.zeros(3))
+    assert shell.fails("operator", "r.npz") == "hapticd: r.npz: holds a recording; use: hapticd replay r.npz\n"
+    assert shell.fails("operator", "wool.yaml").endswith(": holds materials; use: hapticd material set wool.yaml\n")
+
+
+def test_ids_with_typos(shell: Shell) -> None:
+    shell("scene", "set", "scene.yaml")
+    assert 'no object "flor"; did you mean floor? ' in shell.fails("reset", "flor")
+    Path("tap.yaml").write_text("gesture: {kind: tap, object: flor, speed_m_per_s: 0.1}\n")
+    assert 'has the id "flor"; did you mean floor? ' in shell.fails("operator", "tap.yaml")
+    assert "did you mean wood?" in shell.fails("play", "woood", "--amplitude", "1")
+
+
+def test_the_scene_of_the_readme_runs_and_checks_everywhere(
+    tmp_path: Path, shell: Shell, daemon: Daemon, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene,) = re.findall(r"cat > scene\.yaml <<EOF\n(.*?)EOF\n", (ROOT / "README.md").read_text(), flags=re.DOTALL)
+    Path("scene.yaml").write_text(scene)
+    shell("scene", "set", "scene.yaml", "--wait", "--json")
+    shell("apply", "scene.yaml", "--wait", "--json")
+    assert list(json.loads(shell("scene", "get", "--json"))["scene"]["objects"]) == ["floor", "honey"]
+    shell("check", "-c", "scene.yaml")
+    assert json.loads(shell("status", "--json"))["stability"]["unsafe"] == 1
+    assert " 0 of 1 " not in shell("status")
+    shell("simulate", "scene.yaml", "--operator", "operator.yaml", "-o", "x.npz")
+    with running_daemon("-c", "scene.yaml") as other, connect(other.directory) as client:
+        assert list(client.get_scene()["scene"]["objects"]) == ["floor", "honey"]
+
+
+def test_run_says_which_configuration_it_took(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "hapticd" / "config.yaml"
+    path.parent.mkdir()
+    path.write_text("servo: {rate_hz: 1000, realtime: off}\nscene: {objects: {}}\n")
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.delenv("HAPTICD_CONFIG", raising=False)
+    with running_daemon() as found, connect(found.directory) as client:
+        assert client.get_status()["rate_hz"] == 1000
+        path.write_text(path.read_text().replace("{}", "{a: {kind: viscous, damping_n_s_per_m: 1}}"))
+        client.reload()
+        assert list(client.get_scene()["scene"]["objects"]) == ["a"]
+        assert found.said().splitlines()[0].endswith(f"configuration: {path}")
+
+
 def test_a_whole_configuration_is_no_change_of_a_part(shell: Shell) -> None:
     Path("all.yaml").write_text("materials:\n  moss: {stiffness_n_per_m: 90}\n" + SCENE)
     before = json.loads(shell("status", "--json"))["revision"]
-    assert shell.fails("material", "set", "all.yaml") == (
-        "hapticd: all.yaml:3: scene: does not belong to materials, which are all that is taken here; "
-        "that is for hapticd scene set\n"
-    )
-    assert shell.fails("scene", "set", "all.yaml") == (
-        "hapticd: all.yaml:1: materials: does not belong to a scene, which is all that is taken here; "
-        "that is for hapticd material set\n"
-    )
+    told = "hapticd: all.yaml: holds materials and a scene; use: hapticd apply all.yaml\n"
+    assert shell.fails("material", "set", "all.yaml") == told
+    assert shell.fails("scene", "set", "all.yaml") == told
     assert json.loads(shell("status", "--json"))["revision"] == before
 
 
@@ -165,16 +300,17 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     assert json.loads(played)["tick"] > 0
     assert "unknown material" in shell.fails("play", "cheese", "--amplitude", "2")
     assert shell("force", "off") == "forces off\n"
-    assert "forces are off" in shell.fails("play", "wood", "--amplitude", "2")
+    off = "hapticd: forces are off: `hapticd force on` turns them on\n"
+    assert shell.fails("play", "wood", "--amplitude", "2") == off
     assert json.loads(shell("force", "on", "--json"))["forces"] == "on"
     assert shell("reset", "skin").startswith("reset at tick ")
     assert shell("reset").startswith("reset at tick ")
     assert 'no object "nothing"' in shell.fails("reset", "nothing")
-    assert shell("operator", "operator.yaml") == "under way for 0.3 s\n"
+    assert shell("operator", "operator.yaml") == "takes 300 ms\n"
     Path("tap.yaml").write_text("gesture: {kind: tap, object: floor, speed_m_per_s: 0.1}\n")
-    assert shell("operator", "tap.yaml").startswith("under way for ")
+    assert shell("operator", "tap.yaml").startswith("takes ")
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0.5,0,0.02\n")
-    assert shell("operator", "way.csv") == "under way for 0.5 s\n"
+    assert shell("operator", "way.csv") == "takes 500 ms\n"
     Path("way.csv").write_text("t_s,x_m,y_m\n0,0,0.01\n0,0,0.02\n")
     assert "way.csv:3" in shell.fails("operator", "way.csv")
 
@@ -184,12 +320,15 @@ def test_record_npz(shell: Shell, daemon: Daemon) -> None:
     shell("scene", "set", "scene.yaml")
     shell("operator", "operator.yaml")
     with connect(daemon.directory) as client, client.samples() as batches:
-        result = json.loads(shell("record", "run.npz", "--for", "600ms", "--json"))
+        assert "run.npz: is there already" in shell.fails("record", "run.npz", "--for", "600ms")
+        assert Path("run.npz").read_text() == "an old recording"
+        result = json.loads(shell("record", "run.npz", "--for", "600ms", "--json", "--overwrite"))
         with np.load("run.npz") as archive:
             last = int(archive["samples"]["tick"][-1])
         batch = next(batch for batch in batches if batch["tick"][-1] > last)
         after_ns = int(batch["time_ns"][batch["tick"] > last][0])
-    assert result["file"] == "run.npz" and result["ended"] is None
+    assert result["file"] == "run.npz" and result["ended_because"] is None
+    assert result["ended"]["monotonic_ns"] > result["started"]["monotonic_ns"] and result["missed_periods"] >= 0
     assert (result["lost"], result["dropped"]) == (0, 0)
     with np.load("run.npz") as archive:
         samples, events = archive["samples"], archive["events"]
@@ -246,10 +385,33 @@ def test_an_interrupted_recording_is_kept(
     assert os.listdir(tmp_path) == ["run.npz"]
 
 
-def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
+def test_an_interrupt_ends_a_recording_that_a_script_put_in_the_background(daemon: Daemon, tmp_path: Path) -> None:
+    """The shell has it ignore interrupts; who sends it one means it."""
     target = tmp_path / "run.npz"
+    words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "record", str(target)]
+    ignoring = ["sh", "-c", 'trap "" INT; exec "$@"', "sh", *words]
     with (
-        running_daemon() as daemon,
+        connect(daemon.directory) as client,
+        client.samples() as batches,
+        subprocess.Popen(ignoring, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True) as process,
+    ):
+        part = target.with_name(f".run.npz.{process.pid}.part")
+        for _ in batches:
+            if part.exists() and part.stat().st_size > 0:
+                break
+            assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (0, "")
+    assert target.exists() and "run.npz" in out
+
+
+@pytest.mark.slow
+def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
+    target, config = tmp_path / "run.npz", tmp_path / "config.yaml"
+    config.write_text("servo: {overruns: {threshold: 1}}\n")
+    with (
+        running_daemon("-c", str(config)) as daemon,
         connect(daemon.directory) as client,
         client.samples() as batches,
         command(daemon, "record", str(target)) as process,

@@ -10,8 +10,6 @@ import signal
 import struct
 import subprocess
 import sys
-import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -20,22 +18,15 @@ import msgpack
 import numpy as np
 import pytest
 
+import hapticd
 from hapticd.client import Client
 from hapticd.samples import SampleStream
-from tests.daemon_process import Daemon, connect, running_daemon, wired
+from tests.daemon_process import Daemon, connect, running_daemon, until, wired
 
 ROOT = Path(__file__).parents[2]
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 QUIET = "servo: {realtime: 'off', rate_hz: 1000, overruns: {threshold: 1.0}}\n"
 DAY_NS = 86_400_000_000_000
-
-
-def until(what: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    """Waits for what another process does and does not tell; the bound only keeps a broken test from hanging."""
-    pause, deadline = threading.Event(), time.monotonic() + timeout_s
-    while not what():
-        assert time.monotonic() < deadline
-        pause.wait(0.01)
 
 
 def with_config(tmp_path: Path, text: str) -> Path:
@@ -103,9 +94,10 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
         status = client.get_status()
         assert status["counters"]["suspends"] == 1
         assert (status["forces"], status["faults"]) == ("on", [])
-        until(lambda: "the machine was suspended for 3600.0 s" in daemon.said())
+        until(lambda: "the machine was suspended for 1 h" in daemon.said())
 
 
+@pytest.mark.slow
 def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> None:
     clocks.ahead(realtime_ns=-30 * 365 * DAY_NS)  # a machine whose battery is empty
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
@@ -124,14 +116,16 @@ def test_setting_the_clock_changes_nothing(tmp_path: Path, clocks: Clocks) -> No
         client.lease(0, lease)
 
 
-def test_nothing_asks_for_the_time_of_day() -> None:
-    """The daemon's own sources; what a library does with it is tested above."""
+def test_nothing_goes_by_the_time_of_day() -> None:
+    """The daemon's own sources; what a library does with it is tested above. clock.py only tells it to recordings."""
     asks = re.compile(
         r"CLOCK_REALTIME|CLOCK_TAI|gettimeofday|time\.time\b|localtime|gmtime|(date|datetime)\.(now|today|utcnow)\b"
     )
     sources = [*ROOT.glob("csrc/*.[ch]"), *ROOT.glob("hapticd/*.py"), *ROOT.glob("hapticd/hid/*.py")]
     assert len(sources) > 60
-    assert [str(source) for source in sources if asks.search(source.read_text())] == []
+    assert [source.name for source in sources if asks.search(source.read_text())] == ["clock.py"]
+    using = {source.name for source in sources if re.search(r"\bclock\.read\b", source.read_text())}
+    assert using == {"control.py", "flight.py"}
 
 
 # ---- Flight recorder -------------------------------------------------------------------------------------------------
@@ -168,7 +162,7 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         with np.load(told["last"]) as file:
             samples, events_kept = file["samples"], file["events"]
             about, status, scene_kept = (json.loads(str(file[key])) for key in ("flight", "status", "scene"))
-        assert about == {"reason": "fault", "tick": fault["tick"]}
+        assert about == {"reason": "fault", "tick": fault["tick"], "complete_from": 0}
         assert scene_kept == client.get_scene()["scene"]
         assert status["version"] == client.get_status()["version"]
         assert np.all(np.diff(samples["tick"].astype(np.int64)) == 1)
@@ -188,10 +182,19 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(copy)
         with np.load(copy) as file:
             assert len(file["samples"]) >= len(samples)
-            assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None}
+            assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None, "complete_from": 0}
         client.dump_flight()
         written(client, 3)
         assert flights(daemon) == ["flight-000002-asked.npz", "flight-000003-asked.npz"]
+
+
+def test_folders_that_are_missing_are_made_and_can_be_entered(tmp_path: Path) -> None:
+    inner = tmp_path / "outer" / "inner"
+    config = with_config(tmp_path, f"flight: {{directory: {inner}}}\n")
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
+        client.dump_flight()
+        assert written(client, 1)["last"] == str(inner / "flight-000001-asked.npz")
+    assert [path.stat().st_mode & 0o777 for path in (inner.parent, inner)] == [0o770, 0o750]
 
 
 def test_a_disk_that_takes_no_more_is_told_and_changes_nothing(tmp_path: Path) -> None:
@@ -263,7 +266,7 @@ def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path)
         assert set(client.get_scene()["scene"]["objects"]) == {"skin", "peg"}  # the files win
         assert client.get_materials()["materials"]["gum"]["stiffness_n_per_m"] == 300
         assert "puncture" not in through(client)  # it is open as it was
-        until(lambda: f"reloaded: revision {before + 1}, 2 objects are others" in daemon.said())
+        until(lambda: f"reloaded: revision {before + 1}, 2 objects changed" in daemon.said())
         assert client.reload() == {"revision": before + 1}  # nothing has changed
 
 
@@ -273,7 +276,7 @@ def test_reload_takes_scene_and_materials_and_keeps_what_is_open(tmp_path: Path)
         (QUIET.replace("1000", "2000") + "scene: {objects: {}}\n", ["servo.rate_hz", "2000", "restart"]),
         (QUIET + "device: {max_force_n: 3}\nflight: {keep: 3}\n", ["device.max_force_n", "flight.keep", "restart"]),
         (QUIET + "scene: {objects: {a: {kind: wall}}}\n", ["c.yaml:2", "point_m"]),
-        (QUIET + "scene: [\n", ["c.yaml:3"]),
+        (QUIET + "scene: [\n", ["c.yaml:2:8", "not closed"]),
         (None, ["No such file"]),
     ],
 )
@@ -348,3 +351,26 @@ def test_events_have_the_members_that_a_client_of_protocol_1_0_reads() -> None:
     for name, members in FIRST["events"].items():
         event["kind"] = EventKind[name.upper()]
         assert set(members) <= event_map(event, "x").keys()
+
+
+def test_a_first_configuration_of_ones_own_is_taken_by_a_reload(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The built-in one says where the simulated handle starts; a file that does not is no other device."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    with running_daemon() as daemon, connect(daemon.directory) as client:
+        own = tmp_path / "hapticd" / "config.yaml"
+        own.parent.mkdir()
+        own.write_text("scene: {objects: {honey: {kind: viscous, damping_n_s_per_m: 1}}}\n")
+        client.reload()
+        assert set(client.get_scene()["scene"]["objects"]) == {"honey"}
+        own.write_text("servo: {spin_us: 1}\n")
+        with pytest.raises(hapticd.RemoteError, match=r"servo\.spin_us: 1\.0 needs a restart"):
+            client.reload()
+
+
+def test_an_object_that_is_not_there_is_guessed_at() -> None:
+    with running_daemon() as daemon, connect(daemon.directory) as client:
+        client.set_scene({"objects": PUSH})
+        with pytest.raises(hapticd.RemoteError, match=r"objects\.pusch: there is no object of this id.*mean push"):
+            client.update_scene({"pusch": {"force_n": [0, 1]}})

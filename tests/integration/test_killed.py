@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
 import zmq
 
 from hapticd.hid.config import Hid
@@ -25,7 +26,7 @@ from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid
 from tests.killed_daemon import INDICES
 
-KILLS = int(os.environ.get("HAPTICD_KILLS", "10"))
+KILLS = int(os.environ.get("KILLS", "10"))
 """A kill takes two or three seconds of a processor: docs/service.md speaks of a run with 100."""
 CONFIG = """
 device: {kind: hid}
@@ -137,6 +138,7 @@ def stopped(stick: FakePid, record: Path) -> str | None:
     return said
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_under_load() -> None:
     dice, pushed = random.Random(20), 0
     stick = FakePid(bytes(Joystick()), on_log=lambda _: None)

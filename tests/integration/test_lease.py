@@ -32,6 +32,7 @@ def wire(daemon: Daemon) -> Iterator[Wire]:
         yield wire
 
 
+@pytest.mark.slow
 def test_kill_of_the_holder_fades_the_force_within_the_lease(daemon: Daemon, wire: Wire) -> None:
     """kill -9, while another client goes on talking, which does not keep the lease alive."""
     program = (

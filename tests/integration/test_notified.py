@@ -51,13 +51,13 @@ def test_ready_alive_and_stopping(monkeypatch: pytest.MonkeyPatch) -> None:
         try:
             ready = next_of(heard, "READY=1")
             assert (daemon.directory / "hapticd.command").exists()
-            assert "\nSTATUS=sim at 1000 Hz; scene revision 1; forces " in ready
+            assert "\nSTATUS=sim at 1 kHz; scene revision 1; forces " in ready
             for _ in range(3):
                 next_of(heard, "WATCHDOG=1")
             with wired(daemon) as wire:
                 scene = wire.result("get_scene")["scene"]
                 assert wire.result("set_scene", scene=scene)["revision"] == 2
-            next_of(heard, "STATUS=sim at 1000 Hz; scene revision 2; forces ")
+            next_of(heard, "STATUS=sim at 1 kHz; scene revision 2; forces ")
             daemon.process.send_signal(signal.SIGTERM)
             next_of(heard, "STOPPING=1")
             assert daemon.process.wait(WAIT_S) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -10,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgpack
@@ -21,7 +22,7 @@ import zmq
 from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.engine import Engine
-from tests.daemon_process import Daemon, Wire, connect, running_daemon, wired
+from tests.daemon_process import Daemon, Wire, connect, running_daemon, until, wired
 
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 
@@ -118,7 +119,7 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
             ["c.yaml:3", "wood"],
         ),
         ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
-        ("servo: [\n", ["c.yaml:2"]),
+        ("servo: [\n", ["c.yaml:1:8", "not closed"]),
     ],
 )
 def test_bad_configuration_is_one_line(tmp_path: Path, text: str, words: list[str]) -> None:
@@ -204,6 +205,7 @@ def test_scene_that_outgrows_the_locked_memory_is_rendered_and_told(tmp_path: Pa
         assert not status["faults"]
 
 
+@pytest.mark.slow
 def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
     with running_daemon() as daemon, wired(daemon) as wire:
         wire.result("set_scene", scene={"objects": PUSH}, wait=True)
@@ -312,3 +314,59 @@ def test_client_that_does_not_read_its_answers_stops_nobody() -> None:
             pass
         assert wire.result("get_status")["state"] == "running"
         context.destroy(0)
+
+
+def test_the_kernel_knows_the_sockets_by_the_names_that_clients_use() -> None:
+    """systemd-tmpfiles removes a socket whose name is not in this list as a dead one."""
+    with running_daemon() as daemon:
+        listed = Path("/proc/net/unix").read_text().split()
+        for name in ("hapticd.command", "hapticd.telemetry"):
+            assert str(daemon.directory / name) in listed
+
+
+def test_a_daemon_whose_lock_was_removed_keeps_its_directory() -> None:
+    with running_daemon() as daemon:
+        (daemon.directory / "hapticd.lock").unlink()
+        assert "is locked by another process" in one_line(run_once(directory=daemon.directory))
+        until(lambda: "hapticd.lock: was removed or replaced" in daemon.said())
+        with wired(daemon) as wire:
+            assert wire.result("get_status")["state"] == "running"
+
+
+def test_a_daemon_removes_only_what_is_its_own() -> None:
+    with running_daemon() as daemon:
+        for name in ("hapticd.command", "hapticd.telemetry"):
+            (daemon.directory / name).unlink()
+            (daemon.directory / name).write_text("another's")
+        assert daemon.stop() == 0
+        for name in ("hapticd.command", "hapticd.telemetry"):
+            assert (daemon.directory / name).read_text() == "another's"
+
+
+def test_the_end_overtakes_reloads_whose_files_never_come(tmp_path: Path) -> None:
+    """Each takes ten seconds: one after the other, they would take longer than this waits."""
+    config = tmp_path / "c.yaml"
+    config.write_text("servo: {realtime: off}\n")
+    with running_daemon("-c", str(config)) as daemon:
+        config.unlink()
+        os.mkfifo(config)
+
+        def is_taken() -> bool:
+            pending = re.search(r"ShdPnd:\s*(\w+)", Path(f"/proc/{daemon.process.pid}/status").read_text())
+            return pending is not None and int(pending[1], 16) == 0
+
+        for _ in range(40):
+            daemon.process.send_signal(signal.SIGHUP)
+            until(is_taken)
+        writers: list[int] = []
+
+        def is_read() -> bool:
+            with suppress(OSError):  # ENXIO: nobody has opened it to read yet
+                writers.append(os.open(config, os.O_WRONLY | os.O_NONBLOCK))
+            return bool(writers)
+
+        until(is_read)
+        try:
+            assert daemon.stop() == 0
+        finally:
+            os.close(writers[0])

@@ -384,12 +384,16 @@ trees = st.recursive(
 )
 METHODS = [
     "get_status",
+    "get_state",
     "get_config",
     "get_scene",
     "set_scene",
     "update_scene",
     "get_materials",
+    "set_materials",
     "update_materials",
+    "apply",
+    "mark",
     "play",
     "reset",
     "lease",
@@ -447,6 +451,7 @@ def test_fuzz_bytes(beaten: Daemon, body: bytes) -> None:
         check_answered(wire, body)
 
 
+@pytest.mark.slow
 def test_fuzz_structures(beaten_wire: Wire) -> None:
     @settings(max_examples=1500)
     @given(
@@ -459,6 +464,7 @@ def test_fuzz_structures(beaten_wire: Wire) -> None:
     assert beaten_wire.result("get_status")["state"] == "running"
 
 
+@pytest.mark.slow
 def test_fuzz_mutated_requests(beaten_wire: Wire) -> None:
     seeds = [
         request(method="update_scene", params={"objects": {"table": FLOOR}}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import json
 import os
@@ -10,6 +11,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -18,10 +20,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hapticd
 from hapticd.client import Client
-from hapticd.config import default_config, load_config
-from hapticd.core import SAMPLE_DTYPE
-from hapticd.record import Recording, record
+from hapticd.config import Overruns, default_config, load_config
+from hapticd.core import SAMPLE_DTYPE, Flag
+from hapticd.errors import HapticdError
+from hapticd.record import RecordSummary, record
 from hapticd.recorded import load_recorded
 from hapticd.replayed import replay
 from tests.daemon_process import Daemon, connect, running_daemon
@@ -31,11 +35,16 @@ FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"
 DISC = {"kind": "disc", "center_m": [0.01, 0.0], "radius_m": 0.004, "material": "steel"}
 WAYS = [[0.1 * step, 0.02 * np.sin(step), 0.008 * np.cos(2.1 * step)] for step in range(600)]
 
+QUIET = """servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}
+device: {sim: {encoder_step_m: 1.0e-5}}
+flight: {seconds: 60}
+"""
+
 
 @pytest.fixture(scope="module")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     config = tmp_path_factory.mktemp("config") / "quiet.yaml"
-    config.write_text("servo: {rate_hz: 1000, realtime: off}\ndevice: {sim: {encoder_step_m: 1.0e-5}}\n")
+    config.write_text(QUIET)
     with running_daemon("-c", str(config)) as daemon:
         yield daemon
 
@@ -70,7 +79,9 @@ def wait_until_it_records(client: Client, target: Path, process: subprocess.Pope
                 return
 
 
-@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+@pytest.mark.parametrize(
+    "ending", ["npz", pytest.param("csv", marks=pytest.mark.slow), pytest.param("mcap", marks=pytest.mark.slow)]
+)
 def test_what_a_daemon_rendered_is_rendered_again_bit_for_bit(daemon: Daemon, tmp_path: Path, ending: str) -> None:
     target = tmp_path / f"run.{ending}"
     with connect(daemon.directory) as client:
@@ -168,7 +179,7 @@ def test_the_configuration_goes_round(daemon: Daemon) -> None:
     with connect(daemon.directory) as client:
         config = load_config(client.get_config()["config"])
     assert config.servo.rate_hz == 1000 and config.device.sim.encoder_step_m == 1e-5
-    changed = {"rate_hz": 1000.0, "realtime": "off"}
+    changed = {"rate_hz": 1000.0, "realtime": "off", "overruns": Overruns(threshold=1.0)}
     assert config.servo == default_config().servo.model_copy(update=changed)
     assert config.device.sim.hand == default_config().device.sim.hand
 
@@ -190,11 +201,12 @@ def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, t
     assert err == f"hapticd: {tmp_path}/run.recovered.npz: what a recording held that was killed\n"
     assert sorted(os.listdir(tmp_path)) == ["run.npz", "run.recovered.npz"]
     recovered = load_recorded(tmp_path / "run.recovered.npz")
-    assert recovered.texts["recording"]["ended"] == "killed"
+    assert recovered.texts["recording"]["ended_because"] == "killed"
     assert len(recovered.samples) > 0 and (np.diff(recovered.samples["tick"].astype(np.int64)) == 1).all()
     assert replay(tmp_path / "run.recovered.npz").missing_revisions == ()
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_a_recording_that_is_kept(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with recording(daemon, target, limit=700_000) as process:
@@ -203,7 +215,7 @@ def test_a_full_disk_ends_a_recording_that_is_kept(daemon: Daemon, tmp_path: Pat
     assert err == f"hapticd: {target}: cannot be written: File too large; {target} holds what came before\n"
     assert os.listdir(tmp_path) == ["run.npz"]
     samples = load_recorded(target).samples
-    assert f"{len(samples)} ticks" in out and len(samples) > 0
+    assert f"{len(samples):,} ticks" in out and len(samples) > 0
 
 
 # ---- A daemon that says what a real one cannot be made to ----------------------------------------------------------
@@ -221,6 +233,7 @@ class Told:
         self.started = [1]
         self.rates_hz = [1000.0]
         """Before the scene is read, after it was once, twice; the last one stays."""
+        self.threshold = 1.0
         self._reads = 0
         self.daemon: FakeDaemon | None = None
 
@@ -231,7 +244,8 @@ class Told:
             case "get_status":
                 started = self.started[0] if len(self.started) == 1 else self.started.pop(0)
                 rate_hz = self.rates_hz[min(self._reads, len(self.rates_hz) - 1)]
-                return [result(request, {"started_ns": started, "rate_hz": rate_hz})]
+                overruns = {"threshold": self.threshold}
+                return [result(request, {"started_ns": started, "rate_hz": rate_hz, "overruns": overruns})]
             case "get_config":
                 for topic, message in self._messages:
                     self.daemon.publish(topic, message)
@@ -244,7 +258,7 @@ class Told:
             case _:
                 return [result(request, {"materials": {}, "revision": 1})]
 
-    def record(self, target: Path, ticks: int) -> Recording:
+    def record(self, target: Path, ticks: int) -> RecordSummary:
         stop = threading.Event()
 
         def progress(recorded_s: float) -> None:
@@ -272,7 +286,7 @@ def directory(tmp_path: Path) -> Path:
 def test_a_gap_is_told_and_stands_in_the_file(tmp_path: Path, directory: Path) -> None:
     told = Told(directory, samples(0, 100), samples(500, 100))
     kept = told.record(tmp_path / "run.npz", 600)
-    assert (kept.ticks, kept.lost, kept.ended) == (200, 400, "stopped")
+    assert (kept.ticks, kept.lost, kept.ended_because) == (200, 400, "stopped")
     assert "400 ticks lost (400 on the way here, 0 in the daemon's ring)" in kept.summary()
     recorded = load_recorded(tmp_path / "run.npz")
     assert recorded.texts["recording"]["gaps"] == [[100, 400]]
@@ -284,7 +298,7 @@ def test_another_daemon_ends_a_recording(tmp_path: Path, directory: Path, first:
     told = Told(directory, samples(0, 100), samples(first, 100))
     told.started = [1, 2]
     kept = told.record(tmp_path / "run.mcap", 600)
-    assert (kept.ticks, kept.ended) == (100, "the daemon was restarted")
+    assert (kept.ticks, kept.ended_because) == (100, "the daemon was restarted")
 
 
 def test_a_change_that_was_lost_is_read_again(tmp_path: Path, directory: Path) -> None:
@@ -300,7 +314,7 @@ def test_a_change_that_was_lost_is_read_again(tmp_path: Path, directory: Path) -
     )
     kept = told.record(tmp_path / "run.npz", 400)
     assert kept.missing_revisions == (2,)
-    assert "1 revisions of the scene are not in it" in kept.summary()
+    assert "1 revision of the scene not in it" in kept.summary()
     texts = load_recorded(tmp_path / "run.npz").texts
     assert texts["changes"] == [
         {"revision": 1},
@@ -369,3 +383,162 @@ def test_the_change_of_the_last_samples_is_waited_for(tmp_path: Path, directory:
     kept = told.record(tmp_path / "run.npz", 100)
     assert kept.missing_revisions == ()
     assert load_recorded(tmp_path / "run.npz").texts["changes"][-1] == change[1]
+
+
+def overrun(first: int, count: int, late: int) -> tuple[str, dict[str, Any]]:
+    """As `samples`, but so many periods were missed before the tick in the middle."""
+    topic, message = samples(first, count)
+    batch = np.frombuffer(message["data"], SAMPLE_DTYPE).copy()
+    batch["time_ns"][count // 2 :] += late * 1_000_000
+    batch["flags"][count // 2] = Flag.SKIPPED
+    return topic, {**message, "data": batch.tobytes()}
+
+
+def test_missed_periods_are_told_and_stand_in_the_file(tmp_path: Path, directory: Path) -> None:
+    told = Told(directory, overrun(0, 100, 25))
+    told.threshold = 0.1
+    kept = told.record(tmp_path / "run.npz", 100)
+    assert kept.missed_periods == 25
+    assert "run.npz: 100 ticks in 0.125 s, 25 periods missed (20 %), nothing lost, 0 events" in kept.summary()
+    assert kept.warning == (
+        "25 of 125 periods were missed (20 %), more than servo.overruns.threshold (10 %); "
+        "`hapticd doctor` says what the machine lacks"
+    )
+    assert load_recorded(tmp_path / "run.npz").texts["recording"]["missed_periods"] == 25
+    told = Told(directory, overrun(0, 100, 1))
+    told.threshold = 0.1
+    kept = told.record(tmp_path / "one.npz", 100)
+    assert kept.warning is None and "1 period missed (0.99 %)" in kept.summary()
+
+
+def test_a_file_that_is_there_is_refused_before_anything_is_recorded(tmp_path: Path, directory: Path) -> None:
+    (tmp_path / "run.events.csv").write_text("precious")
+    told = Told(directory, samples(0, 100))
+    with pytest.raises(HapticdError, match=r"run.events.csv: is there already"):
+        told.record(tmp_path / "run.csv", 100)
+    assert told.daemon is not None and told.daemon.requests == []
+    assert sorted(os.listdir(tmp_path)) == ["run", "run.events.csv"]
+
+
+# ---- While a block of code runs ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+def test_a_block_is_recorded_from_its_first_to_its_last_command(daemon: Daemon, tmp_path: Path, ending: str) -> None:
+    target = tmp_path / f"run.{ending}"
+    before = time.time_ns()
+    with connect(daemon.directory) as client:
+        with client.record(target, subject=3, hand="left") as recorder:
+            first = client.mark("first", {"trial": 1})["tick"]
+            with pytest.raises(HapticdError, match="is not finished"):
+                _ = recorder.result
+            last = client.mark("last")["tick"]
+        with pytest.raises(HapticdError, match="is there already"), client.record(target):
+            raise AssertionError("the block is not entered")
+        with client.record(target, overwrite=True):
+            pass
+    assert recorder.result.file == str(target)
+    assert recorder.result.ended_because == "stopped"
+    started, ended = recorder.result.started, recorder.result.ended
+    assert started is not None and ended is not None
+    assert before <= started.realtime_ns <= ended.realtime_ns <= time.time_ns()
+    assert started.monotonic_ns <= ended.monotonic_ns <= time.monotonic_ns()
+    assert first < last
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+def test_marks_of_a_block_are_in_the_file(daemon: Daemon, tmp_path: Path, ending: str) -> None:
+    with connect(daemon.directory) as client:
+        client.set_operator([[0, 0, 0.01]], interpolation="linear")
+        with client.record(tmp_path / f"run.{ending}", subject=3, hand="left") as recorder:
+            first = client.mark("first", {"trial": 1})["tick"]
+            operator = client.set_operator([[0, 0, 0.01], [0.01, 0, 0.012]])["tick"]
+            with client.events() as events:
+                client.set_operator([[0, 0, 0.01]], interpolation="linear")
+                next(event for event in events if event["event"] == "gesture_end")
+            last = client.mark("last")["tick"]
+    recording = recorder.load()
+    ticks = recording.samples["tick"]
+    assert ticks[0] < first < last <= ticks[-1]
+    assert [(mark["tick"], mark["text"], mark["data"]) for mark in recording.marks] == [
+        (first, "first", {"trial": 1}),
+        (last, "last", None),
+    ]
+    times = {int(sample["tick"]): int(sample["time_ns"]) for sample in recording.samples}
+    assert [mark["time_ns"] for mark in recording.marks] == [times[first], times[last]]
+    ends = [event for event in recording.events if event["event"] == "gesture_end"]
+    assert operator in [event["started_tick"] for event in ends]
+    assert all(isinstance(event["completed"], bool) for event in ends)
+    assert recording.notes == {"subject": "3", "hand": "left"}
+
+
+def test_what_goes_wrong_in_a_block_is_what_is_told_and_the_recording_is_kept(daemon: Daemon, tmp_path: Path) -> None:
+    with connect(daemon.directory) as client:
+        with pytest.raises(ZeroDivisionError), client.record(tmp_path / "run.npz"):
+            raise ZeroDivisionError
+        assert len(hapticd.load(tmp_path / "run.npz").samples) > 0
+        told = r"late.npz: another file has appeared there meanwhile; what was written is in .*late-2.npz"
+        with pytest.raises(HapticdError, match=told), client.record(tmp_path / "late.npz"):
+            (tmp_path / "late.npz").write_text("precious")
+    assert (tmp_path / "late.npz").read_text() == "precious"
+    assert len(hapticd.load(tmp_path / "late-2.npz").samples) > 0
+
+
+def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
+    async def run() -> tuple[int, int]:
+        async with hapticd.aio.connect(daemon.directory, timeout_s=60.0) as client:
+            async with client.record(tmp_path / "run.npz", subject=3):
+                first = (await client.mark("first"))["tick"]
+                last = (await client.mark("last"))["tick"]
+            with pytest.raises(HapticdError, match="is there already"):
+                async with client.record(tmp_path / "run.npz"):
+                    raise AssertionError("the block is not entered")
+            return first, last
+
+    first, last = asyncio.run(run())
+    recording = hapticd.load(tmp_path / "run.npz")
+    assert [mark["tick"] for mark in recording.marks] == [first, last]
+    assert recording.samples["tick"][0] < first and last <= recording.samples["tick"][-1]
+    assert recording.notes == {"subject": "3"}
+
+
+# ---- The flight recorder -------------------------------------------------------------------------------------------
+
+
+def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None:
+    """The scene changes within the seconds that are kept, under the hand; the file has what was there before."""
+    config = tmp_path / "quiet.yaml"
+    config.write_text(QUIET)
+    targets = [tmp_path / f"flight.{ending}" for ending in ("npz", "csv", "mcap")]
+    with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
+        client.set_scene({"objects": {"floor": FLOOR}})
+        before = client.reset()["tick"]
+        client.set_operator(WAYS, interpolation="minimum_jerk")
+        with client.events() as events:
+            for change in changes(client):
+                tick = change()["tick"]
+                next(event for event in events if event["event"] == "contact" and event["tick"] > tick)
+        client.mark("here")
+        client.set_operator([[0, 0, 0.01]], interpolation="linear")
+
+        def flight(*arguments: str) -> subprocess.CompletedProcess[str]:
+            command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", *arguments]
+            return subprocess.run(command, capture_output=True, text=True, check=False)
+
+        for target in targets:
+            assert flight(str(target)).stdout == f"{target}\n"
+        again = flight(str(targets[0]))
+        assert again.returncode == 1 and "is there already; give another name, or --overwrite" in again.stderr
+        assert flight(str(targets[0]), "--overwrite").returncode == 0
+        refused = flight("f.txt")
+        assert refused.stderr == "hapticd: f.txt: must end in .npz, .csv or .mcap\n" and refused.returncode == 1
+    for target in targets:
+        recording = hapticd.load(target)
+        assert [mark["text"] for mark in recording.marks] == ["here"]
+        assert recording.started is not None and recording.ended is not None
+        assert recording.started.monotonic_ns < recording.ended.monotonic_ns
+        rendered = replay(target)
+        assert rendered.missing_revisions == () and rendered.settled
+        assert rendered.identical == len(rendered.samples) > 0.9 * rendered.ticks, rendered.summary()
+        assert rendered.samples["tick"][0] < before, "also what was rendered with the scene of before"
+        assert len(set(rendered.samples["revision"].tolist())) >= 6

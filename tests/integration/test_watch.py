@@ -107,17 +107,17 @@ def test_it_shows_what_matters() -> None:
     for wanted in (
         "hapticd 1.2.3",
         "sim",
-        "10000 Hz",
+        "10 kHz",
         "forces faulted",
         "+10.000  +20.000 mm",
         "+100.0   -200.0 mm/s",
         "+1.25 N",
         "touching   floor",
-        "rate       10000 Hz",
+        "rate       10,000 Hz",
         "12 us",
         "300 ns",
-        "overruns   7",
-        "skipped    9",
+        "missed     9 periods",
+        "           7 times",
         "faults     lease",
         "lease      2.0 s left",
     ):
@@ -231,7 +231,11 @@ def test_bars() -> None:
         ({"event": "fault", "faults": ["lease", "device"]}, "fault lease, device"),
         ({"event": "fault", "faults": []}, "fault cleared"),
         ({"event": "saturation", "wanted_n": 12.0}, "saturation wanted 12.00 N"),
-        ({"event": "overrun", "missed": 3}, "overrun 3 ticks missed"),
+        ({"event": "overrun", "missed": 1}, "overrun 1 period missed"),
+        ({"event": "overload", "missed_share": 0.123}, "overload 12 % of a second's periods missed"),
+        ({"event": "rate", "rate_hz": 5000.0}, "rate 5 kHz from now on"),
+        ({"event": "mark", "text": "trial 3"}, "mark trial 3"),
+        ({"event": "gesture_end", "completed": True}, "gesture end as it was meant"),
         ({"event": "glitch", "speed_m_per_s": 100.0}, "glitch a jump of 100 m/s"),
         ({"event": "revision", "revision": 4}, "revision 4"),
         ({"event": "device_lost"}, "device lost"),
@@ -325,6 +329,10 @@ class Terminal:
 
     def end(self, number: int) -> tuple[int, bytes]:
         self.process.send_signal(number)
+        return self.wait()
+
+    def wait(self) -> tuple[int, bytes]:
+        """Its exit code, and what it said on stderr."""
         assert self.process.stderr is not None
         with self.process.stderr:
             # What it still writes must be read, or it never ends.
@@ -348,6 +356,7 @@ def test_on_a_terminal(daemon: Daemon, number: int, code: int) -> None:
         assert terminal.output.endswith(b"\x1b[?25h\x1b[?1049l"), "the cursor and the screen of before are back"
 
 
+@pytest.mark.slow
 def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str) -> None:
     with Terminal(arguments(daemon)) as terminal:
         terminal.read_until("touching")
@@ -376,6 +385,22 @@ def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
         process.send_signal(signal.SIGINT)
         assert process.wait(60) == 130
         assert process.stderr.read() == ""
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]], ids=["lines", "json"])
+def test_into_a_pipe_it_ends_by_itself(daemon: Daemon, options: list[str]) -> None:
+    done = subprocess.run(
+        arguments(daemon, "--for", "300ms", *options), capture_output=True, cwd=ROOT, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "tick" in done.stdout
+
+
+def test_on_a_terminal_it_ends_by_itself(daemon: Daemon) -> None:
+    with Terminal(arguments(daemon, "--for", "300ms")) as terminal:
+        terminal.read_until("hapticd")
+        code, said = terminal.wait()
+    assert (code, said) == (0, b"")
 
 
 def test_json_lines(daemon: Daemon) -> None:

@@ -315,7 +315,11 @@ def scenes(load: Load) -> Callable[[Client, random.Random], None]:
             load.call(client, "update_scene", objects={id: some_object(dice)}, wait=dice.random() < 0.2)
         name = dice.choice(("wood", "steel", "cellophane"))
         load.call(client, "update_materials", materials={name: {"stiffness_n_per_m": dice.uniform(100, 900)}})
+        load.call(client, "set_materials", materials={name: {"stiffness_n_per_m": dice.uniform(100, 900)}})
         load.call(client, "update_materials", materials={name: None})
+        soft = {"stiffness_n_per_m": dice.uniform(100, 900)}
+        load.call(client, "apply", materials={"wood": soft}, scene=dice.choice(SCENES), wait=dice.random() < 0.2)
+        load.call(client, "update_materials", materials={"wood": None})
 
     return work
 
@@ -339,7 +343,7 @@ def commands(load: Load) -> Callable[[Client, random.Random], None]:
 
     def work(client: Client, dice: random.Random) -> None:
         push: dict[str, Any] = {"direction": [dice.uniform(-1, 1), 1], "amplitude_m_per_s2": dice.uniform(0, 300)}
-        match dice.randrange(12):
+        match dice.randrange(13):
             case 0 | 1 | 2:
                 load.call(client, "play", material=dice.choice(("wood", "steel")), **push)
             case 3 | 4:
@@ -358,10 +362,12 @@ def commands(load: Load) -> Callable[[Client, random.Random], None]:
                 if token:
                     load.call(client, "lease", duration_s=0, token=token)
             case 9:
-                for method in ("get_status", "get_config", "get_scene", "get_materials"):
+                for method in ("get_status", "get_state", "get_config", "get_scene", "get_materials"):
                     load.call(client, method)
             case 10:
                 load.call(client, "dump_flight")
+            case 11:
+                load.call(client, "mark", text="trial", data={"number": dice.randrange(100)})
             case _:
                 load.call(client, "reload", wait=True)
                 load.call(client, "update_scene", objects={"floor": {"kind": "none"}})

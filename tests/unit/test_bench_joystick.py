@@ -55,6 +55,7 @@ def test_the_closed_form_solves_the_equation(name: str) -> None:
     assert joystick.Closed(handle).at(1000.0) == pytest.approx(integrated(handle), abs=1e-11)
 
 
+@pytest.mark.slow
 def test_with_friction_it_is_what_small_steps_go_to(peers: Peers) -> None:
     handle = joystick.HANDLES["the same with 0.2 N of friction"]
     truth = joystick.Closed(handle).at(1000.0)

@@ -87,6 +87,9 @@ def test_what_fails_says_so_and_the_rest_is_written(tmp_path: Path, capsys: pyte
     assert "**Not measured:** it broke here" in (tmp_path / "benchmarks.md").read_text(encoding="utf-8")
     assert (tmp_path / "report" / "one.png").read_bytes().startswith(b"\x89PNG")
     assert "bench: not measured: bad" in capsys.readouterr().err
+    with pytest.raises(HapticdError, match=r"benchmarks.md: is there already; give another name, or --overwrite"):
+        bench.perform(["bad"], Options(quick=True), tmp_path)
+    assert bench.perform(["bad"], Options(quick=True), tmp_path, overwrite=True) == 1
 
 
 @pytest.mark.usefixtures("measurements")

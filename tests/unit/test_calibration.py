@@ -141,6 +141,7 @@ def test_a_handle_that_stands_says_nothing() -> None:
         fit(record_of(force, np.zeros(len(force)), bursts, 1000.0, held=False))
 
 
+@pytest.mark.slow
 def test_bounds_hold_the_truth() -> None:
     """Over many handles, phases and offsets, 95 % bounds hold the truth in about 95 % of cases."""
     rng = np.random.default_rng(5)
@@ -202,13 +203,15 @@ DEFAULT = {"mass_kg": 0.01, "stiffness_n_per_m": 300, "damping_n_s_per_m": 5.0}
 @pytest.mark.parametrize(
     ("rate_hz", "mass_kg", "hand", "more"),
     [
-        (10000, 0.04, DEFAULT, {}),
         (1000, 0.04, DEFAULT, {}),
-        (1000, 0.03, SOFT, {}),
-        (2000, 0.1, FIRM, {}),
-        (1000, 0.3, FIRM | {"mass_kg": 0.06}, {}),
-        (1000, 0.04, DEFAULT, {"link": {"rate_hz": 250, "delay_frames": 2}}),
-        (4000, 0.04, DEFAULT, {"report_interval_s": 0.001, "report_delay_s": 0.0007}),
+        pytest.param(10000, 0.04, DEFAULT, {}, marks=pytest.mark.slow),
+        pytest.param(1000, 0.03, SOFT, {}, marks=pytest.mark.slow),
+        pytest.param(2000, 0.1, FIRM, {}, marks=pytest.mark.slow),
+        pytest.param(1000, 0.3, FIRM | {"mass_kg": 0.06}, {}, marks=pytest.mark.slow),
+        pytest.param(1000, 0.04, DEFAULT, {"link": {"rate_hz": 250, "delay_frames": 2}}, marks=pytest.mark.slow),
+        pytest.param(
+            4000, 0.04, DEFAULT, {"report_interval_s": 0.001, "report_delay_s": 0.0007}, marks=pytest.mark.slow
+        ),
     ],
 )
 def test_it_recovers_the_simulated_joystick(
@@ -233,6 +236,7 @@ def test_it_recovers_the_simulated_joystick(
         assert estimate.bound < 0.1 * value
 
 
+@pytest.mark.slow
 def test_the_same_on_every_run_and_along_both_axes() -> None:
     config = config_of()
     along = calibrated(config)
@@ -290,6 +294,7 @@ def heard(found: Calibration, rate_hz: float, scale: float = 1.0) -> Recording:
     return Recording("taps.csv", time_s + 1234.5, scale * np.interp(time_s, grid, whole))
 
 
+@pytest.mark.slow
 def test_the_accelerometer_sees_beyond_the_encoder() -> None:
     found = calibrated(config_of(4000), wide=True)
     recording = heard(found, 10000.0, scale=0.5)

@@ -6,8 +6,12 @@ import csv
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -20,8 +24,7 @@ import hapticd.cli
 from hapticd import __version__
 from hapticd.cli import main
 from hapticd.cli.common import duration, print_yaml
-from hapticd.cli.daemon import _realtime
-from hapticd.engine import Granted
+from hapticd.materials import shipped_materials
 from hapticd.yaml_source import load_text
 from tests.cli import said
 
@@ -33,13 +36,16 @@ COMMANDS = [
     "status",
     "scene",
     "material",
+    "apply",
     "play",
     "force",
     "reset",
     "operator",
+    "mark",
     "watch",
     "record",
     "simulate",
+    "paths",
     "schema",
     "devices",
     "calibrate",
@@ -48,6 +54,7 @@ COMMANDS = [
     "doctor",
     "install-service",
     "stop-device",
+    "completion",
 ]
 
 
@@ -85,7 +92,8 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     [
         ["status"],
         ["scene", "get"],
-        ["material", "list"],
+        ["apply", "comb"],
+        ["mark", "trial 3"],
         ["play", "wood", "--amplitude", "1"],
         ["force", "on"],
         ["reset"],
@@ -124,6 +132,27 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
 def test_commands_that_are_not_understood(capsys: pytest.CaptureFixture[str], arguments: list[str], told: str) -> None:
     line = said(capsys, 2, *arguments)
     assert told in line and "--help)" in line
+
+
+def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    note = (
+        f"hapticd: no daemon at {tmp_path}/hapticd; start one with: hapticd run; these are the materials of the shipped"
+    )
+    for arguments, names in ((["list"], list(shipped_materials())), (["get", "steel"], ["steel"])):
+        assert main(["material", *arguments]) == 0
+        captured = capsys.readouterr()
+        assert captured.err == f"{note} library\n"
+        printed = load_text(captured.out, "printed").data
+        assert printed == {"materials": {name: shipped_materials()[name].to_dict() for name in names}}
+        assert main(["material", *arguments, "--offline", "--json"]) == 0
+        captured = capsys.readouterr()
+        assert captured.err == "" and json.loads(captured.out) == {**printed, "revision": None}
+    told = said(capsys, 1, "material", "get", "stel", "--offline")
+    assert told.startswith('hapticd: unknown material "stel"; did you mean steel? known: wood, ')
+
+
+def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--data {a}: is not JSON: " in said(capsys, 2, "mark", "x", "--data", "{a}")
 
 
 @pytest.mark.parametrize(
@@ -176,16 +205,20 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "ticks": 1000,
         "duration_s": 0.1,
         "events": result["events"],
+        "event_counts": result["event_counts"],
+        "largest_force_n": result["largest_force_n"],
         "undisplayable": [],
         "warnings": [],
     }
     assert main(["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "b.npz"]) == 0
-    assert capsys.readouterr().out.startswith("b.npz: 1000 ticks in 0.100 s, ")
+    assert capsys.readouterr().out.startswith("b.npz: 1,000 ticks in 0.100 s, ")
     with np.load("a.npz") as first, np.load("b.npz") as second:
         assert first["samples"].tobytes() == second["samples"].tobytes(), "the same run, however it is written"
         assert first["truth"].shape == (1000, 4)
         contact = first["events"][first["events"]["event"] == "contact"][0]
         assert contact["object"] == "floor"
+        assert result["event_counts"] == dict(Counter(first["events"]["event"].tolist()))
+        assert result["largest_force_n"] == np.hypot(*first["samples"]["force_n"].T).max() > 0
     assert (
         main(
             ["simulate", "scene.yaml", "--operator", "operator.yaml", "-o", "c.csv", "--for", "50ms", "--rate", "2000"]
@@ -196,24 +229,25 @@ def test_simulate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert sum(1 for _ in csv.reader(file)) == 101
 
 
+def test_simulate_without_a_file_prints_what_happened(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", "comb", "--for", "100ms"]) == 0
+    assert re.fullmatch(r"comb: 1,000 ticks in 0\.100 s, .*, largest force .* m?N\n", capsys.readouterr().out)
+    assert os.listdir() == []
+    assert main(["simulate", "comb", "--for", "100ms", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["file"] is None
+    assert "name it with -o" in said(capsys, 2, "simulate", "comb", "--note", "a=b")
+
+
 def test_simulate_is_at_the_rate_of_the_configuration(capsys: pytest.CaptureFixture[str]) -> None:
     Path("config.yaml").write_text("servo: {rate_hz: 2000}\nscene: {}\n")
     Path("operator.yaml").write_text(WAYPOINTS)
     for options, ticks in (([], 200), (["--rate", "5000"], 500)):
-        command = ["simulate", "config.yaml", "--operator", "operator.yaml", "-o", "a.npz", "--json", *options]
+        command = ["simulate", "config.yaml", "--operator", "operator.yaml", "-o", f"{ticks}.npz", "--json", *options]
         assert main(command) == 0
         result = json.loads(capsys.readouterr().out)
         assert (result["ticks"], result["duration_s"]) == (ticks, 0.1)
     assert main(["simulate", "--help"]) == 0
     assert "[default: the configuration's]" in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.mark.parametrize(("cpu", "told"), [(None, "cpu any"), (3, "cpu 3"), (0, "cpu 0")])
-def test_the_processor_of_the_status(cpu: int | None, told: str) -> None:
-    granted = Granted("fifo", 80, cpu, "all", False, ()).to_dict()
-    assert _realtime(granted) == (
-        f"scheduler fifo, priority 80, {told}, memory locked all, idle states held no, missing none"
-    )
 
 
 @pytest.mark.parametrize(
@@ -224,9 +258,9 @@ def test_the_processor_of_the_status(cpu: int | None, told: str) -> None:
             SCENE.replace("[0, 1]", "[0, 0]"),
             WAYPOINTS,
             "x.npz",
-            "scene.yaml:2: objects.floor.normal: must have a direction",
+            "scene.yaml:2:40: objects.floor.normal: must have a direction",
         ),
-        (SCENE, "waypoints: []\n", "x.npz", "operator.yaml:1: waypoints"),
+        (SCENE, "waypoints: []\n", "x.npz", "operator.yaml:1:1: waypoints"),
         (SCENE, WAYPOINTS, "x.mat", "x.mat: must end in .npz, .csv or .mcap"),
         (SCENE, WAYPOINTS, "no/x.npz", "no/x.npz: cannot be written: No such file or directory"),
         ("- 1\n", WAYPOINTS, "x.npz", "scene.yaml:1"),
@@ -242,21 +276,66 @@ def test_simulate_says_what_is_wrong(
     assert sorted(os.listdir()) == ["operator.yaml", "scene.yaml"]
 
 
-def test_a_broken_pipe_is_quiet() -> None:
-    reader, writer = os.pipe()
-    os.close(reader)
+@contextmanager
+def nowhere(kind: str) -> Iterator[int]:
+    """What takes no output: a pipe that nobody reads, or a disk that is full."""
+    if kind == "full":
+        descriptor = os.open("/dev/full", os.O_WRONLY)
+    else:
+        reader, descriptor = os.pipe()
+        os.close(reader)
     try:
-        process = subprocess.run(
-            [sys.executable, "-m", "hapticd", "schema"],
-            stdout=writer,
-            stderr=subprocess.PIPE,
-            cwd=ROOT,
-            text=True,
-            timeout=60,
-        )
+        yield descriptor
     finally:
-        os.close(writer)
-    assert (process.returncode, process.stderr) == (1, "")
+        os.close(descriptor)
+
+
+PRINTING = ["--help", "--version", "check --help", "schema", "check", "check --json"]
+"""A command for each way in which something is printed: by click, by rich, as JSON."""
+
+
+@pytest.mark.parametrize("command", PRINTING)
+@pytest.mark.parametrize(("kind", "why"), [("pipe", "Broken pipe"), ("full", "No space left on device")])
+def test_output_that_nobody_takes_is_one_line(command: str, kind: str, why: str) -> None:
+    words = [sys.executable, "-m", "hapticd", *command.split()]
+    with nowhere(kind) as stdout:
+        process = subprocess.run(words, stdout=stdout, stderr=subprocess.PIPE, text=True, timeout=60)
+    lost = f"standard output: cannot be written: {why}"
+    assert process.returncode == 1
+    if "--json" in words:
+        assert json.loads(process.stderr)["error"]["message"] == lost
+    else:
+        assert process.stderr == f"hapticd: {lost}\n"
+
+
+@pytest.mark.parametrize("kind", ["pipe", "full"])
+@pytest.mark.parametrize(("command", "code"), [("status", 1), ("nonsense", 2), ("status --help", 0)])
+def test_errors_that_nobody_takes_change_no_exit_code(kind: str, command: str, code: int) -> None:
+    words = [sys.executable, "-m", "hapticd", *command.split()]
+    with nowhere(kind) as stderr:
+        process = subprocess.run(words, stdout=subprocess.PIPE, stderr=stderr, timeout=60)
+    assert process.returncode == code
+
+
+@pytest.mark.parametrize("command", ["schema", "status"])
+def test_nothing_that_can_be_written_to(command: str) -> None:
+    words = [sys.executable, "-m", "hapticd", command]
+    with nowhere("full") as stream:
+        process = subprocess.run(words, stdout=stream, stderr=stream, timeout=60)
+    assert process.returncode == 1
+
+
+def test_a_warning_that_nobody_takes_is_no_success() -> None:
+    program = (
+        "import click, hapticd.cli\n"
+        "hapticd.cli.cli.add_command(click.Command('warn', callback=lambda: click.echo('x', err=True)))\n"
+        "hapticd.cli._HOMES.clear()\n"
+        "hapticd.cli._LazyGroup.get_command = click.Group.get_command\n"
+        "raise SystemExit(hapticd.cli.main(['warn']))\n"
+    )
+    with nowhere("full") as stderr:
+        process = subprocess.run([sys.executable, "-c", program], stderr=stderr, timeout=60)
+    assert process.returncode == 1
 
 
 @pytest.mark.parametrize("command", ["--version", "--help", "status"])

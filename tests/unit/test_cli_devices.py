@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.cli import main
+from tests.cli import said
 from tests.hid_descriptors import Joystick
 
 STICK = bytes(Joystick())
@@ -80,11 +81,7 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, told: str) -> None:
     file = tmp_path / "descriptor"
     file.write_bytes(content)
-    assert main(["devices", "parse", str(file), "--json"]) == 1
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.startswith("hapticd: ") and printed.err.count("\n") == 1
-    assert told in printed.err
+    assert told in said(capsys, 1, "devices", "parse", str(file), "--json")
 
 
 def test_a_file_without_end(capsys: pytest.CaptureFixture[str]) -> None:

@@ -60,7 +60,7 @@ def test_list(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     here(monkeypatch)
     assert main(["devices"]) == 0
-    assert capsys.readouterr().out == "no HID device is connected, or the kernel has no hidraw\n"
+    assert capsys.readouterr() == ("", "hapticd: no HID device is connected, or the kernel has no hidraw\n")
     assert main(["devices", "dump", "/dev/hidraw0", "-o", "x"]) == 1
     assert capsys.readouterr().err == 'hapticd: no HID device "/dev/hidraw0"; there are: none\n'
 
@@ -81,9 +81,15 @@ def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
         "descriptor": STICK.hex(),
     }
     assert json.loads(report)[1] == "010000050000"
-    assert capsys.readouterr().out.startswith("1 reports of ")
-    here(monkeypatch, found(), found("/dev/hidraw1"))
+    assert capsys.readouterr().out.startswith("1 report of ")
+    dumped = out.read_text()
     assert main(["devices", "dump", "1209:5aff", "-o", str(out)]) == 1
+    assert "stick.jsonl: is there already; give another name, or --overwrite" in capsys.readouterr().err
+    assert out.read_text() == dumped
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--overwrite"]) == 0
+    capsys.readouterr()
+    here(monkeypatch, found(), found("/dev/hidraw1"))
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--overwrite"]) == 1
     assert "is several devices, name one by its path: /dev/hidraw0" in capsys.readouterr().err
 
 
@@ -106,14 +112,18 @@ def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixtur
     assert read.hid == Hid(vendor=0x1209, travel_m=0.04, force_axes=axes)
     assert stick.device.closed
     assert [item.name for item in tmp_path.iterdir() if item not in (config, out)] == []
-    # What was found is told, and what was there stays, whatever becomes of the file.
+    # What was there stays, and no handle moves for a file that would not be written.
     before = config.read_text()
     (tmp_path / "folder").mkdir()
-    for place, told in ((tmp_path / "none" / "a.yaml", "No such file"), (tmp_path / "folder", "Is a directory")):
+    monkeypatch.setattr(sources, "open_hid", lambda hid: pytest.fail("a handle would move"))
+    for place, told in (
+        (tmp_path / "none" / "a.yaml", "cannot be written: there is no folder"),
+        (tmp_path / "folder", "is there already"),
+        (out, "is there already; give another name, or --overwrite"),
+    ):
         assert main(["devices", "calibrate", "-c", str(config), "-o", str(place), "--yes"]) == 1
         seen = capsys.readouterr()
-        assert seen.out == out.read_text()
-        assert seen.err.startswith(f"hapticd: {place}: cannot be written: {told}")
+        assert seen.out == "" and seen.err.startswith(f"hapticd: {place}: {told}")
     assert sorted(item.name for item in tmp_path.iterdir()) == ["calibrated.yaml", "folder", "stick.yaml"]
     assert main(["devices", "calibrate", "-c", str(config), "-o", f"{tmp_path}/./stick.yaml", "--yes"]) == 2
     assert "would take the place of the configuration" in capsys.readouterr().err

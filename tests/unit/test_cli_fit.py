@@ -141,8 +141,9 @@ def test_a_fit_becomes_a_material_that_the_loader_takes(
 def test_what_is_printed_can_be_loaded(fits: Fits, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", "tap", "a.csv", "--name", "oak 2", "--stiffness", "1234"]) == 0
     captured = capsys.readouterr()
-    assert captured.err == "hapticd: the first tap is weak\n"
-    Path("seen.yaml").write_text(captured.out[captured.out.index("materials:") :])
+    # The material alone: table and verdict are beside it.
+    assert captured.err.endswith("\nhapticd: the first tap is weak\n") and "290 to 310" in captured.err
+    Path("seen.yaml").write_text(captured.out)
     assert load_config("seen.yaml").materials["oak 2"].stiffness_n_per_m == 1234
 
 
@@ -276,7 +277,7 @@ def test_a_file_that_is_no_library_is_not_added_to(fits: Fits, capsys: pytest.Ca
         ("a: [", "x.yaml:"),
         (
             "materials: {pine: {stiffness_n_per_m: -1}}\n",
-            "x.yaml:1: materials.pine.stiffness_n_per_m: must be at least 0",
+            "x.yaml:1:20: materials.pine.stiffness_n_per_m: must be at least 0",
         ),
     ):
         Path("x.yaml").write_text(text)
@@ -367,7 +368,7 @@ def test_without_what_the_extra_brings(
 ) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
     told = said(capsys, 1, "fit", "tap", "a.csv", "--report", "x.html")
-    assert f"needs {missing}: pip install 'hapticd[plots]'" in told
+    assert f"needs {missing}: pip install 'hapticd[fit]'" in told
 
 
 # ---- Reports ---------------------------------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ def matrix_exponential(loop: Loop, time_s: float) -> tuple[float, float, float]:
         return float(state[0]), float(state[1]), float(force)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", LOOPS.values(), ids=LOOPS)
 def test_closed_form_is_that_of_the_differential_equation(loop: Loop) -> None:
     times = np.array([0.01, 0.05, 0.07, 0.11, 0.1205, 0.15])

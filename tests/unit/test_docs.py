@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
-import tempfile
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,7 +17,7 @@ from pydantic import BaseModel
 from hapticd import wire
 from hapticd.calls import State
 from hapticd.cli import cli
-from hapticd.cli.simulation import simulate_to_file
+from hapticd.cli.simulation import simulate_files
 from hapticd.config import default_config, load_config
 from hapticd.control import _METHODS, Control
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
@@ -35,7 +31,6 @@ from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, Tap
 from hapticd.service import Installation, Service
 from hapticd.sink import NO_TIME, open_sink
 from hapticd.yaml_source import load_text
-from tests.daemon_process import Daemon, running_daemon
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -214,7 +209,7 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         "objects:\n  w: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
     )
     (tmp_path / "hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, -0.002]]\n")
-    simulate_to_file("scene.yaml", "hand.yaml", "tap.npz", None, None)
+    simulate_files("scene.yaml", "hand.yaml", "tap.npz", None, None)
     event = records(EVENT_DTYPE, 1)[0]
     with open_sink("events.npz") as sink:
         for kind in EventKind:
@@ -241,10 +236,18 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         for value, kind in zip(events[name], EventKind, strict=True):
             if name not in members(kind):
                 np.testing.assert_equal(value, nothing[row[2]])
-    (code,) = blocks(described, "python")
-    found: dict[str, np.ndarray] = {}
-    exec(code, found)
+    by_numpy, by_hapticd, _ = blocks(described, "python")
+    found: dict[str, Any] = {}
+    exec(by_numpy, found)
     assert found["contacts"]["object"].tolist() == ["w"]
+    exec(by_hapticd, found)
+    assert found["marks"] == [] and len(found["frame"]) == count
+    recording = found["recording"]
+    told = {name for row in tables(described)["member"] for name in names(row[0])}
+    assert recording.texts["recording"].keys() <= told
+    about = {name for row in tables(described)["attribute"] for name in names(row[0])}
+    public = {name for name in dir(recording) if not name.startswith("_")} - {"path", "texts"}
+    assert public <= {name.split("(")[0] for name in about}
 
 
 def members(kind: EventKind) -> set[str]:
@@ -351,54 +354,6 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 # ---- README.md -----------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with running_daemon() as daemon:
-        yield daemon
-
-
-def environment(daemon: Daemon) -> dict[str, str]:
-    return {**os.environ, "RUNTIME_DIRECTORY": str(daemon.directory), "PYTHONPATH": str(ROOT)}
-
-
-@pytest.mark.parametrize("number", range(len(blocks(README, "python"))))
-def test_the_python_of_the_readme_runs(daemon: Daemon, number: int) -> None:
-    code = blocks(README, "python")[number]
-    run = subprocess.run(
-        [sys.executable, "-c", code], env=environment(daemon), capture_output=True, text=True, timeout=300
-    )
-    assert run.returncode == 0, run.stderr
-    assert run.stdout
-
-
-def test_the_shell_of_the_readme_runs(daemon: Daemon) -> None:
-    (script,) = blocks(README, "sh")
-    activation = ". .venv/bin/activate\n"
-    assert script.startswith(activation)
-    # A busy machine may take as long to start one command as the example takes: the hand waits for the recording, and
-    # the recording for the hand.
-    begun = 'if [ "$1" = operator ]; then until ls .tap.npz.*.part; do sleep 0.1; done >/dev/null 2>&1; fi'
-    here = f'hapticd() {{ {begun}; "{sys.executable}" -m hapticd "$@"; }}\nset -e\n'
-    assert script.count("--for 8s") == 1
-    script = script.replace("--for 8s", "--for 20s")
-    with tempfile.TemporaryDirectory() as directory:
-        run = subprocess.run(
-            ["sh", "-c", here + script.removeprefix(activation)],
-            cwd=directory,
-            env=environment(daemon),
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        assert run.returncode == 0, run.stderr
-        with np.load(Path(directory) / "tap.npz") as recording:
-            touched = recording["events"]["event"].tolist().count("contact")
-            stalls = int(np.count_nonzero(np.diff(recording["samples"]["time_ns"]) > 20_000_000))
-    # All the taps of the example; what is met in a stall longer than the ramp is not told, or told anew.
-    assert abs(touched - 3) <= stalls
-    assert "daemon" in run.stdout
 
 
 def test_the_targets_of_the_readme_exist() -> None:

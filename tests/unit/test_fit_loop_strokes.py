@@ -113,6 +113,7 @@ def test_punctures_come_back() -> None:
     loop(material_of(rupture=rupture), ruptured, fit_puncture, {**rupture, "stiffness_n_per_m": STIFFNESS})
 
 
+@pytest.mark.slow
 def test_textures_come_back() -> None:
     figures = {"peak_hz": 250.0, "mean_hz": 265.0, "velocity_gain_per_s": 24.0, "force_gain_m_per_s2_per_n": 2.4}
     truth = material_of(texture={"kind": "stochastic", **figures})
@@ -130,6 +131,7 @@ def spectrum_of(material: Material, place: tuple[float, float]) -> tuple[Any, fl
     return 10 * np.log10(power_spectrum((reflection, None), frequency, texture.rate_hz)), model.level(reflection)
 
 
+@pytest.mark.slow
 def test_autoregressive_textures_come_back() -> None:
     """Two resonances, at speeds and forces that are held for a minute each."""
     poles = [0.9 * np.exp(2j * np.pi * 200 / 2500), 0.85 * np.exp(2j * np.pi * 600 / 2500)]

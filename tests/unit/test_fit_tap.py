@@ -241,6 +241,7 @@ def test_the_seven_materials_are_recovered(name: str) -> None:
         assert len(fit.taps) == 10
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
     sets, covered = 40, np.zeros(4, dtype=int)
     for seed in range(sets):
@@ -621,9 +622,9 @@ def events(shape: Floats, rate_hz: float = 25_000.0) -> list[Recording]:
     [
         (np.ones(1), "a glitch|too weak for its noise|less than 2.5 times"),
         (np.random.default_rng(7).normal(0, 1, 1000), "a decaying sinusoid explains"),
-        (np.sin(2 * np.pi * 50 * np.arange(12_500) / 25_000), "does not decay"),
+        pytest.param(np.sin(2 * np.pi * 50 * np.arange(12_500) / 25_000), "does not decay", marks=pytest.mark.slow),
         (1e6 * np.ones(30), "is none of a stylus|units|off by a thousand"),
-        (np.sin(2 * np.pi * 5 * np.arange(5000) / 25_000), "a hand's motion"),
+        pytest.param(np.sin(2 * np.pi * 5 * np.arange(5000) / 25_000), "a hand's motion", marks=pytest.mark.slow),
     ],
     ids=["spikes", "noise", "lasting", "huge", "slow"],
 )
@@ -717,6 +718,7 @@ def test_gravity_in_the_wrong_unit_is_told() -> None:
     assert "is the acceleration in g?" in fit.warnings[0]
 
 
+@pytest.mark.slow
 def test_position_and_acceleration_swapped_are_refused() -> None:
     recording, _ = made()
     assert recording.position_m is not None

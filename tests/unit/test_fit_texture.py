@@ -36,6 +36,7 @@ def strokes(material: Material, seed: int, duration_s: float = 8.0) -> list[Reco
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("peak_hz", "mean_hz"), [(160.0, 210.0), (250.0, 280.0)])
 def test_the_truth_is_found(peak_hz: float, mean_hz: float) -> None:
     fits = [fit_texture(strokes(sandpaper(peak_hz, mean_hz), seed)) for seed in range(9)]

@@ -13,6 +13,8 @@ import pytest
 
 from hapticd.core import SAMPLE_DTYPE, records
 from hapticd.flight import AFTER_S, MOST_EVENTS, Flight, directory_of
+from hapticd.flight_scene import FlightScene
+from hapticd.scene import Scene
 
 RATE_HZ = 1000
 
@@ -22,7 +24,8 @@ class Life:
 
     def __init__(self, directory: Path, seconds: float = 2.0, keep: int = 10) -> None:
         self.tick = 0
-        self.flight = Flight(directory, seconds, keep, RATE_HZ, lambda: self.tick * 1_000_000)
+        self.scene = FlightScene(Scene(), {}, 0, RATE_HZ)
+        self.flight = Flight(directory, seconds, keep, RATE_HZ, lambda: self.tick * 1_000_000, self.scene)
 
     def go_on(self, ticks: int) -> None:
         for _ in range(ticks // 20):
@@ -61,7 +64,7 @@ def test_a_file_goes_from_before_the_fault_to_a_second_after_it(tmp_path: Path) 
     life.end()
     (path,) = tmp_path.iterdir()
     first, last, about = ticks_of(path)
-    assert about == {"reason": "fault", "tick": 5000}
+    assert about == {"reason": "fault", "tick": 5000, "complete_from": 0}
     assert last == 5000 + AFTER_S * RATE_HZ - 1
     assert 5000 - 2000 - 20 < first <= 5000 - 2000
     assert life.flight.status()["skipped"] == 1

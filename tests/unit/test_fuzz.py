@@ -189,6 +189,7 @@ def test_what_was_played_nowhere(tmp_path: Path, direction: object) -> None:
 
 def test_a_csv_without_rows_warns_nobody(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
     files = fuzz_recordings.whole(".csv")
+    (tmp_path / "a.events.csv").write_bytes(files[".events.csv"])
     (tmp_path / "a.about.json").write_bytes(files[".about.json"])
     (tmp_path / "a.csv").write_bytes(files[".csv"].splitlines(keepends=True)[0] + b"\n\n")
     assert len(load_recorded(tmp_path / "a.csv").samples) == 0

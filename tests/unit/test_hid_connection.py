@@ -281,6 +281,7 @@ def test_a_device_that_was_reset_is_set_up_anew(world: World) -> None:
     assert connection.status()["connects"] == 1 and connection.status()["resets"] in (1, 2)
 
 
+@pytest.mark.slow
 def test_a_reset_that_leaves_the_actuators_on_is_seen_by_the_effects(world: World) -> None:
     stick = world.plug()
     engine = world.start()
@@ -350,6 +351,7 @@ def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
     assert not thread.is_alive() and not engine.connection._raw().connected
 
 
+@pytest.mark.slow
 def test_what_status_says(world: World) -> None:
     world.plug()
     engine = world.start()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import pty
+import re
 import socket
 import struct
 import subprocess
@@ -18,6 +20,7 @@ from hypothesis import strategies as st
 from hapticd.core import EVENT_DTYPE, EventKind, records
 from hapticd.events import event_map
 from hapticd.journal import EventLog, JournalHandler, datagram, is_stderr
+from hapticd.repeats import QUIET_S
 
 ROOT = Path(__file__).parents[2]
 
@@ -119,24 +122,54 @@ def test_the_journal_is_spoken_to_where_stderr_is_its(journal: socket.socket, tm
 import logging, os
 from hapticd import journal
 log, status = logging.getLogger("hapticd"), os.fstat(2)
-with journal.attached({{"JOURNAL_STREAM": f"{{status.st_dev}}:{{status.st_ino}}"}}, {str(tmp_path / "socket")!r}):
+stream = {{"JOURNAL_STREAM": f"{{status.st_dev}}:{{status.st_ino}}"}}
+with journal.attached("info", stream, {str(tmp_path / "socket")!r}):
     log.warning("hello")
-with journal.attached({{}}):
+with journal.attached("info", stream, "nowhere"):
+    log.info("without the journal's socket")
+with journal.attached("info", {{}}):
     log.info("plain")
+    log.debug("not told")
+with journal.attached("warning", {{}}):
+    log.info("not told")
+    log.warning("told")
+with journal.attached("debug", {{}}):
+    log.debug("all")
+    logging.getLogger("asyncio").info("a library's")
 log.info("to nobody")
 assert not logging.getLogger().handlers
 """
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=True)
     assert fields_of(journal.recv(65536))["MESSAGE"] == "hello"
-    assert run.stderr == "hapticd: plain\n"
+    lines = run.stderr.splitlines()
+    assert lines[0] == "hapticd: without the journal's socket"  # which the journal dates itself
+    dated = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d hapticd: (plain|told|all)")
+    assert [match[1] for line in lines[1:] if (match := dated.fullmatch(line))] == ["plain", "told", "all"]
+    assert len(lines) == 4
+
+
+def test_on_a_terminal_a_line_begins_with_the_time_of_day() -> None:
+    program = """
+import logging
+from hapticd import journal
+with journal.attached("info", {}):
+    logging.getLogger("hapticd").info("hello")
+"""
+    ours, theirs = pty.openpty()
+    try:
+        subprocess.run([sys.executable, "-c", program], stderr=theirs, cwd=ROOT, check=True)
+        assert re.fullmatch(rb"\d\d:\d\d:\d\d hapticd: hello\r\n", os.read(ours, 4096))
+    finally:
+        os.close(ours)
+        os.close(theirs)
 
 
 class Clock:
     def __init__(self) -> None:
-        self.ns = 0
+        self.s = 0.0
 
-    def __call__(self) -> int:
-        return self.ns
+    def __call__(self) -> float:
+        return self.s
 
 
 @pytest.fixture
@@ -145,37 +178,79 @@ def said(caplog: pytest.LogCaptureFixture) -> Iterator[pytest.LogCaptureFixture]
         yield caplog
 
 
-def test_a_flood_is_one_line_at_once_and_one_a_second(said: pytest.LogCaptureFixture) -> None:
+def overrun(missed: int = 3, count: int = 2) -> dict[str, object]:
+    return {"event": "overrun", "tick": 1, "time_ns": 0, "missed": missed, "count": count}
+
+
+def test_a_flood_is_one_line_at_once_and_then_sums_at_doubling_intervals(said: pytest.LogCaptureFixture) -> None:
+    """As a daemon without real-time rights has it: for ten hours some periods are missed ten times a second."""
     clock = Clock()
     log = EventLog(clock)
-    for _ in range(1000):
-        log.note({"event": "overrun", "tick": 1, "time_ns": 0, "missed": 3, "count": 2})
+    seconds = 10 * 3600
+    for tenth in range(10 * seconds):
+        clock.s = 0.1 * tenth
+        log.note(overrun())
         log.flush()
-    assert said.messages == ["3 periods missed, 2 times"]
-    clock.ns = 1_000_000_000
-    log.flush()
-    assert said.messages[1:] == [f"{3 * 999} periods missed, {2 * 999} times"]
-    for second in range(2, 5):
-        clock.ns = second * 1_000_000_000
-        log.flush()
-    assert len(said.messages) == 2  # nothing came
-    log.note({"event": "overrun", "tick": 9, "time_ns": 0, "missed": 1, "count": 1})
-    assert said.messages[2:] == ["1 periods missed, 1 times"]
+    assert said.messages[:4] == [
+        "3 periods missed, 2 times",
+        "30 periods missed, 20 times, in the last 1 s",
+        "60 periods missed, 40 times, in the last 2 s",
+        "120 periods missed, 80 times, in the last 4 s",
+    ]
+    assert said.messages[-1] == "108,000 periods missed, 72,000 times, in the last 1 h"
+    assert len(said.messages) == 1 + 12 + 8
+    assert said.records[1].fields["missed"] == 30  # type: ignore[attr-defined]
+    clock.s += QUIET_S
+    log.flush()  # what was held back
+    clock.s += QUIET_S
+    log.note(overrun(1, 1))
+    assert said.messages[-1] == "1 period missed"
+
+
+def test_who_lacks_the_rights_is_sent_to_the_doctor_once(said: pytest.LogCaptureFixture) -> None:
+    clock = Clock()
+    for missing, told in ((True, 1), (False, 0)):
+        said.clear()
+        log = EventLog(clock, lambda missing=missing: missing)  # type: ignore[misc]
+        for _ in range(100):
+            clock.s += 10
+            log.note(overrun())
+            log.flush()
+        assert len([line for line in said.messages if "hapticd doctor" in line]) == told
+        assert "periods missed" in said.messages[0]
 
 
 def test_what_cannot_be_added_up_is_told_by_its_last_with_the_number(said: pytest.LogCaptureFixture) -> None:
     clock = Clock()
     log = EventLog(clock)
-    for faults in (["device"], [], ["device"], []):
+    for faults in (["device", "overload"], [], ["device"], []):
         log.note({"event": "fault", "tick": 1, "time_ns": 0, "faults": faults})
     assert [record.levelname for record in said.records] == ["ERROR"]
-    clock.ns = 2_000_000_000
+    clock.s = 2.0
     log.flush()
     assert said.messages == [
-        "fault: device; forces are off until set_forces turns them on",
-        "faults cleared (and 2 more within a second)",
+        "fault: device and overload; forces are off until somebody turns them on (hapticd force on)",
+        "faults cleared (and 2 more in the last 2 s)",
     ]
     assert said.records[0].fields["event"] == "fault"  # type: ignore[attr-defined]
+
+
+def test_a_fault_is_held_back_a_minute_at_most(said: pytest.LogCaptureFixture) -> None:
+    clock = Clock()
+    log = EventLog(clock)
+    for _ in range(3600):
+        clock.s += 1.0
+        log.note({"event": "fault", "tick": 1, "time_ns": 0, "faults": ["lease"]})
+        log.flush()
+    assert "(and 59 more in the last 60 s)" in said.messages[-1]
+
+
+def test_with_level_debug_every_event_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.DEBUG, logger="hapticd"):
+        log = EventLog(Clock())
+        for _ in range(3):
+            log.note({"event": "release", "tick": 7, "object": "table"})
+    assert caplog.messages == ["event release: tick 7, object table"] * 3
 
 
 def test_a_line_that_cannot_be_made_costs_no_thread(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -188,7 +263,7 @@ def test_a_line_that_cannot_be_made_costs_no_thread(tmp_path: Path, capsys: pyte
 def test_events_of_consequence_have_words_and_others_none(said: pytest.LogCaptureFixture) -> None:
     event = records(EVENT_DTYPE, 1)[0]
     silent = {EventKind.CONTACT, EventKind.RELEASE, EventKind.PUNCTURE, EventKind.GROOVE, EventKind.SATURATION}
-    silent |= {EventKind.REVISION}
+    silent |= {EventKind.REVISION, EventKind.MARK, EventKind.GESTURE_END}
     for kind in EventKind:
         event["kind"] = kind
         said.clear()

@@ -18,8 +18,16 @@ from hapticd.bridge.config import load_bridge
 from hapticd.calls import place_of
 from hapticd.cli import cli, main
 from hapticd.errors import HapticdError
-from hapticd.keys import Certificate, is_key, load_certificate, load_secret, new_certificate, write_certificate
-from hapticd.remote import host_and_port, is_loopback, remote
+from hapticd.keys import (
+    Certificate,
+    is_key,
+    load_certificate,
+    load_secret,
+    new_certificate,
+    public_key_of,
+    write_certificate,
+)
+from hapticd.remote import Named, host_and_port, is_loopback, remote
 
 
 def test_the_files_are_those_of_czmq(tmp_path: Path) -> None:
@@ -78,10 +86,26 @@ def test_where_one_file_cannot_be_written_there_is_none(
 def test_a_secret_that_others_may_read_is_refused(tmp_path: Path, mode: int) -> None:
     _, secret = write_certificate(new_certificate(), "alice", tmp_path)
     os.chmod(secret, mode)
-    with pytest.raises(HapticdError, match="others may read"):
+    with pytest.raises(HapticdError, match=r"others may (read|change)"):
         load_secret(secret)
     os.chmod(secret, 0o640)
     assert load_secret(secret)
+
+
+@pytest.mark.parametrize("mode", [0o664, 0o646])
+def test_a_public_key_that_others_may_change_is_refused(tmp_path: Path, mode: int) -> None:
+    public, _ = write_certificate(new_certificate(), "alice", tmp_path)
+    os.chmod(public, mode)
+    with pytest.raises(HapticdError, match="others may change it"):
+        public_key_of(public)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
+def test_keys_of_somebody_else_are_refused(tmp_path: Path) -> None:
+    for path in write_certificate(new_certificate(), "alice", tmp_path):
+        os.chown(path, 12345, -1)
+        with pytest.raises(HapticdError, match="belongs to user 12345"):
+            load_certificate(path)
 
 
 def test_files_that_are_no_keys(tmp_path: Path) -> None:
@@ -144,10 +168,13 @@ def test_loopback() -> None:
 
 def test_a_bridge_needs_both_keys(tmp_path: Path) -> None:
     certificate = new_certificate()
-    place = remote("tcp://lab", certificate, certificate.public_key)
+    place = remote(Named("tcp://lab"), Named(certificate), Named(certificate.public_key))
     assert place.command_endpoint == "tcp://lab:9410"
     assert place.telemetry_endpoint == "tcp://lab:9411"
-    assert remote("tcp://[::1]:5", certificate, certificate.public_key).telemetry_endpoint == "tcp://[::1]:6"
+    assert (
+        remote(Named("tcp://[::1]:5"), Named(certificate), Named(certificate.public_key)).telemetry_endpoint
+        == "tcp://[::1]:6"
+    )
     for keys in ((None, None), (certificate, None), (None, certificate.public_key)):
         with pytest.raises(HapticdError, match="needs key, the file of our secret key, and server_key"):
             place_of("tcp://lab", *keys)

@@ -177,16 +177,16 @@ def test_a_file_with_a_gesture(tmp_path: Path) -> None:
             "a.yaml",
             "waypoints:\n  - [0, 0, 0]\n  - [0.5, zero, 0]\n  - [1, 0]\n",
             [
-                (":3: waypoints[1][1]", 'x_m must be a number, is "zero"'),
-                (":4: waypoints[2]", "must be three numbers [t_s, x_m, y_m], has 2"),
+                (":3:11: waypoints[1][1]", 'x_m must be a number, is "zero"'),
+                (":4:5: waypoints[2]", "must be three numbers [t_s, x_m, y_m], has 2"),
             ],
         ),
-        ("a.yaml", "- [0, 0, 0]\n", [(":1", "must be a mapping with waypoints or gesture")]),
-        ("a.yaml", "", [(":1", "must be a mapping with waypoints or gesture")]),
+        ("a.yaml", "- [0, 0, 0]\n", [(":1:1", "must be a mapping with waypoints or gesture")]),
+        ("a.yaml", "", [(":1:1", "must be a mapping with waypoints or gesture")]),
         (
             "a.json",
             '{\n"gesture": {"kind": "tap",\n"object": "a", "speed_m_per_s": "1"}}',
-            [(":3: gesture.speed_m_per_s", 'must be a number, is "1"')],
+            [(":3:16: gesture.speed_m_per_s", 'must be a number, is "1"')],
         ),
         (
             "a.csv",
@@ -272,7 +272,11 @@ def test_a_path_that_begins_where_the_hand_is() -> None:
 
 def test_a_gesture_that_does_not_fit_its_object() -> None:
     for target, fields, expected in (
-        (None, ALL["tap"], ("gesture.object", 'no wall, membrane, box or disc of the scene has the id "it"')),
+        (
+            None,
+            ALL["tap"],
+            ("gesture.object", 'no wall, membrane, box or disc of the scene has the id "it"; known: none'),
+        ),
         (
             FLOOR,
             ALL["puncture"],

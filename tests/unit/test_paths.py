@@ -15,6 +15,11 @@ from hapticd.paths import check_directory, daemon_paths, make_directory, runtime
 @pytest.mark.parametrize(
     ("environment", "directory"),
     [
+        (
+            {"HAPTICD_RUNTIME_DIR": "/mine", "RUNTIME_DIRECTORY": "/run/hapticd", "XDG_RUNTIME_DIR": "/run/user/7"},
+            "/mine",
+        ),
+        ({"HAPTICD_RUNTIME_DIR": "", "RUNTIME_DIRECTORY": "/run/hapticd"}, "/run/hapticd"),
         ({"RUNTIME_DIRECTORY": "/run/hapticd", "XDG_RUNTIME_DIR": "/run/user/7"}, "/run/hapticd"),
         ({"RUNTIME_DIRECTORY": "/run/hapticd:/run/other"}, "/run/hapticd"),
         ({"XDG_RUNTIME_DIR": "/run/user/7"}, "/run/user/7/hapticd"),
@@ -51,10 +56,31 @@ def test_a_new_directory_is_for_us_alone(tmp_path: Path) -> None:
     make_directory(paths)
 
 
-def test_a_group_may_enter_where_one_is_given(tmp_path: Path) -> None:
+@pytest.mark.parametrize("umask", [0o000, 0o117, 0o177, 0o777])
+def test_a_new_directory_can_be_entered_from_the_beginning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, umask: int
+) -> None:
+    seen: dict[str, int] = {}
+
+    def mkdir(path: str | os.PathLike[str], mode: int = 0o777) -> None:
+        make(path, mode)
+        seen[Path(path).name] = stat.S_IMODE(os.stat(path).st_mode)
+
+    make = os.mkdir
+    monkeypatch.setattr(os, "mkdir", mkdir)
+    before = os.umask(umask)
+    try:
+        make_directory(runtime_paths(tmp_path / "outer" / "inner" / "run"))
+        assert os.umask(umask) == umask, "the umask is as it was"
+    finally:
+        os.umask(before)
+    assert seen == {"outer": 0o700, "inner": 0o700, "run": 0o700}
+
+
+def test_a_directory_that_a_group_may_enter_is_kept(tmp_path: Path) -> None:
     paths = runtime_paths(tmp_path / "run")
-    make_directory(paths, os.getgid())
-    assert stat.S_IMODE(paths.directory.stat().st_mode) == 0o750
+    paths.directory.mkdir()
+    paths.directory.chmod(0o750)
     make_directory(paths)
     assert stat.S_IMODE(paths.directory.stat().st_mode) == 0o750, "what somebody chose is kept"
 

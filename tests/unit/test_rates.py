@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hapticd.cli.daemon import quantile_ns
+from hapticd.cli.status import quantile_ns
 from hapticd.compile import Compiler
 from hapticd.config import Sim, load_config
 from hapticd.core import HISTOGRAM_EDGES_NS, MATERIAL_DTYPE, NOISE_DTYPE, OBJECT_DTYPE, ffi, lib, pointer

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import errno
 import json
 import os
 import resource
@@ -20,6 +21,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from hapticd.cli import main
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
@@ -118,12 +120,70 @@ def test_without_events(tmp_path: Path) -> None:
 def test_what_fails_leaves_nothing_and_changes_nothing(tmp_path: Path, name: str) -> None:
     target = tmp_path / name
     target.write_text("precious")
-    with pytest.raises(RuntimeError), open_sink(target) as sink:
+    with pytest.raises(RuntimeError), open_sink(target, overwrite=True) as sink:
         sink.write(some(3))
         sink.write_event({"time_ns": 0, **EVENTS[0]})
         raise RuntimeError
     assert target.read_text() == "precious"
     assert os.listdir(tmp_path) == [name]
+
+
+# ---- Nothing is replaced unasked -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "there"),
+    [
+        ("run.npz", "run.npz"),
+        ("run.mcap", "run.mcap"),
+        ("run.csv", "run.csv"),
+        ("run.csv", "run.events.csv"),
+        ("run.csv", "run.about.json"),
+    ],
+)
+def test_a_file_that_is_there_is_not_replaced_unasked(tmp_path: Path, name: str, there: str) -> None:
+    (tmp_path / there).write_text("precious")
+    with pytest.raises(HapticdError, match=f"{there}: is there already; give another name, or --overwrite"):
+        open_sink(tmp_path / name)
+    assert os.listdir(tmp_path) == [there] and (tmp_path / there).read_text() == "precious"
+    with open_sink(tmp_path / name, overwrite=True) as sink:
+        sink.write(some(3))
+        sink.finish({"scene": {}})
+    assert len(load_recorded(tmp_path / name).samples) == 3
+
+
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize(
+    ("name", "appeared"),
+    [("run.npz", "run.npz"), ("run.mcap", "run.mcap"), ("run.csv", "run.csv"), ("run.csv", "run.about.json")],
+)
+def test_a_file_that_appears_meanwhile_keeps_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, appeared: str, links: bool
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EPERM, "no hard links here")
+
+    if not links:
+        monkeypatch.setattr(os, "link", refuse)
+    with open_sink(tmp_path / name) as sink:
+        sink.write(some(3))
+        (tmp_path / appeared).write_text("precious")
+        other = tmp_path / name.replace("run", "run-2")
+        other.write_text("this, too")
+        sink.finish({"scene": {}})
+        assert sink.displaced and sink.target == tmp_path / name.replace("run", "run-3")
+    assert (tmp_path / appeared).read_text() == "precious" and other.read_text() == "this, too"
+    assert load_recorded(sink.target).samples.tobytes() == some(3).tobytes()
+    ours = {".csv": {"run-3.csv", "run-3.events.csv", "run-3.about.json"}}.get(Path(name).suffix, {sink.target.name})
+    assert set(os.listdir(tmp_path)) == {appeared, other.name} | ours
+
+
+def test_what_told_of_a_replaced_recording_goes_with_it(tmp_path: Path) -> None:
+    for texts in ({"scene": {}}, {}):
+        with open_sink(tmp_path / "run.csv", overwrite=True) as sink:
+            sink.write(some(3))
+            sink.finish(texts)
+    assert sorted(os.listdir(tmp_path)) == ["run.csv", "run.events.csv"]
 
 
 def test_the_target_of_a_link_is_replaced_not_the_link(tmp_path: Path) -> None:
@@ -243,8 +303,8 @@ KILLED = """
 import os, signal, sys
 import numpy as np
 from hapticd.sink import open_sink
-sink = open_sink(sys.argv[1])
-sink.begin({"scene": {"objects": {}}})
+sink = open_sink(sys.argv[1], overwrite=True)
+sink.begin({"scene": {"objects": {}}}, {"notes": {}})
 sink.write_change({"revision": 1})
 sink.write_event({"event": "overrun", "tick": 3, "time_ns": 4, "missed": 2})
 for batch in np.array_split(np.load(sys.argv[2]), 100):
@@ -280,7 +340,7 @@ def test_what_a_killed_recording_left_is_recovered(tmp_path: Path, ending: str, 
     assert count == len(given) if ending != "mcap" else count >= len(given) - CHUNK_BYTES // 147 - 200
     assert recorded.texts["scene"] == {"objects": {}}
     assert recorded.texts["changes"] == [{"revision": 1}]
-    assert recorded.texts["recording"] == {"ticks": count, "events": 1, "ended": "killed"}
+    assert recorded.texts["recording"] == {"ticks": count, "events": 1, "ended_because": "killed", "notes": {}}
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
     assert recover(target) == []
 
@@ -450,6 +510,58 @@ def test_columns_of_events() -> None:
     assert event_array(lambda: []).shape == (0,)
 
 
+MARKS: list[dict[str, object]] = [
+    {"event": "mark", "tick": 1, "time_ns": 1, "text": "plain", "data": None},
+    {"event": "mark", "tick": 2, "time_ns": 2, "text": "5", "data": 5},
+    {"event": "mark", "tick": 3, "time_ns": 3, "text": 'a,"b"\n\rnull', "data": "5"},
+    {"event": "mark", "tick": 4, "time_ns": 4, "text": "null", "data": {"é": [1, 2.5, None, True, "x,y"]}},
+    {"event": "gesture_end", "tick": 5, "time_ns": 5, "started_tick": 0, "completed": False},
+    {"event": "contact", "tick": 6, "time_ns": 6, "object": None, "onset_time_ns": 5, "before_tick_s": 0.1}
+    | {"speed_m_per_s": 1.0, "true_speed_m_per_s": None, "amplitude_m_per_s2": 0.0, "scale": 1.0, "appeared": True},
+    {"event": "fault", "tick": 7, "time_ns": 7, "faults": []},
+    {"event": "overrun", "tick": 8, "time_ns": 8, "missed": 3, "count": 1},
+    {"event": "of_a_later_version", "tick": 9, "time_ns": 9, "new": True, "other": 2.5, "said": "it"},
+]
+
+
+@pytest.mark.parametrize("ending", FORMS)
+def test_events_come_back_as_they_were(tmp_path: Path, ending: str) -> None:
+    target = tmp_path / f"run.{ending}"
+    with open_sink(target) as sink:
+        sink.write(some(10))
+        for event in MARKS:
+            sink.write_event(event)
+        sink.finish({"scene": {}})
+    events = load_recorded(target).events
+    assert events == MARKS
+    for event, given in zip(events, MARKS, strict=True):
+        assert {name: type(value) for name, value in event.items()} == {
+            name: type(value) for name, value in given.items()
+        }
+
+
+def test_text_and_data_of_marks_are_columns(tmp_path: Path) -> None:
+    array = event_array(lambda: MARKS)
+    assert array["text"][:5].tolist() == ["plain", "5", 'a,"b"\n\rnull', "null", ""]
+    assert array["data"][:5].tolist() == ["", "5", '"5"', '{"é": [1, 2.5, null, true, "x,y"]}', ""]
+    assert array["completed"].tolist() == [-1, -1, -1, -1, 0, -1, -1, -1, -1] and array["started_tick"].dtype == "<i8"
+
+
+def test_one_long_mark_does_not_make_a_file_large(tmp_path: Path) -> None:
+    long = {"event": "mark", "tick": 0, "time_ns": 0, "text": "x" * 1000, "data": "y" * 8000}
+    with open_sink(tmp_path / "run.npz") as sink:
+        sink.write(some(10))
+        sink.write_event(long)
+        for tick in range(3000):
+            sink.write_event({"event": "overrun", "tick": tick, "time_ns": tick, "missed": 1, "count": 1})
+        sink.finish({})
+    assert (tmp_path / "run.npz").stat().st_size < 500_000, "3000 rows of 36 kB, mostly nothing"
+    events = load_recorded(tmp_path / "run.npz").events
+    assert len(events) == 3001 and events[0] == long
+    with np.load(tmp_path / "run.npz") as file:
+        assert file["events"]["text"][0] == "x" * 1000
+
+
 def test_columns_do_not_depend_on_what_else_there_is() -> None:
     array = event_array(lambda: EVENTS)
     for index, event in enumerate(EVENTS):
@@ -458,3 +570,20 @@ def test_columns_do_not_depend_on_what_else_there_is() -> None:
             assert alone.dtype[name].kind == array.dtype[name].kind, name
             assert alone.dtype[name].kind == "U" or alone.dtype[name] == array.dtype[name], name
             np.testing.assert_equal(alone[name][0], array[name][index])
+
+
+def test_a_text_that_is_none_is_refused(tmp_path: Path) -> None:
+    with open_sink(tmp_path / "run.npz") as sink:
+        sink.write(some(1))
+        sink.finish({})
+    with np.load(tmp_path / "run.npz") as file:
+        members = dict(file)
+    members["events"] = np.frombuffer(b"\xff\xff\xff\x7f", [("event", "<U1")])
+    np.savez(tmp_path / "wrong.npz", **members)
+    with pytest.raises(HapticdError, match=r"wrong.npz: is no recording of hapticd: .* can't decode"):
+        load_recorded(tmp_path / "wrong.npz")
+
+
+def test_a_csv_without_events_has_their_line_of_names(tmp_path: Path) -> None:
+    assert main(["simulate", "fields", "--for", "10ms", "-o", str(tmp_path / "free.csv")]) == 0
+    assert (tmp_path / "free.events.csv").read_text() == "event,tick,time_ns\n"

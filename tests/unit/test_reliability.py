@@ -358,6 +358,7 @@ def test_every_row_has_its_test() -> None:
     assert {row[0] for row in ROWS} == SCENARIOS.keys() | ELSEWHERE
 
 
+@pytest.mark.slow
 def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
     """A texture whose mean lies above half of half the rate."""
     texture = {"kind": "stochastic", "peak_hz": 2550, "mean_hz": 2600, "velocity_gain_per_s": 1}
@@ -389,6 +390,7 @@ def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
         engine.stop()
 
 
+@pytest.mark.slow
 def test_a_command_is_not_in_vain_while_the_servo_steps_down() -> None:
     """The thread that waits for the servo is the one by whose doing it goes on."""
     engine = overloaded("step_down", heavy(HEAVY))
@@ -407,6 +409,7 @@ def test_a_command_is_not_in_vain_while_the_servo_steps_down() -> None:
         engine.stop()
 
 
+@pytest.mark.slow
 def test_memory_stays_locked_when_it_steps_down() -> None:
     overruns = {"threshold": 0.3, "action": "step_down"}
     engine = simulated(
@@ -462,6 +465,7 @@ def test_no_unit_gives_up_before_a_reload_does(unit: str) -> None:
     assert len(limits) == 2 and all(int(limit) > control_module.LOAD_S for limit in limits.values())
 
 
+@pytest.mark.slow
 def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:
     """A membrane that was punctured is still open at half the rate, and its name is known."""
     skin = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "cellophane"}

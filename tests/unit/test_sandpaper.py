@@ -409,6 +409,7 @@ def test_the_lattice_is_scipys_filter_sample_by_sample() -> None:
 # ---- 3. rest, threshold, seeds, an hour ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_hour_is_as_strong_at_its_end_as_at_its_beginning() -> None:
     rig = rig_of({**SANDPAPER, "force_gain_m_per_s2_per_n": 5}, 1e3)
     spectrum = spectrum_of(rig)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 from typing import cast
 
 import pytest
@@ -27,13 +26,13 @@ class Beating:
         """Nothing is wrong here."""
 
 
-def test_it_ends_without_a_request_or_a_beat(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_it_ends_without_a_request_or_a_beat(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "BEAT_EVERY_MS", 3_600_000)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     engine, stop = Beating(), threading.Event()
     # Nobody asks anything, so there is nothing to control.
     control = cast(Control, None)
-    with server.bind(context, f"ipc://{tmp_path}/command") as socket:
+    with server.router(context) as socket:
         thread = threading.Thread(target=server.serve, args=(socket, cast(Engine, engine), control, stop), daemon=True)
         thread.start()
         assert engine.begun.wait(60)

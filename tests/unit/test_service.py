@@ -70,7 +70,8 @@ class System:
 
 
 @pytest.fixture
-def system(tmp_path: Path) -> System:
+def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> System:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
     return System(tmp_path)
 
 
@@ -283,7 +284,9 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_command(installed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["install-service", "--root", str(installed), "--dry-run"]) == 0
-    assert capsys.readouterr().out.startswith("nothing is changed; what would be done:\n")
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert f"would write {installed}/etc/hapticd/config.yaml\n" in captured.out
     assert not any(installed.iterdir())
     assert main(["install-service", "--root", str(installed), "--json"]) == 0
     steps = json.loads(capsys.readouterr().out)
@@ -291,8 +294,27 @@ def test_the_command(installed: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert written == FILES
     assert main(["install-service", "--root", str(installed), "--uninstall"]) == 0
     assert f"removed {installed}/etc/hapticd/config.yaml\n" in capsys.readouterr().out
+    fresh = installed / "made" / "anew"
+    assert main(["install-service", "--root", str(fresh), "--json"]) == 0
+    capsys.readouterr()
+    assert (fresh / "etc/hapticd/config.yaml").exists()
     assert main(["install-service", "--root", str(installed), "--user"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_packager_without_root_gets_every_file(
+    installed: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr("hapticd.service._run", lambda words: "fchownat() failed: Operation not permitted")
+    assert main(["install-service", "--root", str(installed)]) == 0
+    assert {str(path.relative_to(installed)) for path in installed.rglob("*") if path.is_file()} == FILES
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == (
+        "`systemd-sysusers hapticd.conf` and `systemd-tmpfiles --create hapticd.conf` need root: "
+        "left to whoever installs the package"
+    )
+    assert sum(line.startswith("wrote ") for line in lines) == len(FILES)
 
 
 def test_without_rights_nothing_is_written(system: System) -> None:

@@ -410,7 +410,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["--runtime-dir", str(tmp_path), "stop-device", "--json"]) == 1
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.startswith("hapticd: ") and captured.err.count("\n") == 1
+    told = json.loads(captured.err)["error"]
+    assert "is no record of a device" in told["message"] and told["exit_code"] == 1
     missing = Record("/dev/hidraw99", Identity(1, 2, {}), tuple(ZERO), (), 0.0)
     StopFile(tmp_path / "hapticd.device", lambda fd: missing.identity).keep(missing.path, 0, ZERO, STOP, 0.0)
     assert main(["--runtime-dir", str(tmp_path), "stop-device", "--json"]) == 0

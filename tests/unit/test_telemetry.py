@@ -75,6 +75,7 @@ class Read(Names):
     def __init__(self, events: int, revisions: list[int]) -> None:
         self.events, self.revisions = events, revisions
         self.said: list[int] = []
+        self.granted = None
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
         count, revisions = len(self.revisions), self.revisions

@@ -95,7 +95,7 @@ def test_merge_key_is_an_ordinary_key() -> None:
 def test_empty_documents_hold_null(text: str) -> None:
     document = load_text(text, "f")
     assert document.data is None
-    assert document.where(("servo",)) in ("f:1: servo", "f:2: servo")
+    assert document.where(("servo",)) in ("f:1:1: servo", "f:2:1: servo")
 
 
 def test_byte_order_mark_is_no_content() -> None:
@@ -181,10 +181,10 @@ def test_lines_of_keys_and_items() -> None:
     assert document.line_of(("objects", "table", "odd key", 1)) == 9
     assert document.line_of(("objects", "nobody")) is None
     assert document.line_of(("servo", "rate_hz", "deeper")) is None
-    assert document.where(("servo", "rate_hz")) == "f.yaml:2: servo.rate_hz"
-    assert document.where(("objects", "table", "point_m", 0)) == "f.yaml:6: objects.table.point_m[0]"
-    assert document.where(("objects", "table", "normal")) == "f.yaml:4: objects.table.normal"
-    assert document.where(()) == "f.yaml:1"
+    assert document.where(("servo", "rate_hz")) == "f.yaml:2:3: servo.rate_hz"
+    assert document.where(("objects", "table", "point_m", 0)) == "f.yaml:6:9: objects.table.point_m[0]"
+    assert document.where(("objects", "table", "normal")) == "f.yaml:4:3: objects.table.normal"
+    assert document.where(()) == "f.yaml:1:1"
 
 
 def test_files(tmp_path: pathlib.Path) -> None:

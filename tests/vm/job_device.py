@@ -13,6 +13,7 @@ from pathlib import Path
 import hidraw
 import usb_pid_joystick as usb
 import yaml
+from groups import with_group
 from rig import answer_of, check, done, hapticd_says, scenario, until
 
 RULES = Path(__file__).resolve().parents[2] / "systemd" / "70-hapticd.rules"
@@ -68,8 +69,8 @@ def dump_and_calibrate(joystick: usb.Joystick) -> None:
 def rule(plug: usb.Plug) -> None:
     """What udev makes of the joystick's nodes, of one that is named in the rule and of one that is not."""
     scenario("the udev rule")
-    with open("/etc/group", "a") as groups:
-        groups.write("input:x:4321:\n")
+    groups = Path("/etc/group")
+    groups.write_text(with_group(groups.read_text(), "input", 4321))
     folder = Path("/run/udev/rules.d")
     folder.mkdir(parents=True)
     text = RULES.read_text()

@@ -30,6 +30,7 @@ from hapticd.keys import new_certificate, write_certificate
 HAPTICD = str(Path(sys.executable).with_name("hapticd"))
 CONFIG = Path("/etc/hapticd/config.yaml")
 RULES = Path("/etc/udev/rules.d/70-hapticd.rules")
+USER = "hapticd-someone"  # the guest has the host's users, too
 RECORD = rig.RUNTIME / "hapticd.device"
 
 PUSH: dict[str, Any] = {
@@ -286,8 +287,8 @@ def unplugged() -> None:
 
 def of_a_user() -> None:
     scenario("systemctl --user")
-    succeeds("a user", "useradd", "--create-home", "--shell", "/bin/sh", "someone")
-    user = pwd.getpwnam("someone")
+    succeeds("a user", "useradd", "--create-home", "--shell", "/bin/sh", USER)
+    user = pwd.getpwnam(USER)
     runtime = Path(f"/run/user/{user.pw_uid}")
     runtime.mkdir(parents=True)
     os.chown(runtime, user.pw_uid, user.pw_gid)
@@ -295,7 +296,7 @@ def of_a_user() -> None:
     environment = f"XDG_RUNTIME_DIR={runtime}", f"HOME={user.pw_dir}"
 
     def theirs(*words: str) -> subprocess.CompletedProcess[str]:
-        return run("setpriv", "--reuid=someone", "--regid=someone", "--init-groups", "env", *environment, *words)
+        return run("setpriv", f"--reuid={USER}", f"--regid={USER}", "--init-groups", "env", *environment, *words)
 
     # Theirs to run, wherever this installation and its interpreter are.
     for path in (HAPTICD, os.path.realpath(sys.executable), hapticd.__file__):
@@ -303,7 +304,7 @@ def of_a_user() -> None:
             folder.chmod(folder.stat().st_mode | 0o055)
     # As user@.service, without a login.
     Path("/run/systemd/system/someone.service").write_text(
-        f"[Service]\nType=notify\nUser=someone\nDelegate=yes\nEnvironment={' '.join(environment)}\n"
+        f"[Service]\nType=notify\nUser={USER}\nDelegate=yes\nEnvironment={' '.join(environment)}\n"
         "WorkingDirectory=~\nExecStart=/lib/systemd/systemd --user\n"
     )
     systemctl("daemon-reload")

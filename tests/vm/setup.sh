@@ -61,7 +61,7 @@ unpack_package() { # PACKAGE, in a folder of its own, where its file is
     echo "$version" >ready
 }
 
-mkdir -p "$lab/kernels"
+mkdir -p "$lab/kernels" 2>/dev/null && [ -w "$lab/kernels" ] || skip "no folder $lab to keep kernels in: name one with HAPTICD_VM"
 unpacking=()
 for flavour in amd64 rt-amd64; do
     folder=$lab/kernels/$flavour

@@ -1,0 +1,94 @@
+"""What a shell offers where a command takes a name: shipped scenes, materials, objects.
+
+A key was pressed, and somebody waits: nothing here loads more than it needs or asks another machine, and what cannot be
+found out is not offered.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+import click
+from click.shell_completion import CompletionItem
+
+from hapticd.errors import HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.client import Client
+    from hapticd.shipped_files import Folder
+
+Items: TypeAlias = "list[CompletionItem[str]]"
+
+_PATIENCE_S: Final = 0.3
+# Names that no shell has to quote.
+_PLAIN: Final = re.compile(r"[\w.+-]+")
+
+
+def scenes(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """Shipped scenes and YAML files of this folder; where neither begins so, any file."""
+    return _files(incomplete, "scenes")
+
+
+def operators(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """As scenes, of operators."""
+    return _files(incomplete, "operators")
+
+
+def materials(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """Materials of the daemon, or the shipped ones where none answers."""
+    return _beginning(
+        incomplete, _asked(ctx, lambda client: client.get_materials()["materials"]) or _shipped_materials()
+    )
+
+
+def shipped_materials(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """Materials of the shipped library."""
+    return _beginning(incomplete, _shipped_materials())
+
+
+def objects(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> Items:
+    """Objects of the daemon's scene."""
+    return _beginning(incomplete, _asked(ctx, lambda client: client.get_scene()["scene"].get("objects")))
+
+
+def _files(incomplete: str, folder: Folder) -> Items:
+    from hapticd.shipped_files import shipped
+
+    here = [path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name)]
+    return _beginning(incomplete, [*shipped(folder), *sorted(here)]) or [CompletionItem(incomplete, type="file")]
+
+
+def _beginning(incomplete: str, names: Iterable[str]) -> Items:
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
+    """The names in what the daemon of this machine says; nothing where there is none, or none that answers soon."""
+    from hapticd.client import connect
+
+    here = ctx.find_root().params
+    if here.get("connect") is not None:
+        return []
+    try:
+        with connect(here.get("runtime_dir"), _PATIENCE_S) as client:
+            return _names(ask(client))
+    except (HapticdError, OSError):
+        return []
+
+
+def _shipped_materials() -> list[str]:
+    from hapticd.shipped_files import shipped
+    from hapticd.yaml_source import load_bytes
+
+    found: list[str] = []
+    for file in shipped("materials").values():
+        library = load_bytes(Path(file).read_bytes(), file).data
+        found += _names(library["materials"] if isinstance(library, dict) else None)
+    return found
+
+
+def _names(mapping: object) -> list[str]:
+    return list(mapping) if isinstance(mapping, dict) else []

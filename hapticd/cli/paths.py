@@ -1,0 +1,91 @@
+"""`hapticd paths`: where everything is."""
+
+from __future__ import annotations
+
+import os
+from typing import TypedDict
+
+import click
+
+from hapticd.cli.common import config_option, json_option, print_json
+
+
+class _Paths(TypedDict):
+    configuration: dict[str, object]
+    runtime_directory: str
+    command_socket: str
+    telemetry_socket: str
+    flight_files: str | None
+    scenes: dict[str, object]
+    operators: dict[str, object]
+    materials: dict[str, object]
+    units: str
+
+
+@click.command("paths", short_help="Say where everything is.")
+@config_option
+@json_option
+@click.pass_context
+def paths_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> None:
+    """Say where the configuration, the sockets, the flight files and what ships with hapticd are.
+
+    Nothing is made, and no daemon is asked. The exit code is 1 if the configuration cannot be read.
+    """
+    from hapticd.config import chosen_config
+    from hapticd.config_files import choose
+    from hapticd.errors import HapticdError
+    from hapticd.flight import directory_of
+    from hapticd.paths import runtime_paths
+    from hapticd.shipped_files import folder_of, shipped, units_folder
+
+    chosen = choose(configs)
+    runtime = runtime_paths(ctx.find_root().obj)
+    flight: str | None = None
+    problem: HapticdError | None = None
+    try:
+        flight = str(directory_of(chosen_config(chosen).flight.directory, runtime.directory))
+    except HapticdError as error:
+        problem = error
+    found: _Paths = {
+        "configuration": {
+            "origin": chosen.origin,
+            "files": [os.path.abspath(file) for file in chosen.files],
+            "looked_for": list(chosen.looked_for),
+        },
+        "runtime_directory": str(runtime.directory),
+        "command_socket": str(runtime.command),
+        "telemetry_socket": str(runtime.telemetry),
+        "flight_files": flight,
+        "scenes": {"folder": str(folder_of("scenes")), "names": list(shipped("scenes"))},
+        "operators": {"folder": str(folder_of("operators")), "names": list(shipped("operators"))},
+        "materials": {"folder": str(folder_of("materials")), "names": list(shipped("materials"))},
+        "units": str(units_folder()),
+    }
+    if as_json:
+        print_json(found)
+    else:
+        _print(found, str(chosen))
+    if problem is not None:
+        raise problem
+
+
+def _print(found: _Paths, configuration: str) -> None:
+    lines = [
+        ("configuration", configuration),
+        ("runtime directory", _place(found["runtime_directory"])),
+        ("command socket", _place(found["command_socket"])),
+        ("telemetry socket", _place(found["telemetry_socket"])),
+        ("flight files", "not known" if found["flight_files"] is None else _place(found["flight_files"])),
+    ]
+    for name in ("scenes", "operators", "materials"):
+        shipped = found[name]
+        names = shipped["names"]
+        assert isinstance(names, list)
+        lines.append((f"shipped {name}", f"{shipped['folder']}: {', '.join(names)}"))
+    lines.append(("units", found["units"]))
+    for name, text in lines:
+        click.echo(f"{name:<17}  {text}")
+
+
+def _place(path: str) -> str:
+    return path if os.path.lexists(path) else f"{path} (not there now)"

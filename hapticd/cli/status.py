@@ -1,0 +1,178 @@
+"""What a person reads of the daemon's status: first what is wrong or missing, then what it is and does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from hapticd import words
+from hapticd.errors import offload_text, undisplayable_text
+from hapticd.stability_words import stability_words
+
+if TYPE_CHECKING:
+    from hapticd.calls import Status
+
+Line = tuple[str, str]
+"""What it is about, and what is said of it. Without a name it goes on with the line before."""
+
+FAULTS: Final = {
+    "nonfinite": "a position or a force was not a number",
+    "control": "the control plane did not answer for a second",
+    "lease": "a lease lapsed",
+    "device": "the device does not report",
+    "overrun": "the servo missed too many periods",
+    "frozen": "the device reported the same position all the time, under force",
+}
+"""Why the forces are off, by the names of the protocol."""
+
+_COUNTED: Final = {
+    "strikes": "strikes",
+    "saturations": "saturations",
+    "glitches": "glitches",
+    "overloads": "overloads",
+    "suspends": "suspends",
+}
+
+
+def lines(status: Status) -> Iterator[Line]:
+    """The status, line by line."""
+    yield from _forces(status)
+    yield from _real_time(status["realtime"])
+    yield from _periods(status)
+    yield "device", f"{status['device']} at {words.si(status['rate_hz'], 'Hz')}{_stepped_down(status)}"
+    yield from _connection(status.get("connection"))
+    yield "scene", f"revision {status['revision']:,}"
+    lease = status["lease_s"]
+    yield "lease", "none" if lease is None else f"held, {words.duration(lease)} left"
+    for name, histogram in status.get("histograms", {}).items():
+        yield name.removesuffix("_ns"), _times(histogram)
+    counters = status["counters"]
+    for name in _COUNTED:
+        if name in counters:
+            yield name, words.number(counters[name])
+    lost = {what: counters.get(f"{what}_dropped", 0) for what in ("samples", "events")}
+    dropped = [words.count(lost[what], what[:-1]) for what in lost]
+    yield "telemetry", f"{words.listed(dropped)} dropped" if any(lost.values()) else "nothing dropped"
+    yield from _flight(status.get("flight"))
+    for mode in status["undisplayable"]:
+        yield "undisplayable", undisplayable_text(mode)
+    for told in status["offload"]:
+        yield "offload", offload_text(told)
+    for warning in status["warnings"]:
+        yield "warning", f"{warning['where']}: {warning['problem']}"
+    stability = status.get("stability")
+    if isinstance(stability, dict):
+        yield from stability_words(stability)
+    yield "daemon", f"hapticd {status['version']}, protocol {status['protocol']}, {status['state']}"
+
+
+def text_of(lines: list[Line]) -> str:
+    """Aligned, what it is about at the left."""
+    width = max(len(name) for name, _ in lines)
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
+
+
+def quantile_ns(histogram: Mapping[str, Any], part: float) -> float:
+    """So long or shorter is this part of the times; as far as the bins tell, and never more than the longest."""
+    edges, counts = histogram["edges"], histogram["counts"]
+    wanted, below = part * sum(counts), 0
+    for place, count in enumerate(counts):
+        if count and below + count >= wanted:
+            if place == len(edges):
+                break
+            low = edges[place - 1] if place else 0
+            return float(min(low + (wanted - below) / count * (edges[place] - low), histogram["max"]))
+        below += count
+    return float(histogram["max"])
+
+
+def _forces(status: Status) -> Iterator[Line]:
+    if not status["faults"]:
+        off = status["forces"] == "off"
+        yield "forces", "off: `hapticd force on` turns them on" if off else status["forces"]
+        return
+    reasons = [FAULTS.get(name, name.replace("_", " ")) for name in status["faults"]]
+    yield "forces", f"off by a fault: {words.listed(reasons)}"
+    yield "", "`hapticd force on` turns them on again once its cause is gone"
+
+
+def _real_time(granted: Mapping[str, Any] | None) -> Iterator[Line]:
+    if granted is None:
+        yield "real time", "not asked for"
+        return
+    missing = granted["missing"]
+    parts = [
+        f"SCHED_FIFO {granted['priority']}" if granted["priority"] else "no priority",
+        "any processor" if granted["cpu"] is None else f"processor {granted['cpu']}",
+        {"process": "all memory locked", "servo": "the servo's memory locked"}.get(
+            granted["memory_locked"], "no memory locked"
+        ),
+        "idle states held off" if granted["idle_states_held"] else "idle states as they are",
+    ]
+    yield "real time", ", ".join(parts)
+    for line in missing:
+        yield "", f"not granted: {line}"
+    if missing:
+        yield "", "`hapticd doctor` says how to grant it"
+
+
+def _periods(status: Status) -> Iterator[Line]:
+    counters, told = status["counters"], status.get("overruns")
+    skipped, ticks = counters["skipped"], status["tick"]
+    if not skipped:
+        yield "periods", f"{words.count(ticks, 'tick')}, none missed"
+        return
+    share = words.percent(skipped / (ticks + skipped))
+    times = counters["overruns"]
+    yield (
+        "periods",
+        f"{words.count(ticks, 'tick')}; {skipped:,} missed ({share}), {words.count(times, 'time')}",
+    )
+    if isinstance(told, dict):
+        now, limit = (words.percent(float(str(told[key]))) for key in ("missed_share", "threshold"))
+        yield "", f"{now} of the last second's; above {limit}: {str(told['action']).replace('_', ' ')}"
+
+
+def _stepped_down(status: Status) -> str:
+    told = status.get("overruns")
+    configured = told.get("configured_rate_hz") if isinstance(told, dict) else None
+    if not isinstance(configured, float | int) or configured <= status["rate_hz"]:
+        return ""
+    return f", stepped down from {words.si(configured, 'Hz')}"
+
+
+def _times(histogram: Mapping[str, Any]) -> str:
+    half, most = (quantile_ns(histogram, part) for part in (0.5, 0.99))
+    median, almost, longest = (words.si(1e-9 * value, "s", 3) for value in (half, most, histogram["max"]))
+    return f"median {median}, 99 % within {almost}, longest {longest}"
+
+
+def _flight(told: object) -> Iterator[Line]:
+    if not isinstance(told, dict):
+        return
+    files = f"{words.count(told['written'], 'file')} written to {told['directory']}"
+    yield "flight recorder", f"the last {words.duration(told['seconds'])}; {files}"
+    if told["problem"] is not None:
+        yield "", told["problem"]
+
+
+def _connection(told: object) -> Iterator[Line]:
+    if not isinstance(told, dict):
+        return
+    where = f"{told['name']} at {told['path']}, " if told["name"] else ""
+    yield "connection", f"{where}{told['state']}" + (f": {told['problem']}" if told["problem"] else "")
+    rates = [
+        f"{what} {words.si(told[key], 'Hz')}"
+        for what, key in (
+            ("carries forces at", "link_hz"),
+            ("reports at", "report_hz"),
+            ("takes forces at", "force_hz"),
+        )
+        if told[key] is not None
+    ]
+    if rates:
+        yield "link", ", ".join(rates)
+    if told["states"]:
+        yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in told["states"].items())
+    if told["resets"]:
+        yield "resets", words.number(told["resets"])

@@ -1,0 +1,319 @@
+"""What a client waits for: a daemon that is still to start, the end of a gesture, the newest of what is sent."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import hapticd.aio
+from hapticd import DaemonNotRunning, HapticdError, TimedOut, calls
+from hapticd.client import Client
+from hapticd.keys import new_certificate, write_certificate
+from hapticd.wire import GESTURE_ENDS
+from tests.bridge_process import running_bridge
+from tests.daemon_process import Daemon, connect, running_daemon
+from tests.fake_daemon import fake_daemon, result
+
+SHORT = [[0.0, 0.0, 0.05], [0.02, 0.0, 0.04]]
+LONG = [[0.0, 0.0, 0.05], [1000.0, 0.0, 0.04]]
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    with running_daemon() as daemon:
+        yield daemon
+
+
+def status_of(request: Mapping[str, Any]) -> list[bytes]:
+    return [result(request, {"method": request["method"]})]
+
+
+# ---- A daemon that is not ready yet ----------------------------------------------------------------------------------
+
+
+def in_thread(work: Callable[[], object]) -> Callable[[], object]:
+    """Begins `work`; the function that is returned waits for what it gives."""
+    found: list[object] = []
+
+    def run() -> None:
+        try:
+            found.append(work())
+        except Exception as error:
+            found.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+
+    def wait() -> object:
+        thread.join(60)
+        assert found, "it still waits"
+        return found[0]
+
+    return wait
+
+
+def blocking(directory: Path, wait_s: float) -> object:
+    with connect(directory, wait_s=wait_s) as client:
+        return client.call("hello")
+
+
+def with_asyncio(directory: Path, wait_s: float) -> object:
+    async def ask() -> object:
+        async with hapticd.aio.connect(directory, 60.0, wait_s=wait_s) as client:
+            return await client.call("hello")
+
+    return asyncio.run(ask())
+
+
+@pytest.mark.parametrize("ask", [blocking, with_asyncio])
+def test_a_client_may_come_before_the_daemon(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ask: Callable[[Path, float], object]
+) -> None:
+    waits = threading.Event()
+    original = calls.await_ready
+
+    def awaited(*arguments: Any) -> None:
+        waits.set()
+        original(*arguments)
+
+    monkeypatch.setattr(calls, "await_ready", awaited)
+    directory = tmp_path / "later"
+    answer = in_thread(lambda: ask(directory, 60.0))
+    assert waits.wait(60)
+    directory.mkdir()
+    with fake_daemon(directory, status_of):
+        assert answer() == {"method": "hello"}
+
+
+@pytest.mark.parametrize("ask", [blocking, with_asyncio])
+def test_a_daemon_that_does_not_come_is_told_as_ever(tmp_path: Path, ask: Callable[[Path, float], object]) -> None:
+    with pytest.raises(DaemonNotRunning, match=f"no daemon at {tmp_path}; start one with: hapticd run"):
+        ask(tmp_path, 0.05)
+
+
+def test_who_gives_up_waiting_waits_no_longer(tmp_path: Path) -> None:
+    """The thread that waits ends with the task, or the loop would not end for an hour."""
+
+    async def give_up() -> None:
+        async with asyncio.timeout(0.05):
+            await hapticd.aio.connect(tmp_path, wait_s=3600.0)
+
+    answer = in_thread(lambda: asyncio.run(give_up()))
+    assert isinstance(answer(), TimeoutError)
+
+
+def test_a_client_may_come_before_the_bridge(daemon: Daemon, tmp_path: Path) -> None:
+    with running_bridge(tmp_path, daemon.directory, {"alice": "command"}) as bridge:
+        address, keys = bridge.address, bridge.as_client("alice")
+        with connect(address, wait_s=60.0, **keys) as client:
+            assert client.get_status()["state"] == "running"
+        with pytest.raises(hapticd.KeyRefused, match="refuses our key"):
+            connect(address, wait_s=60.0, **bridge.as_client("stranger"))
+    with pytest.raises(DaemonNotRunning, match=f"no bridge at {address}: "):
+        connect(address, wait_s=0.05, **keys)
+
+
+def test_asyncio_connects_in_both_ways(daemon: Daemon) -> None:
+    async def main() -> None:
+        client = await hapticd.aio.connect(daemon.directory)
+        async with client:
+            assert (await client.get_status())["state"] == "running"
+        with pytest.raises(HapticdError, match="the client is closed"):
+            await client.get_status()
+        async with hapticd.aio.connect(daemon.directory) as other:
+            assert (await other.state())["tick"] >= 0
+        with pytest.raises(HapticdError, match="the client is closed"):
+            await other.state()
+
+    asyncio.run(main())
+
+
+# ---- Where the environment says --------------------------------------------------------------------------------------
+
+
+def test_the_environment_names_a_bridge_and_its_keys(
+    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running_bridge(tmp_path, daemon.directory, {"alice": "command"}) as bridge:
+        _, secret = write_certificate(bridge.keys["alice"], "alice", tmp_path)
+        monkeypatch.setenv("HAPTICD_CONNECT", bridge.address)
+        monkeypatch.setenv("HAPTICD_KEY", str(secret))
+        monkeypatch.setenv("HAPTICD_SERVER_KEY", bridge.keys["server"].public_key)
+        with connect() as client:
+            assert client.get_status()["state"] == "running"
+            assert str(client.paths) == bridge.address
+
+        async def status() -> object:
+            async with hapticd.aio.connect() as client:
+                return (await client.get_status())["state"]
+
+        assert asyncio.run(status()) == "running"
+        with connect(daemon.directory) as client:
+            assert not isinstance(client.paths, hapticd.remote.Remote), "what is given wins"
+        monkeypatch.delenv("HAPTICD_CONNECT")
+        with connect(bridge.address) as client:
+            assert client.get_status()["state"] == "running", "the keys are taken from there, too"
+
+
+def test_the_variable_is_blamed_that_is_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, secret = write_certificate(new_certificate(), "alice", tmp_path)
+    public = new_certificate().public_key
+    monkeypatch.setenv("HAPTICD_CONNECT", "lab:9410")
+    with pytest.raises(HapticdError, match=r"^HAPTICD_CONNECT: lab:9410: must be tcp://HOST:PORT"):
+        connect()
+    monkeypatch.setenv("HAPTICD_CONNECT", "tcp://lab")
+    with pytest.raises(HapticdError, match=r"^HAPTICD_CONNECT: tcp://lab: a bridge needs key, .*; or HAPTICD_KEY and"):
+        connect()
+    monkeypatch.setenv("HAPTICD_KEY", str(tmp_path / "nobody"))
+    monkeypatch.setenv("HAPTICD_SERVER_KEY", "none")
+    with pytest.raises(HapticdError, match=f"^HAPTICD_KEY: {tmp_path / 'nobody'}"):
+        connect()
+    with pytest.raises(HapticdError, match=r"^HAPTICD_SERVER_KEY: "):
+        connect(key=secret)
+    with pytest.raises(HapticdError) as caught:
+        connect("tcp://lab", key=tmp_path / "nobody", server_key=public)
+    assert "HAPTICD" not in str(caught.value)
+
+
+def test_a_bridge_is_told_by_the_address_that_it_was_given_by(tmp_path: Path) -> None:
+    certificate = new_certificate()
+    with pytest.raises(DaemonNotRunning) as caught:
+        connect("tcp://127.0.0.1:9", key=certificate, server_key=certificate.public_key)
+    told = "no bridge at tcp://127.0.0.1:9: nobody takes connections there (port 10, for telemetry)"
+    assert str(caught.value) == told
+
+
+# ---- The end of a gesture --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[Client]:
+    with connect(daemon.directory) as client:
+        yield client
+
+
+def test_the_end_of_a_gesture_is_waited_for(client: Client) -> None:
+    started = client.set_operator(SHORT)["tick"]
+    end = client.wait_gesture()
+    assert end["event"] == "gesture_end"
+    assert (end["started_tick"], end["completed"]) == (started, True)
+    assert end["tick"] > started
+    assert client.wait_gesture() == end, "one that is over is told at once"
+    assert client.wait_gesture(0.0) == end
+
+
+def test_a_gesture_that_somebody_else_replaces_has_ended(client: Client, daemon: Daemon) -> None:
+    started = client.set_operator(LONG)["tick"]
+    waits = in_thread(client.wait_gesture)
+    with connect(daemon.directory) as other:
+        taken = other.set_operator(SHORT)["tick"]
+        end = waits()
+        assert isinstance(end, dict)
+        assert (end["started_tick"], end["completed"], end["tick"]) == (started, False, taken)
+        assert client.wait_gesture() == end
+        assert other.wait_gesture()["completed"]
+
+
+def test_a_gesture_that_is_not_over_in_time(client: Client) -> None:
+    client.set_operator(LONG)
+    with pytest.raises(TimedOut, match=r"still under way after 0\.01 s"):
+        client.wait_gesture(0.01)
+    with pytest.raises(TimeoutError):
+        client.wait_gesture(0)
+
+
+def test_a_client_waits_for_what_it_asked_for(client: Client, daemon: Daemon) -> None:
+    with pytest.raises(HapticdError, match="called no set_operator"):
+        client.wait_gesture()
+    client.set_operator(SHORT)
+    with connect(daemon.directory) as other:
+        for _ in range(GESTURE_ENDS + 1):
+            other.set_operator(SHORT)
+            other.wait_gesture()
+    with pytest.raises(HapticdError, match="knows nothing of the operator that tick"):
+        client.wait_gesture()
+
+
+def test_a_daemon_that_was_started_anew_knows_of_no_gesture() -> None:
+    status = {"operator": {"started_tick": None, "ends": []}}
+    for operator in ({"started_tick": None, "ends": []}, {"started_tick": 3, "ends": []}, None):
+        with pytest.raises(HapticdError, match="started anew"):
+            calls.gesture_end(70, "status", {"operator": operator})
+    status["operator"] = {"started_tick": 80, "ends": []}
+    assert calls.gesture_end(70, "status", status) is None, "its event is still to come"
+
+
+def test_asyncio_waits_for_gestures_too(daemon: Daemon) -> None:
+    async def main() -> None:
+        async with hapticd.aio.connect(daemon.directory, 60.0) as client:
+            with pytest.raises(HapticdError, match="called no set_operator"):
+                await client.wait_gesture()
+            started = (await client.set_operator(SHORT))["tick"]
+            end = await client.wait_gesture()
+            assert (end["started_tick"], end["completed"]) == (started, True)
+            await client.set_operator(LONG)
+            with pytest.raises(TimedOut):
+                await client.wait_gesture(0.01)
+            await client.set_operator(SHORT)
+            assert (await client.wait_gesture(60.0))["completed"]
+
+    asyncio.run(main())
+
+
+# ---- The newest ------------------------------------------------------------------------------------------------------
+
+
+def test_the_newest_is_newer_than_its_asking(client: Client) -> None:
+    """Whatever was sent while nobody read is left out, however much it is."""
+    with client.states(newest=True) as states:
+        for _ in range(3):
+            with client.states() as every:  # many are sent, and none is read
+                for _ in range(10):
+                    next(every)
+            tick = client.state()["tick"]
+            assert next(states)["tick"] >= tick
+
+
+def test_the_newest_batch_is_newer_than_its_asking_and_warns_of_nothing(client: Client) -> None:
+    with warnings.catch_warnings(), client.samples(newest=True) as batches:
+        warnings.simplefilter("error")
+        first = next(batches)
+        with client.states() as every:
+            for _ in range(10):
+                next(every)
+        tick = client.state()["tick"]
+        second = next(batches)
+        assert second["tick"][-1] >= tick
+        assert second.lost == second.first_tick - (first.first_tick + len(first)) > 0
+
+
+def test_asyncio_has_the_newest_too(daemon: Daemon) -> None:
+    async def main() -> None:
+        async with hapticd.aio.connect(daemon.directory, 60.0) as client:
+            async with client.states(newest=True) as states, client.states() as every:
+                for _ in range(3):
+                    for _ in range(10):
+                        await anext(every)
+                    tick = (await client.state())["tick"]
+                    assert (await anext(states))["tick"] >= tick
+            states = client.states(newest=True)
+            tick = (await client.state())["tick"]
+            assert (await anext(states))["tick"] >= tick
+            states.close()
+            with pytest.raises(StopAsyncIteration):
+                await anext(states)
+
+    asyncio.run(main())
+
+
+def test_a_closed_subscription_to_the_newest_has_no_more(client: Client) -> None:
+    states = client.states(newest=True)
+    assert states.receive(60.0) is not None
+    states.close()
+    assert list(states) == []

@@ -1,0 +1,277 @@
+"""What commands print: people's lines, programs' JSON, and the line or object of a command that failed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from hapticd.calls import DaemonNotRunning, RemoteError, Status
+from hapticd.cli import main
+from hapticd.cli.common import print_result
+from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.shell import PHRASES, in_shell_words
+from hapticd.cli.status import FAULTS, lines, text_of
+from hapticd.control import _FAULT_WORDS
+from hapticd.core import Fault
+from hapticd.engine import Granted
+from hapticd.errors import HapticdError, InvalidError, Problem
+from hapticd.events import fault_names
+from hapticd.wire import Code
+from tests.cli import said
+
+# ---- status ----------------------------------------------------------------------------------------------------------
+
+
+def status(**changes: object) -> Status:
+    histogram = {"edges": [1000, 2000], "counts": [0, 10, 0], "sum": 15000, "max": 1_500_000}
+    plain: dict[str, Any] = {
+        "version": "1.2.3",
+        "protocol": 1,
+        "state": "running",
+        "device": "sim",
+        "connection": None,
+        "rate_hz": 10_000.0,
+        "realtime": Granted("fifo", 80, 3, "process", True, ()).to_dict(),
+        "revision": 1234,
+        "tick": 98_766,
+        "forces": "on",
+        "faults": [],
+        "lease_s": None,
+        "counters": {"skipped": 0, "overruns": 0, "samples_dropped": 0, "events_dropped": 0, "strikes": 12_340},
+        "overruns": {"threshold": 0.1, "action": "warn", "missed_share": 0.0123, "configured_rate_hz": 10_000.0},
+        "histograms": {"lateness_ns": histogram},
+        "flight": {"seconds": 10.0, "written": 1, "directory": "/var/lib/hapticd", "problem": None},
+        "undisplayable": [],
+        "warnings": [],
+        "offload": [],
+    }
+    return cast(Status, {**plain, **changes})
+
+
+def test_the_status_of_a_daemon_that_is_well() -> None:
+    assert text_of(list(lines(status()))).splitlines() == [
+        "forces           on",
+        "real time        SCHED_FIFO 80, processor 3, all memory locked, idle states held off",
+        "periods          98,766 ticks, none missed",
+        "device           sim at 10 kHz",
+        "scene            revision 1,234",
+        "lease            none",
+        "lateness         median 1.5 us, 99 % within 1.99 us, longest 1.5 ms",
+        "strikes          12,340",
+        "telemetry        nothing dropped",
+        "flight recorder  the last 10 s; 1 file written to /var/lib/hapticd",
+        "daemon           hapticd 1.2.3, protocol 1, running",
+    ]
+
+
+def test_what_is_wrong_comes_first_with_what_to_do() -> None:
+    refused = Granted("other", 0, None, "none", False, ("SCHED_FIFO priority 80: Operation not permitted",))
+    counters = {"skipped": 1234, "overruns": 1, "samples_dropped": 1, "events_dropped": 0}
+    told = status(
+        forces="faulted", faults=["device", "lease"], realtime=refused.to_dict(), counters=counters, rate_hz=5000.0
+    )
+    assert text_of(list(lines(told))).splitlines()[:9] == [
+        "forces           off by a fault: the device does not report and a lease lapsed",
+        "                 `hapticd force on` turns them on again once its cause is gone",
+        "real time        no priority, any processor, no memory locked, idle states as they are",
+        "                 not granted: SCHED_FIFO priority 80: Operation not permitted",
+        "                 `hapticd doctor` says how to grant it",
+        "periods          98,766 ticks; 1,234 missed (1.23 %), 1 time",
+        "                 1.23 % of the last second's; above 10 %: warn",
+        "device           sim at 5 kHz, stepped down from 10 kHz",
+        "scene            revision 1,234",
+    ]
+    assert ("telemetry", "1 sample and 0 events dropped") in list(lines(told))
+    assert ("forces", "off: `hapticd force on` turns them on") in list(lines(status(forces="off")))
+
+
+def test_the_status_has_the_daemons_words_for_faults() -> None:
+    assert {fault_names(fault)[0]: _FAULT_WORDS[fault] for fault in Fault} == FAULTS
+
+
+# ---- failures --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "asked"),
+    [(["status", "--json"], True), (["status"], False), (["mark", "--", "--json"], False), (["--json", "x"], True)],
+)
+def test_who_asks_for_json(arguments: list[str], asked: bool) -> None:
+    assert asks_for_json(arguments) is asked
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message", "problems"),
+    [
+        (HapticdError("no\nway"), None, "no way", []),
+        (DaemonNotRunning("nobody"), -32009, "nobody", []),
+        (
+            InvalidError([Problem("a.yaml:3: scene", "is missing")]),
+            -32602,
+            "a.yaml:3: scene: is missing",
+            [{"where": "a.yaml:3: scene", "problem": "is missing"}],
+        ),
+        (
+            RemoteError(Code.INVALID_PARAMS, "x", [{"where": "mode", "problem": "must be a mapping"}]),
+            -32602,
+            "mode: must be a mapping",
+            [{"where": "mode", "problem": "must be a mapping"}],
+        ),
+        ("no memory", None, "no memory", []),
+    ],
+)
+def test_a_failure_for_programs(
+    error: BaseException | str, code: int | None, message: str, problems: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert tell(error, 1, as_json=True) == 1
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert json.loads(captured.err) == {
+        "error": {"message": message, "code": code, "exit_code": 1, "problems": problems}
+    }
+    assert tell(error, 1, as_json=False) == 1
+    assert capsys.readouterr().err == f"hapticd: {message}\n"
+
+
+WITH_JSON = [
+    ["status"],
+    ["reload"],
+    ["scene", "get"],
+    ["scene", "set", "scene.yaml"],
+    ["material", "set", "none.yaml"],
+    ["apply", "scene.yaml"],
+    ["mark", "trial 3"],
+    ["play", "wood", "--amplitude", "1"],
+    ["force", "on"],
+    ["reset"],
+    ["watch"],
+    ["record", "x.npz"],
+    ["flight"],
+    ["replay", "none.npz"],
+    ["simulate", "none.yaml", "--operator", "none.yaml", "-o", "x.npz"],
+    ["check", "-c", "none.yaml"],
+    ["devices", "parse", "none.hex"],
+    ["devices", "dump", "none", "-o", "x.yaml"],
+    ["devices", "calibrate", "-c", "none.yaml"],
+    ["calibrate", "-c", "none.yaml"],
+    ["verify", "-c", "none.yaml"],
+    ["fit", "tap", "none.csv"],
+    ["fit", "synthesize", "tap", "--material", "none", "-o", "x.npz"],
+    ["doctor", "-c", "none.yaml"],
+    ["key", "new", "a/b"],
+]
+
+
+@pytest.mark.parametrize("arguments", WITH_JSON, ids=" ".join)
+def test_every_command_fails_in_json_where_it_is_asked_to(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text("objects: {}\n")
+    place = ["--runtime-dir", str(tmp_path)]
+    assert said(capsys, 1, *place, *arguments, "--json") == said(capsys, 1, *place, *arguments)
+    # Neither a stray argument nor an unknown option comes as text.
+    assert "--nonsense" in said(capsys, 2, *place, *arguments, "--json", "--nonsense")
+
+
+def test_with_json_nothing_but_an_error_is_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a daemon the materials are the shipped ones, which people are told beside them."""
+    place = ["--runtime-dir", str(tmp_path)]
+    assert main([*place, "material", "get", "wood"]) == 0
+    assert "shipped" in capsys.readouterr().err
+    assert main([*place, "material", "get", "wood", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert list(json.loads(captured.out)["materials"]) == ["wood"] and captured.err == ""
+    assert "unknown material" in said(capsys, 1, *place, "material", "get", "none", "--json")
+
+
+# ---- the shell's words -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "message", "told"),
+    [
+        (
+            Code.FORCES_OFF,
+            "forces are off: set_forces with enabled: true turns them on",
+            "forces are off: `hapticd force on` turns them on",
+        ),
+        (
+            Code.FORCES_OFF,
+            "forces are off because a lease lapsed: set_forces with enabled: true turns them on again",
+            "forces are off because a lease lapsed: `hapticd force on` turns them on again",
+        ),
+        (
+            Code.STALE_REVISION,
+            "expect_revision: 3 is stale, the scene is at revision 5",
+            "--expect-revision: 3 is stale, the scene is at revision 5: see `hapticd scene get`",
+        ),
+        (
+            Code.NO_SUCH_METHOD,
+            "no such method; known: play",
+            "the daemon does not know this command: it is of another version; `hapticd status` says which",
+        ),
+        (
+            Code.NO_OPERATOR,
+            "set_operator moves the simulated joystick's hand; this device is of kind hid",
+            "`hapticd operator` moves the simulated joystick's hand; this device is of kind hid",
+        ),
+        (Code.LEASE_HELD, "another client holds the lease for 2.000 s more", None),
+    ],
+)
+def test_the_daemons_words_in_those_of_the_shell(code: int, message: str, told: str | None) -> None:
+    assert in_shell_words(RemoteError(code, message)) == (told or message)
+
+
+def test_what_is_replaced_is_what_the_daemon_says() -> None:
+    source = (Path(__file__).parents[2] / "hapticd" / "control.py").read_text()
+    for phrase, _ in PHRASES:
+        assert phrase in source
+
+
+def test_warnings_of_a_result(capsys: pytest.CaptureFixture[str]) -> None:
+    result = {
+        "revision": 2,
+        "warning": "forces are off: set_forces with enabled: true turns them on",
+        "warnings": [{"where": "materials.x.tap", "problem": "50 kHz is above 0.4 of the rate"}],
+    }
+    print_result(result, as_json=False, text="revision 2")
+    captured = capsys.readouterr()
+    assert captured.out == "revision 2\n"
+    assert captured.err.splitlines() == [
+        "hapticd: warning: forces are off: `hapticd force on` turns them on",
+        "hapticd: warning: materials.x.tap: 50 kHz is above 0.4 of the rate",
+    ]
+    print_result(result, as_json=True, text="revision 2")
+    captured = capsys.readouterr()
+    assert (json.loads(captured.out), captured.err) == (result, "")
+
+
+# ---- commands that there are not -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["recrod"], "No such command 'recrod'. Did you mean 'record'? (see hapticd --help)"),
+        (["scene", "gte"], "No such command 'gte'. Did you mean 'get'? (see hapticd scene --help)"),
+        (["xyzzy"], "No such command 'xyzzy'. (see hapticd --help)"),
+        (["status", "--jsn"], "No such option '--jsn'. Did you mean '--json'? (see hapticd status --help)"),
+    ],
+)
+def test_a_command_that_is_mistyped(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(capsys, 2, *arguments) == f"hapticd: {told}\n"
+
+
+@pytest.mark.parametrize("command", ["run", "bridge"])
+@pytest.mark.parametrize("options", [["-q", "-v"], ["-v", "--log-level", "info"]])
+def test_one_level_of_the_log(command: str, options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert "-q, -v and --log-level say the same" in said(capsys, 2, command, *options)
+
+
+def test_main_is_what_is_tested(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["xyzzy", "--json"]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["exit_code"] == 2
