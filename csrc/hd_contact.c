@@ -93,7 +93,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     slot->place_version = object->place_version;
     slot->skin_version = object->skin_version;
     slot->changed = onset->silent && !walk->resync && hd_walk_is_unsettled(walk);
-    state->change.came |= slot->changed;
+    state->change.whole |= slot->changed;
     /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
     slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 ? 0.0 : 1.0;
     /* Reached along a surface whose force is still coming in, it goes on from there. */
@@ -190,6 +190,7 @@ HD_RT void hd_contact_hush(struct hd_state *state, struct hd_slot *slot) {
 HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int64_t time_ns) {
     struct hd_slot *slot = &state->slots[index];
     hd_contact_change(state, slot->force_n);
+    state->change.whole = 1;
     hd_contact_hush(state, slot);
     hd_contact_end(state, index, time_ns);
     if (!slot->resume) {

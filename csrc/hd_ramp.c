@@ -119,18 +119,23 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
         ramped->still_n[axis] = still_cut * was[axis] + residual->force_n[axis];
         ramped->still_whole_n[axis] = was[axis] + residual->force_n[axis] + residual->beyond_n[axis];
     }
+    if (change->whole && residual->left > 0) {
+        fade(residual, table);
+    }
     if (ramped->changed) {
-        const double felt_cut = cut_of(ramped->still_n, limit);
+        double felt[2] = {still_cut * was[0] + residual->force_n[0], still_cut * was[1] + residual->force_n[1]};
+        const double felt_cut = cut_of(felt, limit);
         for (int axis = 0; axis < 2; axis++) {
             const double felt_object = still_cut * was_object[axis] + residual->object_n[axis];
-            residual->force_n[axis] = felt_cut * ramped->still_n[axis] - is[axis];
+            const double whole = was[axis] + residual->force_n[axis] + residual->beyond_n[axis];
+            residual->force_n[axis] = felt_cut * felt[axis] - is[axis];
             residual->object_n[axis] = felt_cut * felt_object - is_object[axis];
-            residual->beyond_n[axis] = ramped->still_whole_n[axis] - contact_n[axis] - residual->force_n[axis];
+            residual->beyond_n[axis] = whole - contact_n[axis] - residual->force_n[axis];
             residual->pressed_n[axis] = is[axis];
         }
         begin(residual, table);
     }
-    if (!change->came) {
+    if (!change->whole) {
         fade(residual, table);
     }
     /* What the limit keeps from being felt is no part of it. */

@@ -64,7 +64,7 @@ struct hd_change {
     double eased_n[2]; /* what noises that are on a ramp are more than they would be if it stood still */
     uint8_t any;       /* not all of the first three are zero */
     uint8_t eases;     /* nor is the last */
-    uint8_t came;      /* a contact without an onset is among it, which is not felt before the next tick */
+    uint8_t whole; /* something came or went: what that makes is whole in this tick, and fades from the next one on */
 };
 
 /* What was felt before a change and is not the scene's any more, on its way to zero: see hd_ramp.h. */

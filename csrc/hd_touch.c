@@ -124,6 +124,7 @@ HD_RT void hd_touch_drop(struct hd_walk *walk, uint32_t index) {
     double was[2];
     press_as_it_was(walk, &walk->state->slots[index], was);
     hd_contact_change(walk->state, was);
+    walk->state->change.whole = 1;
     hd_contact_hush(walk->state, &walk->state->slots[index]);
     hd_contact_end(walk->state, index, walk->input->time_ns);
 }

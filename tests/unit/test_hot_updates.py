@@ -408,3 +408,16 @@ def test_a_wall_that_is_moved_away_under_a_stroking_hand_strikes_no_groove(down_
     rig.update({"w": {**FLOOR, "material": "comb", "point_m": [0.0137, -down_m]}})
     rig.render(path[100:110])
     assert EventKind.GROOVE not in rig.kinds()
+
+
+def test_what_a_change_left_fades_although_a_reset_comes_in_every_tick() -> None:
+    rig = Rig({"w": FLOOR, "side": {**FLOOR, "normal": [1, 0], "point_m": [0.001, 0]}}, rate_hz=1000)
+    rig.render(still(0, -0.002, 60))
+    rig.update({"w": None})
+    forces = []
+    for _ in range(200):
+        lib.hd_state_reset(rig.state, lib.HD_NO_SLOT, 0, 0)
+        forces.append(rig.render(still(0, -0.002, 1))["force_n"][0])
+    force = np.array(forces)
+    assert force[0] == pytest.approx([0.8, 1.6]) and np.all(np.diff(force[:, 1]) <= 0)
+    assert np.allclose(force[:, 0], 0.8) and force[-1, 1] < 0.01
