@@ -48,12 +48,13 @@ def test_a_mark_is_an_event_of_the_tick_that_it_was_answered_with(client: Client
 
 
 def test_marks_come_in_their_order_and_between_the_changes_around_them(client: Client) -> None:
+    """Fewer than may be under way, so that none waits for the events before it to be sent."""
     with client.events() as events:
         before = client.set_scene({"objects": {}}, wait=True)["tick"]
-        ticks = [client.mark(str(number))["tick"] for number in range(100)]
+        ticks = [client.mark(str(number))["tick"] for number in range(60)]
         after = client.set_scene({"objects": {}}, wait=True)["tick"]
         found = [next_of(events, "mark") for _ in ticks]
-    assert [event["text"] for event in found] == [str(number) for number in range(100)]
+    assert [event["text"] for event in found] == [str(number) for number in range(60)]
     assert [event["tick"] for event in found] == ticks
     assert before <= ticks[0]
     assert ticks[-1] < after
