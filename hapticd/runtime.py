@@ -1,8 +1,8 @@
 """The runtime directory while a daemon owns it: its lock, and the sockets that are bound in it.
 
 The directory and the file `hapticd.lock` are locked with flock(2). systemd-tmpfiles leaves a locked directory alone,
-with all that is in it. A socket is bound under the name that clients use, so that the kernel lists it in /proc/net/unix
-under that name, too. At its end a daemon removes only those files that are still the ones that it made.
+with all that is in it. A socket gets its name once it listens. At its end a daemon removes only those files that are
+still the ones that it made.
 """
 
 from __future__ import annotations
@@ -51,11 +51,13 @@ class Owned:
         Raises HapticdError.
         """
         try:
-            path.unlink(missing_ok=True)
+            unnamed = path.with_name(".new")
+            unnamed.unlink(missing_ok=True)
             with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as own:
-                own.bind(os.fspath(path))
-                path.chmod(0o660)
+                own.bind(os.fspath(unnamed))
+                unnamed.chmod(0o660)
                 own.listen(_BACKLOG)
+                unnamed.replace(path)  # its existence means that it can be connected to
                 self.note(path)
                 bound.setsockopt(zmq.USE_FD, own.fileno())
                 bound.bind(f"ipc://{path}")
