@@ -769,3 +769,14 @@ int64_t hd_histogram_edge_ns(uint32_t index);
 /* Move up to `capacity` records out of the rings; the number is returned. *dropped is the running total. One reader. */
 size_t hd_servo_read_samples(struct hd_servo *servo, struct hd_sample *samples, size_t capacity, uint64_t *dropped);
 size_t hd_servo_read_events(struct hd_servo *servo, struct hd_event *events, size_t capacity, uint64_t *dropped);
+
+#define HD_TOUCHED_MAX 1024
+
+struct hd_touched {
+    uint32_t slot;
+    uint32_t generation;
+};
+
+/* What is touched now, or was at a tick that is not older than any sample or event that was read: up to HD_TOUCHED_MAX
+ * records into `touched`; how many. Nothing of it is lost with events. One reader. */
+size_t hd_servo_read_touched(struct hd_servo *servo, struct hd_touched *touched);

@@ -73,6 +73,15 @@ HD_RT static uint8_t nearest_face(const struct hd_object *object, const double l
     return to_top <= to_side ? face_of(1, local[1] >= 0.0) : face_of(0, local[0] >= 0.0);
 }
 
+/* Whether the way from the surface point to where the probe was, in the box's axes, enters through that face, too. */
+HD_RT static int stood(const struct hd_object *object, const double surface_m[2], const double was[2], uint8_t face) {
+    double surface[2];
+    double cut;
+    uint8_t entered;
+    in_box(object, surface_m, surface);
+    return enters(object, surface, was, &cut, &entered) && entered == face;
+}
+
 HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     double from[2];
     double to[2];
@@ -80,6 +89,7 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
     in_box(object, walk->input->position_m, to);
     onset->side = 1;
     onset->slid = 0;
+    onset->stood = 0;
     if (fresh || inside(object, from)) {
         if (!inside(object, to)) {
             return 0;
@@ -88,7 +98,7 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
         onset->face = nearest_face(object, to);
         hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
         /* What lies behind a surface that is pressed is not touched. */
-        return !hd_box_left(walk, object, HD_NO_SLOT, onset->face, &onset->place);
+        return !hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place);
     }
     const struct hd_path *path = hd_path_legs(walk);
     for (uint32_t leg = 0; leg < path->legs; leg++) {
@@ -107,8 +117,10 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
                 begin = walk->from_m;
             } else {
                 onset->slid = leg > 0;
+                onset->stood = leg > 0 && stood(object, path->point[0], from, onset->face);
                 hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
-                if (onset->slid && hd_box_left(walk, object, HD_NO_SLOT, onset->face, &onset->place)) {
+                if (onset->slid &&
+                    hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place)) {
                     return 0; /* it lies behind, and the surface point is not on it */
                 }
             }
@@ -124,10 +136,10 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
 }
 
 HD_RT int hd_box_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot, uint8_t face,
-                      const struct hd_place *place) {
+                      const double position_m[2], const struct hd_place *place) {
     if (!(place->depth_m > 0.0)) {
         return 1;
     }
-    const double along = place->along_m + hd_path_shift(walk, slot, place->normal);
+    const double along = place->along_m + hd_path_shift(walk, slot, place->normal, position_m);
     return hd_magnitude(along) > object->half_m[face % 2 == 0 ? 0 : 1] + HD_RIM_M;
 }

@@ -1,13 +1,14 @@
 /* Contacts: one life cycle for every shape.
  *
  *   free --onset--> touched            the tap is struck, force at once
- *   free --met inside--> touched       silent, force over the ramp (appeared, forces came on, jump, stall, reset)
- *   touched --changed--> touched       place and skin move to the new ones over the ramp, the state stays (hd_touch.c)
+ *   free --met inside--> touched       silent, force over a ramp (jump, stall; where two solids overlap)
+ *   free --appeared--> touched         silent (new or moved there, reset)
+ *   touched --changed--> touched       it is the new one at once, the state stays (hd_touch.c)
  *   touched --let go--> free           the probe left
- *   touched --dropped--> free          the object went away under the hand: its last force fades out over the ramp
+ *   touched --dropped--> free          the object went away under the hand
  *
- * So no message, however timed, steps the force by more than the ramp allows; but a surface that is moved far along
- * itself takes the hand along, with mu F_n at most. */
+ * What commands make of the force is noted (struct hd_change) and comes in over the ramp
+ * (hd_ramp.h). But a surface that is moved far along itself takes the hand along, with mu F_n at most. */
 #include "hd_contact.h"
 
 #include "hd_offload.h"
@@ -36,12 +37,12 @@ HD_RT void hd_contact_close(struct hd_state *state, uint32_t index) {
     }
 }
 
-HD_RT void hd_contact_take(struct hd_state *state, uint32_t index, uint32_t generation, int64_t time_ns) {
-    struct hd_slot *slot = &state->slots[index];
+HD_RT void hd_contact_take(struct hd_walk *walk, uint32_t index, uint32_t generation) {
+    struct hd_slot *slot = &walk->state->slots[index];
     if (slot->touched) {
-        hd_contact_drop(state, index, time_ns);
+        hd_touch_drop(walk, index);
     }
-    hd_contact_close(state, index);
+    hd_contact_close(walk->state, index);
     /* A mode of the former owner goes on ringing on its own. */
     *slot = (struct hd_slot){.generation = generation, .looked = slot->looked};
 }
@@ -83,6 +84,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
     slot->touched = 1;
+    state->touches++;
     slot->active_index = state->active_count;
     state->active[state->active_count++] = index;
     slot->side = onset->side;
@@ -90,20 +92,19 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     slot->last = onset->place;
     slot->place_version = object->place_version;
     slot->skin_version = object->skin_version;
-    slot->moving = 0;
-    slot->place_blend = 1.0;
-    slot->skin_blend = 1.0;
+    slot->changed = onset->silent && !walk->resync && hd_walk_is_unsettled(walk);
+    state->change.whole |= slot->changed;
+    /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
+    slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 ? 0.0 : 1.0;
+    /* Reached along a surface whose force is still coming in, it goes on from there. */
+    for (uint32_t i = 0; onset->slid && !onset->silent && i < walk->path.plane_count; i++) {
+        const double pressed = state->slots[walk->path.plane[i].slot].ramp;
+        slot->ramp = pressed < slot->ramp ? pressed : slot->ramp;
+    }
     slot->anchor_m = onset->place.along_m;
     slot->normal_n = 0.0;
     slot->grooves = 0;
     slot->contacts++;
-    /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
-    slot->ramp = onset->silent && state->gain > 0.0 ? 0.0 : 1.0;
-    /* Reached along a surface whose force is still coming in, it goes on from there. */
-    for (uint32_t i = 0; onset->slid && i < walk->path.plane_count; i++) {
-        const double pressed = state->slots[walk->path.plane[i].slot].ramp;
-        slot->ramp = pressed < slot->ramp ? pressed : slot->ramp;
-    }
     const double *direction = onset->place.normal;
     const double before = onset->silent ? 0.0 : hd_before_tick(walk, onset->fraction);
     const double approach = -hd_dot(walk->input->velocity_m_per_s, direction);
@@ -159,6 +160,7 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     state->active[slot->active_index] = last;
     state->slots[last].active_index = slot->active_index;
     slot->touched = 0;
+    state->touches++;
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;
     hd_contact_silence(state, slot);
@@ -169,24 +171,28 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     }
 }
 
-HD_RT void hd_contact_drop(struct hd_state *state, uint32_t index, int64_t time_ns) {
-    const struct hd_slot *slot = &state->slots[index];
-    const double ticks = state->ramp_ticks;
-    state->residual_left = ticks < 1.0 ? 1u : ticks > 1e6 ? 1000000u : (uint32_t)ticks;
-    for (int axis = 0; axis < 2; axis++) {
-        state->residual_n[axis] += state->show_force * slot->force_n[axis];
-        state->residual_step_n[axis] = state->residual_n[axis] / (double)state->residual_left;
-    }
-    hd_contact_end(state, index, time_ns);
+HD_RT void hd_contact_change(struct hd_state *state, const double force_n[2]) {
+    state->change.object_n[0] += force_n[0];
+    state->change.object_n[1] += force_n[1];
+    state->change.any = 1;
 }
 
-HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int dropped, int64_t time_ns) {
-    if (dropped) {
-        hd_contact_drop(state, index, time_ns);
-    } else {
-        hd_contact_end(state, index, time_ns);
+HD_RT void hd_contact_hush(struct hd_state *state, struct hd_slot *slot) {
+    if (slot->noise != 0) {
+        struct hd_noise_voice *voice = &state->noises[slot->noise - 1u];
+        const double last_n = hd_noise_last(voice);
+        state->change.noise_n[0] += last_n * voice->direction[0];
+        state->change.noise_n[1] += last_n * voice->direction[1];
+        state->change.any = 1;
     }
+}
+
+HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int64_t time_ns) {
     struct hd_slot *slot = &state->slots[index];
+    hd_contact_change(state, slot->force_n);
+    state->change.whole = 1;
+    hd_contact_hush(state, slot);
+    hd_contact_end(state, index, time_ns);
     if (!slot->resume) {
         slot->resume = 1;
         state->resumed[state->resumed_count++] = index;

@@ -6,21 +6,26 @@
 #include "hd_shape.h"
 
 /* The slot becomes that of another object; the contact of its former owner is let go. */
-HD_RT void hd_contact_take(struct hd_state *state, uint32_t index, uint32_t generation, int64_t time_ns);
+HD_RT void hd_contact_take(struct hd_walk *walk, uint32_t index, uint32_t generation);
 /* Touches: reports it and strikes the tap. */
 HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
                             const struct hd_onset *onset);
 HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_ns);
-/* The same, and the force that the hand felt fades out over the ramp instead of ending in a step. */
-HD_RT void hd_contact_drop(struct hd_state *state, uint32_t index, int64_t time_ns);
+/* A command took this from the force of the objects. */
+HD_RT void hd_contact_change(struct hd_state *state, const double force_n[2]);
 /* Lets go of a contact that is to be met anew by the next tick, silently and from the same side, if it is still pressed
  * then. */
-HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int dropped, int64_t time_ns);
+HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int64_t time_ns);
 
-/* The tick of a surface that is touched, from `fraction` of the tick's way on. 0: it turned its back on the probe and
- * was let go. */
-HD_RT int hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction);
+/* The tick of a surface that is touched, from `fraction` of the tick's way on. */
+HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction);
+/* A touched surface became another one where the probe was: it is followed, or, where it turned its back, let go. */
+HD_RT void hd_touch_change(struct hd_walk *walk, uint32_t index, const struct hd_object *object);
+/* A touched surface is no more. */
+HD_RT void hd_touch_drop(struct hd_walk *walk, uint32_t index);
 
+/* Its noise is no more: what it would have been in this tick counts as taken away. */
+HD_RT void hd_contact_hush(struct hd_state *state, struct hd_slot *slot);
 /* Gives up the noise of a slot, if it has one. */
 HD_RT void hd_contact_silence(struct hd_state *state, struct hd_slot *slot);
 /* The membrane is no longer punctured, or about to heal. */

@@ -77,6 +77,7 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
     const double inner = radius - HD_RIM_M;
     onset->side = 1;
     onset->slid = 0;
+    onset->stood = 0;
     if (fresh || hd_dot(from, from) < inner * inner) {
         const double distance = hd_root(hd_dot(to, to));
         if (!(distance < radius)) {
@@ -102,6 +103,7 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
             begin = walk->from_m;
         } else {
             onset->slid = leg > 0;
+            onset->stood = leg > 0 && enters(object, path->point[0], walk->from_m, &straight);
         }
         double hit[2];
         double offset[2];
@@ -114,7 +116,7 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
             double way[2];
             hd_difference(walk->input->position_m, walk->from_m, way);
             hd_disc_place(object, bearing, hd_root(hd_dot(way, way)), 0, walk->input->position_m, &onset->place);
-            if (hd_disc_left(walk, object, HD_NO_SLOT, &onset->place)) {
+            if (hd_disc_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
                 return 0; /* it lies behind, and the surface point is not on it */
             }
         }
@@ -126,7 +128,7 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
 }
 
 HD_RT int hd_disc_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot,
-                       const struct hd_place *place) {
+                       const double position_m[2], const struct hd_place *place) {
     if (!(place->depth_m > 0.0)) {
         return 1;
     }
@@ -134,11 +136,11 @@ HD_RT int hd_disc_left(const struct hd_walk *walk, const struct hd_object *objec
     double offset[2];
     double tangent[2];
     double lifted[2];
-    hd_difference(walk->input->position_m, object->point_m, offset);
+    hd_difference(position_m, object->point_m, offset);
     if (hd_dot(offset, place->normal) > 0.0) {
         return hd_dot(offset, offset) >= radius * radius; /* in front of the centre: out is out */
     }
-    hd_path_lift(walk, walk->input->position_m, slot, lifted);
+    hd_path_lift(walk, position_m, slot, lifted);
     hd_difference(lifted, object->point_m, offset);
     hd_tangent(place->normal, tangent);
     return hd_magnitude(hd_dot(offset, tangent)) > radius;

@@ -8,6 +8,9 @@
 /* Below one by a few rounding errors, so that a command at the limit never rounds above it. */
 #define HD_JUST_BELOW 0.9999999999999990
 
+/* Contact and vibration within `limit_n`: the force, and the part of the vibration that there is room for. */
+HD_RT double hd_limit_within(double limit_n, const double contact_n[2], const double vibration_n[2], double force_n[2]);
+
 /* A command beyond the limit, brought back to it. Sets the flag and reports the first tick of a stretch. */
 HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
                              const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags);
@@ -17,6 +20,15 @@ HD_RT static inline double hd_limit_of(const struct hd_state *state, const struc
     const double limit = table->max_force_n - state->reserved_n;
     return limit > 0.0 ? limit : 0.0;
 }
+
+/* The command of a tick in which a ramp is under way: contact_n is what of `whole_n` is felt so far. Vibration gives
+ * way to the whole of it. */
+HD_RT void hd_limit_ramped(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
+                           const double whole_n[2], const double vibration_n[2], int64_t time_ns, double force_n[2],
+                           uint32_t *flags);
+/* The same without consequences. */
+HD_RT double hd_limit_within_whole(double limit_n, const double contact_n[2], const double whole_n[2],
+                                   const double vibration_n[2], double force_n[2]);
 
 /* The command of this tick: contact and vibration within the limit. */
 HD_RT static inline void hd_limit_apply(struct hd_state *state, const struct hd_table *table, const double contact_n[2],

@@ -1,6 +1,21 @@
 /* One object in one tick: met, pressed, let go, healed. */
 #include "hd_contact.h"
 
+HD_RT void hd_look_changed(struct hd_walk *walk) {
+    const struct hd_table *table = walk->table;
+    const struct hd_state *state = walk->state;
+    for (uint32_t i = state->active_count; i-- > 0;) {
+        const uint32_t index = state->active[i];
+        const struct hd_slot *slot = &state->slots[index];
+        const struct hd_object *object = index < table->object_count ? &table->objects[index] : NULL;
+        if (object == NULL || object->shape == HD_SHAPE_NONE || object->generation != slot->generation) {
+            hd_touch_drop(walk, index);
+        } else if (object->place_version != slot->place_version || object->skin_version != slot->skin_version) {
+            hd_touch_change(walk, index, object);
+        }
+    }
+}
+
 HD_RT static int meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     switch (object->shape) {
     case HD_SHAPE_WALL:
@@ -44,14 +59,33 @@ HD_RT static int still_pressed(struct hd_walk *walk, uint32_t index, const struc
         hd_membrane_place(object, onset->side, position, &onset->place);
         const double limit = walk->table->materials[object->material].rupture_depth_m;
         return onset->place.depth_m > 0.0 && (limit == 0.0 || onset->place.depth_m <= limit) &&
-               !hd_membrane_left(walk, object, index, &onset->place);
+               !hd_membrane_left(walk, object, index, position, &onset->place);
     }
     case HD_SHAPE_BOX:
         hd_box_place(object, slot->face, position, &onset->place);
-        return !hd_box_left(walk, object, index, slot->face, &onset->place);
+        return !hd_box_left(walk, object, index, slot->face, position, &onset->place);
     default:
         hd_disc_place(object, slot->last.normal, 0.0, 1, position, &onset->place);
-        return !hd_disc_left(walk, object, index, &onset->place);
+        return !hd_disc_left(walk, object, index, position, &onset->place);
+    }
+}
+
+/* What lay between surface point and probe already, soon after a command: that put it there, or brought the surface
+ * point beyond it. It is met as what the probe is in. */
+HD_RT static void meet_standing(const struct hd_walk *walk, const struct hd_object *object, struct hd_onset *onset) {
+    const double *position = walk->input->position_m;
+    const double bearing[2] = {onset->place.normal[0], onset->place.normal[1]};
+    onset->silent = 1;
+    switch (object->shape) {
+    case HD_SHAPE_MEMBRANE:
+        hd_membrane_place(object, onset->side, position, &onset->place);
+        break;
+    case HD_SHAPE_BOX:
+        hd_box_place(object, onset->face, position, &onset->place);
+        break;
+    default:
+        hd_disc_place(object, bearing, 0.0, 1, position, &onset->place);
+        break;
     }
 }
 
@@ -64,13 +98,12 @@ HD_RT static void begin(struct hd_walk *walk, uint32_t index, const struct hd_ob
 HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
-    const int64_t time_ns = walk->input->time_ns;
     int resumes = slot->resume;
     slot->looked = state->tick + 1u;
     slot->resume = 0;
     if (index >= walk->table->object_count || walk->table->objects[index].shape == HD_SHAPE_NONE) {
         if (slot->touched) {
-            hd_contact_drop(state, index, time_ns);
+            hd_touch_drop(walk, index);
         }
         hd_contact_close(state, index);
         return;
@@ -79,14 +112,15 @@ HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     int fresh = walk->resync;
     if (slot->generation != object->generation) {
         fresh |= walk->new_table;
-        hd_contact_take(state, index, object->generation, time_ns);
+        hd_contact_take(walk, index, object->generation);
         resumes = 0; /* that was another object */
     }
+    if (slot->touched && (slot->place_version != object->place_version || slot->skin_version != object->skin_version)) {
+        hd_touch_change(walk, index, object);
+    }
     if (slot->touched) {
-        if (hd_touch(walk, index, object, 0.0)) {
-            return;
-        }
-        fresh = 1; /* it turned its back: it went, and another came */
+        hd_touch(walk, index, object, 0.0);
+        return;
     }
     if (object->shape == HD_SHAPE_MEMBRANE && slot->open == state->epoch) {
         heal(walk, index, object);
@@ -94,6 +128,9 @@ HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     }
     struct hd_onset onset = {.silent = 0};
     if ((resumes && still_pressed(walk, index, object, &onset)) || meets(walk, object, fresh, &onset)) {
+        if (onset.stood && hd_walk_is_unsettled(walk)) {
+            meet_standing(walk, object, &onset);
+        }
         if (!onset.silent && walk->met_count < HD_WALK_MET) {
             walk->met[walk->met_count++] = index;
         } else {

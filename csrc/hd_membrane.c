@@ -60,14 +60,17 @@ HD_RT int hd_membrane_meets(struct hd_walk *walk, const struct hd_object *object
         double straight;
         onset->silent = 0;
         onset->slid = 0;
+        onset->stood = 0;
         if (leg > 0 && crosses(object, walk->from_m, walk->input->position_m, &straight, &side) &&
             side == onset->side) {
             cut = straight; /* it lies behind what is pressed */
             begin = walk->from_m;
         } else {
             onset->slid = leg > 0;
+            onset->stood =
+                leg > 0 && crosses(object, path->point[0], walk->from_m, &straight, &side) && side == onset->side;
             hd_membrane_place(object, onset->side, walk->input->position_m, &onset->place);
-            if (onset->slid && hd_membrane_left(walk, object, HD_NO_SLOT, &onset->place)) {
+            if (onset->slid && hd_membrane_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
                 return 0; /* it lies behind, and the surface point is not on it */
             }
         }
@@ -82,10 +85,10 @@ HD_RT int hd_membrane_meets(struct hd_walk *walk, const struct hd_object *object
 }
 
 HD_RT int hd_membrane_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot,
-                           const struct hd_place *place) {
+                           const double position_m[2], const struct hd_place *place) {
     if (!(place->depth_m >= 0.0)) {
         return 1;
     }
-    const double along = place->along_m + hd_path_shift(walk, slot, object->normal);
+    const double along = place->along_m + hd_path_shift(walk, slot, object->normal, position_m);
     return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
 }

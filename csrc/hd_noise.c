@@ -196,6 +196,11 @@ HD_RT void hd_noise_start(struct hd_noise_voice *voice, const struct hd_noise *n
         voice->delay[m] = white(&voice->random);
     }
     voice->level = 0.0;
+    voice->rms = 0.0;
+    voice->scale_n = (struct hd_eased){.now = 0.0};
+    voice->normal_n = (struct hd_eased){.now = 0.0};
+    voice->direction[0] = 0.0;
+    voice->direction[1] = 0.0;
     voice->blend = 1.0;
     follow(voice, noise, &place);
 }
@@ -257,6 +262,7 @@ HD_RT static double next_of_many(struct hd_noise_voice *voice, const struct hd_n
     }
     voice->level = level;
     const double rms = fade(noise, speed, level);
+    voice->rms = rms;
     if (!(rms > 0.0)) {
         return 0.0;
     }
@@ -278,7 +284,12 @@ HD_RT double hd_noise_next(struct hd_noise_voice *voice, const struct hd_noise *
     const double level = gains + numbers[noise->first + 2];
     voice->level = level > 0.0 ? level : 0.0;
     const double rms = fade(noise, speed, voice->level);
+    voice->rms = rms;
     return rms > 0.0 ? rms * sample(voice) : 0.0;
+}
+
+HD_RT double hd_noise_last(struct hd_noise_voice *voice) {
+    return voice->rms > 0.0 ? voice->scale_n.now * (voice->rms * sample(voice)) : 0.0;
 }
 
 static int at_least_zero(double value) {

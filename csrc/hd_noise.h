@@ -9,6 +9,32 @@
 #include "hd_core.h"
 #include "hd_rt.h"
 
+/* A number that follows its motive at once, and a command's change of it over the ramp. */
+struct hd_eased {
+    double now;
+    double off;  /* what it is off from what it is on its way to */
+    double pace; /* by which that shrinks, per ramp */
+};
+
+HD_RT static inline double hd_ease(struct hd_eased *eased, double to, int changed, double ramp_step) {
+    if (changed) {
+        const double off = eased->now - to;
+        const double other = off - eased->off;
+        /* Another change is none of this number's, and its ramp ends in its time. */
+        if (other * other > 1e-24 * to * to) {
+            eased->off = off;
+            eased->pace = off < 0.0 ? -off : off;
+        }
+    }
+    if (eased->off != 0.0) {
+        const double step = eased->pace * ramp_step;
+        eased->off = eased->off > step ? eased->off - step : eased->off < -step ? eased->off + step : 0.0;
+        to = to + eased->off > 0.0 ? to + eased->off : 0.0;
+    }
+    eased->now = to;
+    return to;
+}
+
 /* One noise that sounds. A field with `_from` is what its namesake was when the last ramp began. */
 struct hd_noise_voice {
     uint64_t random;
@@ -22,6 +48,10 @@ struct hd_noise_voice {
     double blend;     /* from what was to what the table says; 1: no ramp is under way */
     double level;     /* m/s^2: the RMS before it fades towards rest */
     double level_from;
+    double rms;                       /* m/s^2: of the last sample */
+    struct hd_eased scale_n;          /* N per m/s^2 */
+    struct hd_eased normal_n;         /* the force that the RMS follows */
+    double direction[2];              /* that the last sample acted along */
     double delay[HD_NOISE_ORDER + 1]; /* b_m of the sample before; those beyond the order are kept for later */
     double sine[HD_NOISE_ORDER];      /* k_1 .. k_order */
     double cosine[HD_NOISE_ORDER];    /* sqrt(1 - k^2) */
@@ -37,6 +67,8 @@ HD_RT void hd_noise_start(struct hd_noise_voice *voice, const struct hd_noise *n
 /* Another noise, or the same one changed: coefficients and RMS move from where they are to it over the next ramp; the
  * state stays. To be called before hd_noise_next sees the other noise, or the same one with other numbers. */
 HD_RT void hd_noise_turn(struct hd_noise_voice *voice);
+/* What the last sample would be now, N: of a noise that is no more. */
+HD_RT double hd_noise_last(struct hd_noise_voice *voice);
 /* The next sample, m/s^2. At an RMS of zero it is 0 and nothing moves on, not even a ramp; so it is at a speed of
  * exactly zero. `ramp_step`: what a ramp moves on in a tick. */
 HD_RT double hd_noise_next(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,

@@ -51,15 +51,16 @@ HD_RT int hd_path_lift(const struct hd_walk *walk, const double position_m[2], u
     return moved;
 }
 
-HD_RT double hd_path_shift(const struct hd_walk *walk, uint32_t slot, const double normal[2]) {
+HD_RT double hd_path_shift(const struct hd_walk *walk, uint32_t slot, const double normal[2],
+                           const double position_m[2]) {
     double lifted[2];
-    if (!hd_path_lift(walk, walk->input->position_m, slot, lifted)) {
+    if (!hd_path_lift(walk, position_m, slot, lifted)) {
         return 0.0;
     }
     double shift[2];
     double tangent[2];
     hd_tangent(normal, tangent);
-    hd_difference(lifted, walk->input->position_m, shift);
+    hd_difference(lifted, position_m, shift);
     return hd_dot(shift, tangent);
 }
 

@@ -32,8 +32,9 @@ HD_RT void hd_path_begin(struct hd_walk *walk);
 HD_RT const struct hd_path *hd_path_legs(struct hd_walk *walk);
 /* `position_m`, lifted out of every surface that is pressed but that of `slot`. 0: it lies in none. */
 HD_RT int hd_path_lift(const struct hd_walk *walk, const double position_m[2], uint32_t slot, double lifted[2]);
-/* How far along a surface of this normal the surface point lies from the probe: 0 where nothing but `slot` is pressed.
- */
-HD_RT double hd_path_shift(const struct hd_walk *walk, uint32_t slot, const double normal[2]);
+/* How far along a surface of this normal the surface point of `position_m` lies from it: 0 where nothing but `slot` is
+ * pressed. */
+HD_RT double hd_path_shift(const struct hd_walk *walk, uint32_t slot, const double normal[2],
+                           const double position_m[2]);
 
 #endif

@@ -11,6 +11,7 @@
  *   changes, locked                   the publisher's own
  *   commands                          the sender produces, the servo consumes
  *   samples, events                   the servo produces, one reader consumes
+ *   told + touching                   the servo fills the back one, that reader reads the front one
  *   beat, lease_ns, stopping,
  *   memory_refused                    control writes, the servo reads
  *   counters, taken_*, adopted_*      the servo writes, control reads
@@ -68,6 +69,12 @@ struct hd_changes {
     uint32_t slots[HD_CHANGE_CAPACITY];
 };
 
+/* What is touched, whole. */
+struct hd_touching {
+    uint32_t count;
+    struct hd_touched touched[HD_TOUCHED_MAX];
+};
+
 struct hd_servo {
     struct hd_servo_config config;
     struct hd_device device;
@@ -87,6 +94,8 @@ struct hd_servo {
     struct hd_ring samples;
     struct hd_ring events;
     uint64_t sent; /* the sender's own: commands sent so far */
+    struct hd_triple told;
+    struct hd_touching touching[3];
 
     struct hd_atomic_u64 beat;
     struct hd_atomic_i64 lease_ns;
@@ -122,6 +131,7 @@ struct hd_servo {
 
     struct hd_state *state;
     const struct hd_world *world;
+    uint64_t touches_told; /* of the state's */
     uint64_t last_beat;
     uint64_t ticks_since_beat;
     double since_report_s;
@@ -414,6 +424,18 @@ HD_RT static void leave_events(struct hd_servo *servo) {
     }
 }
 
+HD_RT static void tell_touched(struct hd_servo *servo) {
+    const struct hd_state *state = servo->state;
+    struct hd_touching *touching = &servo->touching[hd_triple_back(&servo->told)];
+    touching->count = state->active_count < HD_TOUCHED_MAX ? state->active_count : HD_TOUCHED_MAX;
+    for (uint32_t i = 0; i < touching->count; i++) {
+        const uint32_t slot = state->active[i];
+        touching->touched[i] = (struct hd_touched){slot, state->slots[slot].generation};
+    }
+    hd_triple_publish(&servo->told);
+    servo->touches_told = state->touches;
+}
+
 HD_RT static void leave_sample(struct hd_servo *servo, const struct hd_sample *sample) {
     struct hd_sample *slot = hd_ring_reserve(&servo->samples);
     if (slot == NULL) {
@@ -502,7 +524,10 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     hd_atomic_u32_store_relaxed(&servo->faults, state->faults);
     hd_atomic_u32_store_relaxed(&servo->forces_on, state->enabled);
     /* In this order: who has read a tick's sample finds its events, and who has read an event finds what it tells of in
-     * the counters; the rings release what was stored before. */
+     * the counters and in what is touched; the rings release what was stored before. */
+    if (servo->touches_told != state->touches) {
+        tell_touched(servo);
+    }
     if (state->event_count > 0) {
         leave_events(servo);
     }
@@ -708,6 +733,7 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
     take_rate(servo, config->rate_hz);
     servo->suspended_ns = INT64_MAX - HD_SUSPEND_NS;
     hd_triple_init(&servo->triple);
+    hd_triple_init(&servo->told);
     servo->state = hd_state_new(config->slot_capacity);
     if (servo->state == NULL ||
         hd_ring_init(&servo->commands, sizeof(struct hd_command), HD_COMMAND_CAPACITY) != HD_OK ||
@@ -1136,4 +1162,11 @@ size_t hd_servo_read_events(struct hd_servo *servo, struct hd_event *events, siz
     const size_t count = hd_ring_pop_many(&servo->events, events, capacity);
     *dropped = hd_ring_dropped(&servo->events);
     return count;
+}
+
+size_t hd_servo_read_touched(struct hd_servo *servo, struct hd_touched *touched) {
+    hd_triple_acquire(&servo->told);
+    const struct hd_touching *touching = &servo->touching[hd_triple_front(&servo->told)];
+    memcpy(touched, touching->touched, touching->count * sizeof *touched);
+    return touching->count;
 }

@@ -9,6 +9,7 @@
 struct hd_onset {
     int silent;            /* no onset was seen: no tap, and the force comes in over the ramp */
     int slid;              /* reached along another surface, already pressed: no tap */
+    int stood;             /* slid, and yet not by the probe's way: it lay between surface point and probe already */
     double fraction;       /* of the way from the last sample to this one */
     struct hd_place place; /* where the surface was met; where the probe is, if silent */
     int8_t side;           /* membrane; 1 for others */
@@ -38,12 +39,12 @@ HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const doub
 HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2], double travel_m, int along,
                          const double position_m[2], struct hd_place *place);
 
-/* Whether the probe, at `place`, has left the shape. */
+/* Whether a probe at `position_m`, which is `place`, has left the shape. */
 HD_RT int hd_membrane_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot,
-                           const struct hd_place *place);
+                           const double position_m[2], const struct hd_place *place);
 HD_RT int hd_box_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot, uint8_t face,
-                      const struct hd_place *place);
+                      const double position_m[2], const struct hd_place *place);
 HD_RT int hd_disc_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot,
-                       const struct hd_place *place);
+                       const double position_m[2], const struct hd_place *place);
 
 #endif

@@ -44,13 +44,6 @@ struct hd_place {
     double normal[2];
 };
 
-/* A flat surface: what a surface was at one moment, until the new one has come in. */
-struct hd_plane {
-    double point_m[2];
-    double normal[2];
-    double along_m; /* s at the point */
-};
-
 /* What the material gives where the probe is: see hd_skin.h. */
 struct hd_skin {
     double stiffness_n_per_m;
@@ -61,6 +54,27 @@ struct hd_skin {
     double drag_n_s_per_m; /* against tangential motion */
     double friction_coefficient;
     double friction_stiffness_n_per_m;
+};
+
+/* What commands take from the force. */
+struct hd_change {
+    double object_n[2]; /* of what is touched */
+    double field_n[2];
+    double noise_n[2]; /* of noises that are no more: what they would be in this tick */
+    double eased_n[2]; /* what noises that are on a ramp are more than they would be if it stood still */
+    uint8_t any;       /* not all of the first three are zero */
+    uint8_t eases;     /* nor is the last */
+    uint8_t whole; /* something came or went: what that makes is whole in this tick, and fades from the next one on */
+};
+
+/* What was felt before a change and is not the scene's any more, on its way to zero: see hd_ramp.h. */
+struct hd_residual {
+    double force_n[2];
+    double object_n[2];  /* the part of it that is of objects */
+    double beyond_n[2];  /* as it would be without the limit, above that */
+    double pressed_n[2]; /* the limited contact force without it, */
+    double was_n[2];     /* and that of the tick before */
+    uint32_t left;       /* ticks; 0: there is none */
 };
 
 struct hd_slot {
@@ -78,21 +92,17 @@ struct hd_slot {
     double groove_m;              /* s of the groove that was struck last, and how far from it it may strike again */
     double groove_free_m;
     uint8_t touched;
-    int8_t side;        /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
-    uint8_t face;       /* box: that was entered; see hd_box.c */
-    uint8_t resume;     /* its contact was cleared while it was pressed */
-    uint8_t moving;     /* the place is on its way to a new one */
-    uint8_t held;       /* the groove at `groove_m` was struck and the probe has not been away from it since */
-    double ramp;        /* of the contact force, 0 to 1, for a contact without an onset */
-    double place_blend; /* from `from_plane` to the table's, 0 to 1 */
-    double skin_blend;
-    double anchor_m;      /* friction: where the probe sticks, along the surface */
-    double normal_n;      /* the model's normal force at the last tick, without ramp */
-    double force_n[2];    /* at the last tick, as displayed */
-    struct hd_place last; /* at the last tick; its normal outlives the contact */
-    struct hd_plane from_plane;
-    struct hd_skin skin;
-    struct hd_skin from_skin;
+    int8_t side;                 /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
+    uint8_t face;                /* box: that was entered; see hd_box.c */
+    uint8_t resume;              /* its contact was cleared while it was pressed */
+    uint8_t changed;             /* what it presses with at the end of this tick is a command's doing */
+    uint8_t held;                /* the groove at `groove_m` was struck and the probe has not been away from it since */
+    double ramp;                 /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
+    double anchor_m;             /* friction: where the probe sticks, along the surface */
+    double normal_n;             /* the normal force at the last tick, without ramp */
+    double force_n[2];           /* at the last tick, with it */
+    struct hd_place last;        /* at the last tick; its normal outlives the contact */
+    struct hd_skin skin;         /* at the last tick */
     uint32_t tail[HD_MODE_USES]; /* as `voice`, of the tails; last, because few ever ring */
 };
 
@@ -153,35 +163,36 @@ struct hd_state {
     uint32_t reserve_count;
     uint32_t revision;
     uint32_t faults;
-    uint32_t epoch;       /* raised when every membrane heals at once; never 0 */
-    uint8_t started;      /* a tick was rendered */
-    uint8_t located;      /* position_m is a sample */
-    uint8_t enabled;      /* forces are wanted */
-    uint8_t resync;       /* objects are met as if they had just appeared, after contacts were cleared */
-    uint8_t saturated;    /* the last tick was */
-    uint8_t field_active; /* the field exerts a force, or is on its way to none */
-    uint8_t near_known;   /* near[] holds for near_center_m */
-    uint8_t gesture;      /* gesture_tick is known */
-    uint8_t offload_open; /* the device plays effects by itself: whoever calls the tick says so */
-    double gain;          /* of the whole command: enabling and fading */
-    double show_force;    /* of contacts and fields: the display flag, ramped */
-    double show_vibration;
-    double position_m[2]; /* the last sample */
+    uint32_t epoch;        /* raised when every membrane heals at once; never 0 */
+    uint8_t started;       /* a tick was rendered */
+    uint8_t located;       /* position_m is a sample */
+    uint8_t enabled;       /* forces are wanted */
+    uint8_t resync;        /* objects are met as if they had just appeared, after contacts were cleared */
+    uint8_t saturated;     /* the last tick was */
+    uint8_t field_active;  /* the field exerts a force */
+    uint8_t field_known;   /* it is the table's, but for a change of its version */
+    uint8_t near_known;    /* near[] holds for near_center_m */
+    uint8_t commanded;     /* there was a command */
+    uint8_t gesture;       /* gesture_tick is known */
+    uint8_t offload_open;  /* the device plays effects by itself: whoever calls the tick says so */
+    double gain;           /* of the whole command: enabling and fading */
+    double show_force;     /* of contacts and fields: the display flag */
+    double show_vibration; /* the same of vibration, ramped */
+    double position_m[2];  /* the last sample */
     double near_center_m[2];
     double near_radius_m;
-    double ramp_ticks;
-    double residual_n[2]; /* what is left of the force of objects that went away under the hand */
-    double residual_step_n[2];
-    uint32_t residual_left; /* ticks */
-    double ringing_n[2];    /* the sum of Im z over voices[] */
-    double reserved_n;      /* of the limit, for reserves[] */
+    struct hd_change change;     /* that commands made since the last tick, and in this one */
+    struct hd_residual residual; /* what is left of that */
+    uint64_t commanded_tick;     /* the last one that took in a command */
+    double ringing_n[2];         /* the sum of Im z over voices[] */
+    double reserved_n;           /* of the limit, for reserves[] */
     uint32_t field_version;
-    double field_blend;
+    double field_ramp; /* of its force, as of a contact */
     struct hd_field field;
-    struct hd_field field_from;
     uint64_t strikes_total;
     uint64_t glitches_total;
     uint64_t saturations_total;
+    uint64_t touches; /* contacts that began or ended so far */
     uint64_t events_dropped;
     uint32_t slot_capacity; /* address space for so many */
     uint32_t slot_count;    /* so many are in memory */

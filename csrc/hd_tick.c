@@ -8,6 +8,7 @@
 #include "hd_contact.h"
 #include "hd_limit.h"
 #include "hd_offload.h"
+#include "hd_ramp.h"
 #include "hd_voice.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
@@ -54,19 +55,14 @@ HD_RT static void resynchronise(struct hd_state *state, const struct hd_input *i
     while (state->active_count > 0) {
         const uint32_t index = state->active[state->active_count - 1];
         if (resume) {
-            hd_contact_clear(state, index, 0, input->time_ns);
+            hd_contact_clear(state, index, input->time_ns);
         } else {
             hd_contact_end(state, index, input->time_ns);
         }
     }
-    state->residual_n[0] = 0.0;
-    state->residual_n[1] = 0.0;
-    state->residual_left = 0;
-    if (state->started) {
-        state->field = (struct hd_field){.force_n = {0.0, 0.0}};
-        state->field_from = state->field;
-        state->field_blend = 0.0;
-    }
+    hd_ramp_clear(state);
+    state->field = (struct hd_field){.force_n = {0.0, 0.0}};
+    state->field_known = 0;
 }
 
 HD_RT static inline double toward(double value, double target, double step) {
@@ -77,18 +73,6 @@ HD_RT static inline double toward(double value, double target, double step) {
         return value + step < target ? value + step : target;
     }
     return value - step > target ? value - step : target;
-}
-
-HD_RT static void fade_residual(struct hd_state *state) {
-    if (state->residual_left <= 1) {
-        state->residual_left = 0;
-        state->residual_n[0] = 0.0;
-        state->residual_n[1] = 0.0;
-    } else {
-        state->residual_left--;
-        state->residual_n[0] -= state->residual_step_n[0];
-        state->residual_n[1] -= state->residual_step_n[1];
-    }
 }
 
 /* The tick that met something that is not a number: zero, latched, and nothing of it is remembered. */
@@ -111,12 +95,10 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, str
 }
 
 HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table) {
-    int any = state->residual_left > 0 || state->field_blend < 1.0 || state->gain != (double)state->enabled ||
-              state->show_force != (double)table->display_force ||
+    int any = state->residual.left > 0 || state->field_ramp < 1.0 || state->gain != (double)state->enabled ||
               state->show_vibration != (double)table->display_vibration;
     for (uint32_t i = 0; i < state->active_count && !any; i++) {
-        const struct hd_slot *slot = &state->slots[state->active[i]];
-        any = slot->ramp < 1.0 || slot->moving || slot->skin_blend < 1.0;
+        any = state->slots[state->active[i]].ramp < 1.0;
     }
     return any ? (uint32_t)HD_FLAG_RAMPING : 0u;
 }
@@ -146,7 +128,10 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     walk.ramp_step = table->ramp_step;
     walk.force_n[0] = walk.force_n[1] = 0.0;
     walk.noise_n[0] = walk.noise_n[1] = 0.0;
-    state->ramp_ticks = table->ramp_s / table->period_s;
+    if ((walk.new_table || state->change.any) && state->started) {
+        state->commanded_tick = state->tick;
+        state->commanded = 1;
+    }
     state->revision = table->revision;
     if (!state->started) {
         state->show_force = (double)table->display_force;
@@ -180,31 +165,32 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         hd_offload_advance(state, input->periods);
     }
     hd_walk_objects(&walk);
-    double object[2] = {0.0, 0.0};
-    if (table->passivity != HD_PASSIVITY_OFF) {
-        object[0] = walk.force_n[0];
-        object[1] = walk.force_n[1];
-    }
+    walk.object_n[0] = walk.force_n[0];
+    walk.object_n[1] = walk.force_n[1];
     hd_field_walk(&walk);
 
-    state->show_force = toward(state->show_force, (double)table->display_force, walk.ramp_step);
-    state->show_vibration = toward(state->show_vibration, (double)table->display_vibration, walk.ramp_step);
-    double contact[2] = {state->show_force * walk.force_n[0], state->show_force * walk.force_n[1]};
-    if (state->residual_left > 0) {
-        contact[0] += state->residual_n[0];
-        contact[1] += state->residual_n[1];
-    }
+    const double shows = (double)table->display_force;
+    const double shown = state->show_vibration;
+    state->show_vibration = toward(shown, (double)table->display_vibration, walk.ramp_step);
+    double contact[2] = {shows * walk.force_n[0], shows * walk.force_n[1]};
+    double object[2];
+    struct hd_ramped ramped;
+    const int due = state->change.any || state->residual.left > 0 || state->show_force != shows;
+    const int ramps = due && hd_ramp_contact(&walk, object, contact, &ramped);
     if (table->passivity != HD_PASSIVITY_OFF) {
-        object[0] = state->show_force * object[0] + state->residual_n[0];
-        object[1] = state->show_force * object[1] + state->residual_n[1];
+        for (int axis = 0; !ramps && axis < 2; axis++) {
+            object[axis] = shows * walk.object_n[axis];
+        }
+        const double before[2] = {contact[0], contact[1]};
         hd_passivity_tick(state, table, input, walk.resync, object, contact, &flags);
-    }
-    if (state->residual_left > 0) {
-        fade_residual(state);
+        for (int axis = 0; ramps && axis < 2; axis++) {
+            ramped.whole_n[axis] += contact[axis] - before[axis];
+        }
     }
     if (state->strike_count > 0) {
-        const double felt =
-            hd_root(hd_dot(contact, contact)) + state->show_vibration * hd_root(hd_dot(walk.noise_n, walk.noise_n));
+        /* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. */
+        const double *still = ramps ? ramped.still_n : contact;
+        const double felt = hd_root(hd_dot(still, still)) + shown * hd_root(hd_dot(walk.noise_n, walk.noise_n));
         if (hd_strikes_apply(state, table, felt) < 1.0) {
             flags |= HD_FLAG_SATURATED;
         }
@@ -219,15 +205,26 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     vibration[1] *= state->show_vibration;
 
     double force[2];
-    hd_limit_apply(state, table, contact, vibration, input->time_ns, force, &flags);
+    /* Only on its way out does the command hurry: zero is due by the clock. */
+    const double gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
+    if (ramps || shown != state->show_vibration || state->change.eases) {
+        const struct hd_change *change = &state->change;
+        double still[2];
+        for (int axis = 0; axis < 2; axis++) {
+            const double noise = walk.noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
+            still[axis] = shown * (state->voice_count > 0 ? noise + state->ringing_n[axis] : noise);
+        }
+        hd_ramp_command(&walk, ramps ? &ramped : NULL, contact, vibration, still, gain - state->gain, force, &flags);
+    } else {
+        hd_limit_apply(state, table, contact, vibration, input->time_ns, force, &flags);
+    }
     if (!finite4(force, contact)) {
         stop(state, input, sample);
         sample->flags = flags | HD_FLAG_FAULT;
         state->tick++;
         return;
     }
-    /* Only on its way out does the command hurry: zero is due by the clock. */
-    state->gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
+    state->gain = gain;
     if (table->passivity != HD_PASSIVITY_OFF) {
         hd_passivity_hold(&state->passivity, table, state->tick, state->gain, object, contact);
     }
@@ -236,7 +233,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     for (int axis = 0; axis < 2; axis++) {
         sample->position_m[axis] = input->position_m[axis];
         sample->velocity_m_per_s[axis] = input->velocity_m_per_s[axis];
-        sample->contact_force_n[axis] = contact[axis];
+        sample->contact_force_n[axis] = ramps ? ramped.whole_n[axis] : contact[axis];
         sample->vibration_force_n[axis] = vibration[axis];
         sample->force_n[axis] = state->gain * force[axis];
         state->position_m[axis] = input->position_m[axis];
@@ -269,7 +266,7 @@ HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const
 HD_RT void hd_tick_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns) {
     if (slot == HD_NO_SLOT) {
         while (state->active_count > 0) {
-            hd_contact_clear(state, state->active[state->active_count - 1], 1, time_ns);
+            hd_contact_clear(state, state->active[state->active_count - 1], time_ns);
         }
         while (state->healing_count > 0) {
             hd_contact_close(state, state->healing[state->healing_count - 1]);
@@ -277,7 +274,7 @@ HD_RT void hd_tick_reset(struct hd_state *state, uint32_t slot, uint32_t generat
         state->epoch = state->epoch == UINT32_MAX ? 1u : state->epoch + 1u;
     } else if (slot < state->slot_capacity && state->slots[slot].generation == generation) {
         if (state->slots[slot].touched) {
-            hd_contact_clear(state, slot, 1, time_ns);
+            hd_contact_clear(state, slot, time_ns);
         }
         hd_contact_close(state, slot);
     }

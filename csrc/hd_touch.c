@@ -5,8 +5,7 @@
  *     F_t = K e H' - K'/2 e^2 (while e > 0)  - drag v_t  + friction,
  * v_n = -v.n, v_t = v.t; see hd_skin.h for K, H and their slopes. Vibration (grooves, noise) is added to that and never
  * gated by it. On a disc of radius R the probe at r goes r/R of the way that s goes, so there the first two terms of
- * F_t are R/r as large. A changed object comes in over the ramp: its place is blended with the plane that it was, its
- * skin with the one that was felt. */
+ * F_t are R/r as large. */
 #include <math.h>
 
 #include "hd_contact.h"
@@ -26,11 +25,10 @@ HD_RT static void tangent_of(const struct hd_slot *slot, const double normal[2],
     }
 }
 
-/* Of a disc. A skin that is on its way to another one still has the friction of what it was. */
-HD_RT static int needs_along(const struct hd_table *table, const struct hd_slot *slot, const struct hd_object *object) {
+/* Of a disc: whether anything depends on s. */
+HD_RT static int needs_along(const struct hd_table *table, const struct hd_object *object) {
     const struct hd_material *material = &table->materials[object->material];
-    return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE || slot->skin_blend < 1.0 ||
-           slot->skin_version != object->skin_version;
+    return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE;
 }
 
 HD_RT static void find_place(const struct hd_walk *walk, const struct hd_slot *slot, const struct hd_object *object,
@@ -49,57 +47,117 @@ HD_RT static void find_place(const struct hd_walk *walk, const struct hd_slot *s
     default: {
         double way[2];
         hd_difference(position, walk->from_m, way);
-        const int moved = slot->moving || slot->place_version != object->place_version;
-        const double travel = moved ? HD_DISC_MOVED : hd_root(hd_dot(way, way));
-        hd_disc_place(object, slot->last.normal, travel, needs_along(walk->table, slot, object), position, place);
+        hd_disc_place(object, slot->last.normal, hd_root(hd_dot(way, way)), needs_along(walk->table, object), position,
+                      place);
         break;
     }
     }
 }
 
-/* Works out where along a disc the probe was at the last tick. */
-HD_RT static void know_along(struct hd_slot *slot, const struct hd_object *object) {
-    HD_RT_FOREIGN_BEGIN
-    const double along_m = object->half_m[0] * atan2(slot->last.normal[0], slot->last.normal[1]);
-    HD_RT_FOREIGN_END
-    slot->anchor_m += along_m - slot->last.along_m;
-    slot->last.along_m = along_m;
+/* Where the probe was at the last sample, on the object as it is now; s with it, which of a disc may not be known. */
+HD_RT static void find_last(const struct hd_walk *walk, const struct hd_slot *slot, const struct hd_object *object,
+                            int moved, struct hd_place *place) {
+    switch (object->shape) {
+    case HD_SHAPE_WALL:
+        hd_wall_place(object, walk->from_m, place);
+        break;
+    case HD_SHAPE_MEMBRANE:
+        hd_membrane_place(object, slot->side, walk->from_m, place);
+        break;
+    case HD_SHAPE_BOX:
+        hd_box_place(object, slot->face, walk->from_m, place);
+        break;
+    default:
+        hd_disc_place(object, slot->last.normal, moved ? HD_DISC_MOVED : 0.0, 1, walk->from_m, place);
+        break;
+    }
 }
 
-/* s within half a circumference of `near_m`; `round_m` is 0 where s does not go round. */
-HD_RT static double unwound(double along_m, double near_m, double round_m) {
-    const double away = along_m - near_m;
-    return away > 0.5 * round_m ? along_m - round_m : away < -0.5 * round_m ? along_m + round_m : along_m;
+/* The force of a skin at a place: along the normal, and along the tangent. `slide`: of s, over the probe's way along
+ * the tangent. Moves the anchor. */
+HD_RT static inline void press(const struct hd_skin *skin, const struct hd_place *place, const double velocity[2],
+                               const double tangent[2], double slide, double *anchor_m, double force_n[2]) {
+    const double depth = place->depth_m - skin->lowering_m;
+    double normal_n = 0.0;
+    double tangent_n = -skin->drag_n_s_per_m * hd_dot(velocity, tangent);
+    if (depth > 0.0) {
+        const double elastic = skin->stiffness_n_per_m * depth;
+        const double whole = elastic - skin->damping_n_s_per_m * hd_dot(velocity, place->normal);
+        normal_n = whole > 0.0 ? whole : 0.0;
+        tangent_n += slide * (elastic * skin->lowering_slope - 0.5 * skin->stiffness_slope * depth * depth);
+    }
+    force_n[0] = normal_n;
+    force_n[1] = tangent_n + hd_friction(skin, normal_n, place->along_m, anchor_m);
 }
 
-/* Between what the surface was when it changed and what it is now, height and place along it as they are at the probe:
- * the points themselves may lie anywhere. Round a disc s goes the shorter way. */
-HD_RT static void blend_place(const struct hd_walk *walk, struct hd_slot *slot, double round_m,
-                              struct hd_place *place) {
-    slot->place_blend += walk->ramp_step;
-    if (slot->place_blend >= 1.0) {
-        slot->place_blend = 1.0;
-        slot->moving = 0;
+/* What the surface as it was would press with where the probe is now: the force of the last tick, and what the way
+ * since then makes of it on the plane that it was there. */
+HD_RT static void press_as_it_was(const struct hd_walk *walk, const struct hd_slot *slot, double force_n[2]) {
+    force_n[0] = slot->force_n[0];
+    force_n[1] = slot->force_n[1];
+    double way[2];
+    hd_difference(walk->input->position_m, walk->from_m, way);
+    if (way[0] == 0.0 && way[1] == 0.0) {
         return;
     }
-    const struct hd_plane *from = &slot->from_plane;
-    const double b = slot->place_blend;
-    const double a = 1.0 - b;
-    double offset[2];
+    struct hd_place place = slot->last;
+    struct hd_skin skin = slot->skin;
     double tangent[2];
-    hd_difference(walk->input->position_m, from->point_m, offset);
-    tangent_of(slot, from->normal, tangent);
-    /* However far a surface went away, what it pressed with goes within the ramp, not faster. */
-    const double ahead = place->depth_m > 0.0 ? place->depth_m : 0.0;
-    place->depth_m = b * ahead - a * hd_dot(offset, from->normal);
-    const double before = from->along_m + hd_dot(offset, tangent);
-    place->along_m = unwound(b * unwound(place->along_m, before, round_m) + a * before, 0.0, round_m);
+    double before[2];
+    double after[2];
+    double anchor_m = slot->anchor_m;
+    tangent_of(slot, place.normal, tangent);
+    press(&skin, &place, walk->input->velocity_m_per_s, tangent, 1.0, &anchor_m, before);
+    const double slid_m = hd_dot(way, tangent);
+    place.depth_m -= hd_dot(way, place.normal);
+    place.along_m += slid_m;
+    skin.stiffness_n_per_m += slid_m * skin.stiffness_slope;
+    skin.lowering_m += slid_m * skin.lowering_slope;
+    press(&skin, &place, walk->input->velocity_m_per_s, tangent, 1.0, &anchor_m, after);
     for (int axis = 0; axis < 2; axis++) {
-        place->normal[axis] = b * place->normal[axis] + a * from->normal[axis];
+        const double more = (after[0] - before[0]) * place.normal[axis] + (after[1] - before[1]) * tangent[axis];
+        force_n[axis] += slot->ramp * more;
     }
-    const double length = hd_root(hd_dot(place->normal, place->normal));
-    place->normal[0] /= length; /* the two are at most a right angle apart */
-    place->normal[1] /= length;
+}
+
+HD_RT void hd_touch_drop(struct hd_walk *walk, uint32_t index) {
+    double was[2];
+    press_as_it_was(walk, &walk->state->slots[index], was);
+    hd_contact_change(walk->state, was);
+    walk->state->change.whole = 1;
+    hd_contact_hush(walk->state, &walk->state->slots[index]);
+    hd_contact_end(walk->state, index, walk->input->time_ns);
+}
+
+HD_RT void hd_touch_change(struct hd_walk *walk, uint32_t index, const struct hd_object *object) {
+    struct hd_state *state = walk->state;
+    struct hd_slot *slot = &state->slots[index];
+    struct hd_place place = slot->last;
+    const int disc = object->shape == HD_SHAPE_DISC;
+    const int moved = slot->place_version != object->place_version;
+    if (moved || disc) { /* of a disc, s may not be known */
+        find_last(walk, slot, object, moved, &place);
+    }
+    if (moved && hd_dot(slot->last.normal, place.normal) <= 0.0) {
+        hd_touch_drop(walk, index); /* it turned its back: it went, and another came */
+        return;
+    }
+    double was[2];
+    press_as_it_was(walk, slot, was);
+    hd_contact_change(state, was);
+    slot->changed = 1;
+    slot->place_version = object->place_version;
+    slot->skin_version = object->skin_version;
+    slot->last = place;
+    if (!(slot->skin.friction_coefficient > 0.0)) {
+        slot->anchor_m = place.along_m;
+    } else if (disc) {
+        const double round_m = 2.0 * HD_PI * object->half_m[0];
+        const double stretch = place.along_m - slot->anchor_m;
+        HD_RT_FOREIGN_BEGIN
+        slot->anchor_m += round_m * rint(stretch / round_m); /* s goes round */
+        HD_RT_FOREIGN_END
+    }
 }
 
 /* How much of the way since the last tick the probe goes before it leaves over the edge of a face; 1: all of it. */
@@ -129,7 +187,8 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
     if (!(deepest > limit)) {
         return 0;
     }
-    const double part = from < limit ? (limit - from) / (place->depth_m - from) : 0.0;
+    /* One that is beyond it by a command ruptures at the end of the tick, so that nothing is heard of it before. */
+    const double part = from < limit ? (limit - from) / (place->depth_m - from) : slot->changed ? 1.0 : 0.0;
     const double *direction = place->normal;
     const uint32_t event = hd_state_event(state, HD_EVENT_PUNCTURE, walk->input->time_ns);
     const struct hd_strike strike = {
@@ -153,6 +212,10 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
         report->value = limit;
     }
     hd_strike_add(state, &strike);
+    if (slot->changed) {
+        hd_contact_hush(state, slot);
+        slot->changed = 0;
+    }
     slot->last = *place; /* its normal says where the probe came from */
     slot->open = state->epoch;
     if (material->heals) {
@@ -164,21 +227,37 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
 }
 
 HD_RT static int left(const struct hd_walk *walk, uint32_t index, const struct hd_object *object,
-                      const struct hd_place *place) {
+                      const double position_m[2], const struct hd_place *place) {
     switch (object->shape) {
     case HD_SHAPE_WALL:
         return !(place->depth_m > 0.0);
     case HD_SHAPE_MEMBRANE:
-        return hd_membrane_left(walk, object, index, place);
+        return hd_membrane_left(walk, object, index, position_m, place);
     case HD_SHAPE_BOX:
-        return hd_box_left(walk, object, index, walk->state->slots[index].face, place);
+        return hd_box_left(walk, object, index, walk->state->slots[index].face, position_m, place);
     default:
-        return hd_disc_left(walk, object, index, place);
+        return hd_disc_left(walk, object, index, position_m, place);
     }
 }
 
+/* What a noise is to sound like in a tick. */
+struct heard {
+    const struct hd_noise *noise;
+    const double *numbers;
+    double scale_n;
+    double normal_n;
+    double speed_m_per_s;
+};
+
+HD_RT static double hear(struct hd_noise_voice *voice, const struct heard *heard, int changed, double ramp_step) {
+    const double scale_n = hd_ease(&voice->scale_n, heard->scale_n, changed, ramp_step);
+    const double normal_n = hd_ease(&voice->normal_n, heard->normal_n, changed, ramp_step);
+    return scale_n * hd_noise_next(voice, heard->noise, heard->numbers, heard->speed_m_per_s, normal_n, ramp_step);
+}
+
+/* `changed`: by a command, so that what is not as it was comes over the ramp. */
 HD_RT static void sound(struct hd_walk *walk, uint32_t index, const struct hd_under *under, const double normal[2],
-                        const double tangent[2], double speed_m_per_s) {
+                        const double tangent[2], double speed_m_per_s, int changed) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
     const struct hd_table *table = walk->table;
@@ -194,15 +273,36 @@ HD_RT static void sound(struct hd_walk *walk, uint32_t index, const struct hd_un
         fresh->version = noise->version;
     }
     struct hd_noise_voice *voice = &state->noises[slot->noise - 1u];
+    struct hd_noise_voice still;
+    if (changed) {
+        still = *voice;
+    }
     if (voice->version != noise->version) {
         hd_noise_turn(voice);
         voice->version = noise->version;
     }
-    const double sample = under->noise * noise->force_per_unit *
-                          hd_noise_next(voice, noise, table->numbers, speed_m_per_s, slot->normal_n, walk->ramp_step);
     const double *direction = noise->along_normal ? normal : tangent;
-    walk->noise_n[0] += sample * direction[0];
-    walk->noise_n[1] += sample * direction[1];
+    const struct heard heard = {noise, table->numbers, under->noise * noise->force_per_unit, slot->normal_n,
+                                speed_m_per_s};
+    double as_it_was = 0.0;
+    const double *along = direction;
+    const int eases = changed || voice->blend < 1.0 || voice->scale_n.off != 0.0 || voice->normal_n.off != 0.0;
+    if (changed) {
+        as_it_was = hd_noise_last(&still);
+        along = still.direction;
+    } else if (eases) {
+        still = *voice;
+        as_it_was = hear(&still, &heard, 0, 0.0);
+    }
+    const double sample = hear(voice, &heard, changed, walk->ramp_step);
+    for (int axis = 0; axis < 2; axis++) {
+        walk->noise_n[axis] += sample * direction[axis];
+        if (eases) {
+            state->change.eased_n[axis] += sample * direction[axis] - as_it_was * along[axis];
+        }
+        voice->direction[axis] = direction[axis];
+    }
+    state->change.eases |= eases != 0;
 }
 
 /* How much of the way since the last tick the probe was in contact, when at its end it has left. */
@@ -211,7 +311,8 @@ HD_RT static double until_left(const struct hd_slot *slot, const struct hd_objec
     double part = 1.0;
     if (!(place->depth_m > 0.0)) {
         const double rise = slot->last.depth_m - place->depth_m;
-        part = rise > 0.0 ? slot->last.depth_m / rise : 0.0;
+        /* A surface that was moved away was not pressed at all. */
+        part = slot->last.depth_m > 0.0 && rise > 0.0 ? slot->last.depth_m / rise : 0.0;
     }
     if (object->shape == HD_SHAPE_MEMBRANE || object->shape == HD_SHAPE_BOX) {
         const int side = object->shape == HD_SHAPE_BOX && slot->face % 2 != 0;
@@ -266,36 +367,27 @@ HD_RT static void pass_grooves(struct hd_walk *walk, uint32_t index, const struc
     hd_grooves_pass(walk, index, object, &stretch);
 }
 
-HD_RT int hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction) {
+/* A contact ends. Soon after a command it may be that one's doing: the surface is another, or the way along the rest of
+ * what is pressed is, so that the probe has left where it was already. Then what was pressed with was taken away. */
+HD_RT static void let_go(struct hd_walk *walk, uint32_t index, const struct hd_object *object) {
+    struct hd_slot *slot = &walk->state->slots[index];
+    if (slot->changed) {
+        hd_contact_hush(walk->state, slot);
+        slot->changed = 0;
+    } else if (hd_walk_is_unsettled(walk) && left(walk, index, object, walk->from_m, &slot->last)) {
+        hd_touch_drop(walk, index);
+        return;
+    }
+    hd_contact_end(walk->state, index, walk->input->time_ns);
+}
+
+HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
     struct hd_place place;
     find_place(walk, slot, object, &place);
-    if (object->shape == HD_SHAPE_DISC && slot->skin_version != object->skin_version) {
-        know_along(slot, object); /* a smooth disc does without */
-    }
-    if (slot->place_version != object->place_version) {
-        if (hd_dot(slot->last.normal, place.normal) <= 0.0) {
-            hd_contact_drop(state, index, walk->input->time_ns);
-            return 0;
-        }
-        const struct hd_place *last = &slot->last;
-        slot->from_plane = (struct hd_plane){
-            .point_m = {walk->from_m[0] + last->depth_m * last->normal[0],
-                        walk->from_m[1] + last->depth_m * last->normal[1]},
-            .normal = {last->normal[0], last->normal[1]},
-            .along_m = last->along_m,
-        };
-        slot->place_version = object->place_version;
-        slot->place_blend = 0.0;
-        slot->moving = 1;
-    }
-    const int moved = slot->moving;
-    if (moved) {
-        blend_place(walk, slot, object->shape == HD_SHAPE_DISC ? 2.0 * HD_PI * object->half_m[0] : 0.0, &place);
-    }
     if (object->shape == HD_SHAPE_MEMBRANE && ruptures(walk, index, object, &place, fraction)) {
-        return 1;
+        return;
     }
     double tangent[2];
     tangent_of(slot, place.normal, tangent);
@@ -310,71 +402,51 @@ HD_RT int hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object 
         slot->anchor_m -= jump;
         slide = place.depth_m < 0.5 * radius ? radius / (radius - place.depth_m) : 2.0;
     }
-    /* A surface that is on its way to another place passes under the probe; that strikes nothing. */
-    const int strikes = !moved && has_strikes(walk->table, object);
-    if (slot->skin_version != object->skin_version) {
-        slot->skin_version = object->skin_version;
-        slot->from_skin = slot->skin;
-        slot->skin_blend = 0.0;
-    }
+    const int strikes = has_strikes(walk->table, object);
     /* In place: a skin on the stack that is copied as a whole right after it was written costs a third of a touch. */
     struct hd_skin *skin = &slot->skin;
     const struct hd_under under = hd_skin_at(walk->table, object, place.along_m, half_length, skin);
-    if (slot->skin_blend < 1.0) {
-        slot->skin_blend += walk->ramp_step;
-        if (slot->skin_blend < 1.0) {
-            hd_skin_blend(&slot->from_skin, slot->skin_blend, skin);
-        } else {
-            slot->skin_blend = 1.0;
-        }
-    }
-    if (left(walk, index, object, &place)) {
+    if (left(walk, index, object, walk->input->position_m, &place)) {
         if (strikes) {
             pass_grooves(walk, index, object, &place, skin, tangent, fraction, until_left(slot, object, &place), jump,
                          half_length);
         }
-        if (moved) { /* it was pulled away from under the hand */
-            hd_contact_drop(state, index, walk->input->time_ns);
-        } else {
-            hd_contact_end(state, index, walk->input->time_ns);
-        }
-        return 1;
+        let_go(walk, index, object);
+        return;
     }
 
-    const double *velocity = walk->input->velocity_m_per_s;
-    const double along_speed = hd_dot(velocity, tangent);
-    const double depth = place.depth_m - skin->lowering_m;
-    double normal_n = 0.0;
-    double tangent_n = -skin->drag_n_s_per_m * along_speed;
-    if (depth > 0.0) {
-        const double elastic = skin->stiffness_n_per_m * depth;
-        const double whole = elastic - skin->damping_n_s_per_m * hd_dot(velocity, place.normal);
-        normal_n = whole > 0.0 ? whole : 0.0;
-        tangent_n += slide * (elastic * skin->lowering_slope - 0.5 * skin->stiffness_slope * depth * depth);
-    }
-    tangent_n += hd_friction(skin, normal_n, place.along_m, &slot->anchor_m);
+    double pressed[2];
+    press(skin, &place, walk->input->velocity_m_per_s, tangent, slide, &slot->anchor_m, pressed);
     if (strikes) {
         pass_grooves(walk, index, object, &place, skin, tangent, fraction, 1.0, jump, half_length);
     } else if (slot->held) {
         hd_grooves_arm(slot, place.along_m, half_length);
     }
-    slot->normal_n = normal_n; /* amplitudes follow the force without its ramp */
+    slot->normal_n = pressed[0]; /* amplitudes follow the force without its ramp */
     if (slot->ramp < 1.0) {
-        normal_n *= slot->ramp;
-        tangent_n *= slot->ramp;
+        pressed[0] *= slot->ramp;
+        pressed[1] *= slot->ramp;
         slot->ramp += walk->ramp_step;
         slot->ramp = slot->ramp < 1.0 ? slot->ramp : 1.0;
     }
     for (int axis = 0; axis < 2; axis++) {
-        slot->force_n[axis] = normal_n * place.normal[axis] + tangent_n * tangent[axis];
+        slot->force_n[axis] = pressed[0] * place.normal[axis] + pressed[1] * tangent[axis];
         walk->force_n[axis] += slot->force_n[axis];
+    }
+    const int changed = slot->changed;
+    if (changed) {
+        const double none[2] = {-slot->force_n[0], -slot->force_n[1]};
+        hd_contact_change(state, none);
+        slot->changed = 0;
     }
 
     if (under.material->texture == HD_TEXTURE_NOISE && state->show_vibration > 0.0) {
-        sound(walk, index, &under, place.normal, tangent, along_speed);
+        sound(walk, index, &under, place.normal, tangent, hd_dot(walk->input->velocity_m_per_s, tangent), changed);
     } else if (under.material->texture != HD_TEXTURE_NOISE) {
+        if (changed) {
+            hd_contact_hush(state, slot);
+        }
         hd_contact_silence(state, slot);
     }
     slot->last = place;
-    return 1;
 }

@@ -65,6 +65,9 @@ HD_RT void hd_walk_objects(struct hd_walk *walk) {
     struct hd_state *state = walk->state;
     const double *to = walk->input->position_m;
     walk->met_count = 0;
+    if (walk->new_table) {
+        hd_look_changed(walk);
+    }
     hd_path_begin(walk);
     /* The surface point lies as far from the probe as the probe is deep; twice that where two surfaces meet. */
     double deepest = 0.0;

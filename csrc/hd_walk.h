@@ -17,8 +17,9 @@ struct hd_walk {
     double from_m[2];   /* the last sample; this one where the last says nothing */
     double ramp_step;   /* what a ramp moves on in this tick */
     int resync;         /* contacts are met without an onset */
-    int new_table;      /* the first tick of a table: what it brings has just appeared */
+    int new_table;      /* the first tick of a table */
     double force_n[2];  /* of contacts and fields, the sum so far */
+    double object_n[2]; /* of that, the objects' */
     double noise_n[2];  /* of coloured noise, the sum so far */
     uint32_t met_count; /* met in this tick, and not begun yet */
     uint32_t met[HD_WALK_MET];
@@ -33,9 +34,18 @@ HD_RT static inline double hd_before_tick(const struct hd_walk *walk, double fra
     return before < 0.0 ? 0.0 : before > period ? period : before;
 }
 
+/* A command is less than a ramp ago: what is met or left may be its doing. */
+HD_RT static inline int hd_walk_is_unsettled(const struct hd_walk *walk) {
+    const struct hd_state *state = walk->state;
+    return state->commanded &&
+           (double)(state->tick - state->commanded_tick) * walk->table->period_s < walk->table->ramp_s;
+}
+
 /* Looks at everything that this tick can concern: what is near, what is touched, what was cleared under the hand, what
  * heals. */
 HD_RT void hd_walk_objects(struct hd_walk *walk);
+/* What is touched, as a new table has it, before anything is met: the way for the rest goes along that. */
+HD_RT void hd_look_changed(struct hd_walk *walk);
 /* One object: met, pressed, let go, healed. */
 HD_RT void hd_look(struct hd_walk *walk, uint32_t index);
 /* Begins the contacts with all that was met, first met, first begun. */
@@ -44,7 +54,7 @@ HD_RT void hd_field_follow(struct hd_walk *walk);
 
 HD_RT static inline void hd_field_walk(struct hd_walk *walk) {
     struct hd_state *state = walk->state;
-    if (!state->started || state->field_version != walk->table->field_version || state->field_blend < 1.0) {
+    if (!state->field_known || state->field_version != walk->table->field_version || state->field_ramp < 1.0) {
         hd_field_follow(walk);
     }
     if (state->field_active) {

@@ -21,6 +21,7 @@ HD_RT int hd_wall_meets(struct hd_walk *walk, const struct hd_object *object, in
     onset->side = 1;
     onset->silent = 1;
     onset->slid = 0;
+    onset->stood = 0;
     if (!fresh) {
         struct hd_place from;
         hd_wall_place(object, walk->from_m, &from);

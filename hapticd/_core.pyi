@@ -103,6 +103,7 @@ class Lib:
     HD_EVENT_MARK: int
     HD_EVENT_GESTURE_END: int
     HD_CONTACT_SILENT: int
+    HD_TOUCHED_MAX: int
     HD_NO_SLOT: int
     HD_PLAY_SLOT: int
     HD_SIM_FORCES: int
@@ -251,6 +252,7 @@ class Lib:
     def hd_histogram_edge_ns(self, index: int, /) -> int: ...
     def hd_servo_read_samples(self, servo: CData, samples: CData, capacity: int, dropped: CData, /) -> int: ...
     def hd_servo_read_events(self, servo: CData, events: CData, capacity: int, dropped: CData, /) -> int: ...
+    def hd_servo_read_touched(self, servo: CData, touched: CData, /) -> int: ...
 
 ffi: FFI
 lib: Lib

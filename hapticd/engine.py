@@ -302,6 +302,7 @@ class Engine:
         self._marks = Marks()
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._dropped = ffi.new("uint64_t *")
+        self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
         self._sequence = ffi.new("uint64_t *")
         self._tick = ffi.new("uint64_t *")
         settings = ffi.new("struct hd_servo_config *")
@@ -770,6 +771,13 @@ class Engine:
     def read_events(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
         """Moves events into `room` (EVENT_DTYPE); how many, and the running total of those dropped."""
         return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, room)
+
+    def touching(self) -> list[str]:
+        """The ids of what is touched, at most 1024, by the servo's own account: no event is needed for it. For the
+        thread that reads samples and events, after these."""
+        count = lib.hd_servo_read_touched(self._servo, self._touched)
+        names = (self.name_of(record.slot, record.generation) for record in self._touched[0:count])
+        return sorted(name for name in names if name is not None)
 
     def _read(
         self,

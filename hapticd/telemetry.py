@@ -66,7 +66,6 @@ class Telemetry:
         self._held = 0
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
-        self._touching: dict[str, None] = {}
         self._wake = threading.Event()
         self._asked: deque[Future[dict[str, object]]] = deque()
 
@@ -192,7 +191,7 @@ class Telemetry:
 
     def _state(self, sample: np.void) -> dict[str, object]:
         state = sample_map(sample)
-        state["touching"] = list(self._touching)
+        state["touching"] = self._engine.touching()
         state["flag_names"] = [flag.name.lower() for flag in Flag(int(sample["flags"])) if flag.name]
         return state
 
@@ -203,7 +202,7 @@ class Telemetry:
         self._socket.send_multipart([topic.encode(), wire.encode(message)])
 
     def _note(self, event: Any) -> dict[str, object]:
-        """An event's map; contacts and releases are remembered for the state."""
+        """An event's map."""
         name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
         kind = int(event["kind"])
         mark = self._engine.take_mark(int(event["code"])) if kind == EventKind.MARK else None
@@ -211,8 +210,4 @@ class Telemetry:
         if kind == EventKind.GESTURE_END:
             # Before it is sent: whoever subscribes and then asks for the status misses none.
             self._engine.gesture_ended(message)
-        if name is not None and message["event"] == "contact":
-            self._touching[name] = None
-        elif name is not None and message["event"] == "release":
-            self._touching.pop(name, None)
         return message

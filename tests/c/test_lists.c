@@ -180,7 +180,7 @@ static void check_state(const struct hd_state *state, const struct hd_sample *sa
             double square = hd_dot(slot->last.normal, slot->last.normal);
 
             CHECK(square > 0.999 && square < 1.001);
-            CHECK(slot->ramp >= 0.0 && slot->ramp <= 1.0);
+            CHECK(slot->changed == 0 && slot->ramp >= 0.0 && slot->ramp <= 1.0);
         }
     }
     CHECK(touched == state->active_count && healing == state->healing_count && state->resumed_count == 0);
@@ -332,7 +332,7 @@ static void run(void) {
         tick(world, state, position, 1);
     CHECK(state->active_count == 0 && state->healing_count == 0 && state->voice_count == 0);
     CHECK(state->free_noise_count == HD_NOISE_CAPACITY);
-    CHECK(state->residual_n[0] == 0.0 && state->residual_n[1] == 0.0);
+    CHECK(state->residual.left == 0);
     hd_world_free(world);
     hd_state_free(state);
 }

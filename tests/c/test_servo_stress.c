@@ -207,6 +207,7 @@ static void *drain_rings(void *argument) {
     struct drain *drain = argument;
     struct hd_sample samples[100];
     struct hd_event events[20];
+    struct hd_touched touched[HD_TOUCHED_MAX];
     struct hd_histograms histograms;
     uint32_t last;
     size_t count;
@@ -220,6 +221,10 @@ static void *drain_rings(void *argument) {
         while ((count = hd_servo_read_events(drain->servo, events, 20, &drain->events_dropped)) > 0)
             for (size_t i = 0; i < count; i++)
                 take_event(drain, &events[i]);
+        count = hd_servo_read_touched(drain->servo, touched);
+        CHECK(count <= OBJECTS);
+        for (size_t i = 0; i < count; i++)
+            CHECK(touched[i].slot < OBJECTS);
         hd_atomic_u32_store_release(&drain->rounds, hd_atomic_u32_load_relaxed(&drain->rounds) + 1);
         sched_yield();
     } while (!last);
