@@ -29,7 +29,7 @@ from typing import (
 import zmq
 
 from hapticd import wire
-from hapticd.errors import HapticdError, Problem
+from hapticd.errors import HapticdError, Problem, in_order, lines_of
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 from hapticd.remote import Named, Remote, is_remote, monitored, remote
 
@@ -62,7 +62,7 @@ class RemoteError(HapticdError):
         self.problems: tuple[Problem, ...] = _problems(data)
 
     def __str__(self) -> str:
-        return "; ".join(map(str, self.problems)) or self.message
+        return "; ".join(lines_of(self.problems)) or self.message
 
 
 def _problems(data: object) -> tuple[Problem, ...]:
@@ -419,7 +419,7 @@ def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str
         if params and result.problems:
             from hapticd.from_file import placed
 
-            result.problems = tuple(Problem(placed(each.where, params), each.problem) for each in result.problems)
+            result.problems = in_order(Problem(placed(each.where, params), each.problem) for each in result.problems)
         raise result
     if params and isinstance(result, dict) and result.get("warnings"):
         from hapticd.from_file import placed

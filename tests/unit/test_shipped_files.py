@@ -36,8 +36,7 @@ def test_a_file_of_the_name_comes_first() -> None:
 def test_unknown_names() -> None:
     with pytest.raises(HapticdError) as caught:
         file_of("sandpapr", "scenes")
-    told = "sandpapr: is no file here and no shipped scene; did you mean sandpaper? shipped: "
-    assert str(caught.value) == told + ", ".join(shipped("scenes"))
+    assert str(caught.value) == "sandpapr: is no file here and no shipped scene; did you mean sandpaper?"
     with pytest.raises(HapticdError, match=r"^x: is no file here and no shipped operator; shipped: around, "):
         file_of("x", "operators")
     with pytest.raises(
