@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import Field, ValidationError, model_validator
 
 from hapticd.compensation import Compensation
-from hapticd.config_files import Chosen, choose
+from hapticd.config_files import Chosen, check_named, choose
 from hapticd.core import SIM_FORCES
 from hapticd.document_kinds import likely_kind_of, refuse_other_kinds
 from hapticd.dynamics import Dynamics, Grip, Handle
@@ -312,7 +312,8 @@ def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
 
 def chosen_config(chosen: Chosen) -> Config:
     """These files merged in order, as load_config, where the name of a shipped scene does for its file; of none,
-    default_config."""
+    default_config. Raises HapticdError also for a file that the environment names and that is not there."""
+    check_named(chosen)
     files = [file_of(file, "scenes") for file in chosen.files]
     return load_config(files) if files else default_config()
 
