@@ -21,35 +21,37 @@ import zmq
 from hapticd import calls
 from hapticd.calls import (
     TIMEOUT_S,
-    ConfigResult,
     DaemonNotRunning,
-    Event,
     Feed,
-    FlightResult,
-    ForcesResult,
-    GestureEnd,
     Interpolation,
     KeySource,
-    LeaseResult,
-    MaterialsResult,
-    OperatorResult,
     PatchSource,
     Place,
-    PlayResult,
     RemoteError,
-    RevisionResult,
-    SceneResult,
     SceneSource,
-    State,
-    Status,
     TelemetryLoss,
-    TickResult,
     TimedOut,
     Topic,
     WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
+from hapticd.results import (
+    ConfigResult,
+    Event,
+    FlightResult,
+    ForcesResult,
+    GestureEnd,
+    LeaseResult,
+    MaterialsResult,
+    OperatorResult,
+    PlayResult,
+    RevisionResult,
+    SceneResult,
+    State,
+    Status,
+    TickResult,
+)
 
 if TYPE_CHECKING:
     from hapticd.background import Recorder

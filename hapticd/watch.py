@@ -21,9 +21,10 @@ from rich.live import Live
 from rich.text import Text
 
 from hapticd import words
-from hapticd.calls import KeyRefused, State, Status, Topic
+from hapticd.calls import KeyRefused, Topic
 from hapticd.client import Client, Subscription
 from hapticd.errors import HapticdError
+from hapticd.results import State, Status
 
 REFRESH_S: Final = 1 / 15
 LOST_AFTER_S: Final = 1.5

@@ -19,9 +19,10 @@ import pytest
 
 import hapticd.aio
 from hapticd import calls, client
-from hapticd.calls import DaemonNotRunning, RemoteError, Status, TelemetryLoss
+from hapticd.calls import DaemonNotRunning, RemoteError, TelemetryLoss
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError, InvalidError
+from hapticd.results import Status
 from hapticd.scene import Scene
 from hapticd.wire import Code, WireError
 from tests.daemon_process import Daemon, connect, running_daemon

@@ -24,7 +24,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hapticd.calls import State, Status
+from hapticd.results import State, Status
 from hapticd.watch import View, bar, draw_scene, event_line, signed_bar
 from tests.daemon_process import Daemon, connect, running_daemon
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import pytest
 
-from hapticd.calls import DaemonNotRunning, RemoteError, Status
+from hapticd.calls import DaemonNotRunning, RemoteError
 from hapticd.cli import main
 from hapticd.cli.common import print_result
 from hapticd.cli.failure import asks_for_json, tell
@@ -19,6 +19,7 @@ from hapticd.core import Fault
 from hapticd.engine import Granted
 from hapticd.errors import HapticdError, InvalidError, Problem
 from hapticd.events import fault_names
+from hapticd.results import Status
 from hapticd.wire import Code
 from tests.cli import said
 
