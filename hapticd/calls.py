@@ -12,6 +12,7 @@ import os
 import pwd
 import socket
 import stat
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import (
     TYPE_CHECKING,
@@ -22,12 +23,13 @@ from typing import (
     TypeAlias,
     TypeVar,
     cast,
+    get_args,
 )
 
 import zmq
 
-from hapticd import wire
-from hapticd.errors import HapticdError, Problem
+from hapticd import arguments, wire
+from hapticd.errors import HapticdError, Problem, shown
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 from hapticd.remote import Named, Remote, is_remote, monitored, remote
 from hapticd.results import Event, GestureEnd, LeaseResult, State, Status
@@ -42,8 +44,11 @@ TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer unless it is told otherwise."""
 
 _TRY_EVERY_MS: Final = 20
+_LOOK_EVERY_S: Final = 0.1
+AWAY_S: Final = 1.0
+"""A daemon of which its bridge says that it is away may be under way again: so long a new subscription waits for it."""
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
-Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
+Topic: TypeAlias = Literal["samples", "state", "event", "change", "status", "bridge"]
 
 
 class RemoteError(HapticdError):
@@ -124,8 +129,10 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
         from hapticd.from_file import FromFile
         from hapticd.scene import read_scene
 
-        read, document, root = read_scene(scene)
+        read, document, root = read_scene(arguments.path("scene", scene))
         return FromFile(read.to_dict(), document, root)
+    if not hasattr(scene, "to_dict"):
+        raise arguments.wrong("scene", f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}")
     return scene.to_dict()
 
 
@@ -141,7 +148,9 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     from hapticd.from_file import FromFile
     from hapticd.yaml_source import load_path
 
-    document = load_path(patch)
+    if not isinstance(patch, str | os.PathLike):
+        raise arguments.wrong(path[-1], f"must be a mapping or the path of a file, is {shown(patch)}")
+    document = load_path(arguments.path(path[-1], patch))
     refuse_other_kinds(document, *PATCHES[path[-1]])
     found: tuple[str, ...] = ()
     data: object = document.data
@@ -191,13 +200,13 @@ def play_params(
 ) -> dict[str, object]:
     """Params of play."""
     params: dict[str, object] = {
-        "direction": [float(component) for component in direction],
-        "amplitude_m_per_s2": float(amplitude_m_per_s2),
+        "direction": arguments.numbers("direction", direction),
+        "amplitude_m_per_s2": amplitude_m_per_s2,
     }
     if material is not None:
         params["material"] = material
     if mode is not None:
-        params["mode"] = dict(mode)
+        params["mode"] = arguments.mapping("mode", mode)
     return params
 
 
@@ -210,15 +219,20 @@ def operator_params(
     if isinstance(waypoints, str | os.PathLike):
         if interpolation is not None or gesture is not None:
             raise HapticdError(f"{os.fspath(waypoints)}: a file says all of it: interpolation and gesture, too")
-        return _operator_of(waypoints)
+        return _operator_of(arguments.path("waypoints", waypoints))
     params: dict[str, object] = {}
     if waypoints is not None:
-        params["waypoints"] = [[float(number) for number in waypoint] for waypoint in waypoints]
+        params["waypoints"] = arguments.rows("waypoints", waypoints)
     if interpolation is not None:
         params["interpolation"] = interpolation
     if gesture is not None:
-        params["gesture"] = dict(gesture)
+        params["gesture"] = arguments.mapping("gesture", gesture)
     return params
+
+
+def reset_params(objects: Iterable[str] | None) -> dict[str, object] | None:
+    """Params of reset."""
+    return None if objects is None else {"objects": arguments.texts("objects", objects)}
 
 
 def _operator_of(file: str | os.PathLike[str]) -> dict[str, object]:
@@ -251,17 +265,27 @@ def token_of(lease: LeaseResult) -> str:
 
 def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
     """The body of a call; raises HapticdError for one that the daemon would refuse to read."""
-    body = wire.request(id, method, params)
+    if not isinstance(method, str):
+        raise arguments.wrong("method", f"must be a text, is {shown(method)}")
+    if params is not None and not isinstance(params, Mapping):
+        raise arguments.wrong("params", f"must be a mapping, is {shown(params)}")
+    try:
+        body = wire.request(id, method, params)
+    except wire.WireError as error:
+        arguments.plain((), params)  # says where
+        raise HapticdError(f"{method}: {error}") from None
     if len(body) > wire.MAX_BODY:
         raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {wire.MAX_BODY})")
     return body
 
 
-def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
+def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None, at: Place) -> object:
     """The result of a call, or its error raised; places in params that came from a file are told as they are in it."""
-    if isinstance(result, DaemonNotRunning):
-        raise result
+    if isinstance(result, DaemonNotRunning):  # a bridge says so, and does not know by which address it is known
+        raise DaemonNotRunning(f"{told(at)}: {result}")
     if isinstance(result, RemoteError):
+        if result.code == wire.Code.PARSE:
+            arguments.plain((), params)  # says where
         if params and result.problems:
             from hapticd.from_file import placed
 
@@ -283,6 +307,8 @@ def place_of(
     That is HAPTICD_CONNECT, then a runtime directory. HAPTICD_KEY and HAPTICD_SERVER_KEY stand for keys of a bridge
     that are not given. Raises HapticdError for what is neither, and for keys that cannot be used.
     """
+    if place is not None:
+        arguments.path("runtime_dir", place)
     address = Named(place) if place is not None else _or_variable(None, "HAPTICD_CONNECT")
     if is_remote(place) or address.variable is not None:
         return remote(address, _or_variable(key, "HAPTICD_KEY"), _or_variable(server_key, "HAPTICD_SERVER_KEY"))
@@ -298,7 +324,7 @@ def _or_variable(given: object, variable: str) -> Named:
 
 def told(place: Place) -> str:
     """A place as messages name it."""
-    return str(place if isinstance(place, Remote) else place.directory)
+    return f"the bridge at {place}" if isinstance(place, Remote) else str(place.directory)
 
 
 def answer(body: bytes) -> tuple[wire.Id, object | RemoteError | DaemonNotRunning]:
@@ -366,13 +392,15 @@ def _name_of(look_up: Callable[[int], Sequence[object]], number: int) -> str:
 
 
 def await_ready(place: Place, wait_s: float, given_up: Callable[[], bool] = lambda: False) -> None:
-    """Returns once somebody listens at `place`, or `wait_s` are over, or nobody waits any more.
+    """Returns once a daemon listens at `place`, or `wait_s` are over, or nobody waits any more.
 
-    ZeroMQ tries to connect, again and again, and tells when it has. Raises KeyRefused where a bridge does not let us
-    in.
+    ZeroMQ tries to connect, again and again, and tells when it has. Raises DaemonNotRunning where no bridge came,
+    KeyRefused where one does not let us in.
     """
     if isinstance(place, Remote):
+        until = time.monotonic() + wait_s
         _knock(place, wait_s, command=False, patient=True, given_up=given_up)
+        _await_daemon(place, until, given_up)
         return
     trial: zmq.Socket[bytes]
     with zmq.Context.instance().socket(zmq.DEALER) as trial:
@@ -385,6 +413,20 @@ def await_ready(place: Place, wait_s: float, given_up: Callable[[], bool] = lamb
         finally:
             trial.disable_monitor()
             monitor.close()
+
+
+def _await_daemon(place: Remote, until: float, given_up: Callable[[], bool]) -> None:
+    """Waits for the daemon behind a bridge: it says so, and a daemon shows by its status."""
+    trial: zmq.Socket[bytes]
+    with zmq.Context.instance().socket(zmq.SUB) as trial:
+        trial.setsockopt(zmq.LINGER, 0)
+        for topic in (Feed.BRIDGE, Feed.ALIVE):
+            trial.setsockopt(zmq.SUBSCRIBE, topic)
+        place.secure(trial)
+        trial.connect(place.telemetry_endpoint)
+        while (left_s := until - time.monotonic()) > 0 and not given_up():
+            if trial.poll(int(min(left_s, _LOOK_EVERY_S) * 1e3 + 0.999)) and Feed.shows_daemon(trial.recv_multipart()):
+                return
 
 
 def _knock(
@@ -413,7 +455,21 @@ def unanswered(paths: Place, timeout_s: float) -> DaemonNotRunning:
         return error
     except HapticdError as error:
         return DaemonNotRunning(str(error))
-    return DaemonNotRunning(f"the daemon at {told(paths)} did not answer within {timeout_s:g} s")
+    who = f"{told(paths)}: the daemon behind it" if isinstance(paths, Remote) else f"the daemon at {told(paths)}"
+    return DaemonNotRunning(f"{who} did not answer within {timeout_s:g} s")
+
+
+def waited(error: DaemonNotRunning, wait_s: float) -> DaemonNotRunning:
+    """The same of somebody who was waited for."""
+    return DaemonNotRunning(f"{error} (waited {wait_s:g} s for it)" if wait_s > 0 else str(error))
+
+
+def has_ended(place: Place) -> bool:
+    """Whether no daemon of this machine has its telemetry socket any more. A bridge tells by the topic `bridge`."""
+    if isinstance(place, Remote):
+        return False
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        return trial.connect_ex(os.fspath(place.telemetry)) in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR)
 
 
 # ---- telemetry ---------------------------------------------------------------------------------------------
@@ -429,11 +485,15 @@ class Feed(Generic[T]):
 
     READY: Final = b"state"
     ALIVE: Final = b"status"
+    BRIDGE: Final = b"bridge"
+    """A bridge alone sends it: whether there is a daemon behind it, and what our key may."""
 
     def __init__(
-        self, topics: Iterable[Topic], convert: Callable[[Topic, dict[str, object]], T], newest: bool = False
+        self, topics: Sequence[Topic], convert: Callable[[Topic, dict[str, object]], T], newest: bool = False
     ) -> None:
         """`newest`: each item is asked for when it is read, so that those before it are never sent."""
+        for topic in topics:
+            arguments.one_of("topic", topic, get_args(Topic))
         self._wanted = frozenset(topic.encode() for topic in topics)
         self._convert = convert
         self.subscriptions: tuple[bytes, ...] = (*sorted((self._wanted | {self.ALIVE}) - {self.READY}), self.READY)
@@ -441,6 +501,13 @@ class Feed(Generic[T]):
         """To be subscribed to for each item, and unsubscribed from after it."""
         self.surplus = (frozenset({self.READY}) - self._wanted) | self.each
         """To be unsubscribed from as soon as the first message came."""
+
+    @classmethod
+    def shows_daemon(cls, frames: list[bytes]) -> bool:
+        """Whether a message shows that there is a daemon: it came from one, or the bridge says so."""
+        return (
+            frames[0] != cls.BRIDGE or cast("dict[str, object]", wire.decode_trusted(frames[1])).get("daemon") is True
+        )
 
     def accept(self, frames: list[bytes]) -> tuple[T, ...]:
         """What one message yields: one item, or none where it was not asked for."""
@@ -452,12 +519,19 @@ class Feed(Generic[T]):
         return (self._convert(cast(Topic, frames[0].decode()), message),)
 
 
+def behind(place: Place) -> DaemonNotRunning:
+    """A bridge is there, and its daemon is not."""
+    return DaemonNotRunning(f"{told(place)}: the daemon behind it does not answer")
+
+
 def silent(paths: Place, timeout_s: float) -> DaemonNotRunning:
     """Why telemetry stopped, or never came."""
     try:
         probe(paths, timeout_s)
     except HapticdError as error:
         return DaemonNotRunning(str(error))
+    if isinstance(paths, Remote):
+        return behind(paths)
     return DaemonNotRunning(f"no telemetry from {told(paths)} for {timeout_s:g} s")
 
 

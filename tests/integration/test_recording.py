@@ -296,7 +296,7 @@ def test_a_gap_is_told_and_stands_in_the_file(tmp_path: Path, directory: Path) -
 @pytest.mark.parametrize("first", [500, 10])
 def test_another_daemon_ends_a_recording(tmp_path: Path, directory: Path, first: int) -> None:
     told = Told(directory, samples(0, 100), samples(first, 100))
-    told.started = [1, 2]
+    told.started = [1, 1, 2]
     kept = told.record(tmp_path / "run.mcap", 600)
     assert (kept.ticks, kept.ended_because) == (100, "the daemon was restarted")
 
