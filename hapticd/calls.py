@@ -101,6 +101,10 @@ class TelemetryLoss(UserWarning):
     """This subscriber was too slow: the daemon sent samples that never arrived here."""
 
 
+class MissedPeriods(UserWarning):
+    """The servo missed a greater part of its periods than `servo.overruns.threshold` while something was recorded."""
+
+
 # ---- params ------------------------------------------------------------------------------------------------
 
 

@@ -392,9 +392,10 @@ class Client:
         """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
 
         A thread with a connection of its own records. The first sample is taken before the block begins, and what the
-        block did last is in the file. `notes` are kept in it as texts. Gives a Recorder, whose `result` is there after
-        the block. Raises HapticdError before the block where `path` is there already (unless `overwrite`) or cannot be
-        written, and at its end where the recording ended before.
+        block did last is in the file. `notes` are kept in it as they are, whatever JSON can hold. Gives a Recorder,
+        whose `result` is there after the block. Raises HapticdError before the block where `path` is there already
+        (unless `overwrite`) or cannot be written, and at its end where the recording ended before. Warns
+        (MissedPeriods) at its end where the servo missed too many periods.
         """
         from hapticd.background import Recorder
 

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ from hapticd.errors import HapticdError
 from hapticd.missed import gaps_of, missed_periods, share
 from hapticd.samples import SampleBatch, SampleStream
 from hapticd.sink import NO_TIME, DiskFullError, Samples, Sink, event_array, open_sink
+
+if TYPE_CHECKING:
+    from hapticd.yaml_source import Json
 
 __all__ = ["NO_TIME", "RecordSummary", "event_array", "open_sink", "record"]
 
@@ -102,7 +105,7 @@ def record(
     duration_s: float | None = None,
     *,
     overwrite: bool = False,
-    notes: Mapping[str, str] | None = None,
+    notes: Mapping[str, Json] | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[float], None] = lambda recorded_s: None,
 ) -> RecordSummary:
@@ -148,7 +151,7 @@ def record(
 class _Take:
     """One recording under way."""
 
-    def __init__(self, client: Client, sink: Sink, duration_s: float | None, notes: dict[str, str]) -> None:
+    def __init__(self, client: Client, sink: Sink, duration_s: float | None, notes: dict[str, Json]) -> None:
         self._client = client
         self._notes = notes
         self._sink = sink
