@@ -27,6 +27,8 @@ from hapticd.sink import open_sink
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from hapticd.yaml_source import Json
+
 _AXES: Final = ("x", "y")
 _STRETCH: Final = 10_000
 """Samples that are written at once."""
@@ -82,10 +84,10 @@ class Recording:
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 
     @property
-    def notes(self) -> dict[str, str]:
-        """What `--note` said."""
+    def notes(self) -> dict[str, Json]:
+        """What `--note` said, as texts, or `daemon.record(path, trial=3)`, with its types."""
         notes = self._about.get("notes")
-        return {str(key): str(value) for key, value in notes.items()} if isinstance(notes, dict) else {}
+        return dict(notes) if isinstance(notes, dict) else {}
 
     @property
     def started(self) -> Moment | None:

@@ -74,6 +74,11 @@ class Bridge:
             assert match is not None, self._lines
             return match
 
+    def said(self, text: str) -> list[str]:
+        """The lines so far that hold the text."""
+        with self._said:
+            return [line for line in self._lines if text in line]
+
     @property
     def spoken(self) -> int:
         """How many lines it has said."""
