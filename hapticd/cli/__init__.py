@@ -33,6 +33,7 @@ _HOMES: Final = {
     "mark": "mark",
     "watch": "telemetry",
     "record": "telemetry",
+    "recover": "recover",
     "flight": "telemetry",
     "replay": "offline",
     "simulate": "offline",
@@ -56,6 +57,7 @@ _HOMES: Final = {
 _HERE_ALONE: Final = frozenset(
     [
         "run",
+        "recover",
         "replay",
         "simulate",
         "check",

@@ -8,8 +8,6 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -19,7 +17,8 @@ from hapticd.cli import names
 from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, quoted
 from hapticd.journal import LEVELS
-from hapticd.place import displaced, place
+from hapticd.parts import resolved, write_file
+from hapticd.place import displaced
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -206,20 +205,15 @@ def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
     next free one, which the error says.
     """
     data = content.encode() if isinstance(content, str) else content
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    target = resolved(path)
     try:
         if target.exists() and not target.is_file():
             # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
             with open(target, "wb") as file:
                 file.write(data)
             return
-        with open(part, "xb") as file:
-            file.write(data)
-        placed = place(part, target, overwrite)
+        placed = write_file(target, data, overwrite)
     except OSError as error:
-        with suppress(OSError):
-            part.unlink()
         raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
     if placed != target:
         raise HapticdError(displaced(path, placed))
