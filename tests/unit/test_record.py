@@ -582,7 +582,7 @@ def test_a_text_that_is_none_is_refused(tmp_path: Path) -> None:
         members = dict(file)
     members["events"] = np.frombuffer(b"\xff\xff\xff\x7f", [("event", "<U1")])
     np.savez(tmp_path / "wrong.npz", **members)
-    with pytest.raises(HapticdError, match=r"wrong.npz: is no recording of hapticd: .* can't decode"):
+    with pytest.raises(HapticdError, match=r"wrong.npz: is no recording of hapticd: a text of it is no Unicode"):
         load_recorded(tmp_path / "wrong.npz")
 
 
