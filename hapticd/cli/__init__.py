@@ -34,6 +34,7 @@ _HOMES: Final = {
     "mark": "mark",
     "watch": "telemetry",
     "record": "telemetry",
+    "recover": "recover",
     "flight": "telemetry",
     "replay": "offline",
     "simulate": "offline",
@@ -57,6 +58,7 @@ _HOMES: Final = {
 _HERE_ALONE: Final = frozenset(
     [
         "run",
+        "recover",
         "replay",
         "simulate",
         "check",
