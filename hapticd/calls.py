@@ -28,7 +28,7 @@ from typing import (
 
 import zmq
 
-from hapticd import wire
+from hapticd import threads, wire
 from hapticd.errors import HapticdError, Problem
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 from hapticd.remote import Named, Remote, is_remote, monitored, remote
@@ -437,6 +437,7 @@ def place_of(
     That is HAPTICD_CONNECT, then a runtime directory. HAPTICD_KEY and HAPTICD_SERVER_KEY stand for keys of a bridge
     that are not given. Raises HapticdError for what is neither, and for keys that cannot be used.
     """
+    threads.check_client()
     address = Named(place) if place is not None else _or_variable(None, "HAPTICD_CONNECT")
     if is_remote(place) or address.variable is not None:
         return remote(address, _or_variable(key, "HAPTICD_KEY"), _or_variable(server_key, "HAPTICD_SERVER_KEY"))

@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
+from hapticd.errors import HapticdError
+
 if TYPE_CHECKING:
     from hapticd.hid.config import Hid
     from hapticd.hid.discover import Found
@@ -95,12 +97,17 @@ class Holder:
 
 
 def holder(path: Path) -> Holder | None:
-    """Who listens on a Unix socket; None where nobody does, or it cannot be told. Waits for nothing."""
+    """Who listens on a Unix socket; None where nobody does, or it cannot be told. Waits for nothing.
+
+    Raises HapticdError where no more connections may wait there.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as own:
         try:
             own.connect(os.fspath(path))
             # The credentials of the listener, as the kernel noted them when it began to listen.
             pid, _, _ = struct.unpack("3i", own.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+        except BlockingIOError:
+            raise HapticdError(f"{path}: nobody accepts connections any more: its daemon does not answer") from None
         except (OSError, ValueError):
             return None
     try:
