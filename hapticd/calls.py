@@ -28,13 +28,8 @@ from typing import (
 
 import zmq
 
-<<<<<<< HEAD
-from hapticd import wire
-from hapticd.errors import HapticdError, Problem, in_order, lines_of
-=======
-from hapticd import arguments, wire
-from hapticd.errors import HapticdError, Problem, shown
->>>>>>> client
+from hapticd import arguments, threads, wire
+from hapticd.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 from hapticd.remote import Named, Remote, is_remote, monitored, remote
 from hapticd.results import Event, GestureEnd, LeaseResult, State, Status
@@ -318,6 +313,7 @@ def place_of(
     """
     if place is not None:
         arguments.path("runtime_dir", place)
+    threads.check_client()
     address = Named(place) if place is not None else _or_variable(None, "HAPTICD_CONNECT")
     if is_remote(place) or address.variable is not None:
         return remote(address, _or_variable(key, "HAPTICD_KEY"), _or_variable(server_key, "HAPTICD_SERVER_KEY"))

@@ -157,7 +157,8 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
     """Renders a recording (.npz, .csv or .mcap) again, and compares.
 
     `max_memory`, in bytes, is what it may take, as with `hapticd.load`. Raises HapticdError where the file is no
-    recording, does not hold what it was rendered with, would take more memory, or holds what this version does not take.
+    recording, does not hold what it was rendered with, would take more memory, or holds what this version does not
+    take.
     """
     try:
         memory = memory_for(path, max_memory, SAMPLE_DTYPE.itemsize + _RENDERED_BYTES)
