@@ -132,6 +132,9 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     gc.collect()
     gc.freeze()
     gc.enable()
+    if engine.connection is not None:
+        found = engine.connection.status()
+        _log.info("device: %s at %s; forces are off until somebody turns them on", found["name"], found["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
@@ -140,9 +143,6 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
         f", memory locked: {granted.memory}",
         paths.command,
     )
-    if engine.connection is not None:
-        told = engine.connection.status()
-        _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
     notify.ready(_progress(engine)[1])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     # Asked now: a terminal that is gone is none any more.

@@ -142,7 +142,7 @@ class Recording:
         try:
             import pandas
         except ImportError:
-            raise HapticdError("to_pandas needs pandas: pip install pandas") from None
+            raise HapticdError("to_pandas needs pandas: pip install 'hapticd[pandas]'") from None
         columns: dict[str, npt.NDArray[Any]] = {}
         for name in self.samples.dtype.names or ():
             values = self.samples[name]

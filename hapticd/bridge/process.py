@@ -130,11 +130,11 @@ class _Bridge:
                     raise HapticdError(f"metrics: {self._config.metrics}: {error.strerror or error}") from None
                 stack.callback(server.close)
                 told = f", metrics at http://{_name(server.sockets[0])}/metrics"
-            _log.info("ready: commands at %s, telemetry at the port after it%s", place, told)
-            notify.ready(f"commands at {place}")
             missing = link.missing()
             if missing is not None:
                 _log.warning("%s; it may come later", missing)
+            _log.info("ready: commands at %s, telemetry at the port after it%s", place, told)
+            notify.ready(f"commands at {place}")
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             failed = [task for task in done if task.get_name() != "stop"]
             for task in failed:

@@ -179,9 +179,10 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         until(lambda: (client.get_status()["flight"] or {})["skipped"] == 1)
         copy = tmp_path / "mine.npz"
         command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", str(copy)]
-        assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(copy)
+        told = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout
+        assert (json.loads(told)["file"], json.loads(told)["events"] > 0) == (str(copy), True)
         with np.load(copy) as file:
-            assert len(file["samples"]) >= len(samples)
+            assert len(file["samples"]) == json.loads(told)["ticks"] >= len(samples)
             assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None, "complete_from": 0}
         client.dump_flight()
         written(client, 3)

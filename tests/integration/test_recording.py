@@ -577,7 +577,10 @@ def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None
             return subprocess.run(command, capture_output=True, text=True, check=False)
 
         for target in targets:
-            assert flight(str(target)).stdout == f"{target}\n"
+            told = flight(str(target)).stdout
+            held = hapticd.load(target)
+            assert told.startswith(f"{target}: {len(held.samples):,} ticks in ")
+            assert told.endswith(f" missed, {len(held.events):,} events\n") or " %), " in told
         again = flight(str(targets[0]))
         assert again.returncode == 1 and "is there already; give another name, or --overwrite" in again.stderr
         assert flight(str(targets[0]), "--overwrite").returncode == 0

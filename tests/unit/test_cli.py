@@ -155,7 +155,10 @@ def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureF
         captured = capsys.readouterr()
         assert captured.err == "" and json.loads(captured.out) == {**printed, "revision": None}
     told = said(capsys, 1, "material", "get", "stel", "--offline")
-    assert told == ('hapticd: unknown material "stel"; did you mean steel?\n')
+    shipped = 'hapticd: unknown material "stel" in the shipped library; one that was set is known to the daemon alone'
+    assert told == f"{shipped}: hapticd material get stel asks it; did you mean steel?\n"
+    assert main(["material", "get", "stel"]) == 1
+    assert capsys.readouterr().err.splitlines()[1] == f"{shipped}; did you mean steel?"
 
 
 def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:

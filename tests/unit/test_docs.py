@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeGuard, get_args
 
 import click
 import msgpack
@@ -351,6 +352,22 @@ def test_links_lead_somewhere(page: Path) -> None:
         there = page.parent / name if name else page
         assert there.exists(), target
         assert not anchor or anchor in anchors(there.read_text()), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_blocks_of_python_import_what_they_use(page: Path) -> None:
+    for code in re.findall(r"^```python\n(.*?)^```$", page.read_text(), flags=re.MULTILINE | re.DOTALL):
+        names = {node.value.id for node in ast.walk(ast.parse(code)) if is_of_a_name(node)}
+        imported = {alias.asname or alias.name for node in ast.walk(ast.parse(code)) for alias in names_of(node)}
+        assert names & {"hapticd", "np", "json", "zmq", "msgpack"} <= imported, code
+
+
+def is_of_a_name(node: ast.AST) -> TypeGuard[Any]:
+    return isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+
+
+def names_of(node: ast.AST) -> list[ast.alias]:
+    return node.names if isinstance(node, ast.Import | ast.ImportFrom) else []
 
 
 # ---- README.md -----------------------------------------------------------------------------------------------------
