@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from hapticd import arguments
 from hapticd.clock import Moment, moment_of
 from hapticd.errors import HapticdError
 from hapticd.missed import missed_periods, rates_of
@@ -194,5 +195,5 @@ def load(path: str | os.PathLike[str]) -> Recording:
 
     Raises HapticdError (one line) where the file is none.
     """
-    recorded = load_recorded(path)
+    recorded = load_recorded(arguments.path("path", path))
     return Recording(os.fspath(path), recorded.samples, recorded.events, recorded.texts, recorded.truth)

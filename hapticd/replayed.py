@@ -25,7 +25,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd import words
+from hapticd import arguments, words
 from hapticd.config import Device, load_config
 from hapticd.core import Flag
 from hapticd.engine import output_of
@@ -151,7 +151,7 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     Raises HapticdError where the file is no recording, does not hold what it was rendered with, or holds what this
     version takes no more.
     """
-    recorded = load_recorded(path)
+    recorded = load_recorded(arguments.path("path", path))
     missing = [name for name in NEEDED if not recorded.texts.get(name)]
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
