@@ -450,6 +450,7 @@ class Client:
         """
         from hapticd.samples import SampleStream
 
+        newest = arguments.flag("newest", newest)
         return self._subscribe(Feed(("samples",), SampleStream(warn=not newest).convert, newest), timeout_s)
 
     def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
@@ -458,7 +459,7 @@ class Client:
         With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
         old one.
         """
-        return self._subscribe(Feed(("state",), calls.state_of, newest), timeout_s)
+        return self._subscribe(Feed(("state",), calls.state_of, arguments.flag("newest", newest)), timeout_s)
 
     def events(self, timeout_s: float | None = None) -> Subscription[Event]:
         """Contacts, releases, punctures, faults and the other events."""

@@ -29,10 +29,11 @@ def seconds(name: str, value: object, *, zero: bool = False) -> float:
 
 
 def flag(name: str, value: object) -> bool:
-    """True or False."""
-    if not isinstance(value, bool):
+    """True or False, numpy's too."""
+    made = value.tolist() if hasattr(value, "tolist") else value
+    if not isinstance(made, bool):
         raise wrong(name, f"must be True or False, is {shown(value)}")
-    return value
+    return made
 
 
 def path(name: str, value: object) -> str:
@@ -81,7 +82,7 @@ def texts(name: str, value: object) -> list[str]:
 def one_of(name: str, value: object, known: Iterable[str]) -> None:
     """Raises InvalidError for what is none of the names that there are."""
     names = tuple(known)
-    if value not in names:
+    if not isinstance(value, str) or value not in names:
         raise wrong(name, f"unknown {name} {shown(value)}; {known_names(str(value), names)}")
 
 
@@ -100,6 +101,8 @@ def plain(where: Path, value: object) -> Any:
                 raise wrong(path_text(where), f"must be text that UTF-8 can hold, is {shown(value)}")
             return value
         case int():
+            if not -(2**63) <= value < 2**64:
+                raise wrong(path_text(where), f"must be a whole number of at most 64 bits, is {shown(value)}")
             return int(value)
         case float():
             if not math.isfinite(value):

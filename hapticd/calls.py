@@ -173,7 +173,7 @@ def change_params(key: str, value: Mapping[str, object], expect_revision: int | 
     params: dict[str, object] = {key: value}
     if expect_revision is not None:
         params["expect_revision"] = expect_revision
-    if wait:
+    if arguments.flag("wait", wait):
         params["wait"] = True
     return params
 
@@ -193,7 +193,7 @@ def apply_params(
 def reload_params(expect_revision: int | None, wait: bool) -> dict[str, object]:
     """Params of reload."""
     params: dict[str, object] = {} if expect_revision is None else {"expect_revision": expect_revision}
-    return {**params, "wait": True} if wait else params
+    return {**params, "wait": True} if arguments.flag("wait", wait) else params
 
 
 def play_params(
@@ -275,11 +275,12 @@ def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes
         raise arguments.wrong("params", f"must be a mapping, is {shown(params)}")
     try:
         body = wire.request(id, method, params)
+        if len(body) > wire.MAX_BODY:
+            raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {wire.MAX_BODY})")
+        wire.decode(body)
     except wire.WireError as error:
         arguments.plain((), params)  # says where
         raise HapticdError(f"{method}: {error}") from None
-    if len(body) > wire.MAX_BODY:
-        raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {wire.MAX_BODY})")
     return body
 
 
@@ -288,8 +289,6 @@ def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str
     if isinstance(result, DaemonNotRunning):  # a bridge says so, and does not know by which address it is known
         raise DaemonNotRunning(f"{told(at)}: {result}")
     if isinstance(result, RemoteError):
-        if result.code == wire.Code.PARSE:
-            arguments.plain((), params)  # says where
         if params and result.problems:
             from hapticd.from_file import placed
 
@@ -497,6 +496,8 @@ class Feed(Generic[T]):
         self, topics: Sequence[Topic], convert: Callable[[Topic, dict[str, object]], T], newest: bool = False
     ) -> None:
         """`newest`: each item is asked for when it is read, so that those before it are never sent."""
+        if not topics:
+            raise arguments.wrong("telemetry", f"needs a topic or several; known: {', '.join(get_args(Topic))}")
         for topic in topics:
             arguments.one_of("topic", topic, get_args(Topic))
         self._wanted = frozenset(topic.encode() for topic in topics)

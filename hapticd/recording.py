@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from hapticd import arguments
 from hapticd.clock import Moment, moment_of
 from hapticd.errors import HapticdError
 from hapticd.missed import missed_periods, rates_of
@@ -196,5 +197,5 @@ def load(path: str | os.PathLike[str], max_memory: int | None = None) -> Recordi
     most nine tenths of the memory that is available. Raises HapticdError (one line) where the file is none, or takes
     more.
     """
-    recorded = load_recorded(path, max_memory)
+    recorded = load_recorded(arguments.path("path", path), max_memory)
     return Recording(os.fspath(path), recorded.samples, recorded.events, recorded.texts, recorded.truth)
