@@ -17,6 +17,7 @@ import click
 
 from hapticd._version import __version__
 from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.misplaced import with_hint
 from hapticd.cli.streams import guarded
 from hapticd.errors import HapticdError
 
@@ -34,6 +35,7 @@ _HOMES: Final = {
     "mark": "mark",
     "watch": "telemetry",
     "record": "telemetry",
+    "recover": "recover",
     "flight": "telemetry",
     "replay": "offline",
     "simulate": "offline",
@@ -57,6 +59,7 @@ _HOMES: Final = {
 _HERE_ALONE: Final = frozenset(
     [
         "run",
+        "recover",
         "replay",
         "simulate",
         "check",
@@ -185,7 +188,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    as_json = asks_for_json(sys.argv[1:] if arguments is None else arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    as_json = asks_for_json(given)
     try:
         result = cli.main(
             args=None if arguments is None else list(arguments), prog_name="hapticd", standalone_mode=False
@@ -196,7 +200,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except HapticdError as error:
         return tell(error, 1, as_json)
     except click.ClickException as error:
-        return tell(error, error.exit_code, as_json)
+        return tell(with_hint(error, given), error.exit_code, as_json)
     except (KeyboardInterrupt, click.Abort):
         return 130
     except MemoryError:

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json, write_whole, yaml_text
+from hapticd.cli.common import (
+    Choice,
+    Finite,
+    check_new,
+    config_option,
+    json_option,
+    note,
+    print_json,
+    write_whole,
+    yaml_text,
+)
 
 if TYPE_CHECKING:
     from hapticd.calibration.handle import Calibration
@@ -28,7 +38,7 @@ DEFAULT_FORCE_N = 1.0
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2).",
 )
-@click.option("--axis", type=click.Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
+@click.option("--axis", type=Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
 @click.option(
     "--force-n",
     type=Finite(min=0.05),

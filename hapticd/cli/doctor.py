@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 
 import click
 
@@ -24,13 +25,14 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     """
     from hapticd._version import __version__
     from hapticd.client import DaemonNotRunning, connect
-    from hapticd.config import config_of
+    from hapticd.config_files import choose
     from hapticd.doctor import diagnose
+    from hapticd.doctor.configuration import taken
     from hapticd.doctor.machine import Machine, Needs, holder
     from hapticd.errors import HapticdError
     from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
 
-    config = config_of(configs)
+    config, first = taken(choose(configs))
 
     def asked() -> Mapping[str, object] | None:
         # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.
@@ -54,7 +56,7 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     described = device if device is not None and device.report is not None else None
     needs = Needs(servo.realtime, servo.priority, servo.cpu, device is not None, described)
     findings = []
-    for finding in diagnose(Machine(daemon=asked, version=__version__), needs):
+    for finding in chain([first], diagnose(Machine(daemon=asked, version=__version__), needs)):
         findings.append(finding)
         if not as_json:
             click.echo(str(finding))

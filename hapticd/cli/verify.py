@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, config_option, json_option, note, print_json
+from hapticd.cli.common import Choice, Finite, config_option, json_option, note, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.option(
     "--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S", help="Speed of a tap."
 )
-@click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
+@click.option("--axis", type=Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @json_option
 def verify_command(

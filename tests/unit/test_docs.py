@@ -15,7 +15,6 @@ import pytest
 from pydantic import BaseModel
 
 from hapticd import wire
-from hapticd.calls import State
 from hapticd.cli import cli
 from hapticd.cli.simulation import simulate_files
 from hapticd.config import default_config, load_config
@@ -28,6 +27,7 @@ from hapticd.events import event_map, fault_names
 from hapticd.hid.config import Quirk
 from hapticd.materials import ModeKeys
 from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
+from hapticd.results import State
 from hapticd.service import Installation, Service
 from hapticd.sink import NO_TIME, open_sink
 from hapticd.yaml_source import load_text

@@ -465,6 +465,15 @@ def test_a_fault_of_the_machine_is_exit_code_1(
     captured = capsys.readouterr()
     assert "\nfail  processor    processor 1023" in captured.out
     assert captured.err == "hapticd: not ready: processor\n"
+    assert captured.out.startswith(f"ok    config       {config}\n")
+    config.write_text("servo: {cpu: -1}\n")
+    assert main(["doctor", "-c", str(config)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out.startswith(
+        f"fail  config       {config}:1:9: servo.cpu: must be at least 0, is -1; the lines below"
+    )
+    assert "\nok    clock " in captured.out or "\nwarn  clock " in captured.out
+    assert captured.err.startswith("hapticd: not ready: config")
 
 
 # A process that listens as a daemon does, and never answers.
