@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import re
 import signal
 import socket
@@ -239,6 +240,46 @@ def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
         assert status["counters"]["skipped"] - before["skipped"] >= 9000
         assert status["forces"] == "on"
         assert status["faults"] == []
+
+
+@pytest.mark.slow
+def test_a_process_that_was_stopped_is_not_overloaded(tmp_path: Path) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 0.9, action: fault}}\n")
+    with running_daemon("-c", str(config)) as daemon, wired(daemon) as wire:
+        before = wire.result("get_status")["counters"]
+        daemon.process.send_signal(signal.SIGSTOP)
+        os.waitpid(daemon.process.pid, os.WUNTRACED)
+        threading.Event().wait(2.5)  # the stall itself: more than nine tenths of two seconds
+        daemon.process.send_signal(signal.SIGCONT)
+        counters = before
+        while counters["skipped"] < before["skipped"] + 2000 or counters["ticks"] < before["ticks"] + 2500:
+            counters = wire.result("get_status")["counters"]
+        assert counters["overloads"] == 0
+        assert wire.result("get_status")["faults"] == []
+
+
+def test_a_daemon_that_was_started_on_a_terminal_ends_with_it(tmp_path: Path) -> None:
+    """And one that was not takes SIGHUP for a reload, as other tests have it."""
+    ours, theirs = pty.openpty()
+    try:
+        words = [sys.executable, "-m", "hapticd", "--runtime-dir", str(tmp_path / "run"), "run"]
+        process = subprocess.Popen(words, stdin=theirs, stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        lines = []
+        for line in process.stderr:
+            lines.append(line)
+            if "ready: " in line:
+                break
+        until((tmp_path / "run" / "hapticd.command").exists)
+        process.send_signal(signal.SIGHUP)
+        lines += process.stderr.readlines()
+        assert process.wait(60) == 0, lines
+        assert any("SIGHUP: stopping" in line for line in lines) and not any("reloaded" in line for line in lines)
+        process.stderr.close()
+    finally:
+        os.close(ours)
+        os.close(theirs)
 
 
 def test_control_plane_that_hangs_fades_the_force() -> None:

@@ -321,6 +321,20 @@ def test_one_level_of_the_log(command: str, options: list[str], capsys: pytest.C
     assert "-q, -v and --log-level say the same" in said(capsys, 2, command, *options)
 
 
+@pytest.mark.parametrize(
+    ("options", "level"),
+    [([], "info"), (["-q"], "warning"), (["-v"], "debug"), (["--log-level", "error"], "error")],
+)
+def test_one_option_says_how_much_is_logged(
+    options: list[str], level: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[object] = []
+    monkeypatch.setattr("hapticd.daemon.run", lambda *words: given.append(words[-1]) or 0)
+    monkeypatch.setattr("gc.disable", lambda: None)
+    assert main(["run", *options]) == 0
+    assert given == [level]
+
+
 def test_main_is_what_is_tested(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["xyzzy", "--json"]) == 2
     assert json.loads(capsys.readouterr().err)["error"]["exit_code"] == 2

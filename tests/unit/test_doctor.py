@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 import pytest
 
+from hapticd.calls import DaemonNotRunning
 from hapticd.cli import main
 from hapticd.doctor import CHECKS, devices, diagnose, kernel, limits, processors, service
 from hapticd.doctor.machine import Finding, Holder, Machine, Needs, holder, listed
@@ -529,3 +530,25 @@ def test_nobody_holds_what_nobody_listens_on(tmp_path: Path) -> None:
     assert holder(tmp_path / "hapticd.command") is None
     (tmp_path / "hapticd.command").touch()
     assert holder(tmp_path / "hapticd.command") is None
+
+
+def test_whose_daemon_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[str] = []
+
+    def connect(place: object, timeout_s: float) -> None:
+        asked.append(str(place))
+        raise DaemonNotRunning("nobody")
+
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("HAPTICD_CONNECT", "tcp://127.0.0.1:1")
+    monkeypatch.setattr("hapticd.paths.SYSTEM_DIRECTORY", tmp_path / "service")
+    monkeypatch.setattr("hapticd.client.connect", connect)
+    main(["doctor"])
+    assert asked == [str(tmp_path / "hapticd"), str(tmp_path / "service")]
+    asked.clear()
+    monkeypatch.delenv("HAPTICD_CONNECT")
+    main(["--runtime-dir", str(tmp_path / "named"), "doctor"])
+    assert asked == [str(tmp_path / "named")]

@@ -144,6 +144,14 @@ def test_clients_are_told_the_directory_of_the_units() -> None:
     assert f" --runtime-dir {SYSTEM_DIRECTORY} bridge\n" in bridge
 
 
+@pytest.mark.parametrize("name", [*UNITS, "hapticd.user.service"])
+def test_a_service_that_cannot_start_is_never_given_up(name: str) -> None:
+    """systemd gives up after StartLimitBurst starts within StartLimitIntervalSec."""
+    unit = dict(line.split("=", 1) for line in (ROOT / "systemd" / name).read_text().splitlines() if "=" in line)
+    assert unit["Restart"] == "on-failure"
+    assert float(unit["StartLimitIntervalSec"]) / float(unit["RestartSec"]) < float(unit["StartLimitBurst"])
+
+
 @pytest.mark.parametrize("what", ["link", "binary", "unsigned"])
 def test_what_is_not_ours_is_never_overwritten(system: System, what: str) -> None:
     path = system.root / "etc/systemd/system/hapticd.service"
