@@ -410,37 +410,6 @@ static void close_torture(struct torture *torture) {
 
 /* ---- The two ticks ------------------------------------------------------------------------------------------- */
 
-/* All that a tick reads, into the memory that the copy has. */
-static void copy_state(struct hd_state *to, const struct hd_state *from) {
-    struct hd_state own = *to;
-
-    *to = *from;
-    to->slots = own.slots;
-    to->active = own.active;
-    to->resumed = own.resumed;
-    to->healing = own.healing;
-    to->near = own.near;
-    to->voices = own.voices;
-    to->noises = own.noises;
-    to->free_noises = own.free_noises;
-    to->strikes = own.strikes;
-    to->events = own.events;
-    memcpy(to->slots, from->slots, OBJECTS * sizeof *to->slots);
-    memcpy(to->active, from->active, OBJECTS * sizeof *to->active);
-    memcpy(to->resumed, from->resumed, OBJECTS * sizeof *to->resumed);
-    memcpy(to->healing, from->healing, OBJECTS * sizeof *to->healing);
-    memcpy(to->near, from->near, OBJECTS * sizeof *to->near);
-    memcpy(to->voices, from->voices, from->voice_count * sizeof *to->voices);
-    memcpy(to->free_noises, from->free_noises, HD_NOISE_CAPACITY * sizeof *to->free_noises);
-    memcpy(to->strikes, from->strikes, from->strike_count * sizeof *to->strikes);
-    for (uint32_t i = 0; i < OBJECTS; i++) {
-        const uint32_t noise = from->slots[i].noise;
-
-        if (noise != 0)
-            to->noises[noise - 1] = from->noises[noise - 1];
-    }
-}
-
 static void move(struct torture *torture, struct hd_input *input) {
     const double t = torture->time_s;
     const double *phase = torture->phase;
@@ -521,7 +490,7 @@ static void run(uint64_t seed, double rate_hz, uint64_t ticks, uint64_t changes,
 
             CHECK(hd_tick_play(torture.state, mode, along, between(&torture.random, 0.0, 1.0)) == HD_OK);
         }
-        copy_state(torture.still, torture.state);
+        CHECK(hd_state_copy(torture.still, torture.state) == HD_OK);
         if (kind != CHANGES)
             change(&torture, kind);
         still_world.table.ramp_step = 0.0;
