@@ -10,6 +10,7 @@ from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias, get_a
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
 
+from hapticd import arguments
 from hapticd.document_kinds import refuse_other_keys, refuse_other_kinds
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.model import MAX_FAULTS, Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
@@ -255,7 +256,7 @@ def load_scene(source: SceneSource) -> Scene:
 
 def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
     """As load_scene; also the document that it stands in, and where."""
-    document = Document(plain(source)) if isinstance(source, Mapping) else load_path(source)
+    document = Document(plain(source)) if isinstance(source, Mapping) else load_path(arguments.path("scene", source))
     refuse_other_kinds(document, "scene", "bare scene")
     data = document.data
     root: Path = ()

@@ -89,7 +89,7 @@ class Relay:
     def daemon_lost(self) -> None:
         """The daemon is gone; an answer that is still on its way has a moment."""
         if self._sent:
-            told = "the daemon went away before it answered; the request may have been carried out"
+            told = "the daemon behind it went away before it answered; the request may have been carried out"
             self._wait(_GRACE_S, lambda: self._give_up(told))
 
     # ---- what can be done --------------------------------------------------------------------------------------------
@@ -160,7 +160,7 @@ class Relay:
         self._back.send_multipart(request.frames, zmq.NOBLOCK)
         if request.answerable:
             self._sent = True
-            told = f"the daemon did not answer within {ANSWER_S:g} s; the request may yet be carried out"
+            told = f"the daemon behind it did not answer within {ANSWER_S:g} s; the request may yet be carried out"
             self._wait(ANSWER_S, lambda: self._give_up(told))
         else:
             self._done()

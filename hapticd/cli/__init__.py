@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import Final
@@ -34,6 +35,7 @@ _HOMES: Final = {
     "mark": "mark",
     "watch": "telemetry",
     "record": "telemetry",
+    "recover": "recover",
     "flight": "telemetry",
     "replay": "offline",
     "simulate": "offline",
@@ -57,6 +59,7 @@ _HOMES: Final = {
 _HERE_ALONE: Final = frozenset(
     [
         "run",
+        "recover",
         "replay",
         "simulate",
         "check",
@@ -177,6 +180,8 @@ def cli(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
+    # Before numpy is loaded: its BLAS would start a thread for each processor, and no command needs that.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with guarded() as told:
         code = _run(arguments)
     return code or int(told.lost)
@@ -200,6 +205,12 @@ def _run(arguments: Sequence[str] | None) -> int:
         return 130
     except MemoryError:
         return tell("there is not enough memory for this; a shorter run or a lower rate needs less", 1, as_json)
+    except RuntimeError as error:
+        from hapticd import threads
+
+        if str(error) != threads.REFUSED:
+            raise
+        return tell(threads.refused(), 1, as_json)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return tell(f"{where}{error.strerror or error}", 1, as_json)

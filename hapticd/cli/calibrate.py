@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -67,7 +66,6 @@ def calibrate_command(
     its encoder: half a minute alone, then half a minute held as it will be used. The difference of the two is the hand.
     A handle that leaves the middle third of its travel ends it. Ctrl-C takes the force away.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.calibration import handle
     from hapticd.calibration import plot as drawing
     from hapticd.calibration.accelerometer import check_name

@@ -8,8 +8,6 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -19,7 +17,8 @@ from hapticd.cli import names
 from hapticd.cli.shell import shell_words
 from hapticd.errors import HapticdError, known_names, quoted
 from hapticd.journal import LEVELS
-from hapticd.place import displaced, place
+from hapticd.parts import resolved, write_file
+from hapticd.place import displaced
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -213,20 +212,15 @@ def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
     next free one, which the error says.
     """
     data = content.encode() if isinstance(content, str) else content
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    target = resolved(path)
     try:
         if target.exists() and not target.is_file():
             # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
             with open(target, "wb") as file:
                 file.write(data)
             return
-        with open(part, "xb") as file:
-            file.write(data)
-        placed = place(part, target, overwrite)
+        placed = write_file(target, data, overwrite)
     except OSError as error:
-        with suppress(OSError):
-            part.unlink()
         raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
     if placed != target:
         raise HapticdError(displaced(path, placed))
@@ -266,6 +260,28 @@ def changed(result: Mapping[str, object]) -> str:
     """What a change of the scene did, in words."""
     tick = f", in force from tick {result['tick']:,} on" if "tick" in result else ""
     return f"revision {result['revision']:,}{tick}"
+
+
+def _bytes(ctx: click.Context, param: click.Parameter, text: str | None) -> int | None:
+    """The bytes of an option such as 512MiB, 4G or 4GB; a bare number is bytes."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*(?:([kMGT])(i?)B?|B)?", text.strip())
+    size = float(match[1]) * (1024 if match[3] else 1000) ** " kMGT".index(match[2] or " ") if match else 0.0
+    if not 1 <= size < 2**63:
+        raise click.BadParameter(f"{text!r} is not a size such as 512MiB or 8GB", ctx, param)
+    return int(size)
+
+
+def max_memory_option(function: _F) -> _F:
+    """`--max-memory SIZE`."""
+    return click.option(
+        "--max-memory",
+        metavar="SIZE",
+        callback=_bytes,
+        help="Memory that it may take: 512MiB, 8GB [default: 16 times the size of FILE and at least 1 GiB, but at most "
+        "nine tenths of what is available].",
+    )(function)
 
 
 def duration(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:

@@ -20,16 +20,17 @@ _ANSWER_S = 2.0
 def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> int:
     """Say what of this machine is ready for the daemon, and what to do about the rest.
 
-    The rights are those of whoever asks; nothing is changed. The exit code is 1 if something fails that the
-    configuration needs.
+    The rights are those of whoever asks; nothing is changed. It waits at most 5 s for systemd and 2 s for a daemon that
+    runs and does not answer. The exit code is 1 if something fails that the configuration needs.
     """
     from hapticd._version import __version__
     from hapticd.client import DaemonNotRunning, connect
     from hapticd.config_files import choose
     from hapticd.doctor import diagnose
     from hapticd.doctor.configuration import taken
-    from hapticd.doctor.machine import Machine, Needs
-    from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths
+    from hapticd.doctor.machine import Machine, Needs, holder
+    from hapticd.errors import HapticdError
+    from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
 
     config, first = taken(choose(configs))
 
@@ -37,11 +38,17 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
         # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.
         named = ctx.find_root().obj
         for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
+            there = holder(runtime_paths(place).command)
+            if there is not None and there.stopped:
+                raise HapticdError(f"process {there.pid} holds {place} and does not answer: it is stopped")
             try:
                 with connect(place, _ANSWER_S) as client:
                     return client.get_status()
             except DaemonNotRunning:
-                continue
+                if there is not None:
+                    raise HapticdError(
+                        f"process {there.pid} holds {place} and did not answer within {_ANSWER_S:g} s"
+                    ) from None
         return None
 
     servo = config.servo

@@ -178,7 +178,6 @@ def _run(
     as_json: bool,
     per_file: int = 1,
 ) -> None:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.fit import provenance
     from hapticd.fit import report as drawing
     from hapticd.fit.regression import require_scipy

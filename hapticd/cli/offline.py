@@ -11,6 +11,7 @@ from hapticd.cli import names
 from hapticd.cli.common import (
     duration,
     json_option,
+    max_memory_option,
     note,
     notes_option,
     operator_file,
@@ -103,8 +104,9 @@ def _own_operator(scene: str) -> str | None:
     "-o", "--output", type=click.Path(), metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap)."
 )
 @overwrite_option
+@max_memory_option
 @json_option
-def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
+def replay_command(file: str, output: str | None, overwrite: bool, max_memory: int | None, as_json: bool) -> int:
     """Render FILE (.npz, .csv or .mcap of `record`, `simulate` or `flight`) again, without daemon and clock, and
     compare the forces.
 
@@ -115,7 +117,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
 
     if output is not None:
         check_target(output, overwrite)
-    again = replay(file)
+    again = replay(file, max_memory)
     if output is not None:
         again.write(output, overwrite)
     if as_json:

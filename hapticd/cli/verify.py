@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Literal
 
 import click
@@ -47,7 +46,6 @@ def verify_command(
     The simulated handle is known as it is. On a real one an accelerometer must record while they are struck, half a
     second apart, the handle held as it will be used.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.calibration import verify
     from hapticd.calibration.accelerometer import load_recording
     from hapticd.config import config_of

@@ -67,6 +67,7 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
     with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
         assert client.get_status()["counters"]["suspends"] == 0
+        lease = client.lease(1800.0)["token"]  # half of what the suspend takes
         with client.telemetry("samples", "event") as messages:
             parts: list[np.ndarray] = []
             stream = SampleStream(warn=False)
@@ -94,6 +95,8 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
         status = client.get_status()
         assert status["counters"]["suspends"] == 1
         assert (status["forces"], status["faults"]) == ("on", [])
+        assert status["lease_s"] > 900
+        client.lease(0, lease)
         until(lambda: "the machine was suspended for 1 h" in daemon.said())
 
 

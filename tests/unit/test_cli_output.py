@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import pytest
 
-from hapticd.calls import DaemonNotRunning, RemoteError, Status, outcome, patch_tree
+from hapticd.calls import DaemonNotRunning, RemoteError, outcome, patch_tree
 from hapticd.cli import main
 from hapticd.cli.common import print_result
 from hapticd.cli.failure import asks_for_json, tell
@@ -22,6 +22,8 @@ from hapticd.core import Fault
 from hapticd.engine import Granted
 from hapticd.errors import HapticdError, InvalidError, Problem, in_order
 from hapticd.events import fault_names
+from hapticd.paths import runtime_paths
+from hapticd.results import Status
 from hapticd.wire import Code
 from tests.cli import said
 
@@ -227,7 +229,7 @@ def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
     params = {"objects": patch_tree(file, "objects")}
     found = [{"where": f"objects.{id}.point_m", "problem": "is missing"} for id in ("a", "b", "c")]
     with pytest.raises(RemoteError) as caught:
-        outcome(RemoteError(Code.INVALID_PARAMS, "", found), params)
+        outcome(RemoteError(Code.INVALID_PARAMS, "", found), params, runtime_paths(tmp_path))
     assert [problem.where for problem in caught.value.problems] == [
         f"{file}:1:1: b.point_m",
         f"{file}:1:1: c.point_m",
@@ -317,6 +319,20 @@ def test_a_command_that_is_mistyped(arguments: list[str], told: str, capsys: pyt
 @pytest.mark.parametrize("options", [["-q", "-v"], ["-v", "--log-level", "info"]])
 def test_one_level_of_the_log(command: str, options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert "-q, -v and --log-level say the same" in said(capsys, 2, command, *options)
+
+
+@pytest.mark.parametrize(
+    ("options", "level"),
+    [([], "info"), (["-q"], "warning"), (["-v"], "debug"), (["--log-level", "error"], "error")],
+)
+def test_one_option_says_how_much_is_logged(
+    options: list[str], level: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[object] = []
+    monkeypatch.setattr("hapticd.daemon.run", lambda *words: given.append(words[-1]) or 0)
+    monkeypatch.setattr("gc.disable", lambda: None)
+    assert main(["run", *options]) == 0
+    assert given == [level]
 
 
 def test_main_is_what_is_tested(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,6 @@ import pytest
 from pydantic import BaseModel
 
 from hapticd import wire
-from hapticd.calls import State
 from hapticd.cli import cli
 from hapticd.cli.simulation import simulate_files
 from hapticd.config import default_config, load_config
@@ -29,6 +28,7 @@ from hapticd.events import event_map, fault_names
 from hapticd.hid.config import Quirk
 from hapticd.materials import ModeKeys
 from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
+from hapticd.results import State
 from hapticd.service import Installation, Service
 from hapticd.sink import NO_TIME, open_sink
 from hapticd.yaml_source import load_text
@@ -316,6 +316,44 @@ def test_the_directives_that_the_page_names_stand_in_the_unit() -> None:
         assert any(line.startswith(f"{name}=") for line in unit) or name.startswith(
             ("IPAddress", "CPUScheduling", "BindRead")
         )
+
+
+# ---- What shows the promises of a page ------------------------------------------------------------------------------
+
+SHOWS = "## What shows it"
+PROMISING = [ROOT / "docs" / name for name in ("reliability.md", "service.md")]
+
+
+def is_there(test: str) -> bool:
+    """A function of a file below tests/, a target of make, or a module that is run."""
+    if test.startswith("make "):
+        return re.search(rf"^{test[5:]}:|^\.PHONY:.* {test[5:]}\b", (ROOT / "Makefile").read_text(), re.M) is not None
+    if test.startswith("python -m "):
+        return (ROOT / f"{test[10:].replace('.', '/')}.py").exists()
+    file, _, function = test.partition("::")
+    path = ROOT / "tests" / file
+    return path.is_file() and re.search(rf"^def {function}\(", path.read_text(), re.M) is not None
+
+
+@pytest.mark.parametrize("page", PROMISING, ids=lambda page: page.stem)
+def test_every_promise_stands_in_the_page_and_its_tests_are_there(page: Path) -> None:
+    text = page.read_text()
+    before = " ".join(re.sub(r"^- ", "", text.partition(f"\n{SHOWS}\n")[0], flags=re.M).split())
+    rows = tables(section(text, SHOWS))["promise"]
+    for promise, shown in rows:
+        assert promise in before, promise
+        assert names(shown) and all(map(is_there, names(shown))), shown
+    assert len({promise for promise, _ in rows}) == len(rows)
+
+
+@pytest.mark.parametrize("page", PROMISING, ids=lambda page: page.stem)
+def test_every_section_has_a_promise_that_is_shown(page: Path) -> None:
+    text = page.read_text()
+    promises = [promise for promise, _ in tables(section(text, SHOWS))["promise"]]
+    for heading in re.findall(r"^## .*$", text, re.M):
+        there = " ".join(section(text, heading).split())
+        measured = heading == "## What looking costs"
+        assert heading == SHOWS or measured or any(promise in there for promise in promises), heading
 
 
 # ---- architecture.md, decision records, links ----------------------------------------------------------------------
