@@ -55,9 +55,8 @@ _LEFT_OUT: Final = {
 }
 _LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 _NO_TIME: Final = 0xFFFFFFFF
-_RENDERED_BYTES: Final = 3 * SAMPLE_DTYPE.itemsize + 160
-"""Memory for each sample, beside itself: what is rendered of it, twice for a moment; what is compared; rates, periods,
-intervals and masks."""
+_RENDERED_BYTES: Final = 2 * SAMPLE_DTYPE.itemsize + 160
+"""Memory for each sample, beside itself: what is rendered of it, what is compared; rates, periods, intervals, masks."""
 _OBJECT_BYTES: Final = 4096
 """Memory for an object or a material that was validated."""
 _ENTRY_BYTES: Final = 128
@@ -157,7 +156,8 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
     """Renders a recording (.npz, .csv or .mcap) again, and compares.
 
     `max_memory`, in bytes, is what it may take, as with `hapticd.load`. Raises HapticdError where the file is no
-    recording, does not hold what it was rendered with, would take more memory, or holds what this version does not take.
+    recording, does not hold what it was rendered with, would take more memory, or holds what this version takes no
+    more.
     """
     try:
         memory = memory_for(path, max_memory, SAMPLE_DTYPE.itemsize + _RENDERED_BYTES)
