@@ -28,8 +28,8 @@ from typing import (
 
 import zmq
 
-from hapticd import arguments, wire
-from hapticd.errors import HapticdError, Problem, shown
+from hapticd import arguments, threads, wire
+from hapticd.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 from hapticd.remote import Named, Remote, is_remote, monitored, remote
 from hapticd.results import Event, GestureEnd, LeaseResult, State, Status
@@ -66,7 +66,7 @@ class RemoteError(HapticdError):
         self.problems: tuple[Problem, ...] = _problems(data)
 
     def __str__(self) -> str:
-        return "; ".join(map(str, self.problems)) or self.message
+        return "; ".join(lines_of(self.problems)) or self.message
 
 
 def _problems(data: object) -> tuple[Problem, ...]:
@@ -292,7 +292,7 @@ def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str
         if params and result.problems:
             from hapticd.from_file import placed
 
-            result.problems = tuple(Problem(placed(each.where, params), each.problem) for each in result.problems)
+            result.problems = in_order(Problem(placed(each.where, params), each.problem) for each in result.problems)
         raise result
     if params and isinstance(result, dict) and result.get("warnings"):
         from hapticd.from_file import placed
@@ -312,6 +312,7 @@ def place_of(
     """
     if place is not None:
         arguments.path("runtime_dir", place)
+    threads.check_client()
     address = Named(place) if place is not None else _or_variable(None, "HAPTICD_CONNECT")
     if is_remote(place) or address.variable is not None:
         return remote(address, _or_variable(key, "HAPTICD_KEY"), _or_variable(server_key, "HAPTICD_SERVER_KEY"))

@@ -35,6 +35,7 @@ from hapticd.merge_patch import merge_patch
 from hapticd.mode import ModeKeys
 from hapticd.model import MAX_FAULTS, Model, Name, Position, problems_of
 from hapticd.operator import Target, parse_operator
+from hapticd.repeats import SHORTEST_S, Repeats
 from hapticd.scene import (
     MAX_OBJECTS,
     SceneObject,
@@ -189,6 +190,8 @@ class Control:
         self._ending = threading.Event()
         self._flight = flight
         self._ask_state = ask_state
+        self.repeats = Repeats()
+        """What clients cause in the log. Whoever calls also flushes it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._started_ns = monotonic_ns()
         self._wish = engine.config.device.sim.start_m
@@ -481,15 +484,21 @@ class Control:
             same = config.scene == before and config.materials == engine.materials
             revision = engine.revision if same else engine.replace(config.scene, config.materials)
         except InvalidError as error:
-            _log.error("not reloaded: %s", error)
+            self._tell(logging.ERROR, f"not reloaded: {error}")
             raise _faulty(error.problems) from None
         except HapticdError as error:
-            _log.error("not reloaded: %s", error)
+            self._tell(logging.ERROR, f"not reloaded: {error}")
             raise _faulty([Problem("", str(error))]) from None
         old, new = before.objects, config.scene.objects
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
-        _log.info("reloaded: revision %d, %s changed", revision, words.count(changed, "object"))
+        self._tell(logging.INFO, f"reloaded: revision {revision}, {words.count(changed, 'object')} changed")
         return self._changed(revision, params, self._warnings(new, ("scene", "objects"), used_materials(new.values())))
+
+    def _tell(self, level: int, line: str) -> None:
+        """What came of a reload: one line a second at most, though a client may ask for hundreds."""
+        self.repeats.note(
+            f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=SHORTEST_S
+        )
 
     def _read_anew(self, load: Callable[[], Config]) -> Config:
         """Reads the files, and beats meanwhile: large ones take longer than the servo waits. Raises HapticdError."""

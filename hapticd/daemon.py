@@ -25,7 +25,7 @@ from pathlib import Path
 
 import zmq
 
-from hapticd import journal, memory, notify, server, words
+from hapticd import journal, memory, notify, server, threads, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
@@ -88,6 +88,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     control = Control(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
     )
+    threads.check(threads.DAEMON)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
     publisher = context.socket(zmq.PUB)

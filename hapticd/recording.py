@@ -190,10 +190,12 @@ class Recording:
         return found if isinstance(found, dict) else {}
 
 
-def load(path: str | os.PathLike[str]) -> Recording:
+def load(path: str | os.PathLike[str], max_memory: int | None = None) -> Recording:
     """Reads a recording: .npz, .csv or .mcap of `hapticd record`, `hapticd simulate` or `hapticd flight`.
 
-    Raises HapticdError (one line) where the file is none.
+    `max_memory`, in bytes, is what it may take; by default 16 times the size of the file and at least 1 GiB, but at
+    most nine tenths of the memory that is available. Raises HapticdError (one line) where the file is none, or takes
+    more.
     """
-    recorded = load_recorded(arguments.path("path", path))
+    recorded = load_recorded(arguments.path("path", path), max_memory)
     return Recording(os.fspath(path), recorded.samples, recorded.events, recorded.texts, recorded.truth)

@@ -1,8 +1,8 @@
 """Lines of the log that repeat each other: the first at once, those that follow as sums at doubling intervals.
 
     14:03:22  40 periods missed
-    14:03:23  1,210 periods missed, 31 times, in the last 1 s
-    14:03:25  2,377 periods missed, 58 times, in the last 2 s
+    14:03:23  1,210 periods missed (12.1 %), 31 times, in the last 1 s
+    14:03:25  2,377 periods missed (11.9 %), 58 times, in the last 2 s
     14:03:29  ...
 
 The interval doubles with each line, from one second to an hour. Whoever was quiet for five minutes begins anew.
@@ -47,8 +47,9 @@ class Since:
 
     @property
     def more(self) -> str:
-        """What follows a line that shows the newest of several: ` (and 12 more in the last 64 s)`."""
-        told = [f"and {self.times - 1:,} more"] if self.times > 1 else []
+        """What follows a line that shows the newest of several: ` (and 12 more in the last 64 s)`, ` (once in the last
+        64 s)`."""
+        told = [f"and {self.times - 1:,} more"] if self.times > 1 else ["once"] if self.seconds else []
         told += [self.window] if self.seconds else []
         return f" ({' '.join(told)})" if told else ""
 

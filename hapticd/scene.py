@@ -5,8 +5,8 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 
 import math
 import os
-from collections.abc import Collection, Iterable, Mapping
-from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias, get_args
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
 
@@ -14,7 +14,7 @@ from hapticd import arguments
 from hapticd.document_kinds import refuse_other_keys, refuse_other_kinds
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.model import MAX_FAULTS, Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
-from hapticd.yaml_source import Document, load_path
+from hapticd.yaml_source import Document, Json, load_path
 
 MAX_OBJECTS: Final = 2**20
 """Address room; memory follows what is used."""
@@ -176,6 +176,7 @@ Surface: TypeAlias = Wall | Membrane | Box | Disc
 Passivity: TypeAlias = Literal["off", "observe", "control"]
 SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
 SURFACES: Final = (Wall, Membrane, Box, Disc)
+_SURFACE_KINDS: Final = tuple(tag for kind in SURFACES for tag in get_args(kind.model_fields["kind"].annotation))
 
 
 def materials_of(item: SceneObject) -> tuple[str, ...]:
@@ -284,19 +285,44 @@ def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
     """Materials that objects name and nobody defines, with paths relative to the scene; MAX_FAULTS of them are told."""
+    named = (
+        (("objects", id, *(("patches", index - 1) if index else ()), "material"), name)
+        for id, item in objects.items()
+        for index, name in enumerate(materials_of(item))
+    )
+    return _unknown(named, materials)
+
+
+def faults_of_names(objects: Json, materials: Collection[str]) -> list[tuple[Path, str]]:
+    """As reference_faults, of plain data that is faulty elsewhere; what is no name in it is passed over."""
+    return _unknown(_named(objects), materials)
+
+
+def _named(objects: Json) -> Iterator[tuple[Path, str]]:
+    for id, item in objects.items() if isinstance(objects, dict) else ():
+        if not isinstance(item, dict) or item.get("kind") not in _SURFACE_KINDS:
+            continue
+        patches = item.get("patches")
+        parts: list[tuple[Path, Json]] = [((), item)]
+        parts += [
+            (("patches", index), patch) for index, patch in enumerate(patches if isinstance(patches, list) else ())
+        ]
+        for path, part in parts:
+            name = part.get("material") if isinstance(part, dict) else None
+            if isinstance(name, str):
+                yield ("objects", id, *path, "material"), name
+
+
+def _unknown(named: Iterable[tuple[Path, str]], materials: Collection[str]) -> list[tuple[Path, str]]:
     faults: list[tuple[Path, str]] = []
     more = 0
-    for id, item in objects.items():
-        for index, wanted in enumerate(materials_of(item)):
-            if wanted in materials:
-                continue
-            if len(faults) == MAX_FAULTS:
-                more += 1
-                continue
-            inner: Path = ("patches", index - 1, "material") if index else ("material",)
-            faults.append(
-                (("objects", id, *inner), f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}")
-            )
+    for path, wanted in named:
+        if wanted in materials:
+            continue
+        if len(faults) == MAX_FAULTS:
+            more += 1
+            continue
+        faults.append((path, f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}"))
     if more:
         faults.append((("objects",), f"name unknown materials {more} times more"))
     return faults

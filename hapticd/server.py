@@ -115,7 +115,7 @@ def serve(
     between: Callable[[], None] = lambda: None,
 ) -> None:
     """Answers requests until `stop` is set; calls `between` between them, ten times a second at least."""
-    repeats = Repeats()
+    repeats = control.repeats
     while not stop.is_set():
         repeats.flush()
         engine.beat()

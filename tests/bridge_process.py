@@ -108,6 +108,16 @@ class Bridge:
         """A connection without ZeroMQ."""
         return socket.create_connection((self.host, self.port + telemetry), 30)
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """It stands still meanwhile; the kernel takes connections for it."""
+        self.process.send_signal(signal.SIGSTOP)
+        os.waitpid(self.process.pid, os.WUNTRACED)
+        try:
+            yield
+        finally:
+            self.process.send_signal(signal.SIGCONT)
+
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(60)

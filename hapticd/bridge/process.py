@@ -16,7 +16,7 @@ from typing import Any, Final
 import zmq.asyncio
 from pydantic import ValidationError
 
-from hapticd import journal, memory, notify
+from hapticd import journal, memory, notify, threads
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Accounts
 from hapticd.bridge.config import BridgeConfig, load_bridge, metrics_place
@@ -96,6 +96,7 @@ class _Bridge:
             loop.add_signal_handler(number, stop.set)
         loop.add_signal_handler(signal.SIGHUP, self._reload)
         async with AsyncExitStack() as stack:
+            threads.check(threads.BRIDGE)
             context = zmq.asyncio.Context()
             stack.callback(context.destroy, 0)
             authenticator = zap.bind(context)

@@ -31,6 +31,7 @@ from hapticd.core import SAMPLE_DTYPE, Flag
 from hapticd.errors import HapticdError
 from hapticd.record import RecordSummary, record
 from hapticd.recorded import load_recorded
+from hapticd.recovery import recover
 from hapticd.replayed import replay
 from tests.daemon_process import Daemon, connect, running_daemon
 from tests.fake_daemon import FakeDaemon, fake_daemon, result
@@ -75,11 +76,11 @@ def recording(daemon: Daemon, target: Path, *options: str, limit: int | None = N
 
 
 def wait_until_it_records(client: Client, target: Path, process: subprocess.Popen[str]) -> None:
-    notes = target.with_name(f".{target.name}.{process.pid}.notes")
     with client.samples() as batches:
         for _ in batches:  # 50 times a second
             assert process.poll() is None
-            if notes.exists() and b'["dtype"' in notes.read_bytes():
+            notes = target.parent.glob(f".{target.name}.{process.pid}.*.notes")
+            if any(b'["dtype"' in path.read_bytes() for path in notes):
                 return
 
 
@@ -188,11 +189,11 @@ def test_the_configuration_goes_round(daemon: Daemon) -> None:
     assert config.device.sim.hand == default_config().device.sim.hand
 
 
-def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, tmp_path: Path) -> None:
+def test_what_a_killed_recording_left_is_told_by_the_next(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with connect(daemon.directory) as client, recording(daemon, target) as process:
         wait_until_it_records(client, target, process)
-        part = target.with_name(f".{target.name}.{process.pid}.part")
+        (part,) = tmp_path.glob(f".{target.name}.{process.pid}.*.part")
         with client.samples() as batches:
             while part.stat().st_size < 1000 * SAMPLE_DTYPE.itemsize:
                 next(batches)
@@ -202,7 +203,11 @@ def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, t
     with recording(daemon, target, "--for", "100ms") as process:
         out, err = process.communicate(timeout=60)
     assert process.returncode == 0 and "nothing lost" in out
-    assert err == f"hapticd: {tmp_path}/run.recovered.npz: what a recording held that was killed\n"
+    assert err == (
+        f"hapticd: {target}: {part.name} beside it is of another recording: under way, or killed; "
+        f"`hapticd recover {target}` makes a file of what was killed\n"
+    )
+    assert recover(target).files == [tmp_path / "run.recovered.npz"]
     assert sorted(os.listdir(tmp_path)) == ["run.npz", "run.recovered.npz"]
     recovered = load_recorded(tmp_path / "run.recovered.npz")
     assert recovered.texts["recording"]["ended_because"] == "killed"

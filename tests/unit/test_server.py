@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
 from typing import cast
 
 import pytest
@@ -11,6 +12,7 @@ import zmq
 from hapticd import server
 from hapticd.control import Control
 from hapticd.engine import Engine
+from hapticd.repeats import Repeats
 
 
 class Beating:
@@ -31,7 +33,7 @@ def test_it_ends_without_a_request_or_a_beat(monkeypatch: pytest.MonkeyPatch) ->
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     engine, stop = Beating(), threading.Event()
     # Nobody asks anything, so there is nothing to control.
-    control = cast(Control, None)
+    control = cast(Control, SimpleNamespace(repeats=Repeats()))
     with server.router(context) as socket:
         thread = threading.Thread(target=server.serve, args=(socket, cast(Engine, engine), control, stop), daemon=True)
         thread.start()
