@@ -25,10 +25,11 @@ from pathlib import Path
 
 import zmq
 
-from hapticd import journal, memory, notify, server, words
+from hapticd import journal, memory, notify, server, threads, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
+from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
@@ -88,6 +89,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     control = Control(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
     )
+    threads.check(threads.DAEMON)
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     stack.callback(context.term)
     publisher = context.socket(zmq.PUB)
@@ -102,6 +104,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
+    stack.callback(control.intake.join)
     stack.callback(engine.stop)
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
@@ -109,28 +112,31 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = server.router(context)
-    stack.callback(router.close)
-    mine.bind(router, paths.command)
+    transport = server.Transport(context)
+    stack.callback(transport.close)
+    mine.bind(transport.socket, paths.command)
     watch = notify.Watch(lambda: _progress(engine))
-    reloads = server.Reloads(context)
+    dispatch = Dispatch(control, control.repeats)
+    control.intake.wake = transport.wake
 
     def between() -> None:
         watch()
         mine.check()
-        reloads.serve(control)
 
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop, between),
+        lambda stop: server.serve(transport, engine, dispatch, stop, between),
         failures,
         stack,
-        wake=lambda: server.wake(context),
+        wake=transport.wake,
     )
-    stack.callback(control.end)  # a reload that is under way is given up
+    stack.callback(control.end)  # what is being taken in is given up
     gc.collect()
     gc.freeze()
     gc.enable()
+    if engine.connection is not None:
+        found = engine.connection.status()
+        _log.info("device: %s at %s; forces are off until somebody turns them on", found["name"], found["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
@@ -139,16 +145,13 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
         f", memory locked: {granted.memory}",
         paths.command,
     )
-    if engine.connection is not None:
-        told = engine.connection.status()
-        _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
     notify.ready(_progress(engine)[1])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     # Asked now: a terminal that is gone is none any more.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
     # Of signals that came together the end overtakes the reloads.
     while not (ended := ends.intersection(received := signals.recv(4096))):
-        reloads.ask()
+        dispatch.ask_reload()
     notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])

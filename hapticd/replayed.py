@@ -25,7 +25,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd import words
+from hapticd import arguments, words
 from hapticd.config import Device, load_config
 from hapticd.core import SAMPLE_DTYPE, Flag
 from hapticd.engine import output_of
@@ -156,9 +156,10 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
     """Renders a recording (.npz, .csv or .mcap) again, and compares.
 
     `max_memory`, in bytes, is what it may take, as with `hapticd.load`. Raises HapticdError where the file is no
-    recording, does not hold what it was rendered with, would take more memory, or holds what this version takes no
-    more.
+    recording, does not hold what it was rendered with, would take more memory, or holds what this version does not
+    take.
     """
+    path = arguments.path("path", path)
     try:
         memory = memory_for(path, max_memory, SAMPLE_DTYPE.itemsize + _RENDERED_BYTES)
     except OSError as error:

@@ -15,7 +15,7 @@ from click.core import ParameterSource
 
 from hapticd.cli import names
 from hapticd.cli.shell import shell_words
-from hapticd.errors import HapticdError, quoted
+from hapticd.errors import HapticdError, known_names, quoted
 from hapticd.journal import LEVELS
 from hapticd.parts import resolved, write_file
 from hapticd.place import displaced
@@ -28,6 +28,13 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 # Strings that need no quotes in YAML, whatever stands around them.
 _PLAIN = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
 _UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+class Choice(click.Choice[str]):
+    """click's, which asks whether one of them was meant."""
+
+    def get_invalid_choice_message(self, value: object, ctx: click.Context | None) -> str:
+        return f"{quoted(str(value))} is none of them; {known_names(str(value), map(str, self.choices))}"
 
 
 class Finite(click.FloatRange):
@@ -94,7 +101,7 @@ def log_options(command: _F) -> _F:
 
     @click.option("-q", "--quiet", is_flag=True, help="Log warnings and errors alone.")
     @click.option("-v", "--verbose", is_flag=True, help="Log each request and each event, too.")
-    @click.option("--log-level", type=click.Choice(LEVELS), help="The least important line of the log [default: info].")
+    @click.option("--log-level", type=Choice(LEVELS), help="The least important line of the log [default: info].")
     @functools.wraps(command)
     def with_level(*args: Any, quiet: bool, verbose: bool, log_level: str | None, **options: Any) -> Any:
         if quiet + verbose + (log_level is not None) > 1:

@@ -64,11 +64,13 @@ def simulate_command(
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
-    from hapticd.cli.simulation import simulate_files
+    from hapticd.cli.simulation import configuration, simulate_files
 
     file = scene_file(scene)
     operator = operator or _own_operator(file)
     if operator is None:
+        if file != "/dev/stdin":
+            configuration(file)  # what is no scene is told first
         raise click.UsageError("Missing option '--operator'.")
     if output is None and (notes or overwrite):
         raise click.UsageError("--note and --overwrite are for a file: name it with -o")
