@@ -270,7 +270,7 @@ class Hand:
 
 
 def write_config(path: Path, scenes: Scenes, source: random.Random, **servo: object) -> None:
-    """Another scene and other materials; the first time, a scene of nothing, so that nothing is before the recording."""
+    """Another scene and other materials; at first a scene of nothing, so that nothing is before the recording."""
     materials = {name: scenes.law() for name in "abc"}
     if path.exists():
         config = {**yaml.safe_load(path.read_text()), "materials": materials, "scene": scenes.scene()}
