@@ -178,6 +178,8 @@ def damages(source: random.Random, path: Path) -> None:
             content[:] = b"\0" * len(content)
         case 5:
             content[:] = b'["texts", []]\n["dtype", [["tick", "|O"]]]\n["event", 5]\n[1]\n5\n[]\n'
+        case 6 if source.random() < 0.5:
+            content[:] = b'["dtype", [["tick", "<u8,("], ["time_ns", "<i8"]]]\n' + content
         case 6:
             content[:] = b"root:$6$secret:0:0\n" * 100
         case 7:
