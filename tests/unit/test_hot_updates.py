@@ -430,14 +430,14 @@ def test_what_a_change_left_fades_although_a_reset_comes_in_every_tick() -> None
     [
         {"device": {"max_force_n": 5.0}},
         {"device": {"max_speed_m_per_s": 1.0}},
-        {"device": {"undisplayable": "mute"}},
+        {"device": {"undisplayable": "lower"}},
         {"device": {"effective_mass_kg": 0.5}},
-        {"device": {"compensation": "off"}},
+        {"device": {"compensation": "mass"}},
         {"device": {"handle": {"mass_kg": 0.1, "damping_n_s_per_m": 0.1, "friction_n": 0.1}}},
         {"device": {"sim": {"encoder_step_m": 0.0}}},
         {"device": {"sim": {"link": {"rate_hz": 1000}}}},
         {"device": {"sim": {"hand": {"stiffness_n_per_m": 100.0}}}},
-        {"device": {"hid": {"offload": "off"}}},
+        {"device": {"hid": {"offload": "auto"}}},
         {"servo": {"rate_hz": 5000.0}},
         {"servo": {"overruns": {"action": "step_down"}}},
     ],
@@ -451,10 +451,14 @@ def test_what_else_could_move_the_force_needs_a_restart(other: dict[str, object]
 
 @pytest.mark.parametrize("modes", [("off", "control"), ("control", "off"), ("observe", "control")])
 def test_the_passivity_controller_comes_and_goes_over_the_ramp(modes: tuple[str, str]) -> None:
-    """A wall that is left faster than it was pressed gives energy, which the controller does not let it."""
+    """A wall that is let go of gives energy, which a controller that begins just then does not let it."""
     rig = Rig({"w": FLOOR}, passivity=modes[0])
-    out = line(-0.004, -0.002, 100)
-    before = rig.render(np.concatenate([still(0, -0.004, 400), out]))
+    speed = -0.01
+    before = rig.render(np.concatenate([still(0, -0.004, 400), line(-0.004, speed, 50)]))
     rig.update({}, passivity=modes[1])
-    after = rig.render(still(0, -0.002, 400))
-    assert steps(after, before) <= 8.9 / RAMP / RATE + 1e-9
+    after = rig.render(line(before["position_m"][-1, 1], speed, 400)[1:])
+    own = 800 * -speed / RATE
+    assert steps(after, before) <= 8.9 / RAMP / RATE + own + 1e-9
+    if modes == ("off", "control"):
+        assert after["flags"][-1] & Flag.RESTRAINED
+        assert after["force_n"][-1, 1] < 0.1
