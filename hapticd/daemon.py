@@ -29,6 +29,7 @@ from hapticd import journal, memory, notify, server, threads, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
+from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
@@ -103,6 +104,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
+    stack.callback(control.intake.join)
     stack.callback(engine.stop)
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
@@ -110,25 +112,25 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = server.router(context)
-    stack.callback(router.close)
-    mine.bind(router, paths.command)
+    transport = server.Transport(context)
+    stack.callback(transport.close)
+    mine.bind(transport.socket, paths.command)
     watch = notify.Watch(lambda: _progress(engine))
-    reloads = server.Reloads(context)
+    dispatch = Dispatch(control, control.repeats)
+    control.intake.wake = transport.wake
 
     def between() -> None:
         watch()
         mine.check()
-        reloads.serve(control)
 
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop, between),
+        lambda stop: server.serve(transport, engine, dispatch, stop, between),
         failures,
         stack,
-        wake=lambda: server.wake(context),
+        wake=transport.wake,
     )
-    stack.callback(control.end)  # a reload that is under way is given up
+    stack.callback(control.end)  # what is being taken in is given up
     gc.collect()
     gc.freeze()
     gc.enable()
@@ -149,7 +151,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
     # Of signals that came together the end overtakes the reloads.
     while not (ended := ends.intersection(received := signals.recv(4096))):
-        reloads.ask()
+        dispatch.ask_reload()
     notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])

@@ -57,8 +57,8 @@ class Owned:
                 own.bind(os.fspath(unnamed))
                 unnamed.chmod(0o660)
                 own.listen(_BACKLOG)
+                self._files[path] = _identity(unnamed)  # before others see it, who may put theirs in its place
                 unnamed.replace(path)  # its existence means that it can be connected to
-                self.note(path)
                 bound.setsockopt(zmq.USE_FD, own.fileno())
                 bound.bind(f"ipc://{path}")
                 own.detach()

@@ -6,6 +6,7 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 import math
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from types import MappingProxyType
 from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias, get_args
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
@@ -67,10 +68,34 @@ class Patch(Model):
         return self
 
 
-def _apart(patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
+class Patches(tuple[Patch, ...]):
+    """Patches that were looked at as a whole; what follows from them is found once, and kept with them."""
+
+    order: tuple[int, ...]
+    """Their indices, in rising order along the wall."""
+    first: Mapping[str, int]
+    """Their materials, and the index of the first patch of each."""
+    narrow: tuple[float, list[tuple[int, str]]] | None
+    """A ramp, and what is too narrow for it (displayable.patch_warnings)."""
+
+    def __new__(cls, patches: Iterable[Patch] = ()) -> Self:
+        made = super().__new__(cls, patches)
+        made.order = tuple(sorted(range(len(made)), key=lambda index: made[index].from_m))
+        first: dict[str, int] = {}
+        for index, patch in enumerate(made):
+            first.setdefault(patch.material, index)
+        made.first, made.narrow = MappingProxyType(first), None
+        return made
+
+    def __reduce__(self) -> tuple[type[Self], tuple[tuple[Patch, ...]]]:
+        return type(self), (tuple(self),)
+
+
+def _apart(given: tuple[Patch, ...]) -> tuple[Patch, ...]:
     """Refuses patches that overlap, or leave gaps that nobody means."""
     faults = []
-    order = sorted(range(len(patches)), key=lambda index: patches[index].from_m)
+    patches = patches_of(given)
+    order = patches.order
     farthest = order[0] if order else 0
     for index in order[1:]:
         gap = patches[index].from_m - patches[farthest].to_m
@@ -85,6 +110,11 @@ def _apart(patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
         more = len(faults) - _SHOWN_OVERLAPS
         raise ValueError("; ".join(faults[:_SHOWN_OVERLAPS]) + (f"; and {more} more" if more > 0 else ""))
     return patches
+
+
+def patches_of(given: tuple[Patch, ...]) -> Patches:
+    """The patches of a wall, as they were kept if they were validated."""
+    return given if isinstance(given, Patches) else Patches(given)
 
 
 class Piece(NamedTuple):
@@ -111,12 +141,18 @@ class Wall(Model):
 
     def pieces(self) -> list[Piece]:
         """The whole wall in rising order: patches and the base material between them. One piece without patches."""
-        found = [Piece(-math.inf, self.material)]
-        for patch in sorted(self.patches, key=lambda patch: patch.from_m):
-            if patch.from_m - found[-1].from_m <= TOUCHING_M:  # the base material has no room between two patches
-                found.pop()
-            found += Piece(patch.from_m, patch.material), Piece(patch.to_m, self.material)
-        return found
+        return [Piece(*each) for each in zip(*self.stretches(), strict=True)]
+
+    def stretches(self) -> tuple[list[float], list[str]]:
+        """As `pieces`: where they begin, and their materials."""
+        begins, materials = [-math.inf], [self.material]
+        for patch in (self.patches[index] for index in patches_of(self.patches).order):
+            if patch.from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
+                begins.pop()
+                materials.pop()
+            begins += patch.from_m, patch.to_m
+            materials += patch.material, self.material
+        return begins, materials
 
 
 class Box(Model):
@@ -189,6 +225,24 @@ def materials_of(item: SceneObject) -> tuple[str, ...]:
     return (item.material,)
 
 
+def material_names(item: SceneObject) -> Collection[str]:
+    """As materials_of, each once: in time that does not grow with the patches."""
+    if item.kind == "wall" and item.patches:
+        return {item.material: None} | dict.fromkeys(patches_of(item.patches).first)
+    return materials_of(item)
+
+
+def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
+    """The materials of an object, each once, and where it first names them."""
+    if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
+        return
+    yield item.material, ("material",)
+    if item.kind == "wall" and item.patches:
+        for name, index in patches_of(item.patches).first.items():
+            if name != item.material:
+                yield name, ("patches", index, "material")
+
+
 def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
     """Ids of the fields that follow position or speed."""
     return [id for id, item in objects.items() if item.kind == "spring" or item.kind == "viscous"]
@@ -196,7 +250,7 @@ def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
 
 def used_materials(objects: Iterable[SceneObject]) -> set[str]:
     """Names of all materials that these objects are made of."""
-    return {name for item in objects for name in materials_of(item)}
+    return {name for item in objects for name in material_names(item)}
 
 
 class Display(Model):
@@ -288,6 +342,7 @@ def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[s
     named = (
         (("objects", id, *(("patches", index - 1) if index else ()), "material"), name)
         for id, item in objects.items()
+        if not all(name in materials for name in material_names(item))
         for index, name in enumerate(materials_of(item))
     )
     return _unknown(named, materials)

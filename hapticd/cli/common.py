@@ -279,7 +279,7 @@ def max_memory_option(function: _F) -> _F:
         "--max-memory",
         metavar="SIZE",
         callback=_bytes,
-        help="Memory that it may take: 512MiB, 8GB [default: 16 times the size of FILE and at least 1 GiB, but at most "
+        help="Memory that it may take: 512MiB, 8GB [default: 32 times the size of FILE and at least 1 GiB, but at most "
         "nine tenths of what is available].",
     )(function)
 

@@ -57,7 +57,7 @@ WRONG: list[tuple[str, Call]] = [
     ("timeout_s: must be a number of seconds of more than 0, is 0", lambda d: d.states(0)),
     ("timeout_s: must be a number of seconds of more than 0, is true", lambda d: d.events(True)),
     ("newest: must be True or False, is 2", lambda d: d.states(newest=2)),
-    ("topic: unknown topic \"sample\"; did you mean samples? known: samples, state, event, change, status, bridge",
+    ("topic: unknown topic \"sample\"; did you mean samples?",
      lambda d: d.telemetry("state", "sample")),
     ("telemetry: needs a topic or several; known: samples, state, event, change, status, bridge",
      lambda d: d.telemetry()),
