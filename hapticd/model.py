@@ -241,6 +241,8 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
             return path, f"must have at most {context['max_length']} characters, has {len(value)}"
         case "value_error":
             return path, str(context["error"])
+        case "string_type" if path and path[-1] == "material":
+            return path, f"must be the name of a material, is {_told(value)}"
         case _ if kind in _EXPECTED:
             return path, f"must be {_EXPECTED[kind]}, is {_told(value)}"
         case _:

@@ -216,7 +216,8 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
 
 def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError]) -> str:
     if not isinstance(value, str):
-        raise refuse(f"keys are strings, this one is {shown(value)}")
+        told = "" if isinstance(value, dict | list) else "; in quotes it is one"
+        raise refuse(f"keys are strings, this one is {shown(value)}{told}")
     if value in mapping:
         raise refuse(f"duplicate key {quoted(value)}")
     return value

@@ -41,6 +41,10 @@ class Finite(click.FloatRange):
     """A range of numbers of which not-a-number and infinity are none: click's own takes the first for one of them."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            float(value)
+        except ValueError:
+            self.fail(f"{quoted(str(value))} is not a number", param, ctx)
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{number} is not a finite number", param, ctx)

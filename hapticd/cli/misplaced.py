@@ -1,10 +1,22 @@
-"""What is typed in the wrong place: options before or after their command, files without their option."""
+"""What is typed in the wrong place, options or files, and commands that have another name here."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 import click
+
+_INSTEAD: Final = {
+    "help": "hapticd --help, or hapticd COMMAND --help",
+    "version": "hapticd --version",
+    "start": "hapticd run starts the daemon",
+    "stop": "Ctrl-C, or systemctl stop hapticd, ends the daemon",
+    "restart": "hapticd reload reads the configuration anew",
+    "load": "hapticd scene set, hapticd material set or hapticd apply",
+    "set": "hapticd scene set, hapticd material set or hapticd apply",
+}
+"""What people try who do not know the commands yet."""
 
 
 def with_hint(error: click.ClickException, arguments: Sequence[str]) -> click.ClickException:
@@ -16,11 +28,22 @@ def with_hint(error: click.ClickException, arguments: Sequence[str]) -> click.Cl
 
 
 def _where(error: click.UsageError, ctx: click.Context, arguments: Sequence[str]) -> str:
+    if isinstance(ctx.command, click.Group) and ctx.parent is not None and _names_none(error):
+        return f"known: {', '.join(ctx.command.list_commands(ctx))}"
+    if isinstance(error, click.NoSuchCommand):
+        return _INSTEAD.get(error.command_name, "")
     if isinstance(error, click.NoSuchOption):
         return _option(error.option_name, ctx, arguments)
     if "unexpected extra argument" in error.message and _has(ctx.command, "-c", ctx):
         return "a file is given with -c"
     return ""
+
+
+def _names_none(error: click.UsageError) -> bool:
+    """Whether a group is given no command of its own, nor one that is nearly one."""
+    if isinstance(error, click.NoSuchCommand):
+        return not error.possibilities
+    return error.message.startswith("Missing command")
 
 
 def _option(option: str, ctx: click.Context, arguments: Sequence[str]) -> str:

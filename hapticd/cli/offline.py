@@ -9,6 +9,7 @@ import click
 from hapticd import words
 from hapticd.cli import names
 from hapticd.cli.common import (
+    Finite,
     for_option,
     json_option,
     max_memory_option,
@@ -38,7 +39,7 @@ from hapticd.errors import undisplayable_text
     help="Where the samples go (.npz, .csv or .mcap)  [default: nowhere, the summary alone is printed]",
 )
 @for_option("as long as the operator")
-@click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
+@click.option("--rate", "rate_hz", type=Finite(), metavar="HZ", help="Ticks per second [default: the configuration's].")
 @notes_option
 @overwrite_option
 @json_option

@@ -246,9 +246,9 @@ def test_files_for_another_command(shell: Shell) -> None:
 
 def test_ids_with_typos(shell: Shell) -> None:
     shell("scene", "set", "scene.yaml")
-    assert 'no object "flor"; did you mean floor? ' in shell.fails("reset", "flor")
+    assert 'no object "flor"; did you mean floor?' in shell.fails("reset", "flor")
     Path("tap.yaml").write_text("gesture: {kind: tap, object: flor, speed_m_per_s: 0.1}\n")
-    assert 'has the id "flor"; did you mean floor? ' in shell.fails("operator", "tap.yaml")
+    assert 'has the id "flor"; did you mean floor?' in shell.fails("operator", "tap.yaml")
     assert "did you mean wood?" in shell.fails("play", "woood", "--amplitude", "1")
 
 

@@ -78,7 +78,8 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 def test_commands_for_this_machine_alone_are_those_that_ask_no_daemon() -> None:
     homes, alone = hapticd.cli._HOMES, hapticd.cli._HERE_ALONE
     assert alone < homes.keys()
-    asking = {home for home in homes.values() if hasattr(importlib.import_module(f"hapticd.cli.{home}"), "daemon")}
+    modules = {home: importlib.import_module(f"hapticd.cli.{home}") for home in homes.values()}
+    asking = {home for home, module in modules.items() if hasattr(module, "daemon") or hasattr(module, "change")}
     assert asking == {home for command, home in homes.items() if command not in alone}
 
 
@@ -123,6 +124,11 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
         (["-z"], "No such option '-z'. (see"),
         (["status", "--runtime-dir", "x"], "--runtime-dir belongs before the command: hapticd --runtime-dir ..."),
         (["scene", "set", "--key", "x"], "--key belongs before the command: hapticd --key ..."),
+        (["scene"], "Missing command: known: get, list, set, update"),
+        (["scene", "load", "x"], "No such command 'load': known: get, list, set, update"),
+        (["scene", "gte"], "No such command 'gte'. Did you mean 'get'?"),
+        (["version"], "No such command 'version': hapticd --version"),
+        (["play", "wood", "--amplitude", "x"], '"x" is not a number'),
         (["check", "s.yaml"], "Got unexpected extra argument (s.yaml): a file is given with -c"),
         (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
         (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
