@@ -105,7 +105,12 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
     """
     here = ctx.find_root().params["connect"] is None
     if file is not None and not here:
-        raise click.UsageError("FILE is for a daemon of this machine; through a bridge its file stays there", ctx)
+        given = ctx.find_root().get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
+        raise click.UsageError(
+            f"FILE is for a daemon of this machine; {'--connect' if given else 'HAPTICD_CONNECT'} names a bridge, and "
+            "through a bridge its file stays there",
+            ctx,
+        )
     if file is not None:
         from hapticd.sink import check_target
 
