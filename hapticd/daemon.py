@@ -23,8 +23,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import zmq
-
 from hapticd import journal, memory, notify, server, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
@@ -36,9 +34,11 @@ from hapticd.flight import Flight, directory_of
 from hapticd.flight_scene import FlightScene
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import runtime_paths
+from hapticd.publisher import Publisher
+from hapticd.router import Router
 from hapticd.runtime import Owned, owned
 from hapticd.stopper import StopFile, stop_device
-from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
+from hapticd.telemetry import TOPICS, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -88,14 +88,9 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     control = Control(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
     )
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-    stack.callback(context.term)
-    publisher = context.socket(zmq.PUB)
-    publisher.setsockopt(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
+    publisher = Publisher(mine.listen(paths.telemetry), TOPICS)
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
-    publisher.setsockopt(zmq.LINGER, 200)
-    stack.callback(publisher.close)
-    mine.bind(publisher, paths.telemetry)
+    stack.callback(publisher.close, linger_s=0.2)
     failures: list[BaseException] = []
     telemetry = Telemetry(engine, publisher, control.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
@@ -109,11 +104,10 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = server.router(context)
+    router = Router(mine.listen(paths.command))
     stack.callback(router.close)
-    mine.bind(router, paths.command)
     watch = notify.Watch(lambda: _progress(engine))
-    reloads = server.Reloads(context)
+    reloads = server.Reloads(router.wake)
 
     def between() -> None:
         watch()
@@ -125,7 +119,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
         lambda stop: server.serve(router, engine, control, stop, between),
         failures,
         stack,
-        wake=lambda: server.wake(context),
+        wake=router.wake,
     )
     stack.callback(control.end)  # a reload that is under way is given up
     gc.collect()

@@ -1,7 +1,7 @@
 """The command socket: frames in, frames out, one request at a time.
 
-A blocking receive in a thread of its own, because it measured as the fastest way in (docs/adr/0002). Between requests
-it beats, so that the servo knows that somebody serves commands.
+One thread waits for a request, answers it and waits again (docs/adr/0002, 0024). Between requests it beats, so that the
+servo knows that somebody serves commands.
 """
 
 from __future__ import annotations
@@ -11,52 +11,30 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-import zmq
-
 from hapticd import notify, wire
 from hapticd.control import Control, MethodError
 from hapticd.engine import Engine
 from hapticd.errors import quoted
-from hapticd.repeats import Repeats, Since
+from hapticd.repeats import Repeats
+from hapticd.router import Router
 
-BEAT_EVERY_MS: Final = 100
-LARGEST_MESSAGE: Final = 64 * 1024 * 1024
-"""A longer message closes the connection that it came from."""
+BEAT_EVERY_S: Final = 0.1
 
 _log = logging.getLogger(__name__)
-
-
-_WAKE: Final = "inproc://wake"
-
-
-def router(context: zmq.Context[zmq.Socket[bytes]]) -> zmq.Socket[bytes]:
-    """The ROUTER of the command socket, which `wake` reaches and clients do not yet. Raises zmq.ZMQError."""
-    socket = context.socket(zmq.ROUTER)
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
-    socket.setsockopt(zmq.RCVTIMEO, BEAT_EVERY_MS)
-    socket.bind(_WAKE)
-    return socket
-
-
-def wake(context: zmq.Context[zmq.Socket[bytes]]) -> None:
-    """Ends the wait for a request, so that `serve` looks whether it is to stop, or to reload. For any thread."""
-    with context.socket(zmq.DEALER) as socket:
-        socket.connect(_WAKE)
-        socket.send(b"")
 
 
 class Reloads:
     """Reloads of the configuration that a signal asked for. Those that nobody has begun yet are one."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]]) -> None:
-        self._context = context
+    def __init__(self, wake: Callable[[], None]) -> None:
+        """`wake`: has the thread that serves commands call `serve`."""
+        self._wake = wake
         self._wanted = threading.Event()
 
     def ask(self) -> None:
         """Has the thread that serves commands reload the configuration, in its turn. For any thread."""
         self._wanted.set()
-        wake(self._context)
+        self._wake()
 
     def serve(self, control: Control) -> None:
         """Reloads if somebody asked for it; what comes of it stands in the log. For the thread that serves commands."""
@@ -108,7 +86,7 @@ def answer(control: Control, body: bytes | None, repeats: Repeats | None = None)
 
 
 def serve(
-    socket: zmq.Socket[bytes],
+    router: Router,
     engine: Engine,
     control: Control,
     stop: threading.Event,
@@ -121,25 +99,15 @@ def serve(
         engine.beat()
         engine.look_after()
         between()
-        try:
-            identity, *frames = socket.recv_multipart()
-        except zmq.Again:
+        request = router.receive(BEAT_EVERY_S)
+        if request is None:
             continue
         if stop.is_set():
             break
-        delimited, body = wire.open_envelope(frames)
-        reply = answer(control, body, repeats)
+        if request.too_long:
+            reply: bytes | None = wire.too_long(request.size)
+        else:
+            reply = answer(control, request.body, repeats)
         if reply is not None:
-            try:
-                socket.send_multipart([identity, *wire.close_envelope(delimited, reply)], zmq.NOBLOCK)
-            except zmq.Again:
-                repeats.note("unread", _tell_unread)
+            router.send(request.peer, request.delimited, reply)
     repeats.finish()
-
-
-def _tell_unread(since: Since) -> None:
-    _log.warning(
-        "a client does not read its answers: %s dropped%s",
-        "one was" if since.times == 1 else f"{since.times:,} were",
-        f" {since.window}" if since.window else "",
-    )
