@@ -307,7 +307,7 @@ class Peers:
             pid, uid, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
             peer = Peer(sock, uid, pid, self._limits.message)
             self._enter(peer)
-            if len(self._owners[uid][pid]) > self._limits.process_connections:
+            if len(self._owners[peer.uid][peer.pid]) > self._limits.process_connections:
                 self._end(peer, f"it has {self._limits.process_connections:,} connections already")
                 self._accept_later(_REFUSED_PAUSE_S)
             elif len(self._peers) > self._limits.connections:

@@ -52,9 +52,12 @@ class Router(Peers):
         until_s = time.monotonic() + timeout_s
         while True:
             came = self._turn(timeout_s)
-            if came is not None and isinstance(came[1], zmtp.Message):
-                delimited, body = wire.open_envelope(came[1].frames)
-                return Request(came[0], delimited, body, came[1].size)
+            if came is not None:
+                peer, event = came
+                if isinstance(event, zmtp.Message):
+                    delimited, body = wire.open_envelope(event.frames)
+                    return Request(peer, delimited, body, event.size)
+                self._end(peer, "a command out of place")
             if self._woken:
                 self._woken = False
                 return None
