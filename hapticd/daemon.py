@@ -23,10 +23,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from hapticd import journal, memory, notify, server, words
+from hapticd import descriptors, journal, memory, notify, server, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
+from hapticd.core import lib
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
@@ -34,7 +35,9 @@ from hapticd.flight import Flight, directory_of
 from hapticd.flight_scene import FlightScene
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import runtime_paths
+from hapticd.publisher import LIMITS as TELEMETRY_LIMITS
 from hapticd.publisher import Publisher
+from hapticd.router import LIMITS as COMMAND_LIMITS
 from hapticd.router import Router
 from hapticd.runtime import Owned, owned
 from hapticd.stopper import StopFile, stop_device
@@ -61,6 +64,7 @@ def run(
     """
     with ExitStack() as stack:
         memory.settle()
+        connections = descriptors.settle()
         stack.enter_context(journal.attached(log_level))
         stack.push(_told)
         chosen = choose(config_paths)
@@ -68,10 +72,13 @@ def run(
         os.umask(0o007)
         signals = stack.enter_context(_signals())
         mine = stack.enter_context(owned(runtime_paths(runtime_dir)))
-        return _run(config, chosen, mine, signals, stack)
+        lib.hd_last_arm()
+        return _run(config, chosen, mine, signals, stack, connections)
 
 
-def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, stack: ExitStack) -> int:
+def _run(
+    config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, stack: ExitStack, connections: int
+) -> int:
     paths = mine.paths
     stop_file = StopFile(paths.device)
     _stop_what_was_left(stop_file.path)
@@ -88,7 +95,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     control = Control(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
     )
-    publisher = Publisher(mine.listen(paths.telemetry), TOPICS)
+    publisher = Publisher(mine.listen(paths.telemetry), TOPICS, TELEMETRY_LIMITS.of(connections))
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
     stack.callback(publisher.close, linger_s=0.2)
     failures: list[BaseException] = []
@@ -104,7 +111,7 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = Router(mine.listen(paths.command))
+    router = Router(mine.listen(paths.command), COMMAND_LIMITS.of(connections))
     stack.callback(router.close)
     watch = notify.Watch(lambda: _progress(engine))
     reloads = server.Reloads(router.wake)

@@ -14,10 +14,11 @@ import struct
 import time
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from hapticd import words, zmtp
+from hapticd.descriptors import MOST_CONNECTIONS
 from hapticd.repeats import Repeats
 from hapticd.turns import Turns
 
@@ -46,10 +47,14 @@ class Limits:
     """What a socket bears with."""
 
     message: zmtp.Bounds
-    connections: int = 1024
-    process_connections: int = 256
+    connections: int = MOST_CONNECTIONS
+    process_connections: int = MOST_CONNECTIONS // 4
     buffers: int = 96 * 1024 * 1024
     """Bytes of all peers together that came and are not a whole message, or were answered and are not read."""
+
+    def of(self, connections: int) -> Limits:
+        """The same with so many connections."""
+        return replace(self, connections=connections, process_connections=max(4, connections // 4))
 
 
 class Peer:
