@@ -311,11 +311,13 @@ class Peers:
             sock.setblocking(False)
             pid, uid, _ = _CREDENTIALS.unpack(sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
             peer = Peer(sock, uid, pid, self._limits.message)
-            self._enter(peer)
-            if len(self._owners[peer.uid][peer.pid]) > self._limits.process_connections:
-                self._end(peer, f"it has {self._limits.process_connections:,} connections already")
+            if len(self._owners.get(peer.uid, {}).get(peer.pid, ())) >= self._limits.process_connections:
+                sock.close()
+                self._tell_end(peer, f"it has {self._limits.process_connections:,} connections already")
                 self._accept_later(_REFUSED_PAUSE_S)
-            elif len(self._peers) > self._limits.connections:
+                continue
+            self._enter(peer)
+            if len(self._peers) > self._limits.connections:
                 self._end(self._most_connected(), f"all {self._limits.connections:,} connections are taken")
                 self._accept_later(_REFUSED_PAUSE_S)
             self._send(peer, zmtp.GREETING)
@@ -344,7 +346,10 @@ class Peers:
         peer.out.clear()
         peer.sock.close()
         if why is not None:
-            self._tell(f"ended {peer.uid}", f"{peer} was disconnected: {why}")
+            self._tell_end(peer, why)
+
+    def _tell_end(self, peer: Peer, why: str) -> None:
+        self._tell(f"ended {peer.uid}", f"{peer} was disconnected: {why}")
 
     def _tell(self, kind: str, line: str) -> None:
         self._repeats.note(kind, lambda since: _log.warning("%s%s", line, since.more))

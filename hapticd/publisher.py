@@ -6,6 +6,7 @@ messages, and a thousand of them take no more memory than one.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import socket
 import time
@@ -19,6 +20,9 @@ from hapticd.repeats import Since
 
 MOST_USELESS: Final = 1000
 """Subscriptions to nothing that there is, and messages that are none, until a subscriber is disconnected."""
+
+_TURNS_AT_ONCE: Final = 20
+_REST_S: Final = 0.005
 
 LIMITS: Final = Limits(zmtp.Bounds(frames=1, size=4096, kept=4096))
 
@@ -56,7 +60,7 @@ class Publisher(Peers):
     def wait(self, timeout_s: float) -> None:
         """Serves those who listen for so long, at least one of them; returns at once when somebody calls `wake`."""
         until_s = time.monotonic() + timeout_s
-        while True:
+        for turn in itertools.count(1):
             came = self._turn(timeout_s)
             if came is not None:
                 self._hear(*came)
@@ -65,6 +69,10 @@ class Publisher(Peers):
                 self._woken = False
                 self._repeats.flush()
                 return
+            if turn % _TURNS_AT_ONCE == 0:
+                # What is said here is not urgent, and another thread serves commands.
+                time.sleep(min(timeout_s, _REST_S))
+                timeout_s = until_s - time.monotonic()
 
     def _hear(self, peer: Peer, event: zmtp.Message | zmtp.Command) -> None:
         match event:
