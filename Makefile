@@ -48,6 +48,7 @@ $(BUILT): $(SETUP) hapticd/_build.py $(wildcard csrc/*.[ch])
 			{ cat build/build.log >&2; exit 1; }; \
 	fi
 	@touch $@
+	@echo "set up: $$($(BIN)/hapticd --version) in $(VENV); next: . $(VENV)/bin/activate, then hapticd run"
 
 .PHONY: install
 install: prerequisites

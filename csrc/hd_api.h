@@ -320,6 +320,8 @@ void hd_state_set_resolution(struct hd_state *state, double step_m);
 void hd_state_enable(struct hd_state *state, int enabled);
 /* The whole command is zero from here on; it comes in over the table's ramp, as when a servo starts. */
 void hd_state_mute(struct hd_state *state);
+/* All that the next tick reads, into a state of the same capacity; HD_ERR_INVALID otherwise. To try a tick. */
+int hd_state_copy(struct hd_state *to, const struct hd_state *from);
 /* Clears the contact state of a slot, if it has this generation, or of all (HD_NO_SLOT), at the next tick's time. */
 void hd_state_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns);
 uint32_t hd_state_faults(const struct hd_state *state);
@@ -344,6 +346,8 @@ struct hd_world *hd_world_new(void); /* NULL without memory */
 void hd_world_free(struct hd_world *world);
 /* Takes a table whole. HD_ERR_INVALID (hd_invalid_reason) and HD_ERR_MEMORY leave the world as it was. */
 int hd_world_load(struct hd_world *world, const struct hd_table *table);
+/* Until the next load, ramps stand still in it: what a tick would do if none were under way. */
+void hd_world_still(struct hd_world *world);
 /* The slots of what lies within `radius_m` of a point, or may: nothing nearer is missing. Up to `capacity` of them; how
  * many there were, or SIZE_MAX without memory. For tests and benchmarks of the index. */
 size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,

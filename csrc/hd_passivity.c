@@ -52,8 +52,9 @@ HD_RT static void settle(struct hd_passivity *passivity, const struct hd_state *
 }
 
 /* The force along the motion is at most what gives back, over the period that comes, the energy that was taken; where
- * more was given than taken, it brakes. A force that resists more than that stays as it is. */
-HD_RT static int restrain(const struct hd_passivity *passivity, const struct hd_table *table,
+ * more was given than taken, it brakes by up to `brake_n_s_per_m`. A force that resists more than that stays as it is.
+ */
+HD_RT static int restrain(const struct hd_passivity *passivity, const struct hd_table *table, double brake_n_s_per_m,
                           const struct hd_push *pending, const double velocity[2], double force_n[2]) {
     const double square = hd_dot(velocity, velocity);
     if (!(square > 0.0)) {
@@ -63,7 +64,7 @@ HD_RT static int restrain(const struct hd_passivity *passivity, const struct hd_
     const double along_n = hd_dot(force_n, velocity) / speed;
     const double given_j =
         passivity->energy_j - passivity->taken_j + table->period_s * hd_dot(pending->force_n, velocity);
-    const double brake_n = -table->brake_n_s_per_m * speed;
+    const double brake_n = -brake_n_s_per_m * speed;
     double allowed_n = -given_j / (speed * table->period_s);
     allowed_n = allowed_n > brake_n ? allowed_n : brake_n;
     if (!(along_n > allowed_n)) {
@@ -95,14 +96,33 @@ HD_RT static int bound(const struct hd_passivity *passivity, const struct hd_tab
     return 1;
 }
 
+/* What the controller asks for is a projection of the object's force onto a half-plane and then onto a disc, both of
+ * which hold whatever the force is: it never moves two forces apart. 1: it changed something. */
+HD_RT static int control(const struct hd_passivity *passivity, const struct hd_table *table, double brake_n_s_per_m,
+                         const struct hd_push *pending, const double velocity[2], const struct hd_pushed *pushed) {
+    double force_n[2] = {pushed->object_n[0], pushed->object_n[1]};
+    const int restrained = restrain(passivity, table, brake_n_s_per_m, pending, velocity, force_n);
+    if (!bound(passivity, table, pending, force_n) && !restrained) {
+        return 0;
+    }
+    for (int axis = 0; axis < 2; axis++) {
+        const double object_n = pushed->object_n[axis];
+        const double given_n =
+            pushed->weight < 1.0 ? object_n + pushed->weight * (force_n[axis] - object_n) : force_n[axis];
+        pushed->contact_n[axis] = (pushed->contact_n[axis] - object_n) + given_n;
+        pushed->object_n[axis] = given_n;
+    }
+    return 1;
+}
+
 HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *table, const struct hd_input *input,
-                             int anew, double object_n[2], double contact_n[2], uint32_t *flags) {
+                             int anew, const struct hd_pushed *is, const struct hd_pushed *still, uint32_t *flags) {
     struct hd_passivity *passivity = &state->passivity;
     if (anew || passivity->next != state->tick) {
         passivity->running = 0;
         passivity->energy_j = 0.0;
     }
-    const int touched = state->active_count > 0 || object_n[0] != 0.0 || object_n[1] != 0.0;
+    const int touched = state->active_count > 0 || is->object_n[0] != 0.0 || is->object_n[1] != 0.0;
     struct hd_push pending = {.size_n = 0.0};
     if (passivity->running) {
         settle(passivity, state, table, input);
@@ -123,16 +143,12 @@ HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *tabl
         passivity->pushed = 0;
         passivity->waited = 0;
     }
-    if (table->passivity != HD_PASSIVITY_CONTROL) {
-        return;
+    /* Where nothing but a residual is left, a brake would end in a step, together with it. */
+    const double brake = state->active_count > 0 ? table->brake_n_s_per_m : 0.0;
+    if (still->weight > 0.0) {
+        control(passivity, table, brake, &pending, input->velocity_m_per_s, still);
     }
-    double force_n[2] = {object_n[0], object_n[1]};
-    const int restrained = restrain(passivity, table, &pending, input->velocity_m_per_s, force_n);
-    if (bound(passivity, table, &pending, force_n) || restrained) {
-        for (int axis = 0; axis < 2; axis++) {
-            contact_n[axis] = (contact_n[axis] - object_n[axis]) + force_n[axis];
-            object_n[axis] = force_n[axis];
-        }
+    if (is->weight > 0.0 && control(passivity, table, brake, &pending, input->velocity_m_per_s, is)) {
         passivity->acted++;
         passivity->restrained += passivity->acting ? 0u : 1u;
         passivity->acting = 1;

@@ -52,10 +52,18 @@ struct hd_passivity {
     struct hd_push pushes[HD_PASSIVITY_PERIODS];
 };
 
-/* Before the contact force is limited: settles what is known by now, and with HD_PASSIVITY_CONTROL changes `object_n`
- * and with it `contact_n`, whose part it is. `anew`: nothing before this tick counts. Sets HD_FLAG_RESTRAINED. */
+/* A contact force and the part of it that objects make. */
+struct hd_pushed {
+    double *object_n;
+    double *contact_n;
+    double weight; /* the controller does so much of what it asks for, 0 to 1 */
+};
+
+/* Settles what is known by now. Where `is->weight` is above 0, the controller then changes `is`, and counts that; it
+ * changes `still` by the same demands, and counts nothing. `anew`: nothing before this tick counts. Sets
+ * HD_FLAG_RESTRAINED. */
 HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *table, const struct hd_input *input,
-                             int anew, double object_n[2], double contact_n[2], uint32_t *flags);
+                             int anew, const struct hd_pushed *is, const struct hd_pushed *still, uint32_t *flags);
 /* At the end of the tick: what of it is commanded from now on. `gain` is that of the whole command. */
 HD_RT void hd_passivity_hold(struct hd_passivity *passivity, const struct hd_table *table, uint64_t tick, double gain,
                              const double object_n[2], const double contact_n[2]);

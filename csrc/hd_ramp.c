@@ -36,6 +36,17 @@ HD_RT static double size_of(const struct hd_residual *residual) {
     return hd_root(hd_dot(residual->force_n, residual->force_n));
 }
 
+/* What of it there is to fade. The passivity controller changes what objects make alone: where it may act, that and
+ * the rest are two forces, which need not fade as one. */
+HD_RT static double extent_of(const struct hd_residual *residual, const struct hd_table *table) {
+    if (table->passivity != HD_PASSIVITY_CONTROL) {
+        return size_of(residual);
+    }
+    double rest[2];
+    hd_difference(residual->force_n, residual->object_n, rest);
+    return hd_root(hd_dot(residual->object_n, residual->object_n)) + hd_root(hd_dot(rest, rest));
+}
+
 HD_RT static void shrink(struct hd_residual *residual, double factor) {
     scale(factor, residual->force_n);
     scale(factor, residual->object_n);
@@ -44,7 +55,7 @@ HD_RT static void shrink(struct hd_residual *residual, double factor) {
 
 /* Its ramp begins, in whole ticks. */
 HD_RT static void begin(struct hd_residual *residual, const struct hd_table *table) {
-    const double size = size_of(residual);
+    const double size = extent_of(residual, table);
     const double limits = size > table->max_force_n ? size / table->max_force_n : 1.0;
     const double ticks = limits * table->ramp_s / table->period_s;
     const double most = ticks < HD_RAMP_LONGEST ? ticks : HD_RAMP_LONGEST;
@@ -70,7 +81,7 @@ HD_RT static void yield(struct hd_residual *residual) {
 }
 
 HD_RT static void fade(struct hd_residual *residual, const struct hd_table *table) {
-    const double size = size_of(residual);
+    const double size = extent_of(residual, table);
     const double most = pace(table);
     if (size > most * (double)residual->left * (1.0 + HD_RAMP_ROUNDING)) { /* the ramp or the limit is another now */
         shrink(residual, (size - most) / size);
@@ -102,7 +113,7 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
     const double was_cut = cut_of(was, limit);
     const double cut = cut_of(contact_n, limit);
     /* Without a residual the limit is left to hd_limit.c, which looks at contact and vibration together. */
-    const double still_cut = residual->left > 0 ? was_cut : 1.0;
+    const double still_cut = residual->left > 0 || ramped->cuts ? was_cut : 1.0;
     double is[2];
     double is_object[2];
     for (int axis = 0; axis < 2; axis++) {
@@ -117,6 +128,7 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
     }
     for (int axis = 0; axis < 2; axis++) {
         ramped->still_n[axis] = still_cut * was[axis] + residual->force_n[axis];
+        ramped->still_object_n[axis] = still_cut * was_object[axis] + residual->object_n[axis];
         ramped->still_whole_n[axis] = was[axis] + residual->force_n[axis] + residual->beyond_n[axis];
     }
     if (change->whole && residual->left > 0) {
@@ -135,25 +147,26 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
         }
         begin(residual, table);
     }
-    if (!change->whole) {
+    if (!change->whole && residual->left > 0) {
         fade(residual, table);
     }
+    const int within = residual->left > 0 || ramped->cuts;
     /* What the limit keeps from being felt is no part of it. */
     const double sum[2] = {is[0] + residual->force_n[0], is[1] + residual->force_n[1]};
-    const double over = 1.0 - cut_of(sum, limit);
+    const double over = residual->left > 0 ? 1.0 - cut_of(sum, limit) : 0.0;
     for (int axis = 0; axis < 2; axis++) {
         residual->force_n[axis] -= over * sum[axis];
         residual->beyond_n[axis] += over * sum[axis];
         ramped->whole_n[axis] = contact_n[axis] + residual->force_n[axis] + residual->beyond_n[axis];
-        contact_n[axis] = residual->left > 0 ? is[axis] + residual->force_n[axis] : contact_n[axis];
-        object_n[axis] = residual->left > 0 ? is_object[axis] + residual->object_n[axis] : object_n[axis];
+        contact_n[axis] = within ? is[axis] + residual->force_n[axis] : contact_n[axis];
+        object_n[axis] = within ? is_object[axis] + residual->object_n[axis] : object_n[axis];
     }
     return 1;
 }
 
 /* Brings the command within its pace of what it would be if every ramp stood still. */
-HD_RT static void hold(struct hd_state *state, const struct hd_table *table, int changed, const double still_n[2],
-                       double gain_step, double force_n[2]) {
+HD_RT static void hold(struct hd_state *state, const struct hd_table *table, struct hd_ramped *ramped,
+                       const double still_n[2], double gain_step, double force_n[2]) {
     struct hd_residual *residual = &state->residual;
     double step[2];
     hd_difference(force_n, still_n, step);
@@ -166,17 +179,21 @@ HD_RT static void hold(struct hd_state *state, const struct hd_table *table, int
     const double part = room / size;
     for (int axis = 0; axis < 2; axis++) {
         const double held = still_n[axis] + part * step[axis];
-        residual->force_n[axis] += held - force_n[axis];
+        ramped->held_n[axis] = held - force_n[axis];
+        residual->force_n[axis] += ramped->held_n[axis];
+        if (state->passivity.running) { /* it is the objects' as far as the controller knows */
+            residual->object_n[axis] += ramped->held_n[axis];
+        }
         force_n[axis] = held;
     }
-    if (changed) {
+    if (ramped->changed) {
         begin(residual, table);
     } else if (residual->left == 0) {
         residual->left = 1;
     }
 }
 
-HD_RT void hd_ramp_command(struct hd_walk *walk, const struct hd_ramped *ramped, const double contact_n[2],
+HD_RT void hd_ramp_command(struct hd_walk *walk, struct hd_ramped *ramped, const double contact_n[2],
                            const double vibration_n[2], const double still_n[2], double gain_step, double force_n[2],
                            uint32_t *flags) {
     struct hd_state *state = walk->state;
@@ -184,15 +201,13 @@ HD_RT void hd_ramp_command(struct hd_walk *walk, const struct hd_ramped *ramped,
     const int64_t time_ns = walk->input->time_ns;
     const double limit = hd_limit_of(state, table);
     double still[2];
-    if (ramped != NULL) {
+    if (ramped->any) {
         hd_limit_within_whole(limit, ramped->still_n, ramped->still_whole_n, still_n, still);
         hd_limit_ramped(state, table, contact_n, ramped->whole_n, vibration_n, time_ns, force_n, flags);
     } else {
-        hd_limit_within(limit, contact_n, still_n, still);
+        hd_limit_within(limit, ramped->still_n, still_n, still);
         hd_limit_apply(state, table, contact_n, vibration_n, time_ns, force_n, flags);
     }
-    if (table->passivity != HD_PASSIVITY_CONTROL) { /* which has the last word */
-        hold(state, table, ramped != NULL && ramped->changed, still, gain_step, force_n);
-    }
+    hold(state, table, ramped, still, gain_step, force_n);
     hd_ramp_forget(state);
 }

@@ -22,10 +22,14 @@
 
 /* What a tick knows of its ramps. */
 struct hd_ramped {
-    int changed;             /* by a command of this tick */
-    double still_n[2];       /* the contact force that would be felt if every ramp stood still, */
-    double still_whole_n[2]; /* and that without the limit */
-    double whole_n[2];       /* the contact force that is felt, without the limit */
+    int any;                  /* hd_ramp_contact had something to do; otherwise the next four are the contact force */
+    int changed;              /* by a command of this tick */
+    int cuts;                 /* in: the contact force is cut to the limit in any case, for the passivity controller */
+    double still_n[2];        /* the contact force that would be felt if every ramp stood still, */
+    double still_object_n[2]; /* the part of it that objects make, */
+    double still_whole_n[2];  /* and that without the limit */
+    double whole_n[2];        /* the contact force that is felt, without the limit */
+    double held_n[2];         /* out of hd_ramp_command: what it took back */
 };
 
 /* Where there is a change, a residual, or another display: brings the contact force, as it is displayed, to what is
@@ -33,10 +37,10 @@ struct hd_ramped {
  * felt, since the whole command is off. */
 HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double contact_n[2], struct hd_ramped *ramped);
 
-/* The command of this tick before its gain, as hd_limit_apply. `ramped`: of the contact force, or NULL. What of it
- * ramps do beside that, and too fast together, is left for the ticks after it. `still_n`: the vibration if every ramp
- * stood still; `gain_step`: what the gain moves by. */
-HD_RT void hd_ramp_command(struct hd_walk *walk, const struct hd_ramped *ramped, const double contact_n[2],
+/* The command of this tick before its gain, as hd_limit_apply. `ramped`: of the contact force. What of it ramps do
+ * beside that, and too fast together, is left for the ticks after it. `still_n`: the vibration if every ramp stood
+ * still; `gain_step`: what the gain moves by. */
+HD_RT void hd_ramp_command(struct hd_walk *walk, struct hd_ramped *ramped, const double contact_n[2],
                            const double vibration_n[2], const double still_n[2], double gain_step, double force_n[2],
                            uint32_t *flags);
 /* What was noted of changes is taken in. */

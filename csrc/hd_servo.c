@@ -85,6 +85,7 @@ struct hd_servo {
     struct hd_world worlds[3];
     struct hd_changes changes[3]; /* of each world */
     uint32_t object_count;        /* of the table that was published last */
+    double max_force_n;           /* of every table; 0: none was published yet */
     struct hd_region locked[3][HD_WORLD_REGIONS];
     int32_t memory_kind; /* of the grant: locked once, at the start */
     int32_t memory_error;
@@ -994,6 +995,11 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
         return hd_invalid("table: compiled for a period of %.17g s, the servo has %.17g s", table->period_s,
                           servo->period_s);
     }
+    if (servo->max_force_n > 0.0 &&
+        (table->max_force_n < servo->max_force_n || table->max_force_n > servo->max_force_n)) {
+        return hd_invalid("table: a force limit of %g N, the servo began with %g N", table->max_force_n,
+                          servo->max_force_n);
+    }
     if (table->changed_count > 0 && table->changed == NULL) {
         return hd_invalid("table: %u changes without slots", table->changed_count);
     }
@@ -1021,6 +1027,7 @@ int hd_servo_publish(struct hd_servo *servo, const struct hd_table *table) {
     }
     changes->all = 0;
     changes->count = 0;
+    servo->max_force_n = table->max_force_n;
     hd_triple_publish(&servo->triple);
     return HD_OK;
 }

@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 /* What there is one of for each slot. */
 #define SLOT_ARRAYS 5u
@@ -96,6 +97,49 @@ size_t hd_state_regions(const struct hd_state *state, uint32_t from_slot, uint32
         regions[count++] = (struct hd_region){state->events, HD_EVENT_CAPACITY * sizeof *state->events};
     }
     return count;
+}
+
+int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
+    if (to->slot_capacity != from->slot_capacity) {
+        return hd_invalid("state: %u slots do not fit into %u", from->slot_capacity, to->slot_capacity);
+    }
+    const int status = hd_state_reserve(to, from->slot_count);
+    if (status != HD_OK) {
+        return status;
+    }
+    const struct hd_state own = *to;
+    *to = *from;
+    to->slots = own.slots;
+    to->active = own.active;
+    to->resumed = own.resumed;
+    to->healing = own.healing;
+    to->near = own.near;
+    to->voices = own.voices;
+    to->noises = own.noises;
+    to->free_noises = own.free_noises;
+    to->strikes = own.strikes;
+    to->events = own.events;
+    to->slot_count = own.slot_count;
+    memcpy(to->slots, from->slots, from->slot_count * sizeof *to->slots);
+    memcpy(to->active, from->active, from->active_count * sizeof *to->active);
+    memcpy(to->resumed, from->resumed, from->resumed_count * sizeof *to->resumed);
+    memcpy(to->healing, from->healing, from->healing_count * sizeof *to->healing);
+    memcpy(to->near, from->near, from->near_count * sizeof *to->near);
+    memcpy(to->voices, from->voices, from->voice_count * sizeof *to->voices);
+    memcpy(to->free_noises, from->free_noises, HD_NOISE_CAPACITY * sizeof *to->free_noises);
+    memcpy(to->events, from->events, from->event_count * sizeof *to->events);
+    for (uint32_t i = 0; i < from->active_count; i++) {
+        const uint32_t noise = from->slots[from->active[i]].noise;
+        if (noise != 0) {
+            to->noises[noise - 1] = from->noises[noise - 1];
+        }
+    }
+    /* Between two ticks, all that is to be struck was played. */
+    for (uint32_t i = 0; i < from->strike_count; i++) {
+        to->strikes[i] = from->strikes[i];
+        to->strikes[i].mode = to->played + (from->strikes[i].mode - from->played);
+    }
+    return HD_OK;
 }
 
 void hd_state_set_resolution(struct hd_state *state, double step_m) {

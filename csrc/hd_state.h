@@ -178,6 +178,7 @@ struct hd_state {
     double gain;           /* of the whole command: enabling and fading */
     double show_force;     /* of contacts and fields: the display flag */
     double show_vibration; /* the same of vibration, ramped */
+    double controls;       /* how much of what the passivity controller asks for is done, 0 to 1, ramped */
     double position_m[2];  /* the last sample */
     double near_center_m[2];
     double near_radius_m;

@@ -103,6 +103,29 @@ HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_tabl
     return any ? (uint32_t)HD_FLAG_RAMPING : 0u;
 }
 
+/* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. */
+HD_RT static void watch_energy(struct hd_walk *walk, double controlled, double object_n[2], double contact_n[2],
+                               struct hd_ramped *ramped, uint32_t *flags) {
+    struct hd_state *state = walk->state;
+    const double before[2] = {contact_n[0], contact_n[1]};
+    const double still[2] = {ramped->still_n[0], ramped->still_n[1]};
+    const struct hd_pushed is = {object_n, contact_n, state->controls};
+    const struct hd_pushed was = {ramped->still_object_n, ramped->still_n, controlled};
+    hd_passivity_tick(state, walk->table, walk->input, walk->resync, &is, &was, flags);
+    for (int axis = 0; axis < 2; axis++) {
+        ramped->whole_n[axis] += contact_n[axis] - before[axis];
+        ramped->still_whole_n[axis] += ramped->still_n[axis] - still[axis];
+    }
+}
+
+HD_RT static void nothing_ramped(const double object_n[2], const double contact_n[2], struct hd_ramped *ramped) {
+    ramped->changed = 0;
+    for (int axis = 0; axis < 2; axis++) {
+        ramped->still_n[axis] = ramped->still_whole_n[axis] = ramped->whole_n[axis] = contact_n[axis];
+        ramped->still_object_n[axis] = object_n[axis];
+    }
+}
+
 HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const struct hd_input *input,
                    struct hd_sample *sample) {
     const struct hd_table *table = &world->table;
@@ -174,22 +197,26 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     state->show_vibration = toward(shown, (double)table->display_vibration, walk.ramp_step);
     double contact[2] = {shows * walk.force_n[0], shows * walk.force_n[1]};
     double object[2];
+    const double controlled = state->controls;
+    const double controls = table->passivity == HD_PASSIVITY_CONTROL ? 1.0 : 0.0;
+    state->controls = state->started ? toward(controlled, controls, walk.ramp_step) : controls;
     struct hd_ramped ramped;
-    const int due = state->change.any || state->residual.left > 0 || state->show_force != shows;
-    const int ramps = due && hd_ramp_contact(&walk, object, contact, &ramped);
-    if (table->passivity != HD_PASSIVITY_OFF) {
-        for (int axis = 0; !ramps && axis < 2; axis++) {
-            object[axis] = shows * walk.object_n[axis];
-        }
-        const double before[2] = {contact[0], contact[1]};
-        hd_passivity_tick(state, table, input, walk.resync, object, contact, &flags);
-        for (int axis = 0; ramps && axis < 2; axis++) {
-            ramped.whole_n[axis] += contact[axis] - before[axis];
-        }
+    ramped.cuts = controlled > 0.0 || controls > 0.0;
+    const int due = state->change.any || state->residual.left > 0 || state->show_force != shows || ramped.cuts;
+    ramped.any = due && hd_ramp_contact(&walk, object, contact, &ramped);
+    const int watches = table->passivity != HD_PASSIVITY_OFF || ramped.cuts;
+    const int eases = shown != state->show_vibration || state->change.eases;
+    if (!ramped.any && (watches || eases)) {
+        object[0] = shows * walk.object_n[0];
+        object[1] = shows * walk.object_n[1];
+        nothing_ramped(object, contact, &ramped);
+    }
+    if (watches) {
+        watch_energy(&walk, controlled, object, contact, &ramped, &flags);
     }
     if (state->strike_count > 0) {
         /* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. */
-        const double *still = ramps ? ramped.still_n : contact;
+        const double *still = ramped.any ? ramped.still_n : contact;
         const double felt = hd_root(hd_dot(still, still)) + shown * hd_root(hd_dot(walk.noise_n, walk.noise_n));
         if (hd_strikes_apply(state, table, felt) < 1.0) {
             flags |= HD_FLAG_SATURATED;
@@ -207,14 +234,15 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     double force[2];
     /* Only on its way out does the command hurry: zero is due by the clock. */
     const double gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
-    if (ramps || shown != state->show_vibration || state->change.eases) {
+    ramped.held_n[0] = ramped.held_n[1] = 0.0;
+    if (ramped.any || eases) {
         const struct hd_change *change = &state->change;
         double still[2];
         for (int axis = 0; axis < 2; axis++) {
             const double noise = walk.noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
             still[axis] = shown * (state->voice_count > 0 ? noise + state->ringing_n[axis] : noise);
         }
-        hd_ramp_command(&walk, ramps ? &ramped : NULL, contact, vibration, still, gain - state->gain, force, &flags);
+        hd_ramp_command(&walk, &ramped, contact, vibration, still, gain - state->gain, force, &flags);
     } else {
         hd_limit_apply(state, table, contact, vibration, input->time_ns, force, &flags);
     }
@@ -225,15 +253,19 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         return;
     }
     state->gain = gain;
-    if (table->passivity != HD_PASSIVITY_OFF) {
-        hd_passivity_hold(&state->passivity, table, state->tick, state->gain, object, contact);
+    if (watches) {
+        /* What was held is commanded, too. */
+        const double held[2] = {contact[0] + ramped.held_n[0], contact[1] + ramped.held_n[1]};
+        object[0] += ramped.held_n[0];
+        object[1] += ramped.held_n[1];
+        hd_passivity_hold(&state->passivity, table, state->tick, state->gain, object, held);
     }
     flags |= (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) | (state->enabled ? HD_FLAG_FORCES_ON : 0u) |
              (state->faults != 0 ? HD_FLAG_FAULT : 0u) | ramping(state, table);
     for (int axis = 0; axis < 2; axis++) {
         sample->position_m[axis] = input->position_m[axis];
         sample->velocity_m_per_s[axis] = input->velocity_m_per_s[axis];
-        sample->contact_force_n[axis] = ramps ? ramped.whole_n[axis] : contact[axis];
+        sample->contact_force_n[axis] = ramped.any ? ramped.whole_n[axis] : contact[axis];
         sample->vibration_force_n[axis] = vibration[axis];
         sample->force_n[axis] = state->gain * force[axis];
         state->position_m[axis] = input->position_m[axis];

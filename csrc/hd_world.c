@@ -492,6 +492,10 @@ int hd_world_load(struct hd_world *world, const struct hd_table *table) {
     return status == HD_OK ? take(world, table, &all) : status;
 }
 
+void hd_world_still(struct hd_world *world) {
+    world->table.ramp_step = 0.0;
+}
+
 int hd_world_update(struct hd_world *world, const struct hd_table *table, const uint32_t *slots, size_t count) {
     if (!world->loaded || table->all_changed) {
         return hd_world_load(world, table);

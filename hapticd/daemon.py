@@ -23,11 +23,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from hapticd import descriptors, journal, memory, notify, server, words
+from hapticd import descriptors, journal, memory, notify, server, threads, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
 from hapticd.core import lib
+from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
@@ -95,6 +96,7 @@ def _run(
     control = Control(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
     )
+    threads.check(threads.DAEMON)
     publisher = Publisher(mine.listen(paths.telemetry), TOPICS, TELEMETRY_LIMITS.of(connections))
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
     stack.callback(publisher.close, linger_s=0.2)
@@ -104,6 +106,7 @@ def _run(
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
+    stack.callback(control.intake.join)
     stack.callback(engine.stop)
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
@@ -114,24 +117,27 @@ def _run(
     router = Router(mine.listen(paths.command), COMMAND_LIMITS.of(connections))
     stack.callback(router.close)
     watch = notify.Watch(lambda: _progress(engine))
-    reloads = server.Reloads(router.wake)
+    dispatch = Dispatch(control, control.repeats)
+    control.intake.wake = router.wake
 
     def between() -> None:
         watch()
         mine.check()
-        reloads.serve(control)
 
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop, between),
+        lambda stop: server.serve(router, engine, dispatch, stop, between),
         failures,
         stack,
         wake=router.wake,
     )
-    stack.callback(control.end)  # a reload that is under way is given up
+    stack.callback(control.end)  # what is being taken in is given up
     gc.collect()
     gc.freeze()
     gc.enable()
+    if engine.connection is not None:
+        found = engine.connection.status()
+        _log.info("device: %s at %s; forces are off until somebody turns them on", found["name"], found["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
@@ -140,16 +146,13 @@ def _run(
         f", memory locked: {granted.memory}",
         paths.command,
     )
-    if engine.connection is not None:
-        told = engine.connection.status()
-        _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
     notify.ready(_progress(engine)[1])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     # Asked now: a terminal that is gone is none any more.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
     # Of signals that came together the end overtakes the reloads.
     while not (ended := ends.intersection(received := signals.recv(4096))):
-        reloads.ask()
+        dispatch.ask_reload()
     notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])

@@ -59,7 +59,10 @@ class Telemetry:
         self._publisher = publisher
         self._status = status
         self._flight = flight
-        self._log = EventLog(missing=lambda: engine.granted is not None and bool(engine.granted.missing))
+        self._log = EventLog(
+            missing=lambda: engine.granted is not None and bool(engine.granted.missing),
+            rate_hz=lambda: engine.rate_hz,
+        )
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
         self._events = records(EVENT_DTYPE, 1024)
         self._held = 0

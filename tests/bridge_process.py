@@ -74,6 +74,11 @@ class Bridge:
             assert match is not None, self._lines
             return match
 
+    def said(self, text: str) -> list[str]:
+        """The lines so far that hold the text."""
+        with self._said:
+            return [line for line in self._lines if text in line]
+
     @property
     def spoken(self) -> int:
         """How many lines it has said."""
@@ -102,6 +107,16 @@ class Bridge:
     def raw(self, telemetry: bool = False) -> socket.socket:
         """A connection without ZeroMQ."""
         return socket.create_connection((self.host, self.port + telemetry), 30)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """It stands still meanwhile; the kernel takes connections for it."""
+        self.process.send_signal(signal.SIGSTOP)
+        os.waitpid(self.process.pid, os.WUNTRACED)
+        try:
+            yield
+        finally:
+            self.process.send_signal(signal.SIGCONT)
 
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)

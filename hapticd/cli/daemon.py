@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 
 import click
 
@@ -31,8 +30,6 @@ def run_command(ctx: click.Context, configs: tuple[str, ...], log_level: str) ->
     """Run the daemon in the foreground."""
     # What is loaded now stays: looking for garbage among it would only take time. The daemon turns it on again.
     gc.disable()
-    # Before numpy is loaded: its BLAS would start a thread for each processor, and the daemon multiplies no matrices.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.daemon import run
 
     return run(configs, ctx.find_root().obj, log_level)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
 
-from hapticd.cli.common import Finite, check_new, json_option, note, print_json, write_whole, yaml_text
+from hapticd.cli.common import Choice, Finite, check_new, json_option, note, print_json, write_whole, yaml_text
 from hapticd.cli.synthesize import synthesize_command
 from hapticd.errors import HapticdError
 
@@ -84,7 +84,7 @@ def _options(command: _F) -> _F:
 @_options
 @click.option(
     "--attack",
-    type=click.Choice(["coefficient", "first_peak"]),
+    type=Choice(["coefficient", "first_peak"]),
     help="What the slope in the material means [default: coefficient].",
 )
 @click.option("--table", is_flag=True, help="Amplitudes over speed in the material, instead of a slope.")
@@ -178,7 +178,6 @@ def _run(
     as_json: bool,
     per_file: int = 1,
 ) -> None:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.fit import provenance
     from hapticd.fit import report as drawing
     from hapticd.fit.regression import require_scipy

@@ -56,7 +56,11 @@ def material_get(ctx: click.Context, name: str, offline: bool, as_json: bool) ->
     materials = result["materials"]
     assert isinstance(materials, dict)
     if name not in materials:
-        raise HapticdError(f"unknown material {quoted(name)}; {known_names(name, materials)}")
+        told = f"unknown material {quoted(name)}"
+        if result["revision"] is None:
+            told = f"{told} in the shipped library; one that was set is known to the daemon alone"
+            told += f": hapticd material get {name} asks it" if offline else ""
+        raise HapticdError(f"{told}; {known_names(name, materials)}")
     found = {name: materials[name]}
     if as_json:
         print_json({**result, "materials": found})

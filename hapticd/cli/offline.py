@@ -11,6 +11,7 @@ from hapticd.cli import names
 from hapticd.cli.common import (
     duration,
     json_option,
+    max_memory_option,
     note,
     notes_option,
     operator_file,
@@ -63,11 +64,13 @@ def simulate_command(
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
-    from hapticd.cli.simulation import simulate_files
+    from hapticd.cli.simulation import configuration, simulate_files
 
     file = scene_file(scene)
     operator = operator or _own_operator(file)
     if operator is None:
+        if file != "/dev/stdin":
+            configuration(file)  # what is no scene is told first
         raise click.UsageError("Missing option '--operator'.")
     if output is None and (notes or overwrite):
         raise click.UsageError("--note and --overwrite are for a file: name it with -o")
@@ -101,8 +104,9 @@ def _own_operator(scene: str) -> str | None:
     "-o", "--output", type=click.Path(), metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap)."
 )
 @overwrite_option
+@max_memory_option
 @json_option
-def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
+def replay_command(file: str, output: str | None, overwrite: bool, max_memory: int | None, as_json: bool) -> int:
     """Render FILE (.npz, .csv or .mcap of `record`, `simulate` or `flight`) again, without daemon and clock, and
     compare the forces.
 
@@ -113,7 +117,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
 
     if output is not None:
         check_target(output, overwrite)
-    again = replay(file)
+    again = replay(file, max_memory)
     if output is not None:
         again.write(output, overwrite)
     if as_json:

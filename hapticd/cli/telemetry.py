@@ -67,12 +67,13 @@ def record_command(
     `hapticd replay`. FILE is there once the recording is complete.
 
     With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
-    What a recording into FILE left that was killed becomes NAME.recovered.ENDING.
+    What a recording into FILE left that was killed is told; `hapticd recover FILE` makes a file of it.
     """
     from dataclasses import asdict
 
     from hapticd.record import record
-    from hapticd.sink import check_target, recover
+    from hapticd.recovery import left_behind
+    from hapticd.sink import check_target
 
     stop = threading.Event()
     received: list[int] = []
@@ -82,9 +83,8 @@ def record_command(
         stop.set()
 
     check_target(file, overwrite)
-    recovered = [os.fspath(path) for path in recover(file)]
-    for path in recovered:
-        note(f"{path}: what a recording held that was killed")
+    for told in left_behind(file):
+        note(told)
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -96,7 +96,7 @@ def record_command(
             for number, handler in before.items():
                 signal.signal(number, handler)
     if as_json:
-        print_json({**asdict(recording), "recovered": recovered})
+        print_json(asdict(recording))
     else:
         click.echo(recording.summary())
     if recording.warning is not None:
@@ -133,17 +133,16 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
                     break
                 raise HapticdError(f"the flight recorder did not write {written}: {problem or 'its log says why'}")
             time.sleep(0.05)
-    if file is not None:
-        from hapticd.place import displaced
-        from hapticd.recording import load
+    found: dict[str, object] = {"file": written}
+    line = written  # through a bridge all that is known of it
+    if here:
+        from hapticd.cli.flown import summed_up
 
-        place = load(written).save(file, overwrite)
-        if place.name != os.path.basename(os.path.realpath(file)):
-            raise HapticdError(displaced(file, place))
+        found, line = summed_up(written, file, overwrite)
     if as_json:
-        print_json({"file": file or written})
+        print_json(found)
     else:
-        click.echo(file or written)
+        click.echo(line)
 
 
 def _exit_code(recording: RecordSummary, duration_s: float | None, received: list[int]) -> int:

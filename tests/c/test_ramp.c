@@ -365,7 +365,7 @@ static void change_scene(struct torture *torture, enum change kind) {
         scene->table.ramp_step = scene->table.period_s / scene->table.ramp_s;
         break;
     case WATCH:
-        scene->table.passivity = one_in(random, 2) ? HD_PASSIVITY_OFF : HD_PASSIVITY_OBSERVE;
+        scene->table.passivity = (uint32_t)test_below(random, 3);
         break;
     default:
         break;
@@ -409,37 +409,6 @@ static void close_torture(struct torture *torture) {
 }
 
 /* ---- The two ticks ------------------------------------------------------------------------------------------- */
-
-/* All that a tick reads, into the memory that the copy has. */
-static void copy_state(struct hd_state *to, const struct hd_state *from) {
-    struct hd_state own = *to;
-
-    *to = *from;
-    to->slots = own.slots;
-    to->active = own.active;
-    to->resumed = own.resumed;
-    to->healing = own.healing;
-    to->near = own.near;
-    to->voices = own.voices;
-    to->noises = own.noises;
-    to->free_noises = own.free_noises;
-    to->strikes = own.strikes;
-    to->events = own.events;
-    memcpy(to->slots, from->slots, OBJECTS * sizeof *to->slots);
-    memcpy(to->active, from->active, OBJECTS * sizeof *to->active);
-    memcpy(to->resumed, from->resumed, OBJECTS * sizeof *to->resumed);
-    memcpy(to->healing, from->healing, OBJECTS * sizeof *to->healing);
-    memcpy(to->near, from->near, OBJECTS * sizeof *to->near);
-    memcpy(to->voices, from->voices, from->voice_count * sizeof *to->voices);
-    memcpy(to->free_noises, from->free_noises, HD_NOISE_CAPACITY * sizeof *to->free_noises);
-    memcpy(to->strikes, from->strikes, from->strike_count * sizeof *to->strikes);
-    for (uint32_t i = 0; i < OBJECTS; i++) {
-        const uint32_t noise = from->slots[i].noise;
-
-        if (noise != 0)
-            to->noises[noise - 1] = from->noises[noise - 1];
-    }
-}
 
 static void move(struct torture *torture, struct hd_input *input) {
     const double t = torture->time_s;
@@ -521,7 +490,7 @@ static void run(uint64_t seed, double rate_hz, uint64_t ticks, uint64_t changes,
 
             CHECK(hd_tick_play(torture.state, mode, along, between(&torture.random, 0.0, 1.0)) == HD_OK);
         }
-        copy_state(torture.still, torture.state);
+        CHECK(hd_state_copy(torture.still, torture.state) == HD_OK);
         if (kind != CHANGES)
             change(&torture, kind);
         still_world.table.ramp_step = 0.0;
@@ -563,6 +532,7 @@ static void rest(uint64_t seed, double rate_hz, uint64_t ticks, struct outcome *
     struct hd_input input = {.periods = 1};
     struct hd_sample before = {.tick = 0};
     uint64_t resting = 0;
+    int acts[2] = {0, 0};
 
     open_torture(&torture);
     for (uint64_t i = 0; i < ticks; i++) {
@@ -593,6 +563,10 @@ static void rest(uint64_t seed, double rate_hz, uint64_t ticks, struct outcome *
         since_s = (double)(torture.state->tick - torture.state->commanded_tick) * torture.period_s;
         /* Three solids that overlap may push the surface point from one to the other for ever. */
         cycles = since_s > torture.scene.table.ramp_s && met_something(torture.state);
+        /* Nor is it a command's doing what the passivity controller does by itself. */
+        acts[1] = acts[0];
+        acts[0] = (sample.flags & HD_FLAG_RESTRAINED) != 0;
+        cycles |= acts[0] || acts[1];
         outcome->met += resting > 0 && (cycles || has_own_ramp(torture.state));
         if (resting > 0 && !cycles && !has_own_ramp(torture.state)) {
             const double part = hypot(step[0], step[1]) / (LIMIT_N * torture.scene.table.ramp_step + ROUNDING_N);
@@ -608,17 +582,83 @@ static void rest(uint64_t seed, double rate_hz, uint64_t ticks, struct outcome *
     close_torture(&torture);
 }
 
+/* What changes nothing that is felt is not felt: a scene that is sent again in every tick, and an object that comes,
+ * moves and goes out of reach, leave every bit of the samples as it is; taps, ringing, ruptures and friction, too. */
+static uint64_t unfelt(uint64_t seed, uint64_t ticks) {
+    struct torture torture = {.random = seed, .period_s = 1e-4};
+    struct hd_input input = {.periods = 1};
+    struct hd_state *plain = hd_state_new(OBJECTS);
+    const struct hd_world *first;
+    uint64_t ringing = 0;
+
+    open_torture(&torture);
+    CHECK(plain != NULL && hd_state_reserve(plain, OBJECTS) == HD_OK);
+    /* One surface: where solids overlap, which is met first may follow from the way that a command has the servo look.
+     */
+    for (uint32_t i = 0; i < OBJECTS; i++)
+        make_object(&torture, i, i == 0 ? 1u + (uint32_t)(seed % 4) : HD_SHAPE_NONE);
+    make_field(&torture);
+    torture.scene.table.passivity = (uint32_t)(seed % 3);
+    publish(&torture);
+    first = torture.worlds[torture.front];
+    struct hd_world *worlds[2] = {hd_world_new(), hd_world_new()};
+    CHECK(worlds[0] != NULL && worlds[1] != NULL);
+    for (uint64_t i = 0; i < ticks; i++) {
+        struct hd_object *far = &torture.scene.objects[OBJECTS - 1];
+        struct hd_sample sample;
+        struct hd_sample other;
+        double force[2][6];
+
+        torture.scene.table.revision++;
+        torture.scene.table.all_changed = 1;
+        if (one_in(&torture.random, 3)) {
+            *far = (struct hd_object){
+                .generation = ++torture.stamp,
+                .shape = i % 6 == 0 ? HD_SHAPE_NONE : HD_SHAPE_DISC,
+                .normal = {0.0, 1.0},
+                .point_m = {between(&torture.random, 2.0, 3.0), 0.0},
+                .half_m = {0.01, 0.01},
+            };
+        }
+        CHECK(hd_world_load(worlds[i % 2], &torture.scene.table) == HD_OK);
+        torture.time_s += torture.period_s;
+        move(&torture, &input);
+        input.time_ns = (int64_t)(1e5 * (double)i);
+        input.interval_s = i > 0 ? torture.period_s : 0.0;
+        plain->event_count = torture.state->event_count = 0;
+        hd_tick(first, plain, &input, &other);
+        hd_tick(worlds[i % 2], torture.state, &input, &sample);
+        const struct hd_sample *both[2] = {&sample, &other};
+        for (size_t j = 0; j < 2; j++) {
+            memcpy(force[j], both[j]->force_n, sizeof both[j]->force_n);
+            memcpy(force[j] + 2, both[j]->contact_force_n, sizeof both[j]->contact_force_n);
+            memcpy(force[j] + 4, both[j]->vibration_force_n, sizeof both[j]->vibration_force_n);
+        }
+        CHECK(memcmp(force[0], force[1], sizeof force[0]) == 0);
+        ringing += (sample.flags & HD_FLAG_RINGING) != 0;
+    }
+    hd_state_free(plain);
+    hd_world_free(worlds[0]);
+    hd_world_free(worlds[1]);
+    close_torture(&torture);
+    return ringing;
+}
+
 int main(int argc, char **argv) {
     const uint64_t ticks = argc > 1 ? strtoull(argv[1], NULL, 10) : 400000;
     const uint64_t changes = argc > 2 ? strtoull(argv[2], NULL, 10) : ticks / 100;
     const uint64_t seed = argc > 3 ? strtoull(argv[3], NULL, 10) : 1;
     struct outcome outcome = {.worst = 0.0};
+    uint64_t still_ringing = 0;
 
     run(seed, 10000.0, ticks - ticks / 5, changes - changes / 5, 0, &outcome);
     run(seed + 1, 1000.0, ticks / 5, changes / 5, 0, &outcome);
     run(seed + 4, 10000.0, ticks / 4, changes, 1, &outcome);
     rest(seed + 2, 10000.0, ticks / 2, &outcome);
     rest(seed + 3, 1000.0, ticks / 8, &outcome);
+    for (uint64_t i = 0; i < 12; i++)
+        still_ringing += unfelt(seed + 10 + i, 20000);
+    CHECK(still_ringing > 0);
     printf(
         "test_ramp: %llu ticks, %llu at rest, %llu changes, %llu strikes; %llu with a force, %llu at the limit, %llu "
         "ringing, %llu ramping, %llu left out; at most %.6f of what is allowed, at rest %.6f, moving %.6f\n",

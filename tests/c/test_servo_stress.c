@@ -630,6 +630,9 @@ int main(void) {
     refuses(servo, &scene);
     make_scene(&scene, 1);
     CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    scene.table.max_force_n *= 2.0; /* the limit is the servo's, for as long as it lives */
+    CHECK(hd_servo_publish(servo, &scene.table) == HD_ERR_INVALID);
+    scene.table.max_force_n /= 2.0;
     held = holds_back(servo, 2);
     /* As the daemon's telemetry: before there is a servo thread. */
     CHECK(pthread_create(&drainer, NULL, drain_rings, &drain) == 0);

@@ -371,9 +371,8 @@ def test_an_interrupted_recording_is_kept(
         client.samples() as batches,
         command(daemon, "record", str(target), *options) as process,
     ):
-        part = target.with_name(f".run.npz.{process.pid}.part")
         for _ in batches:  # 50 times a second
-            if part.exists() and part.stat().st_size > 0:
+            if any(part.stat().st_size > 0 for part in target.parent.glob(f".run.npz.{process.pid}.*.part")):
                 break
             assert process.poll() is None
         process.send_signal(number)
@@ -395,9 +394,8 @@ def test_an_interrupt_ends_a_recording_that_a_script_put_in_the_background(daemo
         client.samples() as batches,
         subprocess.Popen(ignoring, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True) as process,
     ):
-        part = target.with_name(f".run.npz.{process.pid}.part")
         for _ in batches:
-            if part.exists() and part.stat().st_size > 0:
+            if any(part.stat().st_size > 0 for part in target.parent.glob(f".run.npz.{process.pid}.*.part")):
                 break
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
@@ -416,9 +414,8 @@ def test_a_recording_whose_daemon_goes_away_is_kept(tmp_path: Path) -> None:
         client.samples() as batches,
         command(daemon, "record", str(target)) as process,
     ):
-        part = target.with_name(f".run.npz.{process.pid}.part")
         for _ in batches:
-            if part.exists() and part.stat().st_size > 0:
+            if any(part.stat().st_size > 0 for part in target.parent.glob(f".run.npz.{process.pid}.*.part")):
                 break
             assert process.poll() is None
         daemon.stop()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -93,7 +94,9 @@ def test_a_client_may_come_before_the_daemon(
 
 @pytest.mark.parametrize("ask", [blocking, with_asyncio])
 def test_a_daemon_that_does_not_come_is_told_as_ever(tmp_path: Path, ask: Callable[[Path, float], object]) -> None:
-    with pytest.raises(DaemonNotRunning, match=f"no daemon at {tmp_path}; start one with: hapticd run"):
+    with pytest.raises(
+        DaemonNotRunning, match=rf"no daemon at {tmp_path}; start one with: hapticd run.* \(waited 0\.05 s for it\)$"
+    ):
         ask(tmp_path, 0.05)
 
 
@@ -183,10 +186,15 @@ def test_the_variable_is_blamed_that_is_wrong(tmp_path: Path, monkeypatch: pytes
 
 def test_a_bridge_is_told_by_the_address_that_it_was_given_by(tmp_path: Path) -> None:
     certificate = new_certificate()
+    keys: dict[str, Any] = {"key": certificate, "server_key": certificate.public_key}
     with pytest.raises(DaemonNotRunning) as caught:
-        connect("tcp://127.0.0.1:9", key=certificate, server_key=certificate.public_key)
-    told = "no bridge at tcp://127.0.0.1:9: nobody takes connections there (port 10, for telemetry)"
-    assert str(caught.value) == told
+        connect("tcp://127.0.0.1:9", **keys)
+    assert str(caught.value) == "no bridge at tcp://127.0.0.1:9: nobody takes connections there"
+    # Where its port for telemetry alone is closed, that is what is wrong.
+    with socket.create_server(("127.0.0.1", 0)) as open_one:
+        port = open_one.getsockname()[1]
+        with pytest.raises(DaemonNotRunning, match=f"127.0.0.1:{port} is there, but not its port {port + 1} for telem"):
+            connect(f"tcp://127.0.0.1:{port}", **keys)
 
 
 # ---- The end of a gesture --------------------------------------------------------------------------------------------

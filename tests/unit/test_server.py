@@ -11,7 +11,9 @@ import pytest
 
 from hapticd import server
 from hapticd.control import Control
+from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine
+from hapticd.intake import Intake
 from hapticd.router import Router
 
 
@@ -28,6 +30,13 @@ class Beating:
         """Nothing is wrong here."""
 
 
+class Idle:
+    """What the loop needs of a control plane."""
+
+    def __init__(self) -> None:
+        self.intake = Intake()
+
+
 def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "BEAT_EVERY_S", 3600.0)
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
@@ -36,8 +45,9 @@ def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest
     router = Router(listening)
     engine, stop = Beating(), threading.Event()
     # Nobody asks anything, so there is nothing to control.
-    control = cast(Control, None)
-    thread = threading.Thread(target=server.serve, args=(router, cast(Engine, engine), control, stop), daemon=True)
+    control = cast(Control, Idle())
+    arguments = (router, cast(Engine, engine), Dispatch(control), stop)
+    thread = threading.Thread(target=server.serve, args=arguments, daemon=True)
     thread.start()
     assert engine.begun.wait(60)
     stop.set()

@@ -76,6 +76,7 @@ class Read(Names):
         self.events, self.revisions = events, revisions
         self.said: list[int] = []
         self.granted = None
+        self.rate_hz = 10_000.0
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
         count, revisions = len(self.revisions), self.revisions

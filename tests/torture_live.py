@@ -1,0 +1,503 @@
+"""Random changes of every kind at a real daemon, under a simulated hand that presses, strokes and lets ring; and the
+rule of csrc/hd_ramp.h, looked at in every tick that was recorded meanwhile.
+
+    python -m tests.torture_live [--changes 50000] [--seed 0] [--rate 10000]
+
+What a command does in a tick is the force of the tick, less that of the same tick with the scene from before and every
+ramp standing still. It is at most max_force_n / ramp_s, for a period. The second force comes from rendering the
+recording again, twice: as it was, and from a copy of the state. In the tick that takes a command, the hand goes on
+moving; then what is compared is the smaller of that and the step since the tick before, and up to MOVING is allowed.
+
+Left out are ticks in which a contact has a ramp that no command is the reason of (after a jump, a stall, a start, or
+where solids overlap), and ticks of a change in which the old scene by itself meets or leaves something. The tests do a
+few hundred changes; `make torture` does many.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import tempfile
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+from unittest.mock import patch
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+import hapticd
+from hapticd import replayed
+from hapticd.compile import Output
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, Status, ffi, lib, pointer, records
+from hapticd.materials import Material
+from hapticd.offline import Rerun, new_world
+from hapticd.recorded import Samples
+from hapticd.scene import Scene
+from tests.daemon_process import connect, running_daemon
+
+LIMIT_N: Final = 8.9
+ROUNDING_N: Final = 1e-9
+ROUNDED: Final = 1.000001
+"""What counts as 1: ramps count whole ticks, and parts of them are rounded."""
+MOVING: Final = 4.0
+"""In the tick that takes a command the hand moves on: what the scene before would do then is known to the first order of
+that way, and its second is not bounded. As in tests/c/test_ramp.c."""
+MOST_LEFT_OUT: Final = 0.5
+"""Of all ticks; a machine that stalls for longer than the ramp leaves out more."""
+ROOM: Final = 256
+"""Events of one tick."""
+SHIPPED: Final = ("wood", "steel", "comb", "sandpaper_100", "cellophane", "rubber", "glass")
+
+Tree = dict[str, Any]
+
+
+# ---- What is changed -----------------------------------------------------------------------------------------------
+
+
+class Scenes:
+    """Random scenes about the hand's way, as a client would send them."""
+
+    def __init__(self, source: random.Random) -> None:
+        self._random = source
+
+    def between(self, low: float, high: float) -> float:
+        return self._random.uniform(low, high)
+
+    def one_in(self, count: int) -> bool:
+        return self._random.randrange(count) == 0
+
+    def material(self) -> str:
+        return self._random.choice(("a", "b", "c", *SHIPPED))
+
+    def law(self) -> Tree:
+        """A material of our own."""
+        law: Tree = {"stiffness_n_per_m": self.between(50, 3000)}
+        if self.one_in(2):
+            law["damping_n_s_per_m"] = self.between(0, 3)
+        if self.one_in(2):
+            law["friction"] = {"coefficient": self.between(0.05, 1.0)}
+        if self.one_in(2):
+            law["tap"] = {"attack_slope_per_s": self.between(50, 400), "frequency_hz": 120, "decay_time_s": 0.02}
+        choice = self._random.randrange(4)
+        spacing_m = self.between(0.001, 0.004)
+        grooves = {"kind": "grooves", "spacing_m": spacing_m, "width_m": 0.6 * spacing_m}
+        if choice == 0:
+            law["texture"] = {**grooves, "display": "geometry", "depth_m": self.between(1e-5, 4e-4)}
+        elif choice == 1:
+            law["texture"] = {**grooves, "display": "damping", "damping_n_s_per_m": self.between(0.1, 3)}
+        return law
+
+    def normal(self) -> list[float]:
+        angle = 0.0 if self.one_in(2) else self.between(-1.0, 1.0)
+        return [float(np.sin(angle)), float(np.cos(angle))]
+
+    def place(self) -> list[float]:
+        far = self.one_in(20)
+        return [self.between(-0.02, 0.02), self.between(-1.0, 1.0) if far else self.between(-0.008, 0.004)]
+
+    def patches(self) -> list[Tree]:
+        cuts = sorted(self.between(-0.02, 0.02) for _ in range(4))
+        ends = [(cuts[0], cuts[1]), (cuts[2], cuts[3])]
+        return [{"from_m": a, "to_m": b, "material": self.material()} for a, b in ends if b - a > 1e-3]
+
+    def object(self) -> Tree:
+        match self._random.randrange(8):
+            case 0 | 1:
+                wall = {"kind": "wall", "point_m": self.place(), "normal": self.normal(), "material": self.material()}
+                return wall | ({"patches": self.patches()} if self.one_in(2) else {})
+            case 2:
+                return {
+                    "kind": "membrane",
+                    "center_m": self.place(),
+                    "normal": self.normal(),
+                    "width_m": self.between(0.002, 0.04),
+                    "material": self.material(),
+                }
+            case 3:  # thin, mostly
+                size_m = [self.between(0.002, 0.04), self.between(4e-4, 2e-3 if self.one_in(2) else 0.01)]
+                return {
+                    "kind": "box",
+                    "center_m": self.place(),
+                    "size_m": size_m,
+                    "angle_rad": self.between(-1, 1),
+                    "material": self.material(),
+                }
+            case 4:
+                radius_m = self.between(0.001, 0.02)
+                return {"kind": "disc", "center_m": self.place(), "radius_m": radius_m, "material": self.material()}
+            case 5:
+                far = 10.0 if self.one_in(4) else 0.02
+                return {
+                    "kind": "spring",
+                    "center_m": [self.between(-far, far), self.between(-far, far)],
+                    "stiffness_n_per_m": self.between(0, 200),
+                    "damping_n_s_per_m": self.between(0, 3),
+                }
+            case 6:
+                return {"kind": "viscous", "damping_n_s_per_m": self.between(0, 3)}
+            case _:
+                return {"kind": "constant", "force_n": [self.between(-3, 3), self.between(-3, 3)]}
+
+    def scene(self) -> Tree:
+        objects = {id: self.object() for id in "pqrst" if self.one_in(2)}
+        return {
+            "display": {"force": not self.one_in(4), "vibration": not self.one_in(4)},
+            "ramp_s": self._random.choice((0.001, 0.005, 0.02, 0.05)),
+            "passivity": self._random.choice(("off", "observe", "control")),
+            "objects": {"floor": self.floor(), **objects},
+        }
+
+    def floor(self) -> Tree:
+        return {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": self.material()}
+
+    def path(self) -> list[list[float]]:
+        """A second or so of pressing, stroking and lifting."""
+        points = [[0.0, 0.0, 0.005]]
+        for _ in range(self._random.randrange(3, 8)):
+            y_m = self._random.choice((-0.006, -0.003, -0.001, 0.004))
+            points.append([points[-1][0] + self.between(0.05, 0.4), self.between(-0.015, 0.015), y_m])
+        return points
+
+
+class Hand:
+    """Sends the changes. Each kind is a method, and what the daemon refuses is counted and no fault."""
+
+    def __init__(self, client: hapticd.Client, scenes: Scenes, source: random.Random, config: Path) -> None:
+        self._client, self._scenes, self._random, self._config = client, scenes, source, config
+        self._ids: list[str] = ["floor"]
+        self.sent: Counter[str] = Counter()
+        self.refused: Counter[str] = Counter()
+
+    def change(self) -> None:
+        kinds: tuple[Callable[[], object], ...] = (
+            *(self.add, self.add, self.move, self.move, self.slide, self.slide, self.remove, self.thin),
+            *(self.soften, self.swap, self.patch, self.reset_all, self.reset_one, self.play, self.forget_material),
+            *(self.set_scene, self.display, self.forces, self.reload, self.gesture),
+        )
+        kind = self._random.choice(kinds)
+        self.sent[kind.__name__] += 1
+        try:
+            kind()
+        except hapticd.RemoteError:
+            self.refused[kind.__name__] += 1
+
+    def _objects(self) -> dict[str, Any]:
+        return dict(self._client.get_scene()["scene"]["objects"])
+
+    def _some(self, kinds: tuple[str, ...]) -> tuple[str, Tree]:
+        found = [(id, item) for id, item in self._objects().items() if item["kind"] in kinds]
+        return self._random.choice(found) if found else ("floor", self._scenes.floor())
+
+    def add(self) -> None:
+        self._client.update_scene({self._random.choice("pqrst"): self._scenes.object()})
+
+    def remove(self) -> None:
+        id, _ = self._some(("wall", "membrane", "box", "disc", "spring", "viscous", "constant"))
+        self._client.update_scene({id: None})
+
+    def move(self) -> None:
+        id, item = self._some(("wall", "membrane", "box", "disc", "spring"))
+        place = "point_m" if item["kind"] == "wall" else "center_m"
+        self._client.update_scene({id: {place: self._scenes.place()}} if id in self._objects() else {id: item})
+
+    def slide(self) -> None:
+        """A wall along itself, or a little way off."""
+        id, item = self._some(("wall",))
+        x, y = item["point_m"]
+        nx, ny = item["normal"]
+        way = self._scenes.between(-0.01, 0.01)
+        self._client.update_scene({id: {**item, "point_m": [x + way * ny, y - way * nx]}})
+
+    def thin(self) -> None:
+        """What comes between a pressed surface and the hand."""
+        y_m = self._scenes.between(-0.004, 0.0)
+        thing = self._random.choice(
+            (
+                {"kind": "membrane", "center_m": [0, y_m], "normal": [0, 1], "width_m": 0.08},
+                {"kind": "box", "center_m": [0, y_m], "size_m": [0.08, 0.001]},
+                {"kind": "disc", "center_m": [0, y_m], "radius_m": 0.001},
+            )
+        )
+        self._client.update_scene({self._random.choice("pq"): {**thing, "material": self._scenes.material()}})
+
+    def soften(self) -> None:
+        self._client.update_materials({self._random.choice("abc"): self._scenes.law()})
+
+    def forget_material(self) -> None:
+        """Of what is in use it is refused, of the rest it is a change that nobody feels."""
+        self._client.set_materials({name: self._scenes.law() for name in "abc"})
+
+    def swap(self) -> None:
+        id, item = self._some(("wall", "membrane", "box", "disc"))
+        self._client.update_scene({id: {**item, "material": self._scenes.material()}})
+
+    def patch(self) -> None:
+        id, item = self._some(("wall",))
+        self._client.update_scene({id: {**item, "patches": self._scenes.patches()}})
+
+    def reset_all(self) -> None:
+        self._client.reset()
+
+    def reset_one(self) -> None:
+        self._client.reset([self._some(("wall", "membrane", "box", "disc"))[0]])
+
+    def play(self) -> None:
+        self._client.play(material="wood", direction=(0.6, 0.8), amplitude_m_per_s2=self._scenes.between(1, 20))
+
+    def set_scene(self) -> None:
+        self._client.set_scene(self._scenes.scene())
+
+    def display(self) -> None:
+        scene = dict(self._client.get_scene()["scene"])
+        self._client.set_scene({**self._scenes.scene(), "objects": scene["objects"]})
+
+    def forces(self) -> None:
+        self._client.set_forces(False)
+        self._client.set_forces(True)
+
+    def reload(self) -> None:
+        write_config(self._config, self._scenes, self._random)
+        self._client.reload()
+
+    def gesture(self) -> None:
+        self._client.set_operator(self._scenes.path())
+
+
+def write_config(path: Path, scenes: Scenes, source: random.Random, **servo: object) -> None:
+    """Another scene and other materials; at first a scene of nothing, so that nothing is before the recording."""
+    materials = {name: scenes.law() for name in "abc"}
+    if path.exists():
+        config = {**yaml.safe_load(path.read_text()), "materials": materials, "scene": scenes.scene()}
+    else:
+        config = {"servo": {"realtime": "preferred", **servo}, "materials": materials}
+        config["scene"] = {"objects": {}}
+    path.write_text(yaml.safe_dump(config))
+
+
+# ---- What is looked at ---------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Found:
+    """What commands did, as parts of what they may."""
+
+    ticks: int = 0
+    changed: int = 0
+    """Ticks that took a command."""
+    left_out: int = 0
+    worst: float = 0.0
+    """In ticks that took no command."""
+    worst_changed: float = 0.0
+    """In those that did."""
+    over: list[tuple[int, float]] = field(default_factory=list)
+    """Ticks with more than 1, and how much."""
+    flags: Counter[str] = field(default_factory=Counter)
+    identical: int = 0
+    rendered: int = 0
+    sent: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
+
+
+class Tortured(Rerun):
+    """Renders every tick twice: as it was, and from a copy of the state with the scene from before and no ramp."""
+
+    found = Found()
+
+    def __init__(self, output: Output, slots: int) -> None:
+        self._still_now: Any = None
+        self._still_next: Any = None
+        self._tried: Any = None
+        self._copied = False
+        super().__init__(output, slots)
+        self._event_room = records(EVENT_DTYPE, ROOM)
+
+    def restart(self, muted: bool) -> None:
+        super().restart(muted)
+        state = lib.hd_state_new(self._slots)
+        assert state != ffi.NULL
+        self._tried = ffi.gc(state, lib.hd_state_free)
+        self._copied = False
+        self._own_ramp_until = -1
+        self._commanded = -(1 << 62)
+        self._forces = 0
+        self._first = True
+        self._last_n = np.zeros(2)
+
+    def turn_to(self, scene: Scene, changed: Iterable[str], materials: dict[str, Material], revision: int) -> None:  # type: ignore[override]
+        table = self._compiler.update(scene, changed, materials, revision)
+        self._world = new_world(table)
+        self._still_next = new_world(table)
+        lib.hd_world_still(self._still_next)
+        self._allowed_n = LIMIT_N * float(table.ramp_step)
+        self._ramp_ticks = float(table.ramp_s) / float(table.period_s)
+
+    def reset(self, objects: Iterable[str] | None, time_ns: int) -> None:
+        self._copy()
+        super().reset(objects, time_ns)
+
+    def play(self, *arguments: Any) -> None:
+        super().play(*arguments)
+        if self._copied:  # no command of the rule: both are struck
+            self._state, self._tried = self._tried, self._state
+            super().play(*arguments)
+            self._state, self._tried = self._tried, self._state
+
+    def _copy(self) -> None:
+        if not self._copied:
+            assert lib.hd_state_copy(self._tried, self._state) == Status.OK
+            self._copied = True
+
+    def run(
+        self, recorded: Samples, interval_s: npt.NDArray[np.float64], periods: npt.NDArray[np.uint32]
+    ) -> tuple[Samples, npt.NDArray[np.void]]:
+        recorded, interval_s = np.ascontiguousarray(recorded), np.ascontiguousarray(interval_s)
+        periods = np.ascontiguousarray(periods)
+        count = len(recorded)
+        samples, still = np.empty(count, SAMPLE_DTYPE), np.empty(count, SAMPLE_DTYPE)
+        # Where forces are switched, the tick without the command has them as they were.
+        told = recorded.copy()
+        on = recorded["flags"] & Flag.FORCES_ON
+        before = np.append(self._forces, on[:-1])
+        if self._first:
+            before[0] = on[0]
+        told["flags"] = (recorded["flags"] & ~np.uint32(Flag.FORCES_ON)) | before.astype(np.uint32)
+        self._forces = on[-1]
+        taken, out, tried = (pointer("struct hd_sample[]", array) for array in (recorded, samples, still))
+        given = pointer("struct hd_sample[]", told)
+        since, counts = pointer("double[]", interval_s), pointer("uint32_t[]", periods)
+        room, happened = pointer("struct hd_event[]", self._event_room), ffi.new("size_t *")
+        ramp = float(np.float64(self._allowed_n))
+        left_out = np.zeros(count, bool)
+        commanded = before != on
+        commanded[0] |= self._copied or self._still_next is not None
+        ticks, flags = recorded["tick"].tolist(), recorded["flags"].tolist()
+        for i in range(count):
+            self._copy()
+            self._copied = False
+            if commanded[i]:
+                self._commanded = ticks[i]
+            world = self._still_now if i == 0 and self._still_now is not None else self._still_next or self._still_now
+            if i == 0 and self._still_next is not None:
+                self._still_now, self._still_next = self._still_next, None
+            # A fresh start has no scene before.
+            last = (since + i, counts + i, 1)
+            assert lib.hd_replay(world, self._tried, given + i, *last, tried + i, room, ROOM, happened) == Status.OK
+            if happened[0] and commanded[i] and self._crosses(happened[0]):
+                left_out[i] = True
+            assert lib.hd_replay(self._world, self._state, taken + i, *last, out + i, room, ROOM, happened) == Status.OK
+            stalled = periods[i] >= self._ramp_ticks or flags[i] & Flag.GLITCH
+            if stalled or (happened[0] and self._begins_own_ramp(happened[0], ticks[i])):
+                self._own_ramp_until = ticks[i] + self._ramp_ticks + 1
+            left_out[i] |= ticks[i] <= self._own_ramp_until
+        left_out[0] |= self._first
+        self._first = False
+        self._judge(samples, still, left_out, commanded, ramp)
+        return samples, self._event_room[:0].copy()
+
+    def _crosses(self, count: int) -> bool:
+        kinds = self._event_room["kind"][:count]
+        return bool(np.isin(kinds, (EventKind.CONTACT, EventKind.RELEASE)).any())
+
+    def _begins_own_ramp(self, count: int, tick: int) -> bool:
+        events = self._event_room[:count]
+        silent = bool(((events["kind"] == EventKind.CONTACT) & (events["code"] != 0)).any())
+        return silent and tick - self._commanded >= self._ramp_ticks
+
+    def _judge(
+        self,
+        samples: Samples,
+        still: Samples,
+        left_out: npt.NDArray[np.bool_],
+        commanded: npt.NDArray[np.bool_],
+        allowed_n: float,
+    ) -> None:
+        found = type(self).found
+        force = samples["force_n"]
+        steps = np.diff(force, axis=0, prepend=self._last_n[None])
+        self._last_n = force[-1].copy()
+        parts = np.linalg.norm(force - still["force_n"], axis=1)
+        parts = np.where(commanded, np.minimum(parts, np.linalg.norm(steps, axis=1)), parts) / (allowed_n + ROUNDING_N)
+        parts[left_out] = 0.0
+        found.ticks += len(samples)
+        found.changed += int(commanded.sum())
+        found.left_out += int(left_out.sum())
+        found.worst = max(found.worst, float(parts[~commanded].max(initial=0.0)))
+        found.worst_changed = max(found.worst_changed, float(parts[commanded].max(initial=0.0)))
+        for i in np.flatnonzero(parts > ROUNDED):
+            found.over.append((int(samples["tick"][i]), float(parts[i])))
+        for flag in (Flag.CONTACT, Flag.RINGING, Flag.RAMPING, Flag.SATURATED, Flag.RESTRAINED):
+            found.flags[str(flag.name).lower()] += int((samples["flags"] & flag != 0).sum())
+
+
+def look(path: Path) -> Found:
+    """What commands did in a recording."""
+
+    class Fresh(Tortured):
+        found = Found()
+
+    with patch.object(replayed, "Rerun", Fresh):
+        again = replayed.replay(path)
+    found = Fresh.found
+    found.identical, found.rendered = again.identical, len(again.samples)
+    return found
+
+
+def run(source: random.Random, changes: int, rate_hz: float = 10_000.0, folder: Path | None = None) -> Found:
+    """So many changes at a daemon, as fast as it answers, and what they did."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-torture-", dir=folder) as name:
+        config, recording = Path(name) / "config.yaml", Path(name) / "torture.npz"
+        scenes = Scenes(source)
+        write_config(config, scenes, source, rate_hz=rate_hz)
+        with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
+            with client.record(recording):
+                hand = Hand(client, scenes, source, config)
+                stop = threading.Event()
+
+                def move() -> None:
+                    paths = Scenes(random.Random(1))
+                    with connect(daemon.directory) as other:
+                        while not stop.is_set():
+                            path = paths.path()
+                            with suppress(hapticd.HapticdError):
+                                other.set_operator(path)
+                            stop.wait(path[-1][0])
+
+                mover = threading.Thread(target=move)
+                mover.start()
+                try:
+                    for _ in range(changes):
+                        hand.change()
+                finally:
+                    stop.set()
+                    mover.join()
+        found = look(recording)
+        found.sent, found.refused = hand.sent, hand.refused
+        return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--changes", type=int, default=50_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rate", type=float, default=10_000.0)
+    arguments = parser.parse_args()
+    found = run(random.Random(arguments.seed), arguments.changes, arguments.rate)
+    print(
+        f"{found.ticks:,} ticks, {found.changed:,} took a command ({sum(found.sent.values()):,} sent, "
+        f"{sum(found.refused.values()):,} refused), {found.left_out:,} left out; {found.identical:,} of "
+        f"{found.rendered:,} as recorded, bit for bit; {dict(found.flags)}; at most {found.worst:.6f} of what is "
+        f"allowed, {found.worst_changed:.6f} in ticks that took a command, more than 1 in {len(found.over)} ticks"
+    )
+    for tick, part in sorted(found.over, key=lambda one: -one[1])[:20]:
+        print(f"  tick {tick}: {part:.3f}")
+    print(dict(found.sent), "refused", dict(found.refused))
+
+
+if __name__ == "__main__":
+    main()
