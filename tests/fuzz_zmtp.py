@@ -2,8 +2,8 @@
 
 python -m tests.fuzz_zmtp [--runs 1000000] [--seed 0]
 
-Of whatever comes, the parser makes events or refuses it with a ZmtpError; in pieces it says the same as in one; it keeps
-no more than its bounds say; and a conversation that is right is taken apart into what it was made of.
+Of whatever comes, the parser makes events or refuses it with a ZmtpError; in pieces it says the same as in one; it
+keeps no more than its bounds say; and a conversation that is right is taken apart into what it was made of.
 """
 
 from __future__ import annotations
