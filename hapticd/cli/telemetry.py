@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hapticd.cli.common import daemon, duration, json_option, note, notes_option, overwrite_option, print_json
+from hapticd.cli.common import daemon, for_option, json_option, note, notes_option, overwrite_option, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 
 
 @click.command("watch", short_help="Show what happens, live.")
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
-)
+@for_option("until Ctrl-C")
 @json_option
 @click.pass_context
 def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -> None:
@@ -49,13 +43,7 @@ def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -
 
 @click.command("record", short_help="Record telemetry to a file.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
-)
+@for_option("until Ctrl-C")
 @notes_option
 @overwrite_option
 @json_option
