@@ -473,6 +473,7 @@ def has_ended(place: Place) -> bool:
     if isinstance(place, Remote):
         return False
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        trial.setblocking(False)  # one that is stopped takes nobody, and must not be waited for
         return trial.connect_ex(os.fspath(place.telemetry)) in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR)
 
 
