@@ -166,7 +166,6 @@ WITH_JSON = [
     ["verify", "-c", "none.yaml"],
     ["fit", "tap", "none.csv"],
     ["fit", "synthesize", "tap", "--material", "none", "-o", "x.npz"],
-    ["doctor", "-c", "none.yaml"],
     ["key", "new", "a/b"],
 ]
 
