@@ -23,7 +23,7 @@ from tests.daemon_process import PATIENCE_S, running_daemon
 PROMPT = "ready> "
 # What is typed before the key is pressed, and the arguments of the command that results.
 TYPED = {
-    "hapticd rec": ["record"],
+    "hapticd recor": ["record"],
     "hapticd rep": ["replay"],
     "hapticd material li": ["material", "list"],
     "hapticd record --fo": ["record", "--for"],

@@ -154,6 +154,7 @@ WITH_JSON = [
     ["reset"],
     ["watch"],
     ["record", "x.npz"],
+    ["recover", "x.npz"],
     ["flight"],
     ["replay", "none.npz"],
     ["simulate", "none.yaml", "--operator", "none.yaml", "-o", "x.npz"],
