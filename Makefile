@@ -11,6 +11,7 @@ FUZZ_SECONDS ?= 60
 DAEMON_SECONDS ?= 30
 DESCRIPTORS ?= 20000
 MESSAGES ?= 20000
+CONVERSATIONS ?= 200000
 DOCUMENTS ?= 20000
 RECORDINGS ?= 2000
 RELOADS ?= 500
@@ -313,6 +314,7 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(call fuzzed,sim,1024)
 	$(BIN)/python -m tests.fuzz_descriptors --runs $(DESCRIPTORS)
 	$(BIN)/python -m tests.fuzz_messages --runs $(MESSAGES)
+	$(BIN)/python -m tests.fuzz_zmtp --runs $(CONVERSATIONS)
 	$(BIN)/python -m tests.fuzz_yaml --runs $(DOCUMENTS)
 	@for kind in check bridge operator key; do \
 		$(BIN)/python -m tests.fuzz_yaml --kind $$kind --runs $$(($(DOCUMENTS) / 50)) || exit 1; \

@@ -80,6 +80,10 @@ def _bad(message: str) -> WireError:
     return WireError(Code.PARSE, message)
 
 
+def _too_long(size: int, limit: int) -> str:
+    return f"the body has {size} bytes: at most {limit} are taken"
+
+
 def _map(pairs: list[tuple[str, object]]) -> dict[str, object]:
     result = {}
     for key, value in pairs:
@@ -127,7 +131,7 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
     """
     size = len(body)
     if size > limit:
-        raise _bad(f"the body has {size} bytes: at most {limit} are taken")
+        raise _bad(_too_long(size, limit))
     # A short body with few bytes that could open a container, and none that could open an extension, needs
     # no second look; most are so.
     flat = size <= _SMALL and size - len(body.translate(None, _OPENERS)) <= MAX_DEPTH
@@ -288,6 +292,11 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
     if count == 2 and delimited:
         return True, frames[1]
     return delimited, None
+
+
+def too_long(size: int) -> bytes:
+    """The answer to a body of more than MAX_BODY bytes that nobody kept."""
+    return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY))
 
 
 def close_envelope(delimited: bool, body: bytes) -> list[bytes]:

@@ -19,12 +19,16 @@ from hapticd.operator import parse_operator
 from hapticd.recorded import load_recorded
 from hapticd.replayed import replay
 from hapticd.scene import validate_scene
-from tests import fuzz_messages, fuzz_recordings, fuzz_yaml
+from tests import fuzz_messages, fuzz_recordings, fuzz_yaml, fuzz_zmtp
 
 
 def test_messages() -> None:
     found = fuzz_messages.run(random.Random(101), 400)
     assert {0, -32700, -32600, -32602} <= found.outcomes.keys(), "some kind of message was not among them"
+
+
+def test_zmtp() -> None:
+    assert 0 < fuzz_zmtp.run(random.Random(105), 2000) < 2000
 
 
 @pytest.mark.parametrize(

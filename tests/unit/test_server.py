@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import socket
 import threading
+from pathlib import Path
 from typing import cast
 
 import pytest
-import zmq
 
 from hapticd import server
 from hapticd.control import Control
 from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine
 from hapticd.intake import Intake
+from hapticd.router import Router
 
 
 class Beating:
@@ -35,22 +37,23 @@ class Idle:
         self.intake = Intake()
 
 
-def test_it_ends_without_a_request_or_a_beat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "BEAT_EVERY_MS", 3_600_000)
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "BEAT_EVERY_S", 3600.0)
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+    listening.bind(str(tmp_path / "s"))
+    listening.listen()
+    router = Router(listening)
     engine, stop = Beating(), threading.Event()
     # Nobody asks anything, so there is nothing to control.
     control = cast(Control, Idle())
-    transport = server.Transport(context)
-    with transport.socket:
-        arguments = (transport, cast(Engine, engine), Dispatch(control), stop)
-        thread = threading.Thread(target=server.serve, args=arguments, daemon=True)
-        thread.start()
-        assert engine.begun.wait(60)
-        stop.set()
-        transport.wake()
-        thread.join(60)
-        assert not thread.is_alive()
-        # Nor does waking keep anything from ending where nobody serves any more.
-        transport.wake()
-    context.term()
+    arguments = (router, cast(Engine, engine), Dispatch(control), stop)
+    thread = threading.Thread(target=server.serve, args=arguments, daemon=True)
+    thread.start()
+    assert engine.begun.wait(60)
+    stop.set()
+    router.wake()
+    thread.join(60)
+    assert not thread.is_alive()
+    # Nor does waking keep anything from ending where nobody serves any more.
+    router.wake()
+    router.close()
