@@ -17,7 +17,7 @@ REFUSED: Final = "can't start new thread"
 CLIENT: Final = 2
 """Threads of libzmq: one for the connections, one that closes sockets."""
 DAEMON: Final = 16
-"""More than the daemon has with a device (10), and while it reads its configuration anew (11)."""
+"""More than the daemon has with a device, and while it reads its configuration anew."""
 BRIDGE: Final = 4
 """Those of libzmq, and two that look up names and probe the daemon."""
 

@@ -42,7 +42,7 @@ PUSH: dict[str, Any] = {
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
     """A command, to its end."""
-    return subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    return subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False, timeout=300)
 
 
 def systemctl(*words: str) -> str:
