@@ -15,6 +15,8 @@ CONVERSATIONS ?= 200000
 DOCUMENTS ?= 20000
 RECORDINGS ?= 2000
 RELOADS ?= 500
+CHANGES ?= 50000
+TICKS ?= 10000000
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -208,10 +210,11 @@ $(C_DIR)/test_%: tests/c/test_%.c $(C_OBJECTS) Makefile
 .PHONY: c-build
 c-build: $(C_TESTS)
 
+# Each run after the first has random cases of its own, a tenth as many: see tests/c/hd_test.h.
 .PHONY: c-run
 c-run: c-build
 	@set -e; for test in $(C_TESTS); do \
-		run=1; while [ $$run -le $(C_RUNS) ]; do $$test; run=$$((run + 1)); done; \
+		run=0; while [ $$run -lt $(C_RUNS) ]; do HD_RUN=$$run $$test; run=$$((run + 1)); done; \
 	done
 
 .PHONY: ctest
@@ -318,6 +321,12 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	done
 	$(BIN)/python -m tests.fuzz_yaml --kind reload --runs $(RELOADS)
 	$(BIN)/python -m tests.fuzz_recordings --runs $(RECORDINGS)
+
+.PHONY: torture
+torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000 offline, CHANGES=50000 live
+	@$(MAKE) --no-print-directory -j$(JOBS) $(C_DIR)/test_ramp
+	$(C_DIR)/test_ramp $(TICKS) $(CHANGES) 1
+	$(BIN)/python -m tests.torture_live --changes $(CHANGES)
 
 # $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes, from the first one on: what the
 # bytes do not say is zero, and a short input says nearly nothing.

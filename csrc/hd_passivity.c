@@ -135,6 +135,7 @@ HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *tabl
     if (!passivity->running) {
         passivity->running = 1;
         passivity->acting = 0;
+        passivity->brake = 1.0;
         passivity->contacts++;
         passivity->energy_j = 0.0;
         passivity->taken_j = 0.0;
@@ -143,12 +144,16 @@ HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *tabl
         passivity->pushed = 0;
         passivity->waited = 0;
     }
-    /* Where nothing but a residual is left, a brake would end in a step, together with it. */
-    const double brake = state->active_count > 0 ? table->brake_n_s_per_m : 0.0;
+    /* Where nothing but a residual is left, the brake would end in a step, together with it. */
+    const double braked = passivity->brake;
+    const double more = braked + table->ramp_step;
+    const double less = braked - table->ramp_step;
+    passivity->brake = state->active_count > 0 ? (more < 1.0 ? more : 1.0) : (less > 0.0 ? less : 0.0);
     if (still->weight > 0.0) {
-        control(passivity, table, brake, &pending, input->velocity_m_per_s, still);
+        control(passivity, table, braked * table->brake_n_s_per_m, &pending, input->velocity_m_per_s, still);
     }
-    if (is->weight > 0.0 && control(passivity, table, brake, &pending, input->velocity_m_per_s, is)) {
+    if (is->weight > 0.0 &&
+        control(passivity, table, passivity->brake * table->brake_n_s_per_m, &pending, input->velocity_m_per_s, is)) {
         passivity->acted++;
         passivity->restrained += passivity->acting ? 0u : 1u;
         passivity->acting = 1;

@@ -41,6 +41,7 @@ struct hd_passivity {
     double energy_j;     /* given to the hand in this contact, or in the last one */
     double largest_j;    /* of all contacts */
     double taken_j;      /* by the handle itself, in this contact */
+    double brake; /* how much of its brake the controller has, 0 to 1: over the ramp it goes with what is touched */
     uint32_t interval;   /* the longest between two samples of this contact, in periods */
     uint32_t hold;       /* the longest between two ticks of it */
     uint32_t pushed;     /* periods in pushes[] */

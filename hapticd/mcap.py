@@ -38,6 +38,8 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 CHUNK_BYTES: Final = 1 << 20
 """A chunk is written when it holds this much, or a second of samples."""
 
+_BATCH: Final = 5000
+"""Samples that are put into messages at once; a chunk holds whole batches."""
 _LONGEST: Final = 1 << 26
 """Bytes of a record of ours at most; a second of samples has 15 MB at 100 kHz."""
 _CHUNK_NS: Final = 1_000_000_000
@@ -217,6 +219,10 @@ class McapSink(Sink):
     def _write(self, samples: Samples) -> None:
         if self._messages is None:
             self._declare(samples.dtype)
+        for first in range(0, len(samples), _BATCH):
+            self._write_batch(samples[first : first + _BATCH])
+
+    def _write_batch(self, samples: Samples) -> None:
         assert self._messages is not None
         times = samples["time_ns"].astype(np.uint64)
         messages = np.empty(len(samples), self._messages)

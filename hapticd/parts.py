@@ -52,10 +52,11 @@ class Folder:
 
     def where(self) -> Path:
         """Where it is now: it may have been renamed."""
-        with suppress(OSError):
-            if not os.path.samestat(os.stat(self.path), os.fstat(self.fd)):
-                return Path(os.readlink(f"/proc/self/fd/{self.fd}"))
-        return self.path
+        try:
+            same = os.path.samestat(os.stat(self.path), os.fstat(self.fd))
+        except OSError:
+            same = False
+        return self.path if same else Path(os.readlink(f"/proc/self/fd/{self.fd}"))
 
     def close(self) -> None:
         if self.fd >= 0:

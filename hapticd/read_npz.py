@@ -177,7 +177,7 @@ def _read_text(archive: zipfile.ZipFile, info: zipfile.ZipInfo, memory: Memory) 
         if shape != () or dtype.kind != "U":
             return None
         _has(info, dtype.itemsize)
-        memory.check(4 * dtype.itemsize, info.filename)
+        memory.check(12 * dtype.itemsize, info.filename)
         data = np.empty(dtype.itemsize, np.uint8)
         _read_into(member, info, data)
         # Not by numpy, which makes strings of whatever numbers stand there.

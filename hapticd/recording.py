@@ -193,7 +193,7 @@ class Recording:
 def load(path: str | os.PathLike[str], max_memory: int | None = None) -> Recording:
     """Reads a recording: .npz, .csv or .mcap of `hapticd record`, `hapticd simulate` or `hapticd flight`.
 
-    `max_memory`, in bytes, is what it may take; by default 16 times the size of the file and at least 1 GiB, but at
+    `max_memory`, in bytes, is what it may take; by default 32 times the size of the file and at least 1 GiB, but at
     most nine tenths of the memory that is available. Raises HapticdError (one line) where the file is none, or takes
     more.
     """

@@ -55,9 +55,8 @@ _LEFT_OUT: Final = {
 }
 _LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 _NO_TIME: Final = 0xFFFFFFFF
-_RENDERED_BYTES: Final = 3 * SAMPLE_DTYPE.itemsize + 160
-"""Memory for each sample, beside itself: what is rendered of it, twice for a moment; what is compared; rates, periods,
-intervals and masks."""
+_RENDERED_BYTES: Final = 2 * SAMPLE_DTYPE.itemsize + 160
+"""Memory for each sample, beside itself: what is rendered of it, what is compared; rates, periods, intervals, masks."""
 _OBJECT_BYTES: Final = 4096
 """Memory for an object or a material that was validated."""
 _ENTRY_BYTES: Final = 128

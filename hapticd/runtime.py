@@ -54,8 +54,8 @@ class Owned:
                 own.bind(os.fspath(unnamed))
                 unnamed.chmod(0o660)
                 own.listen(_BACKLOG)
+                self._files[path] = _identity(unnamed)  # before others see it, who may put theirs in its place
                 unnamed.replace(path)  # its existence means that it can be connected to
-                self.note(path)
                 stack.pop_all()
                 return own
         except OSError as error:

@@ -55,6 +55,7 @@ _CHECK_EVERY: Final = 1 << 18
 """Bytes of samples after which there is a place that a full disk may fall back to."""
 _ROW: Final = re.compile(rb"[-+0-9.eE,naif]+\n")
 """What a row of numbers is made of."""
+_FIELD: Final = re.compile("[<>|]?[iuf][1248]")
 _FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 
 
@@ -267,6 +268,8 @@ class Sink(ABC):
             self.about = about
         for description in self._noted("dtype"):
             fields = [(name, form, *map(tuple, rest)) for name, form, *rest in description]
+            if not all(_FIELD.fullmatch(form) for _, form, *_ in fields):
+                raise ValueError("a field of samples is no plain number")
             self._dtype = np.dtype(fields)
         if self._dtype is not None:
             size = self._part.size

@@ -16,6 +16,7 @@ from hapticd.cli.common import (
     config_option,
     json_option,
     note,
+    overwrite_option,
     print_json,
     write_whole,
     yaml_text,
@@ -30,7 +31,7 @@ DEFAULT_FORCE_N = 1.0
 @click.command("calibrate", short_help="Measure handle and grip.")
 @config_option
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the device section there, too.")
-@click.option("--overwrite", is_flag=True, help="Replace what is there.")
+@overwrite_option
 @click.option("--plot", type=click.Path(), metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
 @click.option(
     "--accelerometer",

@@ -113,10 +113,10 @@ def log_options(command: _F) -> _F:
 
 
 def change_options(command: _F) -> _F:
-    """The options of commands that change the scene."""
+    """The options of commands that change scene or materials, `--json` among them."""
     command = click.option(
         "--expect-revision", type=click.IntRange(min=0), metavar="N", help="Refuse another revision."
-    )(command)
+    )(json_option(command))
     return click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick.")(command)
 
 
@@ -169,7 +169,7 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
 
 def overwrite_option(command: _F) -> _F:
     """The option `--overwrite`."""
-    return click.option("--overwrite", is_flag=True, help="Replace a file that is there.")(command)
+    return click.option("--overwrite", is_flag=True, help="Replace files that are there.")(command)
 
 
 def notes_option(command: _F) -> _F:
@@ -279,9 +279,27 @@ def max_memory_option(function: _F) -> _F:
         "--max-memory",
         metavar="SIZE",
         callback=_bytes,
-        help="Memory that it may take: 512MiB, 8GB [default: 16 times the size of FILE and at least 1 GiB, but at most "
+        help="Memory that it may take: 512MiB, 8GB [default: 32 times the size of FILE and at least 1 GiB, but at most "
         "nine tenths of what is available].",
     )(function)
+
+
+def change(
+    ctx: click.Context,
+    as_json: bool,
+    send: Callable[[Client], Mapping[str, object]],
+    timeout_s: float | None = None,
+) -> None:
+    """Has the daemon change scene or materials, and prints what it answers."""
+    with daemon(ctx, timeout_s) as client:
+        result = send(client)
+    print_result(result, as_json, changed(result))
+
+
+def for_option(default: str) -> Callable[[_F], _F]:
+    """The option `--for`, as the parameter `duration_s`; `default` says how long it is without."""
+    told = f"How long: 5s, 500ms, 2min [default: {default}]."
+    return click.option("--for", "duration_s", metavar="TIME", callback=duration, help=told)
 
 
 def duration(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:

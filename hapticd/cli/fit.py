@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
 
-from hapticd.cli.common import Choice, Finite, check_new, json_option, note, print_json, write_whole, yaml_text
+from hapticd.cli.common import (
+    Choice,
+    Finite,
+    check_new,
+    json_option,
+    note,
+    overwrite_option,
+    print_json,
+    write_whole,
+    yaml_text,
+)
 from hapticd.cli.synthesize import synthesize_command
 from hapticd.errors import HapticdError
 
@@ -60,7 +70,7 @@ fit_command.add_command(synthesize_command)
 def _options(command: _F) -> _F:
     for option in (
         json_option,
-        click.option("--overwrite", is_flag=True, help="Replace the files that are there."),
+        overwrite_option,
         click.option("--merge", is_flag=True, help="Add to what the output holds, instead of replacing it."),
         click.option(
             "--stiffness",

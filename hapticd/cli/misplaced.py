@@ -1,4 +1,4 @@
-"""What is typed in the wrong place: options before or behind their command, files without their option."""
+"""What is typed in the wrong place: options before or after their command, files without their option."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _option(option: str, ctx: click.Context, arguments: Sequence[str]) -> str:
     for name in arguments:
         command = root.command.get_command(root, name)
         if command is not None:
-            return f"{option} belongs behind {name}: hapticd {name} {option}" if _has(command, option, root) else ""
+            return f"{option} belongs after {name}: hapticd {name} {option}" if _has(command, option, root) else ""
     return ""
 
 

@@ -9,7 +9,7 @@ import click
 from hapticd import words
 from hapticd.cli import names
 from hapticd.cli.common import (
-    duration,
+    for_option,
     json_option,
     max_memory_option,
     note,
@@ -37,13 +37,7 @@ from hapticd.errors import undisplayable_text
     metavar="FILE",
     help="Where the samples go (.npz, .csv or .mcap)  [default: nowhere, the summary alone is printed]",
 )
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms [default: as long as the operator].",
-)
+@for_option("as long as the operator")
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
 @notes_option
 @overwrite_option

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hapticd.cli.common import daemon, duration, json_option, note, notes_option, overwrite_option, print_json
+from hapticd.cli.common import daemon, for_option, json_option, note, notes_option, overwrite_option, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 
 
 @click.command("watch", short_help="Show what happens, live.")
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
-)
+@for_option("until Ctrl-C")
 @json_option
 @click.pass_context
 def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -> None:
@@ -49,13 +43,7 @@ def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -
 
 @click.command("record", short_help="Record telemetry to a file.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
-)
+@for_option("until Ctrl-C")
 @notes_option
 @overwrite_option
 @json_option
@@ -117,7 +105,12 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
     """
     here = ctx.find_root().params["connect"] is None
     if file is not None and not here:
-        raise click.UsageError("FILE is for a daemon of this machine; through a bridge its file stays there", ctx)
+        given = ctx.find_root().get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
+        raise click.UsageError(
+            f"FILE is for a daemon of this machine; {'--connect' if given else 'HAPTICD_CONNECT'} names a bridge, and "
+            "through a bridge its file stays there",
+            ctx,
+        )
     if file is not None:
         from hapticd.sink import check_target
 

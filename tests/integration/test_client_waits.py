@@ -6,7 +6,7 @@ import asyncio
 import socket
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +18,11 @@ from hapticd.client import Client
 from hapticd.keys import new_certificate, write_certificate
 from hapticd.wire import GESTURE_ENDS
 from tests.bridge_process import running_bridge
-from tests.daemon_process import Daemon, connect, running_daemon
+from tests.daemon_process import Daemon, connect
 from tests.fake_daemon import fake_daemon, result
 
 SHORT = [[0.0, 0.0, 0.05], [0.02, 0.0, 0.04]]
 LONG = [[0.0, 0.0, 0.05], [1000.0, 0.0, 0.04]]
-
-
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with running_daemon() as daemon:
-        yield daemon
 
 
 def status_of(request: Mapping[str, Any]) -> list[bytes]:
@@ -198,12 +192,6 @@ def test_a_bridge_is_told_by_the_address_that_it_was_given_by(tmp_path: Path) ->
 
 
 # ---- The end of a gesture --------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with connect(daemon.directory) as client:
-        yield client
 
 
 def test_the_end_of_a_gesture_is_waited_for(client: Client) -> None:

@@ -23,7 +23,7 @@ import zmq
 from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.engine import Engine
-from tests.daemon_process import Daemon, Wire, connect, running_daemon, until, wired
+from tests.daemon_process import PATIENCE_S, Daemon, Wire, connect, running_daemon, until, wired
 
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 
@@ -33,7 +33,7 @@ def run_once(*arguments: str, directory: Path) -> subprocess.CompletedProcess[st
         [sys.executable, "-m", "hapticd", "--runtime-dir", str(directory), "run", *arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
 
@@ -63,7 +63,7 @@ def test_signal_fades_the_force_and_exits_with_0(number: int) -> None:
         wire.result("set_scene", scene={"objects": PUSH}, wait=True)
         batches = []
         with connect(daemon.directory) as client, client.samples() as samples:
-            deadline = time.monotonic() + 60
+            deadline = time.monotonic() + PATIENCE_S
             while not batches or batches[-1]["force_n"][-1, 1] != pytest.approx(0.5):
                 assert time.monotonic() < deadline, wire.result("get_status")["faults"]
                 batches.append(np.array(next(samples)))
@@ -149,7 +149,7 @@ def test_realtime_required_is_refused_without_rights(tmp_path: Path) -> None:
         f"sys.exit(main(['--runtime-dir', {str(tmp_path / 'run')!r}, 'run', '-c', {str(config)!r}]))"
     )
     result = subprocess.run(
-        [*dropped, sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+        [*dropped, sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
     line = one_line(result)
     assert "realtime is required but refused" in line
@@ -180,7 +180,7 @@ def without_rights(directory: Path, memlock: int) -> Iterator[tuple[Wire, list[s
         yield wire, said
         wire.close()
         process.send_signal(signal.SIGTERM)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE_S) == 0
 
 
 def test_default_runs_without_rights_and_says_what_it_did_not_get(tmp_path: Path) -> None:
@@ -320,7 +320,7 @@ def test_client_killed_in_mid_request_and_ten_at_once() -> None:
             "for i in range(1000): s.send(msgpack.packb({'jsonrpc': '2.0', 'id': i, 'method': 'get_materials'}))\n"
             "os.kill(os.getpid(), signal.SIGKILL)\n"
         )
-        killed = subprocess.run([sys.executable, "-c", program], timeout=60, check=False)
+        killed = subprocess.run([sys.executable, "-c", program], timeout=PATIENCE_S, check=False)
         assert killed.returncode == -signal.SIGKILL
         errors: list[BaseException] = []
 

@@ -33,7 +33,7 @@ from hapticd.record import RecordSummary, record
 from hapticd.recorded import load_recorded
 from hapticd.recovery import recover
 from hapticd.replayed import replay
-from tests.daemon_process import Daemon, connect, running_daemon
+from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 from tests.fake_daemon import FakeDaemon, fake_daemon, result
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -104,7 +104,7 @@ def test_what_a_daemon_rendered_is_rendered_again_bit_for_bit(daemon: Daemon, tm
                     next(event for event in events if event["event"] == "contact" and event["tick"] > tick)
             client.set_operator([[0, 0, 0.01]], interpolation="linear")
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, err) == (0, "") and "nothing lost" in out, out
         scene, materials = client.get_scene()["scene"], client.get_materials()["materials"]
     again = replay(target)
@@ -198,10 +198,10 @@ def test_what_a_killed_recording_left_is_told_by_the_next(daemon: Daemon, tmp_pa
             while part.stat().st_size < 1000 * SAMPLE_DTYPE.itemsize:
                 next(batches)
         process.kill()
-        process.communicate(timeout=60)
+        process.communicate(timeout=PATIENCE_S)
     assert len(os.listdir(tmp_path)) == 2
     with recording(daemon, target, "--for", "100ms") as process:
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0 and "nothing lost" in out
     assert err == (
         f"hapticd: {target}: {part.name} beside it is of another recording: under way, or killed; "
@@ -219,7 +219,7 @@ def test_what_a_killed_recording_left_is_told_by_the_next(daemon: Daemon, tmp_pa
 def test_a_full_disk_ends_a_recording_that_is_kept(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with recording(daemon, target, limit=700_000) as process:
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert err == f"hapticd: {target}: cannot be written: File too large; {target} holds what came before\n"
     assert os.listdir(tmp_path) == ["run.npz"]
@@ -537,7 +537,7 @@ def test_what_goes_wrong_in_a_block_is_what_is_told_and_the_recording_is_kept(da
 
 def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
     async def run() -> tuple[int, int]:
-        async with hapticd.aio.connect(daemon.directory, timeout_s=60.0) as client:
+        async with hapticd.aio.connect(daemon.directory, timeout_s=PATIENCE_S) as client:
             async with client.record(tmp_path / "run.npz", subject=3):
                 first = (await client.mark("first"))["tick"]
                 last = (await client.mark("last"))["tick"]

@@ -28,7 +28,7 @@ from hapticd.keys import write_certificate
 from hapticd.results import State, Status
 from hapticd.watch import View, bar, draw_scene, event_line, signed_bar
 from tests.bridge_process import running_bridge
-from tests.daemon_process import Daemon, connect, running_daemon
+from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 
 ROOT = Path(__file__).parents[2]
 SCENE: dict[str, Any] = {
@@ -327,7 +327,7 @@ class Terminal:
         os.close(self._master)
         assert self.process.stderr is not None
         with self.process.stderr:
-            return self.process.wait(60), self.process.stderr.read()
+            return self.process.wait(PATIENCE_S), self.process.stderr.read()
 
     def end(self, number: int) -> tuple[int, bytes]:
         self.process.send_signal(number)
@@ -342,7 +342,7 @@ class Terminal:
                 while True:
                     self.output += os.read(self._master, 65536)
             os.close(self._master)
-            return self.process.wait(60), self.process.stderr.read()
+            return self.process.wait(PATIENCE_S), self.process.stderr.read()
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -410,14 +410,14 @@ def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
         while process.stdout.readline() != f"revision {revision}\n":
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 130
+        assert process.wait(PATIENCE_S) == 130
         assert process.stderr.read() == ""
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]], ids=["lines", "json"])
 def test_into_a_pipe_it_ends_by_itself(daemon: Daemon, options: list[str]) -> None:
     done = subprocess.run(
-        arguments(daemon, "--for", "300ms", *options), capture_output=True, cwd=ROOT, text=True, timeout=60
+        arguments(daemon, "--for", "300ms", *options), capture_output=True, cwd=ROOT, text=True, timeout=PATIENCE_S
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "tick" in done.stdout

@@ -165,7 +165,6 @@ WITH_JSON = [
     ["verify", "-c", "none.yaml"],
     ["fit", "tap", "none.csv"],
     ["fit", "synthesize", "tap", "--material", "none", "-o", "x.npz"],
-    ["doctor", "-c", "none.yaml"],
     ["key", "new", "a/b"],
 ]
 

@@ -46,7 +46,7 @@ def test_reloads() -> None:
 
 
 def test_recordings() -> None:
-    outcomes, _ = fuzz_recordings.run(random.Random(104), 90)
+    outcomes, _ = fuzz_recordings.run(random.Random(104), 150)
     for form in fuzz_recordings.FORMS:
         assert outcomes[f"{form} refused"] > 0
     assert any(outcome.endswith("rendered") for outcome in outcomes)

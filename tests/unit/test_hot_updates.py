@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hapticd.config import load_config
+from hapticd.control import _needing_restart
 from hapticd.core import EventKind, Flag, lib
 from hapticd.materials import shipped_materials
 from tests.rig import FLOOR, SKIN, Rig, line, still
@@ -421,3 +423,42 @@ def test_what_a_change_left_fades_although_a_reset_comes_in_every_tick() -> None
     force = np.array(forces)
     assert force[0] == pytest.approx([0.8, 1.6]) and np.all(np.diff(force[:, 1]) <= 0)
     assert np.allclose(force[:, 0], 0.8) and force[-1, 1] < 0.01
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"device": {"max_force_n": 5.0}},
+        {"device": {"max_speed_m_per_s": 1.0}},
+        {"device": {"undisplayable": "lower"}},
+        {"device": {"effective_mass_kg": 0.5}},
+        {"device": {"compensation": "mass"}},
+        {"device": {"handle": {"mass_kg": 0.1, "damping_n_s_per_m": 0.1, "friction_n": 0.1}}},
+        {"device": {"sim": {"encoder_step_m": 0.0}}},
+        {"device": {"sim": {"link": {"rate_hz": 1000}}}},
+        {"device": {"sim": {"hand": {"stiffness_n_per_m": 100.0}}}},
+        {"device": {"hid": {"offload": "auto"}}},
+        {"servo": {"rate_hz": 5000.0}},
+        {"servo": {"overruns": {"action": "step_down"}}},
+    ],
+)
+def test_what_else_could_move_the_force_needs_a_restart(other: dict[str, object]) -> None:
+    """So of a configuration only scene and materials are commands."""
+    before, after = load_config({}), load_config(other)
+    assert before != after
+    assert _needing_restart(before, after)
+
+
+@pytest.mark.parametrize("modes", [("off", "control"), ("control", "off"), ("observe", "control")])
+def test_the_passivity_controller_comes_and_goes_over_the_ramp(modes: tuple[str, str]) -> None:
+    """A wall that is let go of gives energy, which a controller that begins just then does not let it."""
+    rig = Rig({"w": FLOOR}, passivity=modes[0])
+    speed = -0.01
+    before = rig.render(np.concatenate([still(0, -0.004, 400), line(-0.004, speed, 50)]))
+    rig.update({}, passivity=modes[1])
+    after = rig.render(line(before["position_m"][-1, 1], speed, 400)[1:])
+    own = 800 * -speed / RATE
+    assert steps(after, before) <= 8.9 / RAMP / RATE + own + 1e-9
+    if modes == ("off", "control"):
+        assert after["flags"][-1] & Flag.RESTRAINED
+        assert after["force_n"][-1, 1] < 0.1

@@ -1,0 +1,15 @@
+"""A short run of the torture of a real daemon; `make torture` does a long one."""
+
+from __future__ import annotations
+
+import random
+
+from tests import torture_live
+
+
+def test_no_command_moves_the_force_faster_than_the_ramp() -> None:
+    found = torture_live.run(random.Random(105), 250)
+    assert found.changed > 0
+    assert found.flags["contact"] > 0
+    assert found.worst <= torture_live.ROUNDED, found.over
+    assert found.worst_changed <= torture_live.MOVING, found.over
