@@ -381,7 +381,12 @@ def _objects(part: dict[str, object]) -> dict[str, SceneObject]:
 
 def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
     """One object from plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
-    return validate_scene({"objects": {name: data}}, root).objects[name]
+    if isinstance(data, dict) and (len(data) > AT_ONCE or "patches" in data):
+        refuse_many_keys(data, (*root, "objects", name))
+    try:
+        return Scene.parsed({"objects": {name: data}}).objects[name]
+    except ValidationError as error:
+        raise InvalidError(problems_of(error, root)) from None
 
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:

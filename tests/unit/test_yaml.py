@@ -304,3 +304,29 @@ def test_nobody_looks_for_slips_in_a_line_that_nobody_wrote(text: str, monkeypat
     monkeypatch.setattr(yaml_slips, "_scan", lambda _: pytest.fail("looked for"))
     with pytest.raises(InvalidError, match=r"^f\.yaml:1:\d+: "):
         load_text(text, "f.yaml")
+
+
+@pytest.mark.parametrize(
+    "large",
+    [
+        "a: 1\n...\n" + "%TAG !t! x\n" * 30,
+        "&a " * 3000,
+        "*a " * 3000,
+        "[" * 30_000,
+        "{a: " * 30_000,
+        "- " * 30_000,
+        "? " * 30_000,
+        "'" + "''" * 30_000,
+        '"' + "\\u0041" * 30_000,
+        "|\n" + "  x\n" * 30_000,
+        ">\n" + "\n" * 30_000,
+        "#" * 30_000,
+        "a: " + "1" * 30_000,
+    ],
+    ids=lambda text: repr(text[:8]),
+)
+def test_much_of_the_same_is_taken_or_refused_in_one_line(large: str) -> None:
+    try:
+        load_text(large, "f.yaml")
+    except InvalidError as error:
+        assert str(error).startswith("f.yaml:") and str(error).isprintable()
