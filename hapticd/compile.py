@@ -19,7 +19,7 @@ import math
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
@@ -462,6 +462,10 @@ class _Materials:
         found = self.prepared.get(texture)
         return _design(texture, self.output, self.working) if found is None else found
 
+    def has(self, names: Set[str], source: Mapping[str, Material]) -> bool:
+        """Whether all of `names` are in use already, taken from `source`."""
+        return source is self._source and self._index.keys() >= names
+
     def to_design(self, names: Iterable[str], source: Mapping[str, Material]) -> Iterator[tuple[_Noise | None, int]]:
         """Of each material that would be compiled if `names` were used and all were taken from `source`: its noise,
         where that is not designed yet, and how many filters and shapes it needs."""
@@ -702,13 +706,18 @@ class Compiler:
             float(self._table.field.damping_n_s_per_m),
         )
 
-    def missing(self, names: Iterable[str], materials: Mapping[str, Material]) -> int:
+    def missing(self, names: Set[str], materials: Mapping[str, Material]) -> int:
         """Filters and shapes that `update` would have to design, were it given these materials and objects that are
         made of `names`; a few milliseconds each."""
+        if self._materials.has(names, materials):
+            return 0
         return sum(count for _, count in self._materials.to_design(names, materials))
 
-    def prepare(self, names: Iterable[str], materials: Mapping[str, Material], progress: Progress | None) -> None:
+    def prepare(self, names: Set[str], materials: Mapping[str, Material], progress: Progress | None) -> None:
         """Designs the filters that the next `update` needs. They come out as if that did it."""
+        self._materials.prepared = {}
+        if self._materials.has(names, materials):
+            return
         textures = [noise for noise, _ in self._materials.to_design(names, materials) if noise is not None]
         if progress is not None:
             progress.of += sum(map(_filters, textures))

@@ -403,7 +403,7 @@ class Control:
 
     def _set_scene(self, params: _SetScene) -> Changed:
         self._expect(params)
-        scene = validate_scene(params.scene, ("scene",))
+        scene = validate_scene(params.scene, ("scene",), self._engine.working)
         self._engine.working()  # the largest scenes take their time; every stage shows that somebody is at work
         problems = self._problems_of(scene.objects, ("scene",))
         if problems:
@@ -514,7 +514,7 @@ class Control:
                 problems += error.problems
         if "scene" in params.model_fields_set:
             try:
-                scene = validate_scene(params.scene, ("scene",))
+                scene = validate_scene(params.scene, ("scene",), self._engine.working)
             except InvalidError as error:
                 problems += error.problems
         engine.working()

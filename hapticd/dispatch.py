@@ -11,7 +11,6 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic_ns
 from typing import Final
@@ -127,9 +126,11 @@ class Dispatch:
 
     def _change(self, request: wire.Request, size: int, reply: Reply) -> None:
         if not self._is_long(request, size):
-            with suppress(TakesLongError):
+            try:
                 self._answer(request, lambda: self._control.perform(request.method, request.params, brief=True), reply)
                 return
+            except TakesLongError:
+                pass
         self._beside(request, reply)
 
     def _beside(self, request: wire.Request, reply: Reply) -> None:
@@ -142,6 +143,8 @@ class Dispatch:
                 done = self._control.perform(request.method, request.params)
             except BaseException as error:
                 failure = error
+                if isinstance(error, MethodError):
+                    error.__traceback__ = None  # which would keep the whole message
 
                 def fail() -> Changed:
                     raise failure

@@ -6,6 +6,7 @@ nor pydantic's validation holds the interpreter's lock for longer than docs/adr/
 
 from __future__ import annotations
 
+import gc
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -62,7 +63,14 @@ class Intake:
         self.work = work = Work(method, self.ending)
 
         def run() -> None:
-            self._finished.append(do(work))
+            # A collection in the middle of it would go through all of it, again and again, and hold everybody up.
+            collects = gc.isenabled()
+            gc.disable()
+            try:
+                self._finished.append(do(work))
+            finally:
+                if collects:
+                    gc.enable()
             if not self.ending.is_set():
                 self.wake()
 

@@ -7,7 +7,7 @@ Virtual Environments", ICRA 1998, eq. 1 and 3), B the decay rate in 1/s, w the a
 import datetime
 import math
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from itertools import pairwise
 from types import MappingProxyType
@@ -29,7 +29,7 @@ from hapticd.mode import Attack as Attack
 from hapticd.mode import Mode as Mode
 from hapticd.mode import ModeKeys as ModeKeys
 from hapticd.mode import one_of
-from hapticd.model import Damping, Model, Name, Stiffness, faults_of, problems_of
+from hapticd.model import AT_ONCE, Damping, Model, Name, Stiffness, faults_of, in_parts, problems_of, refuse_many_keys
 from hapticd.texture import Grooves, Texture
 from hapticd.yaml_source import Document, load_bytes
 
@@ -254,8 +254,17 @@ def validate_materials(data: object, root: Path = (), working: Callable[[], None
 
     `working` is called now and then: thousands of autoregressive models take seconds.
     """
+    parse = partial(_Library.parsed, context={"working": working})
     try:
-        return _Library.parsed({"materials": data}, context={"working": working}).materials
+        if not isinstance(data, dict) or len(data) > MAX_MATERIALS:
+            return parse({"materials": data}).materials
+        for name, material in data.items():
+            refuse_many_keys(material, (*root, "materials", name))
+        if len(data) <= AT_ONCE:
+            return parse({"materials": data}).materials
+        return in_parts(
+            data, lambda part: parse({"materials": part}).materials, root, "materials", working or (lambda: None)
+        )
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
 

@@ -6,10 +6,11 @@ nonsense; they are far outside what a hand can feel.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, Union, cast, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError
 from pydantic_core import ErrorDetails
@@ -18,7 +19,12 @@ from hapticd.errors import InvalidError, Path, Problem, known_names, near_names,
 from hapticd.yaml_slips import hint, key_hint
 from hapticd.yaml_source import MAX_DEPTH, Json
 
+T = TypeVar("T")
 NAME_MAX_CHARACTERS = 64
+AT_ONCE: Final = 256
+"""Larger mappings are validated so many entries at a time: each call of pydantic's holds the interpreter's lock."""
+MOST_KEYS: Final = 1000
+"""No mapping of known keys has more."""
 MAX_FAULTS = 200
 """So many are told one by one; nobody reads more, and telling thousands takes seconds."""
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
@@ -118,6 +124,54 @@ def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     if len(told) > MAX_FAULTS:
         found.append(((), f"has {len(told) - MAX_FAULTS} more faults"))
     return found
+
+
+def in_parts(
+    given: Mapping[str, object],
+    parse: Callable[[dict[str, object]], dict[str, T]],
+    root: Path,
+    name: str,
+    working: Callable[[], None],
+) -> dict[str, T]:
+    """What `parse` makes of a large mapping, which stands below `root` as `name`: AT_ONCE entries at a time, so that
+    others can go on between them.
+
+    Raises InvalidError; after MAX_FAULTS the rest is not looked at.
+    """
+    found: dict[str, T] = {}
+    problems: list[Problem] = []
+    entries = iter(given.items())
+    while part := dict(islice(entries, AT_ONCE)):
+        working()
+        try:
+            found |= parse(part)
+        except ValidationError as error:
+            problems += problems_of(error, root)
+        if len(problems) >= MAX_FAULTS:
+            problems.append(Problem(path_text((*root, name)), "the rest was not looked at"))
+            break
+    if problems:
+        raise InvalidError(problems)
+    return found
+
+
+def refuse_many_keys(data: object, path: Path) -> None:
+    """Refuses mappings, at any depth, with more keys than any has: telling each of thousands takes seconds."""
+    level: list[tuple[Path, object]] = [(path, data)]
+    for _ in range(MAX_DEPTH):
+        below: list[tuple[Path, object]] = []
+        for where, value in level:
+            if isinstance(value, dict):
+                if len(value) > MOST_KEYS:
+                    raise InvalidError(
+                        [Problem(path_text(where), f"has {len(value)} keys; nothing has more than {MOST_KEYS}")]
+                    )
+                below += [((*where, key), inner) for key, inner in value.items() if isinstance(inner, dict | list)]
+            elif isinstance(value, list):
+                below += [((*where, index), inner) for index, inner in enumerate(value) if isinstance(inner, dict)]
+        if not below:
+            return
+        level = below
 
 
 _PLAIN: Final = frozenset({NoneType, bool, int, float, str})

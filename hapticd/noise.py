@@ -62,7 +62,11 @@ _STALLED: Final = 0.95
 _EXACT: Final = Context(prec=100)
 """Digits for steps between coefficients and reflection, which lose up to the reciprocal of E_p in precision."""
 
-_NODES, _WEIGHTS = (np.asarray(x, dtype=np.float64) for x in np.polynomial.legendre.leggauss(12))
+_Rule: TypeAlias = tuple[Array, Array]
+_FINE: Final[_Rule] = np.polynomial.legendre.leggauss(12)
+"""Nodes and weights of a panel."""
+_COARSE: Final[_Rule] = np.polynomial.legendre.leggauss(6)
+"""Enough for a fit: integrals of a spectrum whose poles are as near as a panel is long are off by 3e-8."""
 
 
 # ---- Filters and their spectra -------------------------------------------------------------------------------
@@ -122,10 +126,12 @@ def _power(reflection: Sequence[float], taps: Sequence[float] | None, angle: Arr
     return power
 
 
-def _mesh(poles: Iterable[tuple[float, float]], limit: float = math.pi, panels: int = 1) -> tuple[Array, Array]:
+def _mesh(
+    poles: Iterable[tuple[float, float]], limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE
+) -> tuple[Array, Array]:
     """Nodes and weights on 0 .. limit that integrate a rational spectrum with poles (angle, distance from the circle).
 
-    Composite Gauss-Legendre of 12 nodes. Around each pole the panels are graded by factors of two down to the
+    Composite Gauss-Legendre. Around each pole the panels are graded by factors of two down to the
     pole's distance, so no panel is longer than about its own distance to any pole, and each converges at once."""
     breaks: list[Array] = [np.linspace(0.0, limit, panels + 1)]
     for angle, distance in poles:
@@ -133,13 +139,13 @@ def _mesh(poles: Iterable[tuple[float, float]], limit: float = math.pi, panels: 
         steps: Array = distance * np.exp2(np.arange(levels, dtype=np.float64))
         breaks += [np.array([angle]), angle - steps, angle + steps]
     edges = np.concatenate(breaks)
-    return _panels(np.unique(edges[(edges >= 0) & (edges <= limit)]))
+    return _panels(np.unique(edges[(edges >= 0) & (edges <= limit)]), rule)
 
 
-def _panels(edges: Array) -> tuple[Array, Array]:
+def _panels(edges: Array, rule: _Rule) -> tuple[Array, Array]:
     half = np.diff(edges)[:, None] / 2
-    nodes = edges[:-1, None] + half * (1 + _NODES)
-    return nodes.ravel(), (half * _WEIGHTS).ravel()
+    nodes = edges[:-1, None] + half * (1 + rule[0])
+    return nodes.ravel(), (half * rule[1]).ravel()
 
 
 def _poles(reflection: Sequence[float]) -> ComplexArray:
@@ -157,10 +163,12 @@ def _poles(reflection: Sequence[float]) -> ComplexArray:
     return np.asarray(np.linalg.eigvals(after), dtype=np.complex128)
 
 
-def _pole_mesh(poles: ComplexArray, limit: float = math.pi, panels: int = 1) -> tuple[Array, Array]:
+def _pole_mesh(
+    poles: ComplexArray, limit: float = math.pi, panels: int = 1, rule: _Rule = _FINE
+) -> tuple[Array, Array]:
     upper = poles[poles.imag >= 0]
     places = zip(np.angle(upper).tolist(), np.maximum(np.abs(1 - np.abs(upper)), 1e-9).tolist(), strict=True)
-    return _mesh(places, limit, panels)
+    return _mesh(places, limit, panels, rule)
 
 
 def _measured(reflection: Reflection, taps: tuple[float, ...] | None) -> tuple[float, float]:
@@ -526,7 +534,7 @@ def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
     # Angles of the new rate, as far as the band goes; poles are where the model has them.
     poles = _poles(model)
     band = min(math.pi, math.pi / ratio)
-    own, own_weight = _pole_mesh(poles, band, MAX_ORDER)
+    own, own_weight = _pole_mesh(poles, band, MAX_ORDER, _COARSE)
     angle, weight = own * ratio, own_weight * ratio
     power = _power(model, None, own)
     # Upward it is all of it; poles all but on the circle would make the integral say otherwise.
@@ -570,13 +578,21 @@ class _Nodes:
     weight: Array
     delay: ComplexArray
     """z^-1 at each node."""
+    half: ComplexArray
+    """z^(1/2) at each node."""
     cosines: Array
     """[lags][nodes]: what gives the autocorrelation."""
 
     @classmethod
     def at(cls, angle: Array, weight: Array, order: int) -> "_Nodes":
         delay = np.exp(-1j * angle)
-        return cls(weight, delay, np.cos(np.outer(np.arange(order + 1), angle)))
+        cosines = np.empty((order + 1, len(angle)))
+        turned = np.ones_like(delay)
+        cosines[0] = 1.0
+        for lag in range(1, order + 1):
+            turned *= delay
+            cosines[lag] = turned.real
+        return cls(weight, delay, np.exp(0.5j * angle), cosines)
 
 
 def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex], order: int) -> _Fit:
@@ -588,21 +604,24 @@ def _fit(power: Array, target: Array, nodes: _Nodes, placed: list[complex], orde
     room = order - _order_of(placed)
     correlation = nodes.cosines[: room + 1] @ (nodes.weight * (target / direct))
     reflection = _predicted(correlation)
-    heard = power >= power.max() * 10 ** (-RANGE_DB / 10)
-    wanted = power[heard]
+    heard = np.flatnonzero(power >= power.max() * 10 ** (-RANGE_DB / 10))
+    wanted = power[heard] / direct[heard]
+    weight = nodes.weight * direct
     best: tuple[float, int, Array] | None = None
-    for n, shape in enumerate(_prefix_powers(reflection, nodes.delay)):
-        fitted = direct * shape
-        fitted *= math.pi / (nodes.weight @ fitted)
-        ratio = fitted[: len(power)][heard] / wanted
-        error = 10 * math.log10(max(float(ratio.max()), 1 / float(ratio.min())))
+    for n, inverse in enumerate(_prefix_inverses(reflection, nodes.half)):
+        shape = 1 / inverse
+        level = math.pi / float(weight @ shape)
+        off = inverse[heard]
+        off *= wanted
+        error = 10 * math.log10(max(level / float(off.min()), float(off.max()) / level))
         if best is None or error < best[0]:
-            best = error, n, fitted
+            shape *= level
+            best = error, n, shape
         if error <= CLOSE_DB:
             break
     assert best is not None
     error, n, fitted = best
-    return _Fit(error, placed, reflection[:n], fitted)
+    return _Fit(error, placed, reflection[:n], direct * fitted)
 
 
 def _fits_beyond(
@@ -612,7 +631,7 @@ def _fits_beyond(
     edge = math.pi * ratio
     # Panels that grow with the distance from the edge, where the skirt is steep.
     count = math.ceil(20 * math.log(1 / ratio)) + 1
-    beyond, beyond_weight = _panels(np.geomspace(edge, math.pi, count + 1))
+    beyond, beyond_weight = _panels(np.geomspace(edge, math.pi, count + 1), _COARSE)
     inside = len(angle)
     nodes = _Nodes.at(np.concatenate((angle, beyond)), np.concatenate((weight, beyond_weight)), order)
     fall = max(_SKIRT, 1 + power[-1] * edge / (_LEAK * math.pi))
@@ -644,26 +663,31 @@ def _predicted(r: Array) -> Reflection:
     """Reflection coefficients of the best predictor of noise with this autocorrelation (Levinson and Durbin)."""
     r[0] *= 1 + _FLOOR
     error = float(r[0])
-    polynomial = np.ones(1)
+    polynomial = np.zeros(len(r))
+    polynomial[0] = 1.0
     reflection: list[float] = []
     for m in range(1, len(r)):
-        k = -float(polynomial @ r[m:0:-1]) / error
+        k = -float(polynomial[:m] @ r[m:0:-1]) / error
         reflection.append(k)
-        padded = np.append(polynomial, 0.0)
-        polynomial = padded + k * padded[::-1]
+        polynomial[: m + 1] += k * polynomial[m::-1]
         error *= (1 - k) * (1 + k)
     return tuple(reflection)
 
 
-def _prefix_powers(reflection: Sequence[float], delay: ComplexArray) -> Iterator[Array]:
-    """Power of the all-pole filters of k_1 .. k_n for n = 0, 1, .. p, up to a factor."""
-    forward = np.ones_like(delay)
-    backward = np.ones_like(delay)
-    yield np.ones(delay.shape)
+def _prefix_inverses(reflection: Sequence[float], half: ComplexArray) -> Iterator[Array]:
+    """1 over the power of the all-pole filters of k_1 .. k_n for n = 0, 1, .. p, up to a factor.
+
+    On the circle B_m = z^-m times the conjugate of A_m. So with G_m = z^(m/2) A_m and H = z^(1/2) G_(m-1) the step
+    A_m = A_(m-1) + k_m z^-1 B_(m-1) is G_m = H + k_m conj(H): its real part is (1 + k_m) times that of H, its imaginary
+    part (1 - k_m) times.
+    """
+    turned = np.ones_like(half)
+    yield np.ones(half.shape)
     for k in reflection:
-        backward = backward * delay
-        forward, backward = forward + k * backward, k * forward + backward
-        yield np.asarray(1 / (forward.real**2 + forward.imag**2), dtype=np.float64)
+        turned *= half
+        turned.real *= 1 + k
+        turned.imag *= 1 - k
+        yield np.asarray(turned.real**2 + turned.imag**2, dtype=np.float64)
 
 
 # ---- Models over speed and force -----------------------------------------------------------------------------

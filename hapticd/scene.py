@@ -5,16 +5,29 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias, get_args
 
-from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, Strict, ValidationError, model_validator
 
 from hapticd import arguments
 from hapticd.document_kinds import refuse_other_keys, refuse_other_kinds
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
-from hapticd.model import MAX_FAULTS, Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
+from hapticd.model import (
+    AT_ONCE,
+    MAX_FAULTS,
+    Damping,
+    Model,
+    Name,
+    Position,
+    Stiffness,
+    faults_of,
+    in_parts,
+    plain,
+    problems_of,
+    refuse_many_keys,
+)
 from hapticd.yaml_source import Document, Json, load_path
 
 MAX_OBJECTS: Final = 2**20
@@ -112,6 +125,23 @@ def _apart(given: tuple[Patch, ...]) -> tuple[Patch, ...]:
     return patches
 
 
+def _one_by_one(given: object) -> object:
+    """Thousands of patches, each validated by itself: nobody waits for all of them, or reads the faults of all."""
+    if not isinstance(given, list) or not AT_ONCE < len(given) <= MAX_PATCHES:
+        return given
+    found: list[object] = []
+    faulty = 0
+    for patch in given:
+        try:
+            found.append(Patch.parsed(patch))
+        except ValidationError:
+            found.append(patch)
+            faulty += 1
+            if faulty == MAX_FAULTS:
+                break
+    return found
+
+
 def patches_of(given: tuple[Patch, ...]) -> Patches:
     """The patches of a wall, as they were kept if they were validated."""
     return given if isinstance(given, Patches) else Patches(given)
@@ -132,7 +162,7 @@ class Wall(Model):
     point_m: Position = Field(description="A point of the surface, [x, y].")
     normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
     material: Name = Field(description="Name of a material.")
-    patches: Annotated[tuple[Patch, ...], Strict(False), AfterValidator(_apart)] = Field(
+    patches: Annotated[tuple[Patch, ...], Strict(False), AfterValidator(_apart), BeforeValidator(_one_by_one)] = Field(
         default=(), max_length=MAX_PATCHES, description="Stretches of other materials; they do not overlap."
     )
     patch_ramp_m: float = Field(
@@ -324,17 +354,41 @@ def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[S
         raise InvalidError(document.problem(root + path, text) for path, text in faults) from None
 
 
-def validate_scene(data: object, root: Path = ()) -> Scene:
-    """A scene from plain data. Raises InvalidError; `where` begins with `root`."""
+def validate_scene(data: object, root: Path = (), working: Callable[[], None] = lambda: None) -> Scene:
+    """A scene from plain data. Raises InvalidError; `where` begins with `root`.
+
+    `working` is called now and then: thousands of objects take seconds.
+    """
     try:
+        if not isinstance(data, dict):
+            return Scene.parsed(data)
+        given = data.get("objects")
+        rest = {key: value for key, value in data.items() if key != "objects"}
+        refuse_many_keys(rest, root)
+        if isinstance(given, dict) and len(given) <= MAX_OBJECTS:
+            for id, item in given.items():
+                refuse_many_keys(item, (*root, "objects", id))
+            if len(given) > AT_ONCE:
+                scene = Scene.parsed(rest)
+                objects = in_parts(given, _objects, root, "objects", working)
+                return scene.with_objects(dict(objects))
         return Scene.parsed(data)
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
 
 
+def _objects(part: dict[str, object]) -> dict[str, SceneObject]:
+    return Scene.parsed({"objects": part}).objects
+
+
 def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
     """One object from plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
-    return validate_scene({"objects": {name: data}}, root).objects[name]
+    if isinstance(data, dict) and (len(data) > AT_ONCE or "patches" in data):
+        refuse_many_keys(data, (*root, "objects", name))
+    try:
+        return Scene.parsed({"objects": {name: data}}).objects[name]
+    except ValidationError as error:
+        raise InvalidError(problems_of(error, root)) from None
 
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:

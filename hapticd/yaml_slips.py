@@ -18,6 +18,8 @@ _WORD: Final = re.compile(r"[^\s:=,\[\]{}]+")
 _NUMBER: Final = r"[-+]?[\d.]+(?:[eE][-+]?\d+)?"
 _TAB: Final = "a tab; YAML indents by spaces"
 _MOST_LEVELS: Final = 4
+_LONGEST_LINE: Final = 4096
+"""Nobody wrote a longer one by hand; what looks for a slip looks at the whole line again and again."""
 
 Place: TypeAlias = tuple[int, int]
 """Line and column, from 0."""
@@ -71,6 +73,8 @@ def diagnose(text: str, problem: str, at: Place, context: Place | None) -> Slip:
     """The slip behind what the parser said of `text`: `problem` where it gave up, `context` where that began."""
     lines = LINE_BREAKS.split(text)
     at = min(at[0], len(lines) - 1), at[1]
+    if max(map(len, lines)) > _LONGEST_LINE:
+        return Slip(*at, problem)
     brackets = _scan(lines)
     found = (
         _tab(lines, at, brackets)

@@ -26,7 +26,7 @@ import tempfile
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -115,14 +115,14 @@ RESULTS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
     )
 }
 ERRORS: Final[dict[str, frozenset[int]]] = {
-    "set_scene": frozenset((-32001, -32006)),
-    "update_scene": frozenset((-32001, -32006)),
-    "set_materials": frozenset((-32001, -32006)),
-    "update_materials": frozenset((-32001, -32006)),
-    "apply": frozenset((-32001, -32006)),
+    "set_scene": frozenset((-32001, -32005, -32006)),
+    "update_scene": frozenset((-32001, -32005, -32006)),
+    "set_materials": frozenset((-32001, -32005, -32006)),
+    "update_materials": frozenset((-32001, -32005, -32006)),
+    "apply": frozenset((-32001, -32005, -32006)),
     "get_state": frozenset((-32006,)),
     "mark": frozenset((-32005, -32006)),
-    "reload": frozenset((-32001, -32006)),
+    "reload": frozenset((-32001, -32005, -32006)),
     "play": frozenset((-32003, -32005, -32006)),
     "reset": frozenset((-32005, -32006)),
     "set_forces": frozenset((-32003, -32005, -32006)),
@@ -775,7 +775,7 @@ class Traffic:
     def _take(self, place: int, frames: list[bytes]) -> None:
         if not self._under_way[place]:
             raise Failure(f"an answer to nothing: {frames[-1][:200]!r}")
-        what = self._under_way[place].popleft()
+        what = self._asked_by(place, frames)
         self._count -= 1
         try:
             code, content = check_answer(what, frames)
@@ -786,6 +786,17 @@ class Traffic:
         self.outcomes[code] += 1
         if what.method in CHANGES and code == 0:
             self.revisions.append(content["revision"])
+
+    def _asked_by(self, place: int, frames: list[bytes]) -> Expected:
+        """What an answer is to: the oldest of its id. Long changes, and those that wait for them, are answered late."""
+        queue = self._under_way[place]
+        with suppress(ValueError, TypeError, KeyError):
+            id = msgpack.unpackb(frames[-1])["id"]
+            for what in queue:
+                if type(what.id) is type(id) and repr(what.id) == repr(id):
+                    queue.remove(what)
+                    return what
+        return queue.popleft()
 
     def settle(self) -> None:
         """Waits for all answers; a sentinel on each connection shows that there is not one too many."""

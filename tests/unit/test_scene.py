@@ -423,3 +423,42 @@ def test_faults_in_a_file_name_the_line(tmp_path: pathlib.Path, text: str, probl
     path.write_text(text)
     with pytest.raises(InvalidError, match=problem):
         load_scene(path)
+
+
+def test_large_scenes_are_validated_in_parts_and_come_out_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 3], "material": "wood"}
+    patches = [{"from_m": 0.001 * at, "to_m": 0.001 * at + 0.0004, "material": "steel"} for at in range(600)]
+    data = {"ramp_s": 0.1, "objects": {f"wall {at}": wall for at in range(600)} | {"one": wall | {"patches": patches}}}
+    steps: list[int] = []
+    found = validate_scene(data, working=lambda: steps.append(1))
+    assert len(steps) == 3 and found.ramp_s == 0.1
+    assert found == Scene.parsed(data)
+    assert list(found.objects) == list(data["objects"])  # type: ignore[call-overload]
+
+
+def test_of_thousands_of_faults_the_first_are_told() -> None:
+    wall = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+    with pytest.raises(InvalidError) as refused:
+        validate_scene({"objects": {f"w{at}": 1 for at in range(5000)}}, ("scene",))
+    assert len(refused.value.problems) == 202
+    assert [problem.where for problem in refused.value.problems[:2]] == ["scene.objects.w0", "scene.objects.w1"]
+    assert str(refused.value.problems[-1]) == "scene.objects: the rest was not looked at"
+    with pytest.raises(InvalidError) as refused:
+        validate_scene({"objects": {"one": wall | {"patches": [1] * 60_000}}})
+    assert [problem.where for problem in refused.value.problems[:2]] == [
+        "objects.one.patches[0]",
+        "objects.one.patches[1]",
+    ]
+    assert len(refused.value.problems) == 200
+    many = {f"k{at}": 1 for at in range(2000)}
+    deep = {"objects": {"one": wall | {"patches": [{"from_m": 0, "to_m": 1, "material": many}]}}}
+    for data, where in (
+        (many, "scene"),
+        ({"display": many}, "scene.display"),
+        ({"objects": {"one": wall | many}}, "scene.objects.one"),
+        (deep, "scene.objects.one.patches[0].material"),
+    ):
+        with pytest.raises(InvalidError) as refused:
+            validate_scene(data, ("scene",))
+        (problem,) = refused.value.problems
+        assert problem.where == where and "keys; nothing has more than 1000" in problem.problem

@@ -9,7 +9,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd import yaml_source
+from hapticd import yaml_slips, yaml_source
 from hapticd.errors import HapticdError, InvalidError, Problem
 from hapticd.yaml_source import MAX_BYTES, MAX_DEPTH, Json, load_bytes, load_path, load_text
 
@@ -280,3 +280,53 @@ def test_any_text_is_taken_or_refused_with_lone_surrogates_too(text: str) -> Non
         load_text(text, "f.yaml")
     except InvalidError as error:
         assert str(error).isprintable()
+
+
+@pytest.mark.parametrize("before", ["", "a: 1\n...\n", "# first\r\n%YAML 1.2\r\n"])
+def test_thousands_of_directives_are_refused_before_they_are_parsed(
+    before: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """libyaml compares each with all before it: two megabytes of them took nine seconds."""
+    text = before + "%TAG !a! x\n%TAG !b! x\n" * 30
+    line = before.count("\n") + 17
+    with monkeypatch.context() as patch:
+        patch.setattr(yaml_source, "_LOADER", lambda _: pytest.fail("parsed"))
+        with pytest.raises(InvalidError) as refused:
+            load_text(text, "f.yaml")
+    assert str(refused.value) == f"f.yaml:{line}:1: more than 16 %TAG directives; none is needed here"
+    few = "".join(f"%TAG !a{place}! x\n" for place in range(16))
+    assert load_text(few + "---\na: 1\n", "f.yaml").data == {"a": 1}
+
+
+@pytest.mark.parametrize("text", ["a: " + "!a" * 3000, ": " * 3000, "x" * 6000 + ": 1"])
+def test_nobody_looks_for_slips_in_a_line_that_nobody_wrote(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What looks for them goes through the line for each of its characters."""
+    monkeypatch.setattr(yaml_slips, "_scan", lambda _: pytest.fail("looked for"))
+    with pytest.raises(InvalidError, match=r"^f\.yaml:1:\d+: "):
+        load_text(text, "f.yaml")
+
+
+@pytest.mark.parametrize(
+    "large",
+    [
+        "a: 1\n...\n" + "%TAG !t! x\n" * 30,
+        "&a " * 3000,
+        "*a " * 3000,
+        "[" * 30_000,
+        "{a: " * 30_000,
+        "- " * 30_000,
+        "? " * 30_000,
+        "'" + "''" * 30_000,
+        '"' + "\\u0041" * 30_000,
+        "|\n" + "  x\n" * 30_000,
+        ">\n" + "\n" * 30_000,
+        "#" * 30_000,
+        "a: " + "1" * 30_000,
+    ],
+    ids=lambda text: repr(text[:8]),
+)
+def test_much_of_the_same_is_taken_or_refused_in_one_line(large: str) -> None:
+    try:
+        load_text(large, "f.yaml")
+    except InvalidError as error:
+        assert str(error).startswith("f.yaml:") and str(error).isprintable()
