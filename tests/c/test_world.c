@@ -62,6 +62,7 @@ static int scarce_index_put(struct hd_index *index, uint32_t slot, const struct 
 #define hd_world_new scarce_world_new
 #define hd_world_regions scarce_world_regions
 #define hd_world_release scarce_world_release
+#define hd_world_still scarce_world_still
 #define hd_world_update scarce_world_update
 /* Their declarations under the new names. */
 struct hd_world *hd_world_new(void);
