@@ -67,6 +67,7 @@ static int scarce_index_put(struct hd_index *index, uint32_t slot, const struct 
 /* Their declarations under the new names. */
 struct hd_world *hd_world_new(void);
 void hd_world_free(struct hd_world *world);
+void hd_world_still(struct hd_world *world);
 int hd_world_load(struct hd_world *world, const struct hd_table *table);
 size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
                      size_t capacity);
