@@ -11,6 +11,7 @@ FUZZ_SECONDS ?= 60
 DAEMON_SECONDS ?= 30
 DESCRIPTORS ?= 20000
 MESSAGES ?= 20000
+CONVERSATIONS ?= 200000
 DOCUMENTS ?= 20000
 RECORDINGS ?= 2000
 RELOADS ?= 500
@@ -50,6 +51,7 @@ $(BUILT): $(SETUP) hapticd/_build.py $(wildcard csrc/*.[ch])
 			{ cat build/build.log >&2; exit 1; }; \
 	fi
 	@touch $@
+	@echo "set up: $$($(BIN)/hapticd --version) in $(VENV); next: . $(VENV)/bin/activate, then hapticd run"
 
 .PHONY: install
 install: prerequisites
@@ -208,10 +210,11 @@ $(C_DIR)/test_%: tests/c/test_%.c $(C_OBJECTS) Makefile
 .PHONY: c-build
 c-build: $(C_TESTS)
 
+# Each run after the first has random cases of its own, a tenth as many: see tests/c/hd_test.h.
 .PHONY: c-run
 c-run: c-build
 	@set -e; for test in $(C_TESTS); do \
-		run=1; while [ $$run -le $(C_RUNS) ]; do $$test; run=$$((run + 1)); done; \
+		run=0; while [ $$run -lt $(C_RUNS) ]; do HD_RUN=$$run $$test; run=$$((run + 1)); done; \
 	done
 
 .PHONY: ctest
@@ -311,6 +314,7 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(call fuzzed,sim,1024)
 	$(BIN)/python -m tests.fuzz_descriptors --runs $(DESCRIPTORS)
 	$(BIN)/python -m tests.fuzz_messages --runs $(MESSAGES)
+	$(BIN)/python -m tests.fuzz_zmtp --runs $(CONVERSATIONS)
 	$(BIN)/python -m tests.fuzz_yaml --runs $(DOCUMENTS)
 	@for kind in check bridge operator key; do \
 		$(BIN)/python -m tests.fuzz_yaml --kind $$kind --runs $$(($(DOCUMENTS) / 50)) || exit 1; \

@@ -24,6 +24,7 @@ from bench import (
     joystick,
     lateness,
     link,
+    marks,
     modes,
     noise,
     offline,
@@ -74,6 +75,7 @@ MEASUREMENTS: dict[str, Measurement] = {
     "servo": Measurement("lateness, work and jitter beside cyclictest", lateness.run, (SPEED, ACCURACY)),
     "command": Measurement("command round trip beside a bare echo", command.run, (SPEED,)),
     "telemetry": Measurement("ten subscribers, one dead", telemetry.run, (SPEED,)),
+    "marks": Measurement("what marks cost the servo", marks.run, (SPEED,)),
     "resources": Measurement("start, memory, processor time", resources.run, (SPEED,)),
     "link": Measurement("links of 1000, 500 and 250 Hz: stability, and error of each material", link.run, (DEVICES,)),
 }

@@ -297,6 +297,16 @@ enum hd_fault {
  * A C library without such a limit is left as it is. HD_ERR_INVALID: more than malloc takes. */
 int hd_memory_large_from(size_t bytes);
 
+/* ---- The end by a fault -------------------------------------------------------------------------------------- */
+
+/* From now on SIGABRT, SIGSEGV, SIGBUS, SIGILL and SIGFPE first have what hd_last_keep was told written to the device,
+ * then do what they did before. The reports come one after the other in `reports`, zero first; the device is known by a
+ * descriptor of the core's own until hd_last_drop, or another hd_last_keep. HD_ERR_INVALID: too much, or no descriptor
+ * is left; what was kept stays. Control. */
+void hd_last_arm(void);
+int hd_last_keep(int fd, const uint8_t *reports, const uint32_t *lengths, uint32_t count, double pause_s);
+void hd_last_drop(void);
+
 /* ---- State and offline rendering ----------------------------------------------------------------------------- */
 
 struct hd_state; /* opaque */

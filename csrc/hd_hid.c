@@ -53,6 +53,7 @@
 
 #include "hd_atomic.h"
 #include "hd_clock.h"
+#include "hd_last.h"
 #include "hd_player.h"
 #include "hd_report.h"
 #include "hd_triple.h"
@@ -509,6 +510,9 @@ static int write_report(struct hd_connection *connection, const uint8_t *bytes, 
     struct hd_hid *hid = connection->hid;
     for (;;) {
         const int64_t start_ns = hd_clock_now_ns();
+        if (hd_last_is_over()) {
+            return ECANCELED;
+        }
         if (connection->leaving ? start_ns > connection->leaving_until_ns
                                 : hd_atomic_u32_load_acquire(&connection->end) != HD_END_NOT) {
             return connection->leaving ? ETIMEDOUT : ECANCELED;

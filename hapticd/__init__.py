@@ -18,28 +18,12 @@ from hapticd._version import __version__
 if TYPE_CHECKING:
     from hapticd import aio
     from hapticd.calls import (
-        ConfigResult,
         DaemonNotRunning,
-        Event,
-        FlightResult,
-        ForcesResult,
-        GestureEnd,
         KeyRefused,
-        LeaseResult,
-        MaterialsResult,
-        OperatorResult,
-        OperatorStatus,
-        PlayResult,
         RemoteError,
-        RevisionResult,
-        SceneResult,
-        State,
-        Status,
         TelemetryLoss,
-        TickResult,
         TimedOut,
         Topic,
-        Warned,
     )
     from hapticd.client import Client, Subscription, connect
     from hapticd.config import Config, load_config
@@ -50,6 +34,24 @@ if TYPE_CHECKING:
     from hapticd.offline import render, simulate
     from hapticd.recording import Recording, load
     from hapticd.replayed import replay
+    from hapticd.results import (
+        ConfigResult,
+        Event,
+        FlightResult,
+        ForcesResult,
+        GestureEnd,
+        LeaseResult,
+        MaterialsResult,
+        OperatorResult,
+        OperatorStatus,
+        PlayResult,
+        RevisionResult,
+        SceneResult,
+        State,
+        Status,
+        TickResult,
+        Warned,
+    )
     from hapticd.samples import SampleBatch
     from hapticd.scene import Box, Constant, Disc, Membrane, Scene, SceneObject, Spring, Viscous, Wall, load_scene
     from hapticd.texture import Autoregressive, Grooves, Stochastic
@@ -80,6 +82,7 @@ __all__ = [
     "Material",
     "MaterialsResult",
     "Membrane",
+    "MissedPeriods",
     "Mode",
     "OperatorResult",
     "OperatorStatus",
@@ -118,28 +121,29 @@ __all__ = [
 ]
 
 _HOMES = {
-    "ConfigResult": "calls",
+    "ConfigResult": "results",
     "DaemonNotRunning": "calls",
-    "Event": "calls",
-    "FlightResult": "calls",
-    "ForcesResult": "calls",
-    "GestureEnd": "calls",
+    "Event": "results",
+    "FlightResult": "results",
+    "ForcesResult": "results",
+    "GestureEnd": "results",
     "KeyRefused": "calls",
-    "LeaseResult": "calls",
-    "MaterialsResult": "calls",
-    "OperatorResult": "calls",
-    "OperatorStatus": "calls",
-    "PlayResult": "calls",
+    "LeaseResult": "results",
+    "MaterialsResult": "results",
+    "OperatorResult": "results",
+    "OperatorStatus": "results",
+    "PlayResult": "results",
     "RemoteError": "calls",
-    "RevisionResult": "calls",
-    "SceneResult": "calls",
-    "State": "calls",
-    "Status": "calls",
+    "RevisionResult": "results",
+    "SceneResult": "results",
+    "State": "results",
+    "Status": "results",
+    "MissedPeriods": "calls",
     "TelemetryLoss": "calls",
-    "TickResult": "calls",
+    "TickResult": "results",
     "TimedOut": "calls",
     "Topic": "calls",
-    "Warned": "calls",
+    "Warned": "results",
     "Client": "client",
     "Subscription": "client",
     "connect": "client",

@@ -17,38 +17,40 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeAlias, TypeVar, cast
 import zmq
 import zmq.asyncio
 
-from hapticd import calls
+from hapticd import arguments, calls
 from hapticd.calls import (
     TIMEOUT_S,
-    ConfigResult,
     DaemonNotRunning,
-    Event,
     Feed,
-    FlightResult,
-    ForcesResult,
-    GestureEnd,
     Interpolation,
     KeySource,
-    LeaseResult,
-    MaterialsResult,
-    OperatorResult,
     PatchSource,
     Place,
-    PlayResult,
     RemoteError,
-    RevisionResult,
-    SceneResult,
     SceneSource,
-    State,
-    Status,
     TelemetryLoss,
-    TickResult,
     TimedOut,
     Topic,
     WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
+from hapticd.results import (
+    ConfigResult,
+    Event,
+    FlightResult,
+    ForcesResult,
+    GestureEnd,
+    LeaseResult,
+    MaterialsResult,
+    OperatorResult,
+    PlayResult,
+    RevisionResult,
+    SceneResult,
+    State,
+    Status,
+    TickResult,
+)
 
 if TYPE_CHECKING:
     from hapticd.background import Recorder
@@ -81,6 +83,7 @@ def connect(
     What is not given is taken from the environment: HAPTICD_CONNECT, the address of a bridge, or else
     HAPTICD_RUNTIME_DIR; HAPTICD_KEY and HAPTICD_SERVER_KEY.
     """
+    timeout_s, wait_s = arguments.seconds("timeout_s", timeout_s), arguments.seconds("wait_s", wait_s, zero=True)
     return Connecting(lambda: calls.place_of(runtime_dir, key, server_key), timeout_s, wait_s)
 
 
@@ -106,11 +109,14 @@ class Connecting:
 
     async def _connect(self) -> Client:
         place = self._find()
-        if self._wait_s > 0:
-            await _await_ready(place, self._wait_s)
-            # A runtime directory that was made meanwhile is looked at again.
-            place = self._find()
-        await asyncio.to_thread(calls.probe, place, self._timeout_s)
+        try:
+            if self._wait_s > 0:
+                await _await_ready(place, self._wait_s)
+                # A runtime directory that was made meanwhile is looked at again.
+                place = self._find()
+            await asyncio.to_thread(calls.probe, place, self._timeout_s)
+        except DaemonNotRunning as error:
+            raise calls.waited(error, self._wait_s) from None
         return Client(place, self._timeout_s)
 
 
@@ -217,7 +223,7 @@ class Client:
             raise await asyncio.to_thread(calls.unanswered, self.paths, self.timeout_s) from None
         finally:
             self._waiting.pop(id, None)
-        return calls.outcome(result, params)
+        return calls.outcome(result, params, self.paths)
 
     # ---- methods -------------------------------------------------------------------------------------------
 
@@ -309,8 +315,7 @@ class Client:
 
     async def reset(self, objects: Iterable[str] | None = None) -> TickResult:
         """Heals membranes and clears contact state, of the objects with these ids or of all."""
-        params = None if objects is None else {"objects": list(objects)}
-        return cast(TickResult, await self.call("reset", params))
+        return cast(TickResult, await self.call("reset", calls.reset_params(objects)))
 
     async def mark(self, text: str, data: Json = None) -> TickResult:
         """Leaves a mark in the event stream and in every recording; the result has its `tick`.
@@ -347,6 +352,8 @@ class Client:
         started_tick = self._operator_tick
         if started_tick is None:
             raise HapticdError("wait_gesture: this client has called no set_operator yet")
+        if timeout_s is not None:
+            arguments.seconds("timeout_s", timeout_s, zero=True)
         try:
             async with asyncio.timeout(timeout_s):
                 return await self._gesture_end(started_tick)
@@ -443,6 +450,7 @@ class Client:
         """
         from hapticd.samples import SampleStream
 
+        newest = arguments.flag("newest", newest)
         return self._subscribe(Feed(("samples",), SampleStream(warn=not newest).convert, newest), timeout_s)
 
     def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
@@ -451,7 +459,7 @@ class Client:
         With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
         old one.
         """
-        return self._subscribe(Feed(("state",), calls.state_of, newest), timeout_s)
+        return self._subscribe(Feed(("state",), calls.state_of, arguments.flag("newest", newest)), timeout_s)
 
     def events(self, timeout_s: float | None = None) -> Subscription[Event]:
         """Contacts, releases, punctures, faults and the other events."""
@@ -468,7 +476,10 @@ class Client:
         return self._subscribe(Feed(topics, calls.message_of), timeout_s)
 
     def _subscribe(self, feed: Feed[T], timeout_s: float | None) -> Subscription[T]:
-        subscription = Subscription(self.paths, feed, self.timeout_s if timeout_s is None else timeout_s)
+        if self._closed:
+            raise HapticdError("the client is closed")
+        timeout_s = self.timeout_s if timeout_s is None else arguments.seconds("timeout_s", timeout_s)
+        subscription = Subscription(self.paths, feed, timeout_s)
         self._subscriptions = [other for other in self._subscriptions if not other.closed]
         self._subscriptions.append(cast("Subscription[object]", subscription))
         return subscription
@@ -483,28 +494,40 @@ class Subscription(Generic[T]):
     def __init__(self, paths: Place, feed: Feed[T], timeout_s: float) -> None:
         self._paths = paths
         self._feed = feed
-        self._timeout_s = timeout_s
+        self._timeout_s = self._patience_s = timeout_s
         self._first: list[T] = []
-        self._ready = False
+        self._ready = self._away = False
         self._socket = zmq.asyncio.Context.instance().socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
         for topic in feed.subscriptions:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
         if isinstance(paths, Remote):
             paths.secure(self._socket)
+            self._socket.setsockopt(zmq.SUBSCRIBE, Feed.BRIDGE)
         self._socket.connect(paths.telemetry_endpoint)
 
     async def _receive(self) -> tuple[T, ...]:
         try:
-            async with asyncio.timeout(self._timeout_s):
+            async with asyncio.timeout(self._patience_s):
                 frames = await self._socket.recv_multipart()
         except TimeoutError:
+            if self._away:
+                raise calls.behind(self._paths) from None
             raise await asyncio.to_thread(calls.silent, self._paths, self._timeout_s) from None
         if not self._ready:
+            self._look(frames)
+        return self._feed.accept(frames)
+
+    def _look(self, frames: list[bytes]) -> None:
+        """The first message of a daemon shows that all is in effect; a bridge may say before that there is none."""
+        self._away = not Feed.shows_daemon(frames)
+        self._patience_s = min(self._timeout_s, calls.AWAY_S) if self._away else self._timeout_s
+        if frames[0] != Feed.BRIDGE:
             self._ready = True
+            if isinstance(self._paths, Remote):
+                self._socket.setsockopt(zmq.UNSUBSCRIBE, Feed.BRIDGE)
             for topic in self._feed.surplus:
                 self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
-        return self._feed.accept(frames)
 
     async def _skip(self) -> None:
         """Of a subscription to the newest: what is left of the last time goes."""
@@ -524,7 +547,7 @@ class Subscription(Generic[T]):
 
     async def __anext__(self) -> T:
         if self._first:
-            return self._first.pop()
+            return self._first.pop(0)
         if self._feed.each:
             return await self._newest()
         while not self._socket.closed:
@@ -534,7 +557,7 @@ class Subscription(Generic[T]):
         raise StopAsyncIteration
 
     async def _newest(self) -> T:
-        if not self._ready:
+        while not self._ready:
             await self._receive()
         if not self._socket.closed:
             await self._skip()
@@ -552,7 +575,7 @@ class Subscription(Generic[T]):
         raise StopAsyncIteration
 
     async def __aenter__(self) -> Self:
-        if not self._ready:
+        while not self._ready:
             first = await self._receive()
             self._first += () if self._feed.each else first
         return self

@@ -8,8 +8,8 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
-from hapticd import words
-from hapticd.calls import TelemetryLoss
+from hapticd import arguments, words
+from hapticd.calls import MissedPeriods, TelemetryLoss
 from hapticd.client import Client
 from hapticd.errors import HapticdError
 from hapticd.place import displaced
@@ -17,6 +17,7 @@ from hapticd.record import STOPPED, RecordSummary, record
 
 if TYPE_CHECKING:
     from hapticd.recording import Recording
+    from hapticd.yaml_source import Json
 
 
 class Recorder:
@@ -29,11 +30,11 @@ class Recorder:
         overwrite: bool,
         notes: Mapping[str, object],
     ) -> None:
-        """`connect` makes a client for the thread alone. Numbers and truth values of `notes` are kept as texts."""
-        self.path = os.fspath(path)
+        """`connect` makes a client for the thread alone. Raises InvalidError for notes that JSON cannot hold."""
+        self.path = arguments.path("path", path)
         self._connect = connect
-        self._overwrite = overwrite
-        self._notes = {key: str(value) for key, value in notes.items()}
+        self._overwrite = arguments.flag("overwrite", overwrite)
+        self._notes: dict[str, Json] = arguments.plain(("notes",), notes)
         self._stop = threading.Event()
         self._begun = threading.Event()
         """The first sample was taken, or nothing will come of it."""
@@ -81,6 +82,8 @@ class Recorder:
         if result.lost:
             lost = words.count(result.lost, "sample")
             warnings.warn(TelemetryLoss(f"{result.file}: {lost} were lost on the way here"), stacklevel=4)
+        if result.warning is not None:
+            warnings.warn(MissedPeriods(f"{result.file}: {result.warning}"), stacklevel=4)
 
     def _run(self) -> None:
         try:

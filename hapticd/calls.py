@@ -12,26 +12,27 @@ import os
 import pwd
 import socket
 import stat
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import (
     TYPE_CHECKING,
     Final,
     Generic,
     Literal,
-    NotRequired,
     Protocol,
     TypeAlias,
-    TypedDict,
     TypeVar,
     cast,
+    get_args,
 )
 
 import zmq
 
-from hapticd import wire
-from hapticd.errors import HapticdError, Problem
+from hapticd import arguments, threads, wire
+from hapticd.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.paths import SYSTEM_DIRECTORY, RuntimePaths, daemon_paths
 from hapticd.remote import Named, Remote, is_remote, monitored, remote
+from hapticd.results import Event, GestureEnd, LeaseResult, State, Status
 
 if TYPE_CHECKING:
     from hapticd.keys import Certificate
@@ -43,8 +44,11 @@ TIMEOUT_S: Final = 5.0
 """How long a client waits for an answer unless it is told otherwise."""
 
 _TRY_EVERY_MS: Final = 20
+_LOOK_EVERY_S: Final = 0.1
+AWAY_S: Final = 1.0
+"""A daemon of which its bridge says that it is away may be under way again: so long a new subscription waits for it."""
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
-Topic: TypeAlias = Literal["samples", "state", "event", "change", "status"]
+Topic: TypeAlias = Literal["samples", "state", "event", "change", "status", "bridge"]
 
 
 class RemoteError(HapticdError):
@@ -62,7 +66,7 @@ class RemoteError(HapticdError):
         self.problems: tuple[Problem, ...] = _problems(data)
 
     def __str__(self) -> str:
-        return "; ".join(map(str, self.problems)) or self.message
+        return "; ".join(lines_of(self.problems)) or self.message
 
 
 def _problems(data: object) -> tuple[Problem, ...]:
@@ -97,157 +101,8 @@ class TelemetryLoss(UserWarning):
     """This subscriber was too slow: the daemon sent samples that never arrived here."""
 
 
-# ---- results, named as in docs/protocol.md -----------------------------------------------------------------
-
-
-class GestureEnd(TypedDict):
-    """The event at the end of what the hand was told to do, `completed` or replaced by another operator before that;
-    `started_tick` is that of `set_operator`."""
-
-    event: Literal["gesture_end"]
-    tick: int
-    time_ns: int
-    started_tick: int
-    completed: bool
-
-
-class OperatorStatus(TypedDict):
-    """The tick that took the last operator (None: none so far), and the last gestures that ended, oldest first."""
-
-    started_tick: int | None
-    ends: list[GestureEnd]
-
-
-class Status(TypedDict):
-    """What the daemon is and does."""
-
-    version: str
-    protocol: int
-    started_ns: int
-    clock: dict[str, int]
-    state: str
-    device: str
-    rate_hz: float
-    realtime: dict[str, Json] | None
-    revision: int
-    tick: int
-    forces: Literal["on", "off", "faulted"]
-    faults: list[str]
-    lease_s: float | None
-    counters: dict[str, int]
-    overruns: dict[str, Json]
-    histograms: dict[str, dict[str, Json]]
-    flight: dict[str, Json] | None
-    passivity: dict[str, Json]
-    undisplayable: list[dict[str, Json]]
-    warnings: list[dict[str, str]]
-    offload: list[dict[str, Json]]
-    stability: dict[str, Json]
-    operator: OperatorStatus | None
-
-
-class ConfigResult(TypedDict):
-    """The configuration's servo and device, by these names."""
-
-    config: dict[str, dict[str, Json]]
-
-
-class SceneResult(TypedDict):
-    """The scene, and the revision that it has."""
-
-    scene: dict[str, Json]
-    revision: int
-
-
-class Warned(TypedDict):
-    """What of a message is not displayed as it was meant: a place in its params, or in the file that they came from."""
-
-    where: str
-    problem: str
-
-
-class RevisionResult(TypedDict):
-    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one.
-
-    `warning`: why forces are off. `warnings`: what of the change is not displayed as it was meant.
-    """
-
-    revision: int
-    tick: NotRequired[int]
-    warning: NotRequired[str]
-    warnings: NotRequired[list[Warned]]
-
-
-class MaterialsResult(TypedDict):
-    """All materials by name, and the scene's revision with them."""
-
-    materials: dict[str, dict[str, Json]]
-    revision: int
-
-
-class TickResult(TypedDict):
-    """The tick that took a command."""
-
-    tick: int
-
-
-class PlayResult(TickResult):
-    """Also the frequency that is shown, where the rate does not carry the mode's own."""
-
-    displayed_hz: float | None
-    warnings: NotRequired[list[Warned]]
-
-
-class ForcesResult(TickResult):
-    """Also what the forces are now."""
-
-    forces: Literal["on", "off", "faulted"]
-
-
-class OperatorResult(TickResult):
-    """Also how long the hand will be under way."""
-
-    duration_s: float
-    warnings: NotRequired[list[Warned]]
-
-
-class LeaseResult(TypedDict):
-    """By this token the lease is renewed or ended; None once it is ended."""
-
-    token: str | None
-    warning: NotRequired[str]
-
-
-class FlightResult(TypedDict):
-    """The file that the flight recorder writes; it is there once it is whole."""
-
-    file: str
-
-
-class State(TypedDict):
-    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words.
-
-    `contact_force_n`: touched objects and fields, after the passivity controller. `vibration_force_n`: ringing modes
-    and the noise of textures. Both are before the force limit and the fade of set_forces; `force_n` is after them.
-    """
-
-    tick: int
-    time_ns: int
-    position_m: list[float]
-    velocity_m_per_s: list[float]
-    contact_force_n: list[float]
-    vibration_force_n: list[float]
-    force_n: list[float]
-    revision: int
-    flags: int
-    lateness_ns: int
-    work_ns: int
-    touching: list[str]
-    flag_names: list[str]
-
-
-Event: TypeAlias = "dict[str, Json]"
-"""One event; `event` says which, `tick` and `time_ns` when, the other members depend on it."""
+class MissedPeriods(UserWarning):
+    """The servo missed a greater part of its periods than `servo.overruns.threshold` while something was recorded."""
 
 
 # ---- params ------------------------------------------------------------------------------------------------
@@ -278,8 +133,10 @@ def scene_tree(scene: SceneSource) -> Mapping[str, object]:
         from hapticd.from_file import FromFile
         from hapticd.scene import read_scene
 
-        read, document, root = read_scene(scene)
+        read, document, root = read_scene(arguments.path("scene", scene))
         return FromFile(read.to_dict(), document, root)
+    if not hasattr(scene, "to_dict"):
+        raise arguments.wrong("scene", f"must be a mapping, the path of a file or a hapticd.Scene, is {shown(scene)}")
     return scene.to_dict()
 
 
@@ -295,7 +152,9 @@ def patch_tree(patch: PatchSource, *path: str) -> Mapping[str, object]:
     from hapticd.from_file import FromFile
     from hapticd.yaml_source import load_path
 
-    document = load_path(patch)
+    if not isinstance(patch, str | os.PathLike):
+        raise arguments.wrong(path[-1], f"must be a mapping or the path of a file, is {shown(patch)}")
+    document = load_path(arguments.path(path[-1], patch))
     refuse_other_kinds(document, *PATCHES[path[-1]])
     found: tuple[str, ...] = ()
     data: object = document.data
@@ -314,7 +173,7 @@ def change_params(key: str, value: Mapping[str, object], expect_revision: int | 
     params: dict[str, object] = {key: value}
     if expect_revision is not None:
         params["expect_revision"] = expect_revision
-    if wait:
+    if arguments.flag("wait", wait):
         params["wait"] = True
     return params
 
@@ -334,7 +193,7 @@ def apply_params(
 def reload_params(expect_revision: int | None, wait: bool) -> dict[str, object]:
     """Params of reload."""
     params: dict[str, object] = {} if expect_revision is None else {"expect_revision": expect_revision}
-    return {**params, "wait": True} if wait else params
+    return {**params, "wait": True} if arguments.flag("wait", wait) else params
 
 
 def play_params(
@@ -345,13 +204,13 @@ def play_params(
 ) -> dict[str, object]:
     """Params of play."""
     params: dict[str, object] = {
-        "direction": [float(component) for component in direction],
-        "amplitude_m_per_s2": float(amplitude_m_per_s2),
+        "direction": arguments.numbers("direction", direction),
+        "amplitude_m_per_s2": amplitude_m_per_s2,
     }
     if material is not None:
         params["material"] = material
     if mode is not None:
-        params["mode"] = dict(mode)
+        params["mode"] = arguments.mapping("mode", mode)
     return params
 
 
@@ -364,15 +223,20 @@ def operator_params(
     if isinstance(waypoints, str | os.PathLike):
         if interpolation is not None or gesture is not None:
             raise HapticdError(f"{os.fspath(waypoints)}: a file says all of it: interpolation and gesture, too")
-        return _operator_of(waypoints)
+        return _operator_of(arguments.path("waypoints", waypoints))
     params: dict[str, object] = {}
     if waypoints is not None:
-        params["waypoints"] = [[float(number) for number in waypoint] for waypoint in waypoints]
+        params["waypoints"] = arguments.rows("waypoints", waypoints)
     if interpolation is not None:
         params["interpolation"] = interpolation
     if gesture is not None:
-        params["gesture"] = dict(gesture)
+        params["gesture"] = arguments.mapping("gesture", gesture)
     return params
+
+
+def reset_params(objects: Iterable[str] | None) -> dict[str, object] | None:
+    """Params of reset."""
+    return None if objects is None else {"objects": arguments.texts("objects", objects)}
 
 
 def _operator_of(file: str | os.PathLike[str]) -> dict[str, object]:
@@ -405,21 +269,30 @@ def token_of(lease: LeaseResult) -> str:
 
 def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes:
     """The body of a call; raises HapticdError for one that the daemon would refuse to read."""
-    body = wire.request(id, method, params)
-    if len(body) > wire.MAX_BODY:
-        raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {wire.MAX_BODY})")
+    if not isinstance(method, str):
+        raise arguments.wrong("method", f"must be a text, is {shown(method)}")
+    if params is not None and not isinstance(params, Mapping):
+        raise arguments.wrong("params", f"must be a mapping, is {shown(params)}")
+    try:
+        body = wire.request(id, method, params)
+        if len(body) > wire.MAX_BODY:
+            raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {wire.MAX_BODY})")
+        wire.decode(body)
+    except wire.WireError as error:
+        arguments.plain((), params)  # says where
+        raise HapticdError(f"{method}: {error}") from None
     return body
 
 
-def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None) -> object:
+def outcome(result: object | RemoteError | DaemonNotRunning, params: Mapping[str, object] | None, at: Place) -> object:
     """The result of a call, or its error raised; places in params that came from a file are told as they are in it."""
-    if isinstance(result, DaemonNotRunning):
-        raise result
+    if isinstance(result, DaemonNotRunning):  # a bridge says so, and does not know by which address it is known
+        raise DaemonNotRunning(f"{told(at)}: {result}")
     if isinstance(result, RemoteError):
         if params and result.problems:
             from hapticd.from_file import placed
 
-            result.problems = tuple(Problem(placed(each.where, params), each.problem) for each in result.problems)
+            result.problems = in_order(Problem(placed(each.where, params), each.problem) for each in result.problems)
         raise result
     if params and isinstance(result, dict) and result.get("warnings"):
         from hapticd.from_file import placed
@@ -437,6 +310,9 @@ def place_of(
     That is HAPTICD_CONNECT, then a runtime directory. HAPTICD_KEY and HAPTICD_SERVER_KEY stand for keys of a bridge
     that are not given. Raises HapticdError for what is neither, and for keys that cannot be used.
     """
+    if place is not None:
+        arguments.path("runtime_dir", place)
+    threads.check_client()
     address = Named(place) if place is not None else _or_variable(None, "HAPTICD_CONNECT")
     if is_remote(place) or address.variable is not None:
         return remote(address, _or_variable(key, "HAPTICD_KEY"), _or_variable(server_key, "HAPTICD_SERVER_KEY"))
@@ -452,7 +328,7 @@ def _or_variable(given: object, variable: str) -> Named:
 
 def told(place: Place) -> str:
     """A place as messages name it."""
-    return str(place if isinstance(place, Remote) else place.directory)
+    return f"the bridge at {place}" if isinstance(place, Remote) else str(place.directory)
 
 
 def answer(body: bytes) -> tuple[wire.Id, object | RemoteError | DaemonNotRunning]:
@@ -520,13 +396,15 @@ def _name_of(look_up: Callable[[int], Sequence[object]], number: int) -> str:
 
 
 def await_ready(place: Place, wait_s: float, given_up: Callable[[], bool] = lambda: False) -> None:
-    """Returns once somebody listens at `place`, or `wait_s` are over, or nobody waits any more.
+    """Returns once a daemon listens at `place`, or `wait_s` are over, or nobody waits any more.
 
-    ZeroMQ tries to connect, again and again, and tells when it has. Raises KeyRefused where a bridge does not let us
-    in.
+    ZeroMQ tries to connect, again and again, and tells when it has. Raises DaemonNotRunning where no bridge came,
+    KeyRefused where one does not let us in.
     """
     if isinstance(place, Remote):
+        until = time.monotonic() + wait_s
         _knock(place, wait_s, command=False, patient=True, given_up=given_up)
+        _await_daemon(place, until, given_up)
         return
     trial: zmq.Socket[bytes]
     with zmq.Context.instance().socket(zmq.DEALER) as trial:
@@ -539,6 +417,20 @@ def await_ready(place: Place, wait_s: float, given_up: Callable[[], bool] = lamb
         finally:
             trial.disable_monitor()
             monitor.close()
+
+
+def _await_daemon(place: Remote, until: float, given_up: Callable[[], bool]) -> None:
+    """Waits for the daemon behind a bridge: it says so, and a daemon shows by its status."""
+    trial: zmq.Socket[bytes]
+    with zmq.Context.instance().socket(zmq.SUB) as trial:
+        trial.setsockopt(zmq.LINGER, 0)
+        for topic in (Feed.BRIDGE, Feed.ALIVE):
+            trial.setsockopt(zmq.SUBSCRIBE, topic)
+        place.secure(trial)
+        trial.connect(place.telemetry_endpoint)
+        while (left_s := until - time.monotonic()) > 0 and not given_up():
+            if trial.poll(int(min(left_s, _LOOK_EVERY_S) * 1e3 + 0.999)) and Feed.shows_daemon(trial.recv_multipart()):
+                return
 
 
 def _knock(
@@ -567,7 +459,21 @@ def unanswered(paths: Place, timeout_s: float) -> DaemonNotRunning:
         return error
     except HapticdError as error:
         return DaemonNotRunning(str(error))
-    return DaemonNotRunning(f"the daemon at {told(paths)} did not answer within {timeout_s:g} s")
+    who = f"{told(paths)}: the daemon behind it" if isinstance(paths, Remote) else f"the daemon at {told(paths)}"
+    return DaemonNotRunning(f"{who} did not answer within {timeout_s:g} s")
+
+
+def waited(error: DaemonNotRunning, wait_s: float) -> DaemonNotRunning:
+    """The same of somebody who was waited for."""
+    return DaemonNotRunning(f"{error} (waited {wait_s:g} s for it)" if wait_s > 0 else str(error))
+
+
+def has_ended(place: Place) -> bool:
+    """Whether no daemon of this machine has its telemetry socket any more. A bridge tells by the topic `bridge`."""
+    if isinstance(place, Remote):
+        return False
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        return trial.connect_ex(os.fspath(place.telemetry)) in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR)
 
 
 # ---- telemetry ---------------------------------------------------------------------------------------------
@@ -583,11 +489,17 @@ class Feed(Generic[T]):
 
     READY: Final = b"state"
     ALIVE: Final = b"status"
+    BRIDGE: Final = b"bridge"
+    """A bridge alone sends it: whether there is a daemon behind it, and what our key may."""
 
     def __init__(
-        self, topics: Iterable[Topic], convert: Callable[[Topic, dict[str, object]], T], newest: bool = False
+        self, topics: Sequence[Topic], convert: Callable[[Topic, dict[str, object]], T], newest: bool = False
     ) -> None:
         """`newest`: each item is asked for when it is read, so that those before it are never sent."""
+        if not topics:
+            raise arguments.wrong("telemetry", f"needs a topic or several; known: {', '.join(get_args(Topic))}")
+        for topic in topics:
+            arguments.one_of("topic", topic, get_args(Topic))
         self._wanted = frozenset(topic.encode() for topic in topics)
         self._convert = convert
         self.subscriptions: tuple[bytes, ...] = (*sorted((self._wanted | {self.ALIVE}) - {self.READY}), self.READY)
@@ -595,6 +507,13 @@ class Feed(Generic[T]):
         """To be subscribed to for each item, and unsubscribed from after it."""
         self.surplus = (frozenset({self.READY}) - self._wanted) | self.each
         """To be unsubscribed from as soon as the first message came."""
+
+    @classmethod
+    def shows_daemon(cls, frames: list[bytes]) -> bool:
+        """Whether a message shows that there is a daemon: it came from one, or the bridge says so."""
+        return (
+            frames[0] != cls.BRIDGE or cast("dict[str, object]", wire.decode_trusted(frames[1])).get("daemon") is True
+        )
 
     def accept(self, frames: list[bytes]) -> tuple[T, ...]:
         """What one message yields: one item, or none where it was not asked for."""
@@ -606,12 +525,19 @@ class Feed(Generic[T]):
         return (self._convert(cast(Topic, frames[0].decode()), message),)
 
 
+def behind(place: Place) -> DaemonNotRunning:
+    """A bridge is there, and its daemon is not."""
+    return DaemonNotRunning(f"{told(place)}: the daemon behind it does not answer")
+
+
 def silent(paths: Place, timeout_s: float) -> DaemonNotRunning:
     """Why telemetry stopped, or never came."""
     try:
         probe(paths, timeout_s)
     except HapticdError as error:
         return DaemonNotRunning(str(error))
+    if isinstance(paths, Remote):
+        return behind(paths)
     return DaemonNotRunning(f"no telemetry from {told(paths)} for {timeout_s:g} s")
 
 

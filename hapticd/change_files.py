@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from pydantic import Field, ValidationError
 
-from hapticd.config import Merged
+from hapticd.config import Merged, load_all
 from hapticd.document_kinds import kind_of, refuse_other_keys, refuse_other_kinds
 from hapticd.errors import InvalidError, Problem
 from hapticd.from_file import FromFile
@@ -20,7 +20,7 @@ from hapticd.materials import MAX_MATERIALS, Material
 from hapticd.model import Model, Name, faults_of
 from hapticd.scene import Scene
 from hapticd.shipped_files import file_of
-from hapticd.yaml_source import Document, load_path
+from hapticd.yaml_source import Document
 
 
 class _ChangeParts(Model):
@@ -43,8 +43,7 @@ def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
     names every fault with file and line, HapticdError for a file that cannot be read.
     """
     merged = Merged()
-    for path in paths:
-        document = _whole(load_path(file_of(os.fspath(path), "scenes")))
+    for document in map(_whole, load_all([file_of(os.fspath(path), "scenes") for path in paths])):
         assert isinstance(document.data, dict)
         merged.add(document, document.data)
     try:

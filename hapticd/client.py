@@ -18,38 +18,40 @@ from typing import TYPE_CHECKING, Generic, Self, TypeVar, cast
 
 import zmq
 
-from hapticd import calls
+from hapticd import arguments, calls
 from hapticd.calls import (
     TIMEOUT_S,
-    ConfigResult,
     DaemonNotRunning,
-    Event,
     Feed,
-    FlightResult,
-    ForcesResult,
-    GestureEnd,
     Interpolation,
     KeySource,
-    LeaseResult,
-    MaterialsResult,
-    OperatorResult,
     PatchSource,
     Place,
-    PlayResult,
     RemoteError,
-    RevisionResult,
-    SceneResult,
     SceneSource,
-    State,
-    Status,
     TelemetryLoss,
-    TickResult,
     TimedOut,
     Topic,
     WaypointsSource,
 )
 from hapticd.errors import HapticdError
 from hapticd.remote import Remote
+from hapticd.results import (
+    ConfigResult,
+    Event,
+    FlightResult,
+    ForcesResult,
+    GestureEnd,
+    LeaseResult,
+    MaterialsResult,
+    OperatorResult,
+    PlayResult,
+    RevisionResult,
+    SceneResult,
+    State,
+    Status,
+    TickResult,
+)
 
 if TYPE_CHECKING:
     from hapticd.background import Recorder
@@ -101,12 +103,16 @@ class Client:
         server_key: str | os.PathLike[str] | None = None,
     ) -> None:
         """As `connect`."""
+        timeout_s, wait_s = arguments.seconds("timeout_s", timeout_s), arguments.seconds("wait_s", wait_s, zero=True)
         place = calls.place_of(runtime_dir, key, server_key)
-        if wait_s > 0:
-            calls.await_ready(place, wait_s)
-            # A runtime directory that was made meanwhile is looked at again.
-            place = calls.place_of(runtime_dir, key, server_key)
-        self._begin(place, timeout_s)
+        try:
+            if wait_s > 0:
+                calls.await_ready(place, wait_s)
+                # A runtime directory that was made meanwhile is looked at again.
+                place = calls.place_of(runtime_dir, key, server_key)
+            self._begin(place, timeout_s)
+        except DaemonNotRunning as error:
+            raise calls.waited(error, wait_s) from None
 
     def _begin(self, place: Place, timeout_s: float) -> None:
         self.paths: Place = place
@@ -179,7 +185,7 @@ class Client:
                 socket.close()
                 self._socket = None
                 raise calls.unanswered(self.paths, self.timeout_s) from None
-        return calls.outcome(result, params)
+        return calls.outcome(result, params, self.paths)
 
     def _skip_to(self, socket: zmq.Socket[bytes], id: int) -> object | RemoteError | DaemonNotRunning:
         """The answer to `id`, past those to calls that were interrupted."""
@@ -277,8 +283,7 @@ class Client:
 
     def reset(self, objects: Iterable[str] | None = None) -> TickResult:
         """Heals membranes and clears contact state, of the objects with these ids or of all."""
-        params = None if objects is None else {"objects": list(objects)}
-        return cast(TickResult, self.call("reset", params))
+        return cast(TickResult, self.call("reset", calls.reset_params(objects)))
 
     def mark(self, text: str, data: Json = None) -> TickResult:
         """Leaves a mark in the event stream and in every recording; the result has its `tick`.
@@ -315,6 +320,8 @@ class Client:
         started_tick = self._operator_tick
         if started_tick is None:
             raise HapticdError("wait_gesture: this client has called no set_operator yet")
+        if timeout_s is not None:
+            arguments.seconds("timeout_s", timeout_s, zero=True)
         deadline = math.inf if timeout_s is None else time.monotonic() + timeout_s
         # Who listens first and then asks misses no end.
         with self.telemetry("event", "status") as messages:
@@ -385,9 +392,10 @@ class Client:
         """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
 
         A thread with a connection of its own records. The first sample is taken before the block begins, and what the
-        block did last is in the file. `notes` are kept in it as texts. Gives a Recorder, whose `result` is there after
-        the block. Raises HapticdError before the block where `path` is there already (unless `overwrite`) or cannot be
-        written, and at its end where the recording ended before.
+        block did last is in the file. `notes` are kept in it as they are, whatever JSON can hold. Gives a Recorder,
+        whose `result` is there after the block. Raises HapticdError before the block where `path` is there already
+        (unless `overwrite`) or cannot be written, and at its end where the recording ended before. Warns
+        (MissedPeriods) at its end where the servo missed too many periods.
         """
         from hapticd.background import Recorder
 
@@ -414,6 +422,7 @@ class Client:
         """
         from hapticd.samples import SampleStream
 
+        newest = arguments.flag("newest", newest)
         return self._subscribe(Feed(("samples",), SampleStream(warn=not newest).convert, newest), timeout_s)
 
     def states(self, timeout_s: float | None = None, *, newest: bool = False) -> Subscription[State]:
@@ -422,7 +431,7 @@ class Client:
         With `newest` each one is the next that the daemon sends once it is asked for: who reads slowly never reads an
         old one.
         """
-        return self._subscribe(Feed(("state",), calls.state_of, newest), timeout_s)
+        return self._subscribe(Feed(("state",), calls.state_of, arguments.flag("newest", newest)), timeout_s)
 
     def events(self, timeout_s: float | None = None) -> Subscription[Event]:
         """Contacts, releases, punctures, faults and the other events."""
@@ -439,7 +448,10 @@ class Client:
         return self._subscribe(Feed(topics, calls.message_of), timeout_s)
 
     def _subscribe(self, feed: Feed[T], timeout_s: float | None) -> Subscription[T]:
-        subscription = Subscription(self.paths, feed, self.timeout_s if timeout_s is None else timeout_s)
+        if self._closed:
+            raise HapticdError("the client is closed")
+        timeout_s = self.timeout_s if timeout_s is None else arguments.seconds("timeout_s", timeout_s)
+        subscription = Subscription(self.paths, feed, timeout_s)
         with self._lock:
             self._subscriptions = [other for other in self._subscriptions if not other.closed]
             self._subscriptions.append(cast("Subscription[object]", subscription))
@@ -461,17 +473,29 @@ class Subscription(Generic[T]):
                 self._socket.setsockopt(zmq.SUBSCRIBE, topic)
             if isinstance(paths, Remote):
                 paths.secure(self._socket)
+                self._socket.setsockopt(zmq.SUBSCRIBE, Feed.BRIDGE)
             self._socket.connect(paths.telemetry_endpoint)
-            first = feed.accept(self._receive(_milliseconds(timeout_s)))
-            self._first += () if feed.each else first
+            self._begin()
+            if isinstance(paths, Remote):
+                self._socket.setsockopt(zmq.UNSUBSCRIBE, Feed.BRIDGE)
             for topic in feed.surplus:
                 self._socket.setsockopt(zmq.UNSUBSCRIBE, topic)
-        except zmq.Again:
-            self._socket.close()
-            raise calls.silent(paths, timeout_s) from None
         except BaseException:
             self._socket.close()
             raise
+
+    def _begin(self) -> None:
+        """Waits for the first message of a daemon, less long where a bridge says that there is none."""
+        deadline, away, topic = time.monotonic() + self._timeout_s, False, Feed.BRIDGE
+        while topic == Feed.BRIDGE:
+            try:
+                frames = self._receive(_milliseconds(max(0.0, deadline - time.monotonic())))
+            except zmq.Again:
+                raise calls.behind(self._paths) if away else calls.silent(self._paths, self._timeout_s) from None
+            self._first += () if self._feed.each else self._feed.accept(frames)
+            topic, away = frames[0], not Feed.shows_daemon(frames)
+            if away:
+                deadline = min(deadline, time.monotonic() + calls.AWAY_S)
 
     def _receive(self, timeout_ms: int) -> list[bytes]:
         self._socket.setsockopt(zmq.RCVTIMEO, timeout_ms)
@@ -487,8 +511,9 @@ class Subscription(Generic[T]):
 
     def receive(self, timeout_s: float) -> T | None:
         """The next item, or None where none comes within `timeout_s`."""
+        timeout_s = arguments.seconds("timeout_s", timeout_s, zero=True)
         if self._first:
-            return self._first.pop()
+            return self._first.pop(0)
         deadline = time.monotonic() + timeout_s
         with self._asked():
             while True:
@@ -520,7 +545,7 @@ class Subscription(Generic[T]):
 
     def __next__(self) -> T:
         if self._first:
-            return self._first.pop()
+            return self._first.pop(0)
         if self._socket.closed:
             raise StopIteration
         with self._asked():

@@ -17,11 +17,12 @@ import cmath
 import heapq
 import math
 import struct
+import threading
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
-from itertools import pairwise
 from types import MappingProxyType
-from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard
+from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -42,11 +43,11 @@ from hapticd.core import (
     pointer,
     records,
 )
-from hapticd.displayable import Output, displayed_mode, displayed_pair, struck_shape
+from hapticd.displayable import Output, displayed_mode, displayed_pair, modes_of, struck_shape
 from hapticd.gone import Gone
 from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
-from hapticd.scene import Scene, SceneObject, Surface, Wall
+from hapticd.scene import Patch, Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
 
@@ -63,11 +64,21 @@ _QUANTUM: Final = 1 << 1074
 """Every double is a whole number of 1/_QUANTUM."""
 
 _Place: TypeAlias = tuple[float, float, float, float, float, float]
-_Pieces: TypeAlias = tuple[tuple[float, float, int], ...]
 
 
 Effect: TypeAlias = tuple[int, float, float]
 """What a device plays in place of a mode: its id, its largest level over the coefficient, and how long, s."""
+
+
+class Progress(Protocol):
+    """Who is told how many filters are designed."""
+
+    done: int
+    of: int
+
+    def step(self) -> None:
+        """Called often; what it raises ends the work."""
+        ...
 
 
 class Effects(Protocol):
@@ -221,9 +232,55 @@ class _Design(NamedTuple):
 _SILENCE: Final = _Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
 
 
-@lru_cache(maxsize=512)
-def _design(texture: Stochastic | Autoregressive, output: Output) -> _Design:
-    """Designed once: what is asked for is immutable, and materials come and go with the objects."""
+_Noise: TypeAlias = Stochastic | Autoregressive
+_KEPT: Final = 32 * 2**20
+"""Bytes of designs that are kept after their use, of all outputs."""
+
+
+class _Designs:
+    """Designs by what they are made of: materials come and go with the objects. For any thread."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[tuple[_Noise, Output], _Design] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def find(self, texture: _Noise, output: Output) -> _Design | None:
+        with self._lock:
+            found = self._kept.get((texture, output))
+            if found is not None:
+                self._kept.move_to_end((texture, output))
+            return found
+
+    def keep(self, texture: _Noise, output: Output, design: _Design) -> None:
+        """Keeps a design, and gives up those that were not asked for longest."""
+        with self._lock:
+            if (texture, output) not in self._kept:
+                self._kept[texture, output] = design
+                self._bytes += design.nodes.nbytes
+            while self._bytes > _KEPT:
+                self._bytes -= self._kept.popitem(last=False)[1].nodes.nbytes
+
+
+_designs: Final = _Designs()
+
+
+def _filters(texture: _Noise) -> int:
+    """How many filters a design needs."""
+    return len(texture.models) if isinstance(texture, Autoregressive) else 1
+
+
+def _design(texture: _Noise, output: Output, working: Callable[[], None]) -> _Design:
+    """The filters of a texture; `working` is called before each, and those of hundreds of models take seconds."""
+    found = _designs.find(texture, output)
+    if found is None:
+        found = _new_design(texture, output, working)
+        _designs.keep(texture, output, found)
+    return found
+
+
+def _new_design(texture: _Noise, output: Output, working: Callable[[], None]) -> _Design:
+    working()
     if isinstance(texture, Stochastic):
         pair = displayed_pair(texture, output)
         if pair is None:
@@ -232,7 +289,10 @@ def _design(texture: Stochastic | Autoregressive, output: Output) -> _Design:
         taps = () if shown.taps is None else shown.taps
         node = np.array([0.0, *shown.reflection, *taps])
         return _Design(len(shown.reflection), bool(taps), (0.0,), (0.0,), node.reshape(1, 1, -1), False)
-    models = [_shown_model(model, texture.rate_hz, output.rate_hz) for model in texture.models]
+    models = []
+    for model in texture.models:
+        models.append(_shown_model(model, texture.rate_hz, output.rate_hz))
+        working()
     order = max(len(model.reflection) for model in models)
     grid = noise.grid(models, order)
     return _Design(order, False, grid.speeds, grid.forces, grid.nodes, False)
@@ -292,8 +352,8 @@ class _Materials:
     """The materials that are used: a record and an index for each, kept as long as anything is made of it."""
 
     def __init__(self, output: Output, working: Callable[[], None], effects: Effects) -> None:
-        self._output = output
-        self._working = working
+        self.output = output
+        self.working = working
         self._effects = effects
         self._struck: dict[int, tuple[Mode, ...]] = {}
         """Material to the modes that it uses of those."""
@@ -311,6 +371,8 @@ class _Materials:
         """Material to what its noise is made of, the version of that, and its filters."""
         self._points: dict[int, tuple[TapPoint, ...]] = {}
         """Material to the amplitudes of its tap over speed, where they are given so."""
+        self.prepared: Mapping[_Noise, _Design] = {}
+        """Designed for what is taken in now."""
         self._versions = 0
         self._noises = records(NOISE_DTYPE, 0)
         self._numbers = np.zeros(0)
@@ -335,7 +397,7 @@ class _Materials:
 
     def turn_to_output(self, output: Output) -> list[int]:
         """Compiles everything for another output; the indices of all that is used."""
-        self._output = output
+        self.output = output
         self._heard.clear()
         used = sorted(self._index.values())
         for index in used:
@@ -385,10 +447,10 @@ class _Materials:
         if material.tap is not None and material.tap.amplitudes is not None:
             self._points[index] = material.tap.amplitudes
             self._numbers_changed = True
-        self._working()
+        self.working()
         effects = {mode: self._effects.take(mode) for mode in _struck(material)}
         self._struck[index] = tuple(effects)
-        self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self._output, effects)[0]
+        self._rows.pointer[index] = material_record(material, self._noise_of.get(index, 0), self.output, effects)[0]
         self.changed = True
 
     def _let_go(self, index: int) -> None:
@@ -396,14 +458,31 @@ class _Materials:
         for mode in self._struck.pop(index, ()):
             self._effects.give(mode)
 
-    def _designed(self, texture: Stochastic | Autoregressive) -> _Design:
-        self._working()
-        if isinstance(texture, Autoregressive):
-            # One by one: hundreds of models for another rate take many seconds.
-            for model in texture.models:
-                _shown_model(model, texture.rate_hz, self._output.rate_hz)
-                self._working()
-        return _design(texture, self._output)
+    def _designed(self, texture: _Noise) -> _Design:
+        found = self.prepared.get(texture)
+        return _design(texture, self.output, self.working) if found is None else found
+
+    def to_design(self, names: Iterable[str], source: Mapping[str, Material]) -> Iterator[tuple[_Noise | None, int]]:
+        """Of each material that would be compiled if `names` were used and all were taken from `source`: its noise,
+        where that is not designed yet, and how many filters and shapes it needs."""
+        known: Material | None
+        for name in dict.fromkeys(names):
+            if name not in self._index:
+                yield self._cost(None, source[name])
+        if source is not self._source:
+            for name, index in self._index.items():
+                known, material = self._known[index], source.get(name)
+                if material is not None and material is not known and material != known:
+                    yield self._cost(known, material)
+
+    def _cost(self, known: Material | None, material: Material) -> tuple[_Noise | None, int]:
+        texture = material.texture
+        new = isinstance(texture, Stochastic | Autoregressive) and (known is None or known.texture != texture)
+        if not new or _designs.find(cast(_Noise, texture), self.output) is not None:
+            texture = None
+        shapes = 0 if self.output.compensation == "off" else len(modes_of(material))
+        noise = cast("_Noise | None", texture)
+        return noise, shapes + (0 if noise is None else _filters(noise))
 
     def _silence(self, index: int) -> None:
         place = self._noise_of.pop(index, None)
@@ -447,7 +526,7 @@ class _Materials:
             record.order, record.taps = design.order, design.taps
             record.speed_count, record.force_count = len(design.speeds), len(design.forces)
             record.first = first
-            record.force_per_unit = 0.0 if design.muted else self._output.effective_mass_kg
+            record.force_per_unit = 0.0 if design.muted else self.output.effective_mass_kg
             numbers.append(design.numbers())
             first += len(numbers[-1])
         for index, points in self._points.items():
@@ -525,6 +604,24 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
     return _MEMBRANE, (*item.center_m, *item.normal, item.width_m / 2.0, 0.0)
 
 
+class _Pieces(NamedTuple):
+    """What a wall with patches is made of."""
+
+    patches: tuple[Patch, ...]
+    of: tuple[str, float]
+    """The material between them, and the ramp."""
+    rows: npt.NDArray[np.void]
+    """PIECE_DTYPE."""
+    materials: frozenset[int]
+    """Used once each."""
+
+
+def _same(one: _Pieces | None, other: _Pieces | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return one is other or np.array_equal(one.rows, other.rows)
+
+
 class Compiler:
     """Keeps the table of one scene up to date. One thread at a time, but for `name_of` and `events_read`."""
 
@@ -542,7 +639,7 @@ class Compiler:
         self._lost: dict[str, tuple[int, int]] = {}
         """Slot and generation that ids lost at the last update."""
         self._patched: dict[int, _Pieces] = {}
-        """What walls with patches are made of, by slot: (from_m, half_ramp_m, material)."""
+        """What walls with patches are made of, by slot."""
         self._pieces = records(PIECE_DTYPE, 0)
         self._pieces_changed = False
         self._materials = _Materials(output, working, effects or _NoEffects())
@@ -605,6 +702,29 @@ class Compiler:
             float(self._table.field.damping_n_s_per_m),
         )
 
+    def missing(self, names: Iterable[str], materials: Mapping[str, Material]) -> int:
+        """Filters and shapes that `update` would have to design, were it given these materials and objects that are
+        made of `names`; a few milliseconds each."""
+        return sum(count for _, count in self._materials.to_design(names, materials))
+
+    def prepare(self, names: Iterable[str], materials: Mapping[str, Material], progress: Progress | None) -> None:
+        """Designs the filters that the next `update` needs. They come out as if that did it."""
+        textures = [noise for noise, _ in self._materials.to_design(names, materials) if noise is not None]
+        if progress is not None:
+            progress.of += sum(map(_filters, textures))
+
+        def working() -> None:
+            self._materials.working()
+            if progress is not None:
+                progress.done = min(progress.done + 1, progress.of)
+
+        output = self._materials.output
+        prepared: dict[_Noise, _Design] = {}
+        for texture in textures:
+            if texture not in prepared:
+                prepared[texture] = _design(texture, output, working)
+        self._materials.prepared = prepared
+
     def update(
         self,
         scene: Scene,
@@ -619,7 +739,10 @@ class Compiler:
         stays valid and is the same one at every call. Its `changed` grows until `published` is called.
         """
         self._lost = {}
-        return self._update(scene, list(changed), materials, revision, {})
+        try:
+            return self._update(scene, list(changed), materials, revision, {})
+        finally:
+            self._materials.prepared = {}
 
     def published(self) -> None:
         """The table was taken: what changes from now on is a change to it."""
@@ -682,12 +805,12 @@ class Compiler:
         stamp = self._stamp
         shape, place = _place_of(item)
         material = self._materials.use(item.material)
-        pieces = self._use_pieces(item) if item.kind == "wall" and item.patches else ()
+        slot = self._slots.get(id)
+        pieces = self._use_pieces(slot, item) if item.kind == "wall" and item.patches else None
         generation = stamp if former is None else former[1]
         place_version = skin_version = stamp
         first = 0
-        held: _Pieces = ()
-        slot = self._slots.get(id)
+        held: _Pieces | None = None
         if slot is None:
             slot = self._slots[id] = self._places.take(None if former is None else former[0])
             if slot == len(self._owners):
@@ -696,20 +819,21 @@ class Compiler:
             self._owners[slot] = (generation, id)
         else:
             before = _RECORD.unpack_from(self._objects.memory, slot * _RECORD.size)
-            held = self._patched.get(slot, ())
+            held = self._patched.get(slot)
             if before[3] == shape:
                 generation = before[0]
                 if before[8:] == place:
                     place_version = before[1]
-                if before[4] == material and held == pieces:
+                if before[4] == material and _same(held, pieces):
                     skin_version, first = before[2], before[5]
             else:
                 self._forget(slot)
                 self._owners[slot] = (generation, id)
             self._materials.release(before[4])
-        if held or pieces:
+        if held is not pieces:
             self._turn_pieces(slot, held, pieces)
-        key = (generation, place_version, skin_version, shape, material, first, len(pieces), 0)
+        count = 0 if pieces is None else len(pieces.rows)
+        key = (generation, place_version, skin_version, shape, material, first, count, 0)
         _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
         self._changed.add(slot)
 
@@ -717,7 +841,7 @@ class Compiler:
         slot = self._slots.pop(id)
         self._forget(slot)
         self._materials.release(_RECORD.unpack_from(self._objects.memory, slot * _RECORD.size)[4])
-        self._turn_pieces(slot, self._patched.get(slot, ()), ())
+        self._turn_pieces(slot, self._patched.get(slot), None)
         _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, self._stamp, *(0,) * 7, *(0.0,) * 6)
         self._places.give(slot)
         self._changed.add(slot)
@@ -730,26 +854,35 @@ class Compiler:
         self._lost[owner[1]] = (slot, owner[0])
         self._owners[slot] = None
 
-    def _use_pieces(self, wall: Wall) -> _Pieces:
-        """The pieces of a wall; where two meet, they share the shorter of the ramp and the stretches beside it."""
-        pieces = wall.pieces()
-        begins = [piece.from_m for piece in pieces] + [math.inf]
-        lengths = [end - begin for begin, end in pairwise(begins)]
-        found = [(0.0, 0.0, self._materials.use(pieces[0].material))]
-        for piece, beside in zip(pieces[1:], pairwise(lengths), strict=True):
-            half_ramp = min(wall.patch_ramp_m, *beside) / 2.0
-            found.append((piece.from_m, half_ramp, self._materials.use(piece.material)))
-        return tuple(found)
+    def _use_pieces(self, slot: int | None, wall: Wall) -> _Pieces:
+        """The pieces of a wall; those that its slot holds, if they are the same.
 
-    def _turn_pieces(self, slot: int, held: _Pieces, pieces: _Pieces) -> None:
+        Where two meet, they share the shorter of the ramp and the stretches beside it.
+        """
+        held = None if slot is None else self._patched.get(slot)
+        if held is not None and held.patches is wall.patches and held.of == (wall.material, wall.patch_ramp_m):
+            return held
+        begins, names = wall.stretches()
+        indices = {name: self._materials.use(name) for name in dict.fromkeys(names)}
+        rows = records(PIECE_DTYPE, len(begins))
+        lengths = np.diff(begins, append=math.inf)
+        rows["from_m"] = begins
+        rows["from_m"][0] = 0.0
+        rows["half_ramp_m"][1:] = np.minimum(np.minimum(lengths[:-1], lengths[1:]), wall.patch_ramp_m) / 2.0
+        rows["material"] = np.fromiter(map(indices.__getitem__, names), np.uint32, len(names))
+        return _Pieces(wall.patches, (wall.material, wall.patch_ramp_m), rows, frozenset(indices.values()))
+
+    def _turn_pieces(self, slot: int, held: _Pieces | None, pieces: _Pieces | None) -> None:
         """What was of pieces `held` is of `pieces` now; those that stay lie where they are."""
-        for _, _, material in held:
-            self._materials.release(material)
-        if held != pieces:
-            self._pieces_changed = True
+        if held is not None:
+            for material in held.materials:
+                self._materials.release(material)
+        self._pieces_changed |= not _same(held, pieces)
+        # In order of the slots' first pieces: one that stays keeps its place.
+        if pieces is None:
             self._patched.pop(slot, None)
-            if pieces:
-                self._patched[slot] = pieces
+        else:
+            self._patched[slot] = pieces
 
     def _show_again(self, materials: list[int]) -> None:
         """Marks what is made of these materials."""
@@ -759,24 +892,22 @@ class Compiler:
         touched = np.isin(array["material"], materials) & (array["shape"] != _NONE)
         sought = set(materials)
         for slot, pieces in self._patched.items():
-            touched[slot] |= any(material in sought for _, _, material in pieces)
+            touched[slot] |= not sought.isdisjoint(pieces.materials)
         array["skin_version"][touched] = self._stamp
         self._changed.update(np.flatnonzero(touched).tolist())
 
     def _write_parts(self) -> None:
         table = self._table
         if self._pieces_changed:
-            self._pieces = records(PIECE_DTYPE, sum(map(len, self._patched.values())))
-            rows = pointer("struct hd_piece[]", self._pieces)
+            self._pieces = records(PIECE_DTYPE, sum(len(pieces.rows) for pieces in self._patched.values()))
             array = self._objects.array
             first = 0
             for slot, pieces in self._patched.items():
                 if array["piece_first"][slot] != first:
                     array["piece_first"][slot] = first
                     self._changed.add(slot)
-                for place, piece in enumerate(pieces, first):
-                    rows[place] = (*piece, 0)
-                first += len(pieces)
+                self._pieces[first : first + len(pieces.rows)] = pieces.rows
+                first += len(pieces.rows)
             self._pieces_changed = False
         table.piece_count = len(self._pieces)
         table.pieces = pointer("struct hd_piece[]", self._pieces)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import Field, ValidationError, model_validator
 
 from hapticd.compensation import Compensation
-from hapticd.config_files import Chosen, choose
+from hapticd.config_files import Chosen, check_named, choose
 from hapticd.core import SIM_FORCES
 from hapticd.document_kinds import likely_kind_of, refuse_other_kinds
 from hapticd.dynamics import Dynamics, Grip, Handle
@@ -16,7 +16,7 @@ from hapticd.errors import InvalidError, Path, Problem, shown
 from hapticd.hid.config import Hid, Replay
 from hapticd.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
 from hapticd.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
-from hapticd.scene import Scene, reference_faults
+from hapticd.scene import Scene, faults_of_names, reference_faults
 from hapticd.shipped_files import file_of
 from hapticd.yaml_source import Document, Json, load_path
 
@@ -269,8 +269,8 @@ def load_config(source: ConfigSource) -> Config:
     merged in order: a later file overrides key by key, but materials and scene objects whole. Everything left
     out has its default. A Config is returned as it is.
 
-    Raises InvalidError, which names every field fault with file, line, key and limit, or, where the fields
-    are sound, every material that is not known; HapticdError for a file that cannot be read.
+    Raises InvalidError, which names every fault of a key with file, line and limit, and every material that is not
+    known; HapticdError for a file that cannot be read.
     """
     if isinstance(source, Config):
         return source
@@ -282,7 +282,21 @@ def load_config(source: ConfigSource) -> Config:
         raise InvalidError(
             [Problem("", f"a configuration is a mapping, a path or a list of paths, not {shown(source)}")]
         )
-    return _load([load_path(path) for path in source])
+    return _load(load_all(source))
+
+
+def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:
+    """The documents of these files. Raises InvalidError, which names the fault of every file that is no YAML."""
+    documents: list[Document] = []
+    problems: list[Problem] = []
+    for path in paths:
+        try:
+            documents.append(load_path(path))
+        except InvalidError as error:
+            problems += error.problems
+    if problems:
+        raise InvalidError(problems)
+    return documents
 
 
 @cache
@@ -298,7 +312,8 @@ def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
 
 def chosen_config(chosen: Chosen) -> Config:
     """These files merged in order, as load_config, where the name of a shipped scene does for its file; of none,
-    default_config."""
+    default_config. Raises HapticdError also for a file that the environment names and that is not there."""
+    check_named(chosen)
     files = [file_of(file, "scenes") for file in chosen.files]
     return load_config(files) if files else default_config()
 
@@ -308,18 +323,26 @@ def _load(documents: Sequence[Document]) -> Config:
     for given in documents:
         document = _whole(given)
         if not isinstance(document.data, dict):
-            known = ", ".join(Config.model_fields)
-            raise InvalidError([Problem(document.where(()), f"must be a mapping; known keys: {known}")])
+            told = "is empty" if document.data is None else "must be a mapping"
+            raise InvalidError([Problem(document.where(()), f"{told}; known keys: {', '.join(Config.model_fields)}")])
         merged.add(document, document.data)
     try:
         config = Config.parsed(merged.data)
     except ValidationError as error:
-        raise merged.invalid(faults_of(error)) from None
+        raise merged.invalid([*faults_of(error), *_unknown_materials(merged.data)]) from None
     materials = {**shipped_materials(), **config.materials}
     unknown = reference_faults(config.scene.objects, materials)
     if unknown:
         raise merged.invalid([(("scene", *path), text) for path, text in unknown])
     return config.model_copy(update={"materials": materials})
+
+
+def _unknown_materials(data: Mapping[str, Json]) -> list[tuple[Path, str]]:
+    """Materials of the scene that nobody defines, in a configuration that is faulty elsewhere."""
+    scene, defined = data.get("scene"), data.get("materials")
+    known = {**shipped_materials(), **(defined if isinstance(defined, dict) else {})}
+    found = faults_of_names(scene.get("objects"), known) if isinstance(scene, dict) else []
+    return [(("scene", *path), text) for path, text in found]
 
 
 def _whole(document: Document) -> Document:

@@ -48,14 +48,11 @@ def user_config(environ: Mapping[str, str] | None = None) -> Path:
 
 
 def choose(named: Sequence[str | os.PathLike[str]] = (), environ: Mapping[str, str] | None = None) -> Chosen:
-    """The files to take; raises HapticdError for one that the environment names and that is not there."""
+    """The files to take; whether they can be read, and are there, is for check_named and their reader to say."""
     if named:
         return Chosen("-c", tuple(os.fspath(file) for file in named), ())
     environ = os.environ if environ is None else environ
     listed = tuple(filter(None, environ.get(VARIABLE, "").split(os.pathsep)))
-    for file in listed:
-        if not os.path.exists(file):
-            raise HapticdError(f"{one_line(file)}: there is no such file; {VARIABLE} names it")
     if listed:
         return Chosen("environment", listed, ())
     missed: list[str] = []
@@ -65,6 +62,13 @@ def choose(named: Sequence[str | os.PathLike[str]] = (), environ: Mapping[str, s
             return Chosen(origin, (str(path),), tuple(missed))
         missed.append(str(path))
     return Chosen("built in", (), tuple(missed))
+
+
+def check_named(chosen: Chosen) -> None:
+    """Raises HapticdError for a file that the environment names and that is not there."""
+    for file in chosen.files if chosen.origin == "environment" else ():
+        if not os.path.exists(file):
+            raise HapticdError(f"{one_line(file)}: there is no such file; {VARIABLE} names it")
 
 
 def _is_there(path: Path) -> bool:

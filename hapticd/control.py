@@ -12,9 +12,9 @@ import os
 import threading
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import asdict
-from typing import Annotated, Any, Final, cast
+from typing import Annotated, Any, Final, NamedTuple, cast
 
 from pydantic import Field, ValidationError
 
@@ -23,10 +23,19 @@ from hapticd._version import __version__
 from hapticd.config import Config
 from hapticd.core import Fault
 from hapticd.displayable import material_rate_faults, rate_faults
-from hapticd.engine import Counters, Engine, Granted, RingFullError, WaitTimeoutError, monotonic_ns
+from hapticd.engine import (
+    Counters,
+    Engine,
+    Granted,
+    RingFullError,
+    StaleRevisionError,
+    WaitTimeoutError,
+    monotonic_ns,
+)
 from hapticd.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
 from hapticd.flight import Flight
+from hapticd.intake import GivenUpError, Intake, Work
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
 from hapticd.marks import Mark, MarkParams, checked_data
@@ -35,9 +44,12 @@ from hapticd.merge_patch import merge_patch
 from hapticd.mode import ModeKeys
 from hapticd.model import MAX_FAULTS, Model, Name, Position, problems_of
 from hapticd.operator import Target, parse_operator
+from hapticd.repeats import SHORTEST_S, Repeats
 from hapticd.scene import (
     MAX_OBJECTS,
+    Patch,
     SceneObject,
+    material_names,
     materials_of,
     reference_problems,
     used_materials,
@@ -45,6 +57,7 @@ from hapticd.scene import (
     validate_scene,
 )
 from hapticd.sent_warnings import above_rate, change_warnings, operator_warnings
+from hapticd.texture import Autoregressive
 from hapticd.wire import PROTOCOL, Code
 
 LOAD_S: Final = 10.0
@@ -129,7 +142,26 @@ class _LeaseParams(Model):
     token: Annotated[str, Field(max_length=256)] | None = None
 
 
-_Handler = Callable[["Control", Any], dict[str, object]]
+class Changed(NamedTuple):
+    """A change that is in force, or will be in a moment."""
+
+    revision: int
+    wait: bool
+    """Whether its answer says from which tick on."""
+    warnings: list[Problem]
+
+
+class TakesLongError(Exception):
+    """A change is not brief."""
+
+
+CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
+"""Methods that change scene or materials. What else there is stays brief whatever they take."""
+_MANY_OBJECTS: Final = 2000
+"""Taking the place of more objects takes long."""
+_BRIEF_FILTERS: Final = 4
+"""Designing more filters does."""
+_Handler = Callable[["Control", Any], dict[str, object] | Changed]
 
 
 def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
@@ -142,6 +174,15 @@ def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
     """A result, with what is not displayed as it was meant if there is anything."""
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
+
+
+def _kept_patches(before: SceneObject | None, patch: object) -> tuple[Patch, ...] | None:
+    """The patches of a wall that a merge patch says nothing of; None where there are none, or it does."""
+    if before is None or before.kind != "wall" or not isinstance(patch, dict):
+        return None
+    if "patches" in patch or patch.get("kind", "wall") != "wall":
+        return None
+    return before.patches or None
 
 
 def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
@@ -186,29 +227,78 @@ class Control:
         """`load` reads the configuration anew, for `reload`; `ask_state` asks telemetry for the newest sample."""
         self._engine = engine
         self._load = load
-        self._ending = threading.Event()
+        self.intake = Intake()
         self._flight = flight
         self._ask_state = ask_state
+        self.repeats = Repeats()
+        """What clients cause in the log. Whoever calls also flushes it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._started_ns = monotonic_ns()
         self._wish = engine.config.device.sim.start_m
+        self._brief = False
         self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
-        """The result of a method. Raises MethodError."""
+        """The result of a method, however long it takes. Raises MethodError."""
+        return self.finish(self.perform(method, params))
+
+    def finish(self, done: dict[str, object] | Changed) -> dict[str, object]:
+        """The result of what was performed. Waits for the servo where a change asks for that. Raises MethodError."""
+        if not isinstance(done, Changed):
+            return done
+        result = _with_warnings({"revision": done.revision}, done.warnings)
+        if done.wait:
+            try:
+                result["tick"] = self._engine.wait_revision(done.revision)
+            except WaitTimeoutError as error:
+                raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
+        faults = self._engine.faults()
+        if faults:
+            result["warning"] = self._off_because(faults)
+        return result
+
+    def takes_long(self, method: str, params: Mapping[str, object]) -> bool:
+        """Whether it is known of a change, before anything is done, that it takes longer than others should wait."""
+        if method == "reload":
+            return True
+        if method in ("set_scene", "apply") and len(self._engine.scene.objects) > _MANY_OBJECTS:
+            return True
+        materials = params.get("materials")
+        return isinstance(materials, dict) and any(
+            self._has_models(name, material) for name, material in materials.items()
+        )
+
+    def _has_models(self, name: str, given: object) -> bool:
+        """Whether a material, or one that is patched, has models to be analysed."""
+        texture = given.get("texture") if isinstance(given, dict) else None
+        if isinstance(texture, dict) and "models" in texture:
+            return True
+        before = self._engine.materials.get(name)
+        return before is not None and isinstance(before.texture, Autoregressive)
+
+    def perform(self, method: str, params: Mapping[str, object], brief: bool = False) -> dict[str, object] | Changed:
+        """Does what a method is for; `finish` makes the result of it. Raises MethodError.
+
+        `brief`: a change that turns out to take long raises TakesLongError, with nothing changed. Methods of CHANGES
+        may be performed by another thread than the one that serves commands, by one at a time.
+        """
+        if method in CHANGES:
+            self._brief = brief
         entry = _METHODS.get(method)
         if entry is None:
             raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
         model, handler = entry
         if len(params) > _MOST_PARAMS:
             raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
-        self._engine.beat()
+        self._engine.working()
         try:
             return handler(self, params if model is None else model.parsed(params))
         except ValidationError as error:
             raise _faulty(problems_of(error)) from None
         except InvalidError as error:
             raise _faulty(error.problems) from None
+        except StaleRevisionError:
+            raise self._stale(params.get("expect_revision")) from None
         except RingFullError as error:
             raise MethodError(Code.RING_FULL, str(error)) from None
         except WaitTimeoutError as error:
@@ -219,7 +309,7 @@ class Control:
         engine = self._engine
         counters = engine.counters()
         granted = engine.granted
-        remaining = self._lease.remaining_s
+        remaining, taken_in = self._lease.remaining_s, self.intake.work
         lateness, work = engine.histograms()
         return {
             "version": __version__,
@@ -236,6 +326,7 @@ class Control:
             "forces": "faulted" if counters.faults else "on" if counters.forces_on else "off",
             "faults": fault_names(counters.faults) if counters.faults else [],
             "lease_s": remaining,
+            "intake": None if taken_in is None else taken_in.status(),
             "counters": {
                 "ticks": counters.ticks,
                 "skipped": counters.skipped,
@@ -261,9 +352,13 @@ class Control:
             "operator": engine.operator(),
         }
 
+    def beside(self, work: Work) -> AbstractContextManager[None]:
+        """This thread performs beside the one that serves commands meanwhile, and tells `work` how far it is."""
+        return self._engine.beside(work)
+
     def end(self) -> None:
-        """Gives up a reload that is under way: the daemon ends. For any thread."""
-        self._ending.set()
+        """Gives up what is being taken in: the daemon ends. For any thread."""
+        self.intake.end()
 
     def _find_limits(self) -> dict[str, object]:
         """What the rate cannot carry as it is, found anew only when the scene or the materials changed."""
@@ -303,19 +398,21 @@ class Control:
         return {"config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()}}
 
     def _get_scene(self, _: _NoParams) -> dict[str, object]:
-        return {"scene": self._engine.scene.to_dict(), "revision": self._engine.revision}
+        state = self._engine.state
+        return {"scene": state.scene.to_dict(), "revision": state.revision}
 
-    def _set_scene(self, params: _SetScene) -> dict[str, object]:
+    def _set_scene(self, params: _SetScene) -> Changed:
         self._expect(params)
         scene = validate_scene(params.scene, ("scene",))
-        self._engine.beat()  # the largest scenes take their time; every stage shows that somebody is at work
+        self._engine.working()  # the largest scenes take their time; every stage shows that somebody is at work
         problems = self._problems_of(scene.objects, ("scene",))
         if problems:
             raise _faulty(problems)
-        self._engine.beat()
-        return self._changed(self._engine.set_scene(scene), params, self._warnings(scene.objects, ("scene", "objects")))
+        self._weigh(scene.objects, self._engine.materials)
+        revision = self._engine.set_scene(scene, params.expect_revision)
+        return Changed(revision, params.wait, self._warnings(scene.objects, ("scene", "objects")))
 
-    def _update_scene(self, params: _UpdateScene) -> dict[str, object]:
+    def _update_scene(self, params: _UpdateScene) -> Changed:
         self._expect(params)
         engine = self._engine
         changes: dict[str, SceneObject | None] = {}
@@ -331,14 +428,18 @@ class Control:
                 if before is not None:
                     changes[id] = None
                 continue
-            merged = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
+            # Thousands of patches are not written out and validated again where nothing is said of them.
+            kept = _kept_patches(before, patch)
+            old = None if before is None else before.to_dict() if kept is None else before.to_dict({"patches"})
+            merged = merge_patch(old, cast(Any, patch))
             if before is None and isinstance(merged, dict) and "kind" not in merged:
                 told = known_names(id, engine.scene.objects) if engine.scene.objects else "the scene has none"
                 where = path_text(("objects", id))
                 problems.append(Problem(where, f"there is no object of this id, and a new one needs a kind; {told}"))
                 continue
             try:
-                changes[id] = validate_object(id, merged)
+                item = validate_object(id, merged)
+                changes[id] = item if kept is None else item.model_copy(update={"patches": kept})
             except InvalidError as error:
                 problems += error.problems
         present = {id: item for id, item in changes.items() if item is not None}
@@ -346,8 +447,15 @@ class Control:
             problems = self._problems_of(present)
         if problems:
             raise _faulty(problems)
-        engine.beat()
-        return self._changed(engine.update_objects(changes), params, self._warnings(present, ("objects",)))
+        self._weigh(present, engine.materials)
+        revision = engine.update_objects(changes, params.expect_revision)
+        return Changed(revision, params.wait, self._warnings(present, ("objects",)))
+
+    def _weigh(self, objects: Mapping[str, SceneObject], materials: Materials) -> None:
+        """Raises TakesLongError if what is performed is to be brief, and these would not be."""
+        self._engine.working()
+        if self._brief and self._engine.missing(objects.values(), materials) > _BRIEF_FILTERS:
+            raise TakesLongError
 
     def _problems_of(
         self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
@@ -374,19 +482,24 @@ class Control:
         return problems[:MAX_FAULTS]
 
     def _get_materials(self, _: _NoParams) -> dict[str, object]:
-        materials = {name: material.to_dict() for name, material in self._engine.materials.items()}
-        return {"materials": materials, "revision": self._engine.revision}
+        state = self._engine.state
+        return {
+            "materials": {name: material.to_dict() for name, material in state.materials.items()},
+            "revision": state.revision,
+        }
 
-    def _set_materials(self, params: _SetMaterials) -> dict[str, object]:
+    def _set_materials(self, params: _SetMaterials) -> Changed:
         self._expect(params)
         engine = self._engine
         materials = self._materials_with(params.materials)
         refused = rate_faults(engine.scene.objects, materials, engine.output)
         if refused:
             raise _faulty(refused)
-        return self._changed(engine.set_materials(materials), params, self._material_warnings(params.materials))
+        self._weigh({}, materials)
+        revision = engine.set_materials(materials, params.expect_revision)
+        return Changed(revision, params.wait, self._material_warnings(params.materials))
 
-    def _apply(self, params: _Apply) -> dict[str, object]:
+    def _apply(self, params: _Apply) -> Changed:
         """Every fault of either part is told; materials and scene change at one tick, or neither does."""
         self._expect(params)
         engine = self._engine
@@ -404,7 +517,7 @@ class Control:
                 scene = validate_scene(params.scene, ("scene",))
             except InvalidError as error:
                 problems += error.problems
-        engine.beat()
+        engine.working()
         if not problems:
             sent = {name: materials[name] for name in params.materials or ()}
             problems = rate_faults(scene.objects, sent, engine.output)
@@ -412,11 +525,11 @@ class Control:
             problems = self._problems_of(scene.objects, ("scene",), materials)
         if problems:
             raise _faulty(problems)
-        engine.beat()
-        revision = engine.replace(scene, materials)
+        self._weigh(scene.objects, materials)
+        revision = engine.replace(scene, materials, params.expect_revision)
         objects = scene.objects if "scene" in params.model_fields_set else {}
         warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
-        return self._changed(revision, params, warnings)
+        return Changed(revision, params.wait, warnings)
 
     def _materials_with(self, given: Mapping[str, object]) -> dict[str, Material]:
         """All materials once those given took their places, whole. Raises InvalidError."""
@@ -425,13 +538,13 @@ class Control:
             problem = "must be a mapping, is null; update_materials removes a material"
             raise InvalidError([Problem(path_text(("materials", name)), problem) for name in gone])
         materials = dict(self._engine.materials)
-        materials.update(validate_materials(given, working=self._engine.beat))
+        materials.update(validate_materials(given, working=self._engine.working))
         if len(materials) > MAX_MATERIALS:
             problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}"
             raise InvalidError([Problem("materials", problem)])
         return materials
 
-    def _update_materials(self, params: _UpdateMaterials) -> dict[str, object]:
+    def _update_materials(self, params: _UpdateMaterials) -> Changed:
         self._expect(params)
         engine, shipped = self._engine, shipped_materials()
         materials: dict[str, Material] = dict(engine.materials)
@@ -444,13 +557,13 @@ class Control:
             else:
                 before = engine.materials.get(name)
                 patched[name] = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
-        materials.update(validate_materials(patched, working=engine.beat))
+        materials.update(validate_materials(patched, working=engine.working))
         if len(materials) > MAX_MATERIALS:
             raise _faulty([Problem("materials", f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}")])
         missing = [
             Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
             for id, item in engine.scene.objects.items()
-            for name in materials_of(item)
+            for name in material_names(item)
             if name not in materials
         ]
         if missing:
@@ -458,10 +571,11 @@ class Control:
         refused = rate_faults(engine.scene.objects, materials, engine.output)
         if refused:
             raise _faulty(refused)
-        revision = engine.set_materials(materials)
-        return self._changed(revision, params, self._material_warnings(patched))
+        self._weigh({}, materials)
+        revision = engine.set_materials(materials, params.expect_revision)
+        return Changed(revision, params.wait, self._material_warnings(patched))
 
-    def _reload(self, params: _Reload) -> dict[str, object]:
+    def _reload(self, params: _Reload) -> Changed:
         """All or nothing: what needs a restart refuses the rest, too."""
         self._expect(params)
         engine = self._engine
@@ -469,27 +583,40 @@ class Control:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
         try:
             config = self._read_anew(self._load)
-            engine.beat()
+            engine.working()
             fixed = _needing_restart(engine.config, config)
             if fixed:
                 raise InvalidError(fixed)
             refused = rate_faults(config.scene.objects, config.materials, engine.output)
             if refused:
                 raise InvalidError(refused)
-            engine.beat()
+            engine.working()
             before = engine.scene
             same = config.scene == before and config.materials == engine.materials
-            revision = engine.revision if same else engine.replace(config.scene, config.materials)
+            if same:
+                self._expect(params)
+                revision = engine.revision
+            else:
+                revision = engine.replace(config.scene, config.materials, params.expect_revision)
         except InvalidError as error:
-            _log.error("not reloaded: %s", error)
+            self._tell(logging.ERROR, f"not reloaded: {error}")
             raise _faulty(error.problems) from None
+        except (StaleRevisionError, GivenUpError):
+            raise
         except HapticdError as error:
-            _log.error("not reloaded: %s", error)
+            self._tell(logging.ERROR, f"not reloaded: {error}")
             raise _faulty([Problem("", str(error))]) from None
         old, new = before.objects, config.scene.objects
         changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
-        _log.info("reloaded: revision %d, %s changed", revision, words.count(changed, "object"))
-        return self._changed(revision, params, self._warnings(new, ("scene", "objects"), used_materials(new.values())))
+        self._tell(logging.INFO, f"reloaded: revision {revision}, {words.count(changed, 'object')} changed")
+        warnings = self._warnings(new, ("scene", "objects"), used_materials(new.values()))
+        return Changed(revision, params.wait, warnings)
+
+    def _tell(self, level: int, line: str) -> None:
+        """What came of a reload: one line a second at most, though a client may ask for hundreds."""
+        self.repeats.note(
+            f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=SHORTEST_S
+        )
 
     def _read_anew(self, load: Callable[[], Config]) -> Config:
         """Reads the files, and beats meanwhile: large ones take longer than the servo waits. Raises HapticdError."""
@@ -506,11 +633,11 @@ class Control:
         reader.start()
         until_ns = monotonic_ns() + int(LOAD_S * 1e9)
         while reader.is_alive():
-            if self._ending.is_set():
+            if self.intake.ending.is_set():
                 raise HapticdError("the daemon ends")
             if monotonic_ns() > until_ns:
                 raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
-            self._engine.beat()
+            self._engine.working()
             reader.join(_BEAT_S)
         (result,) = found
         if isinstance(result, BaseException):
@@ -523,30 +650,25 @@ class Control:
         return {"file": str(self._flight.dump())}
 
     def _expect(self, params: _Change) -> None:
-        expected, revision = params.expect_revision, self._engine.revision
-        if expected is not None and expected != revision:
-            raise MethodError(
-                Code.STALE_REVISION,
-                f"expect_revision: {expected} is stale, the scene is at revision {revision}",
-                {"revision": revision},
-            )
+        expected = params.expect_revision
+        if expected is not None and expected != self._engine.revision:
+            raise self._stale(expected)
+
+    def _stale(self, expected: object) -> MethodError:
+        revision = self._engine.revision
+        return MethodError(
+            Code.STALE_REVISION,
+            f"expect_revision: {expected} is stale, the scene is at revision {revision}",
+            {"revision": revision},
+        )
 
     def _warnings(self, objects: Mapping[str, SceneObject], root: Path, sent: Collection[str] = ()) -> list[Problem]:
         """What of these objects and materials, which are in force, is not displayed as it was meant."""
         engine = self._engine
-        return change_warnings(objects, sent, engine.materials, engine.output, root, engine.played(), engine.beat)
+        return change_warnings(objects, sent, engine.materials, engine.output, root, engine.played(), engine.working)
 
     def _material_warnings(self, sent: Collection[str]) -> list[Problem]:
         return self._warnings({}, (), sent)
-
-    def _changed(self, revision: int, params: _Change, warnings: list[Problem]) -> dict[str, object]:
-        result = _with_warnings({"revision": revision}, warnings)
-        if params.wait:
-            result["tick"] = self._engine.wait_revision(revision)
-        faults = self._engine.faults()
-        if faults:
-            result["warning"] = self._off_because(faults)
-        return result
 
     # ---- Commands --------------------------------------------------------------------------------------------------
 

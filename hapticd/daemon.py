@@ -23,12 +23,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import zmq
-
-from hapticd import journal, memory, notify, server, words
+from hapticd import descriptors, journal, memory, notify, server, threads, words
 from hapticd.config import Config, chosen_config
 from hapticd.config_files import Chosen, choose
 from hapticd.control import Control
+from hapticd.core import lib
+from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.errors import HapticdError
 from hapticd.events import fault_names
@@ -36,9 +36,13 @@ from hapticd.flight import Flight, directory_of
 from hapticd.flight_scene import FlightScene
 from hapticd.model import MAX_FAULTS
 from hapticd.paths import runtime_paths
+from hapticd.publisher import LIMITS as TELEMETRY_LIMITS
+from hapticd.publisher import Publisher
+from hapticd.router import LIMITS as COMMAND_LIMITS
+from hapticd.router import Router
 from hapticd.runtime import Owned, owned
 from hapticd.stopper import StopFile, stop_device
-from hapticd.telemetry import SEND_HIGH_WATER_MARK, Telemetry
+from hapticd.telemetry import TOPICS, Telemetry
 
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
@@ -61,6 +65,7 @@ def run(
     """
     with ExitStack() as stack:
         memory.settle()
+        connections = descriptors.settle()
         stack.enter_context(journal.attached(log_level))
         stack.push(_told)
         chosen = choose(config_paths)
@@ -68,10 +73,13 @@ def run(
         os.umask(0o007)
         signals = stack.enter_context(_signals())
         mine = stack.enter_context(owned(runtime_paths(runtime_dir)))
-        return _run(config, chosen, mine, signals, stack)
+        lib.hd_last_arm()
+        return _run(config, chosen, mine, signals, stack, connections)
 
 
-def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, stack: ExitStack) -> int:
+def _run(
+    config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, stack: ExitStack, connections: int
+) -> int:
     paths = mine.paths
     stop_file = StopFile(paths.device)
     _stop_what_was_left(stop_file.path)
@@ -88,20 +96,17 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     control = Control(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
     )
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-    stack.callback(context.term)
-    publisher = context.socket(zmq.PUB)
-    publisher.setsockopt(zmq.SNDHWM, SEND_HIGH_WATER_MARK)
+    threads.check(threads.DAEMON)
+    publisher = Publisher(mine.listen(paths.telemetry), TOPICS, TELEMETRY_LIMITS.of(connections))
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
-    publisher.setsockopt(zmq.LINGER, 200)
-    stack.callback(publisher.close)
-    mine.bind(publisher, paths.telemetry)
+    stack.callback(publisher.close, linger_s=0.2)
     failures: list[BaseException] = []
     telemetry = Telemetry(engine, publisher, control.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
+    stack.callback(control.intake.join)
     stack.callback(engine.stop)
     _log.info("configuration: %s", chosen)
     for missing in granted.missing:
@@ -109,28 +114,30 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
     undisplayable, warnings = engine.limits()
     for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
         _log.warning("%s", told)
-    router = server.router(context)
+    router = Router(mine.listen(paths.command), COMMAND_LIMITS.of(connections))
     stack.callback(router.close)
-    mine.bind(router, paths.command)
     watch = notify.Watch(lambda: _progress(engine))
-    reloads = server.Reloads(context)
+    dispatch = Dispatch(control, control.repeats)
+    control.intake.wake = router.wake
 
     def between() -> None:
         watch()
         mine.check()
-        reloads.serve(control)
 
     _thread(
         "command",
-        lambda stop: server.serve(router, engine, control, stop, between),
+        lambda stop: server.serve(router, engine, dispatch, stop, between),
         failures,
         stack,
-        wake=lambda: server.wake(context),
+        wake=router.wake,
     )
-    stack.callback(control.end)  # a reload that is under way is given up
+    stack.callback(control.end)  # what is being taken in is given up
     gc.collect()
     gc.freeze()
     gc.enable()
+    if engine.connection is not None:
+        found = engine.connection.status()
+        _log.info("device: %s at %s; forces are off until somebody turns them on", found["name"], found["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
         config.device.kind,
@@ -139,16 +146,13 @@ def _run(config: Config, chosen: Chosen, mine: Owned, signals: socket.socket, st
         f", memory locked: {granted.memory}",
         paths.command,
     )
-    if engine.connection is not None:
-        told = engine.connection.status()
-        _log.info("device: %s at %s; forces are off until somebody turns them on", told["name"], told["path"])
     notify.ready(_progress(engine)[1])
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
     # Asked now: a terminal that is gone is none any more.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
     # Of signals that came together the end overtakes the reloads.
     while not (ended := ends.intersection(received := signals.recv(4096))):
-        reloads.ask()
+        dispatch.ask_reload()
     notify.stopping()
     if failures:
         _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])

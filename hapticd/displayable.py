@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import islice
 from typing import Final, Literal, TypeAlias
 
 from hapticd.compensation import LARGEST, Compensation, Shape, shape_of
@@ -16,8 +17,9 @@ from hapticd.dynamics import Dynamics
 from hapticd.errors import Path, Problem, path_text, undisplayable_text
 from hapticd.materials import Material
 from hapticd.mode import Mode
+from hapticd.model import MAX_FAULTS
 from hapticd.noise import power_above, reflection_of, resampled, stochastic_filter
-from hapticd.scene import TOUCHING_M, SceneObject, Wall, used_materials
+from hapticd.scene import TOUCHING_M, Patches, SceneObject, Wall, patches_of, used_materials
 from hapticd.texture import Autoregressive, Grooves, Stochastic
 
 DISPLAYABLE: Final = 0.4
@@ -286,18 +288,24 @@ def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output)
         yield Problem(place, f"{_above_problem(above, output)}{more}")
 
 
-def patch_warnings(wall: Wall, root: Path) -> Iterator[Problem]:
-    """As warnings, of a wall's patches; `where` begins with `root`, the wall's own place."""
-    patches, ramp_m = wall.patches, wall.patch_ramp_m
+def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
+    """As warnings, of a wall's patches; `where` begins with `root`, the wall's own place. MAX_FAULTS are told."""
+    patches = patches_of(wall.patches)
+    known = patches.narrow
+    if known is None or known[0] != wall.patch_ramp_m:
+        known = patches.narrow = wall.patch_ramp_m, list(islice(_narrow(patches, wall.patch_ramp_m), MAX_FAULTS))
+    return [Problem(path_text((*root, "patches", index)), problem) for index, problem in known[1]]
+
+
+def _narrow(patches: Patches, ramp_m: float) -> Iterator[tuple[int, str]]:
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None
-    for index in sorted(range(len(patches)), key=lambda index: patches[index].from_m):
+    for index in patches.order:
         patch = patches[index]
-        place: Path = (*root, "patches", index)
         if before is not None:
             gap = patch.from_m - patches[before].to_m
             if TOUCHING_M < gap < ramp_m - TOUCHING_M:
-                yield Problem(path_text(place), f"is {gap:.4g} from patches[{before}], nearer than {narrow}")
+                yield index, f"is {gap:.4g} from patches[{before}], nearer than {narrow}"
         if patch.to_m - patch.from_m < ramp_m - TOUCHING_M:
-            yield Problem(path_text(place), f"is {patch.to_m - patch.from_m:.4g} wide, narrower than {narrow}")
+            yield index, f"is {patch.to_m - patch.from_m:.4g} wide, narrower than {narrow}"
         before = index

@@ -123,8 +123,12 @@ def refuse_documents(path: str | os.PathLike[str]) -> None:
 
     HapticdError for one that cannot be read. Other files are not looked at.
     """
-    if os.path.splitext(os.fspath(path))[1].lower() in (".yaml", ".yml", ".json"):
-        refuse_other_kinds(load_path(path))
+    if os.path.splitext(os.fspath(path))[1].lower() not in (".yaml", ".yml", ".json"):
+        return
+    document = load_path(path)
+    kind = kind_of(document.data)
+    if kind is not None:
+        raise InvalidError([Problem(_name(document), f"is no recording: it {_other(kind, document.name)}")])
 
 
 def refuse_other_keys(document: Document, path: Sequence[str], others: Iterable[str], what: str) -> None:

@@ -13,9 +13,9 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -47,6 +47,7 @@ from hapticd.displayable import (
     Output,
     Undisplayable,
     displayed_mode,
+    material_warnings,
     materials_in,
     rate_faults,
     undisplayable,
@@ -58,9 +59,9 @@ from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim, set_rate
 from hapticd.marks import Mark, Marks, MarksFullError
-from hapticd.materials import Materials
+from hapticd.materials import Material, Materials
 from hapticd.mode import Attack, Mode
-from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, materials_of
+from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
 from hapticd.stability import Loop, timing
 from hapticd.stopper import StopFile
 from hapticd.together import Stability, judge
@@ -97,6 +98,47 @@ class RingFullError(HapticdError):
 
 class WaitTimeoutError(HapticdError):
     """The servo did not take a command or a revision in time."""
+
+
+class StaleRevisionError(HapticdError):
+    """A change was meant for another revision than the one in force; nothing of it was taken."""
+
+
+class State(NamedTuple):
+    """What is in force, as of one moment."""
+
+    scene: Scene
+    materials: Materials
+    revision: int
+
+
+class _Told(NamedTuple):
+    """What is said of a material."""
+
+    material: Material
+    output: Output
+    undisplayable: list[Undisplayable]
+    warnings: list[Problem]
+
+
+class _Working(threading.local):
+    """Called often in what takes long: the thread that serves commands beats, another one tells its progress."""
+
+    def __init__(self, beat: Callable[[], None]) -> None:
+        self.beat = beat
+        self.progress: Progress | None = None
+
+    def __call__(self) -> None:
+        (self.beat if self.progress is None else self.progress.step)()
+
+
+class Progress(Protocol):
+    """Who is told how far something is."""
+
+    done: int
+    of: int
+
+    def step(self) -> None: ...
 
 
 def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
@@ -252,9 +294,7 @@ class Engine:
         servo = config.servo
         self.config = config
         self.rate_hz = servo.rate_hz
-        self.scene = config.scene
-        self.materials: Materials = config.materials
-        self.revision = 1
+        self.state = State(config.scene, config.materials, 1)
         self.granted: Granted | None = None
         self._look_ns = 0
         self._suspends = 0
@@ -291,6 +331,7 @@ class Engine:
         self._loop = self._loop_at(self.output)
         self._compiling = threading.Lock()
         self._judged: tuple[int, Stability] | None = None
+        self._told: dict[str, _Told] = {}
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
@@ -304,7 +345,6 @@ class Engine:
         self._dropped = ffi.new("uint64_t *")
         self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
         self._sequence = ffi.new("uint64_t *")
-        self._tick = ffi.new("uint64_t *")
         settings = ffi.new("struct hd_servo_config *")
         settings.rate_hz = servo.rate_hz
         settings.cpu = -1 if servo.cpu is None else servo.cpu
@@ -333,7 +373,8 @@ class Engine:
 
         self._servo = ffi.gc(made, free)
         # Whoever compiles for seconds is at work all the while. (`made` itself keeps nothing alive.)
-        self._compiler = Compiler(self.output, lambda: lib.hd_servo_beat(made), self._offload)
+        self._working = _Working(lambda: lib.hd_servo_beat(made))
+        self._compiler = Compiler(self.output, self._working, self._offload)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
     def _output_at(self, rate_hz: float) -> Output:
@@ -354,6 +395,21 @@ class Engine:
         if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * LEAST_RATE_HZ:
             return OverrunAction.FAULT
         return action
+
+    @property
+    def scene(self) -> Scene:
+        """The scene in force."""
+        return self.state.scene
+
+    @property
+    def materials(self) -> Materials:
+        """The materials in force."""
+        return self.state.materials
+
+    @property
+    def revision(self) -> int:
+        """Raised whenever the scene, the materials or the rate changes."""
+        return self.state.revision
 
     # ---- Life ------------------------------------------------------------------------------------------------------
 
@@ -423,6 +479,23 @@ class Engine:
         """The thread that serves commands lives; without a beat for a second the forces fade out."""
         lib.hd_servo_beat(self._servo)
 
+    def working(self) -> None:
+        """Called often by who changes something: beats in the thread that serves commands, and tells another one's
+        progress, which raises what ends it."""
+        if self._working.progress is None:
+            self.beat()
+        else:
+            self._working()
+
+    @contextmanager
+    def beside(self, progress: Progress) -> Iterator[None]:
+        """What this thread changes, it changes beside the one that serves commands."""
+        self._working.progress = progress
+        try:
+            yield
+        finally:
+            self._working.progress = None
+
     # ---- What the servo cannot do by itself --------------------------------------------------------------------------
 
     def look_after(self) -> None:
@@ -437,8 +510,12 @@ class Engine:
             self._suspends = counters.suspends
             if self.connection is not None:
                 self.connection.suspect()
-        if counters.overloaded and not counters.running:
-            self._step_down()
+        # While another thread compiles, the rate stays; it is looked at again soon.
+        if counters.overloaded and not counters.running and self._compiling.acquire(blocking=False):
+            try:
+                self._step_down()
+            finally:
+                self._compiling.release()
 
     def _step_down(self) -> None:
         """Half the rate, or, where that cannot be, the same with a fault."""
@@ -465,52 +542,71 @@ class Engine:
             raise HapticdError(f"servo: {invalid_reason()}")
         if self._sim is not None:
             set_rate(self._sim, self.config.device.sim, rate_hz)
-        with self._compiling:
-            self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
-            self._judged = None
-            if self._offload is not None:
-                self._offload.judge_by(output.carried_hz)
-            self._compiler.turn_to(output)
-            revision = (self.revision + 1) & 0xFFFFFFFF
-            self._publish(self.scene, (), self.materials, revision)
-            self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
-            self.revision = revision
+        self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
+        if self._offload is not None:
+            self._offload.judge_by(output.carried_hz)
+        self._compiler.turn_to(output)
+        revision = (self.revision + 1) & 0xFFFFFFFF
+        self._publish(self.scene, (), self.materials, revision)
+        self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
+        self.state = self.state._replace(revision=revision)
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
 
-    def set_scene(self, scene: Scene) -> int:
-        """Takes a validated scene; returns its revision."""
-        return self.replace(scene, self.materials)
+    def set_scene(self, scene: Scene, expected: int | None = None) -> int:
+        """Takes a validated scene; returns its revision. `expected`: the revision that it is to follow on.
 
-    def update_objects(self, changes: Mapping[str, SceneObject | None]) -> int:
+        Raises StaleRevisionError, as all that change something do.
+        """
+        return self.replace(scene, self.materials, expected)
+
+    def update_objects(self, changes: Mapping[str, SceneObject | None], expected: int | None = None) -> int:
         """Adds, replaces and (None) removes validated objects; returns the revision."""
-        return self._take(self.scene.with_objects(changes), changes, self.materials)
+        return self._take(self.scene.with_objects(changes), changes, self.materials, expected)
 
-    def replace(self, scene: Scene, materials: Materials) -> int:
+    def replace(self, scene: Scene, materials: Materials, expected: int | None = None) -> int:
         """Takes a validated scene and the materials that it uses, at once; returns its revision."""
         before = self.scene.objects
         changed = [id for id, item in scene.objects.items() if before.get(id) != item]
         changed += [id for id in before if id not in scene.objects]
-        return self._take(scene, changed, materials)
+        return self._take(scene, changed, materials, expected)
 
-    def set_materials(self, materials: Materials) -> int:
+    def set_materials(self, materials: Materials, expected: int | None = None) -> int:
         """Takes validated materials that define every name the scene uses; returns the revision."""
-        return self._take(self.scene, (), materials)
+        return self._take(self.scene, (), materials, expected)
+
+    def missing(self, objects: Iterable[SceneObject], materials: Materials) -> int:
+        """Filters and shapes that are yet to be designed for these objects and for what is in use, with these
+        materials; a few milliseconds each."""
+        return self._compiler.missing(used_materials(objects), materials)
 
     def wait_revision(self, revision: int) -> int:
         """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
         return self._wait(
-            lambda timeout_ns: lib.hd_servo_wait_revision(self._servo, revision, timeout_ns, self._tick),
+            lambda timeout_ns, tick: lib.hd_servo_wait_revision(self._servo, revision, timeout_ns, tick),
             f"revision {revision} was not in force",
         )
 
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
         """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
-        objects = _of_all_materials(self.scene.objects)
-        shown = materials_in(objects, self.materials)
-        lacking = undisplayable(shown, self.output)
+        scene, materials, _ = self.state
+        objects = _of_all_materials(scene.objects)
+        told = {name: self._tell(name, each) for name, each in materials_in(objects, materials).items()}
+        self._told = dict(told)
         played = self.played()
-        return [one for one in lacking if (one.material, one.mode) not in played], warnings(objects, shown, self.output)
+        lacking = [one for each in told.values() for one in each.undisplayable]
+        found = [one for each in told.values() for one in each.warnings]
+        found += warnings(objects, {}, self.output)
+        return [one for one in lacking if (one.material, one.mode) not in played], found
+
+    def _tell(self, name: str, material: Material) -> _Told:
+        """What the rate cannot carry of a material, and what is shown otherwise; found once while it is in use."""
+        known = self._told.get(name)
+        if known is None or known.material is not material or known.output is not self.output:
+            output = self.output
+            lacking = undisplayable({name: material}, output)
+            known = self._told[name] = _Told(material, output, lacking, material_warnings(name, material, output))
+        return known
 
     def played(self) -> set[tuple[str, str]]:
         """Materials of the scene and modes of theirs that the device plays by itself. For any thread."""
@@ -559,13 +655,25 @@ class Engine:
         since are not asked for by name any more."""
         self._compiler.events_read(revision)
 
-    def _take(self, scene: Scene, changed: Iterable[str], materials: Materials) -> int:
-        revision = (self.revision + 1) & 0xFFFFFFFF
+    def _take(self, scene: Scene, changed: Iterable[str], materials: Materials, expected: int | None) -> int:
         changed = tuple(changed)
+        objects = scene.objects
+        # What takes long comes first: whoever wants to know the state, or another rate, waits for the rest alone.
+        names = used_materials(objects[id] for id in changed if id in objects)
+        progress = self._working.progress
+        self._compiler.prepare(names, materials, progress)
+        if progress is not None:
+            for name in names:  # or who asks for the status first would have to find it out
+                self._tell(name, materials[name])
+                progress.step()
         with self._compiling:
+            before = self.state
+            if expected is not None and expected != before.revision:
+                raise StaleRevisionError(f"revision {expected} is not in force")
+            revision = (before.revision + 1) & 0xFFFFFFFF
             self._publish(scene, changed, materials, revision)
-            self._changes.append(revised(revision, self.scene, scene, changed, self.materials, materials))
-            self.scene, self.materials, self.revision = scene, materials, revision
+            self._changes.append(revised(revision, before.scene, scene, changed, before.materials, materials))
+            self.state = State(scene, materials, revision)
         return revision
 
     def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
@@ -700,15 +808,16 @@ class Engine:
         if keep is not None:
             self._operators.append((sequence, keep))
         return self._wait(
-            lambda timeout_ns: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, self._tick),
+            lambda timeout_ns, tick: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, tick),
             "the servo did not take the command",
         )
 
-    def _wait(self, taken: Callable[[int], int], late: str) -> int:
+    def _wait(self, taken: Callable[[int, CData], int], late: str) -> int:
         """The tick that took something. A servo that steps down goes on by this thread's doing, and would be waited for
         in vain if it did not look after it."""
-        self.wait_for(lambda timeout_ns: taken(timeout_ns) == Status.OK, late)
-        return int(self._tick[0])
+        tick = ffi.new("uint64_t *")
+        self.wait_for(lambda timeout_ns: taken(timeout_ns, tick) == Status.OK, late)
+        return int(tick[0])
 
     def wait_for(self, done: Callable[[int], bool], late: str) -> None:
         """Waits until `done`, which itself waits for at most the nanoseconds that it is given, and looks after the
@@ -807,7 +916,7 @@ def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObje
     found: dict[str, SceneObject] = {}
     seen: set[str] = set()
     for id, item in objects.items():
-        names = materials_of(item)
+        names = material_names(item)
         if len(names) > 1 or not seen.issuperset(names):
             seen.update(names)
             found[id] = item

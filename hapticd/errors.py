@@ -5,6 +5,7 @@ Every message is one line: what, where and what would be right. A traceback that
 
 import difflib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -16,6 +17,7 @@ _SHOWN_CHARACTERS = 60
 _SHOWN_NAMES = 20
 _COMPARED_NAMES = 64
 _SHOWN_PROBLEMS = 50
+_PLACE = re.compile(r"(.+?):(\d+):(\d+)(?:: |$)")
 
 
 class HapticdError(Exception):
@@ -34,16 +36,30 @@ class Problem:
 
 
 class InvalidError(HapticdError):
-    """What a person wrote is not valid; `problems` holds every fault found."""
+    """What a person wrote is not valid; `problems` holds every fault found, by file and line."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
-        self.problems = tuple(problems)
+        self.problems = in_order(problems)
         super().__init__(self.problems)
 
     def __str__(self) -> str:
-        text = "; ".join(map(str, self.problems[:_SHOWN_PROBLEMS]))
-        hidden = len(self.problems) - _SHOWN_PROBLEMS
-        return f"{text}; and {hidden} more" if hidden > 0 else text
+        return "; ".join(lines_of(self.problems))
+
+
+def in_order(problems: Iterable[Problem]) -> tuple[Problem, ...]:
+    """Faults by file, line and column; those without a file come first, in the order in which they were found."""
+
+    def place(problem: Problem) -> tuple[str, int, int]:
+        found = _PLACE.match(problem.where)
+        return (found[1], int(found[2]), int(found[3])) if found else ("", 0, 0)
+
+    return tuple(sorted(problems, key=place))
+
+
+def lines_of(problems: Sequence[Problem]) -> list[str]:
+    """What a person reads of faults, one a line: nobody reads hundreds."""
+    hidden = len(problems) - _SHOWN_PROBLEMS
+    return [*map(str, problems[:_SHOWN_PROBLEMS]), *([f"and {hidden} more"] if hidden > 0 else [])]
 
 
 def quoted(text: str) -> str:
@@ -88,11 +104,14 @@ def path_text(path: Sequence[str | int]) -> str:
 
 
 def known_names(name: str, known: Iterable[str]) -> str:
-    """What would be right instead of an unknown name: 'did you mean wood? known: wood, steel'."""
+    """What would be right instead of an unknown name: 'did you mean wood?', or where nothing is near it 'known: wood,
+    steel'."""
     names = list(known)
     close = near_names(name, names, 1)
+    if close:
+        return f"did you mean {close[0]}?"
     listed = ", ".join(names[:_SHOWN_NAMES]) + (", ..." if len(names) > _SHOWN_NAMES else "")
-    return (f"did you mean {close[0]}? " if close else "") + f"known: {listed or 'none'}"
+    return f"known: {listed or 'none'}"
 
 
 def near_names(name: str, known: Sequence[str], most: int) -> list[str]:

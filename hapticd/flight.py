@@ -30,6 +30,7 @@ from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError
 from hapticd.flight_scene import FlightScene, Stretch
 from hapticd.missed import gaps_of, missed_periods, rates_of
+from hapticd.repeats import SHORTEST_S, Repeats
 
 AFTER_S: Final = 1.0
 """So much after a fault is in its file."""
@@ -101,6 +102,7 @@ class Flight:
         """A file that somebody asked for is the writer's; another one waits, so that not many copies do."""
         self._number = max((int(match[1]) for _, match in self._files()), default=0)
         self._quiet_until_ns = 0
+        self._repeats = Repeats()
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
         self._under_way = 0
         self._written = 0
@@ -217,9 +219,18 @@ class Flight:
 
     def run(self, stop: threading.Event) -> None:
         """Writes what was handed over until `stop` is set and `wake` called, and what was handed over before."""
-        while (job := self._jobs.get()) is not None:
+        while True:
+            try:
+                job = self._jobs.get(timeout=SHORTEST_S)
+            except queue.Empty:
+                self._repeats.flush()
+                continue
+            if job is None:
+                break
             self._carry_out(job)
             del job  # the next one may be hours away, and this one holds all that was kept
+            self._repeats.flush()
+        self._repeats.finish()
 
     def _carry_out(self, job: _Job) -> None:
         before = sys.getswitchinterval()
@@ -239,10 +250,15 @@ class Flight:
             if problem is None:
                 self._written += 1
                 self._last = job.asked.path
-        if problem is None:
-            _log.info("flight recorder: %s", job.asked.path, extra={"fields": {"file": job.asked.path}})
-        else:
-            _log.error("flight recorder: %s", problem)
+        # Clients may ask for dozens a second.
+        file, level = job.asked.path, logging.INFO if problem is None else logging.ERROR
+        self._repeats.note(
+            f"{job.asked.reason} {level}",
+            lambda since: _log.log(
+                level, "flight recorder: %s%s", problem or file, since.more, extra={"fields": {"file": file}}
+            ),
+            longest_s=SHORTEST_S,
+        )
 
     def wake(self) -> None:
         """Ends `run`."""

@@ -151,8 +151,11 @@ def _fault(event: Mapping[str, object], since: Since) -> str:
 
 
 def _overrun(event: Mapping[str, object], since: Since) -> str:
+    """With the part of all periods that it is, in a line that sums up; `rate_hz` stands in the event for it."""
     missed, times = since.amounts["missed"], since.amounts["count"]
     told = f"{words.count(missed, 'period')} missed"
+    if since.seconds and "rate_hz" in event:
+        told += f" ({words.percent(missed / (since.seconds * _number(event, 'rate_hz')))})"
     if times > 1:
         told += f", {times:,} times"
     return f"{told}, {since.window}" if since.window else told
@@ -206,6 +209,13 @@ _STATES: Final = frozenset(("fault", "device_lost", "device_found", "rate"))
 """Those that say how things are from now on."""
 
 
+def _short(value: object) -> object:
+    """A value of an event as a person reads it: the telemetry has every digit."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(str(_short(each)) for each in value)}]"
+    return f"{value:.{words.DIGITS}g}" if isinstance(value, float) else value
+
+
 class EventLog:
     """Tells events of consequence in the log: the first of a kind at once, those that follow as `repeats` says.
 
@@ -213,18 +223,21 @@ class EventLog:
     """
 
     def __init__(
-        self, now_s: Callable[[], float] = time.monotonic, missing: Callable[[], bool] = lambda: False
+        self,
+        now_s: Callable[[], float] = time.monotonic,
+        missing: Callable[[], bool] = lambda: False,
+        rate_hz: Callable[[], float] | None = None,
     ) -> None:
-        """`missing`: whether real-time rights that were asked for are missing."""
+        """`missing`: whether real-time rights that were asked for are missing; `rate_hz`: the servo's, now."""
         self._repeats = Repeats(now_s)
-        self._missing = missing
+        self._missing, self._rate_hz = missing, rate_hz
         self._hinted = False
 
     def note(self, event: Mapping[str, object]) -> None:
         """Takes one event, a map as telemetry sends it."""
         kind = str(event["event"])
         if _log.isEnabledFor(logging.DEBUG):
-            members = ", ".join(f"{name} {value}" for name, value in event.items() if name != "event")
+            members = ", ".join(f"{name} {_short(value)}" for name, value in event.items() if name != "event")
             _log.debug("event %s: %s", kind, members)
         if kind not in _TOLD:
             return
@@ -243,6 +256,8 @@ class EventLog:
 
     def _tell(self, event: Mapping[str, object], since: Since) -> None:
         level, words_of = _TOLD[str(event["event"])]
+        if event["event"] == "overrun" and self._rate_hz is not None:
+            event = {**event, "rate_hz": self._rate_hz()}
         if event.get("faults") == []:
             level = logging.INFO
         fields = {name: ", ".join(value) if isinstance(value, list) else value for name, value in event.items()}

@@ -138,8 +138,11 @@ def load_secret(path: str | os.PathLike[str]) -> Certificate:
 
 
 def public_key_of(text: str | os.PathLike[str]) -> str:
-    """A public key that is given as itself or as a file. Raises HapticdError."""
-    if isinstance(text, str) and is_key(text):
+    """A public key that is given as itself or as a file. Raises HapticdError.
+
+    A file that is there is meant: its path can have the form of a key, 40 characters of which all are Z85's.
+    """
+    if isinstance(text, str) and is_key(text) and not os.path.exists(text):
         return text
     return load_certificate(text).public_key
 

@@ -38,6 +38,10 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 CHUNK_BYTES: Final = 1 << 20
 """A chunk is written when it holds this much, or a second of samples."""
 
+_BATCH: Final = 5000
+"""Samples that are put into messages at once; a chunk holds whole batches."""
+_LONGEST: Final = 1 << 26
+"""Bytes of a record of ours at most; a second of samples has 15 MB at 100 kHz."""
 _CHUNK_NS: Final = 1_000_000_000
 _CDR_LITTLE_ENDIAN: Final = b"\x00\x01\x00\x00"
 _HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = range(1, 9)
@@ -179,7 +183,7 @@ class _Chunk:
 class McapSink(Sink):
     """The .mcap form; arrays have no place in it."""
 
-    def __init__(self, target: str | os.PathLike[str], *, overwrite: bool = False, left: int | None = None) -> None:
+    def __init__(self, target: str | os.PathLike[str], *, overwrite: bool = False, left: str | None = None) -> None:
         try:
             from zstandard import ZstdCompressor
         except ImportError:
@@ -215,6 +219,10 @@ class McapSink(Sink):
     def _write(self, samples: Samples) -> None:
         if self._messages is None:
             self._declare(samples.dtype)
+        for first in range(0, len(samples), _BATCH):
+            self._write_batch(samples[first : first + _BATCH])
+
+    def _write_batch(self, samples: Samples) -> None:
         assert self._messages is not None
         times = samples["time_ns"].astype(np.uint64)
         messages = np.empty(len(samples), self._messages)
@@ -402,12 +410,11 @@ class McapSink(Sink):
 
     # ---- What a killed process left --------------------------------------------------------------------------------
 
-    def _resume(self) -> None:
-        if self._dtype is None:
-            return
+    def _resume(self) -> int:
+        assert self._dtype is not None
         self._messages = _message_dtype(self._dtype.itemsize)
         schemas = self._declarations(self._dtype)
-        with open(self._part.path, "rb") as file:
+        with open(self._part.descriptor(), "rb") as file:
             end = len(file.read(len(MAGIC)))
             begun: _Entry | None = None
             for opcode, at, body in _records(file):
@@ -427,10 +434,9 @@ class McapSink(Sink):
                         self._attachments.append(_attachment_index(at, body))
                     self._schemas = schemas if opcode == _CHANNEL else self._schemas
                     end = at + size
-        self._part.cut(end)
-        self._recount()
         if self._chunks:
             self.last_time_ns = self._chunks[-1].last_ns
+        return end
 
 
 def _records(file: IO[bytes]) -> Iterator[tuple[int, int, bytes]]:
@@ -441,6 +447,8 @@ def _records(file: IO[bytes]) -> Iterator[tuple[int, int, bytes]]:
         if len(head) < 9:
             return
         opcode, length = struct.unpack("<BQ", head)
+        if length > _LONGEST:
+            return
         body = file.read(length)
         if len(body) < length:
             return

@@ -81,9 +81,12 @@ class Model(BaseModel):
         if Model.by_name.setdefault(cls.__name__, cls) is not cls:
             raise TypeError(f"two models are called {cls.__name__}; error messages tell them apart by name")
 
-    def to_dict(self) -> dict[str, Json]:
-        """The canonical form as plain data: defaults filled in, absent options left out; valid input."""
-        return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True))
+    def to_dict(self, without: set[str] | None = None) -> dict[str, Json]:
+        """The canonical form as plain data: defaults filled in, absent options left out; valid input.
+
+        `without` these members.
+        """
+        return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True, exclude=without))
 
 
 @contextmanager

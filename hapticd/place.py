@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-from contextlib import suppress
-from itertools import count
 from pathlib import Path
 from typing import Final
 
@@ -21,40 +19,31 @@ def is_there(name: str | os.PathLike[str]) -> HapticdError:
     )
 
 
-def put(part: str | os.PathLike[str], target: str | os.PathLike[str], overwrite: bool) -> None:
-    """Renames `part`, a whole file in the folder of `target`, to `target`.
+def put(part: str, target: str, overwrite: bool, folder: int) -> None:
+    """Renames `part`, a whole file in `folder` (a descriptor), to `target`, another name there.
 
     Without `overwrite` it raises FileExistsError where there is a file of that name, also one that has appeared just
     now; then `part` is as it was. Raises OSError.
     """
     if overwrite:
-        os.replace(part, target)
+        os.replace(part, target, src_dir_fd=folder, dst_dir_fd=folder)
         return
     try:
         # A link is refused where the name is taken; a rename would replace what has it.
-        os.link(part, target)
+        os.link(part, target, src_dir_fd=folder, dst_dir_fd=folder, follow_symlinks=False)
     except OSError as error:
         if error.errno not in _NO_HARD_LINKS:
             raise
         # This file system has no hard links: an empty file holds the name for the rename.
-        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o666))
+        empty = os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC
+        os.close(os.open(target, empty, 0o666, dir_fd=folder))
         try:
-            os.replace(part, target)
+            os.replace(part, target, src_dir_fd=folder, dst_dir_fd=folder)
         except OSError:
-            os.unlink(target)
+            os.unlink(target, dir_fd=folder)
             raise
     else:
-        os.unlink(part)
-
-
-def place(part: Path, target: Path, overwrite: bool) -> Path:
-    """As `put`, but where the name is taken under the first of NAME-2.ENDING, NAME-3.ENDING and so on that is free;
-    returns where it is. Raises OSError."""
-    for number in count(1):
-        with suppress(FileExistsError):
-            put(part, numbered(target, number), overwrite)
-            return numbered(target, number)
-    raise AssertionError
+        os.unlink(part, dir_fd=folder)
 
 
 def numbered(target: Path, number: int) -> Path:
@@ -63,5 +52,7 @@ def numbered(target: Path, number: int) -> Path:
 
 
 def displaced(wanted: str | os.PathLike[str], place: str | os.PathLike[str]) -> str:
-    """What to say where another file had appeared at the place of one that was being written."""
-    return f"{os.fspath(wanted)}: another file has appeared there meanwhile; what was written is in {os.fspath(place)}"
+    """What to say where a file is not where it was to be."""
+    moved = os.path.dirname(os.path.abspath(place)) != os.path.dirname(os.path.realpath(wanted))
+    why = "its folder was renamed" if moved else "another file has appeared there"
+    return f"{os.fspath(wanted)}: {why} meanwhile; what was written is in {os.fspath(place)}"

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,9 @@ from hapticd.missed import gaps_of, missed_periods, share
 from hapticd.samples import SampleBatch, SampleStream
 from hapticd.sink import NO_TIME, DiskFullError, Samples, Sink, event_array, open_sink
 
+if TYPE_CHECKING:
+    from hapticd.yaml_source import Json
+
 __all__ = ["NO_TIME", "RecordSummary", "event_array", "open_sink", "record"]
 
 MOST_GAPS: Final = 1000
@@ -36,6 +39,12 @@ LAST_CHANGE_S: Final = 1.0
 
 STOPPED: Final = "stopped"
 """Why a recording ended that somebody stopped."""
+
+ENDED: Final = "the daemon stopped"
+"""Why one ended whose daemon was ended, or killed."""
+
+ENDED_AFTER_S: Final = 0.2
+"""A daemon's last samples are here once nothing came for so long after its socket was gone."""
 
 _LOOKS: Final = 10
 """Attempts to read scene and materials while somebody changes the materials."""
@@ -96,7 +105,7 @@ def record(
     duration_s: float | None = None,
     *,
     overwrite: bool = False,
-    notes: Mapping[str, str] | None = None,
+    notes: Mapping[str, Json] | None = None,
     stop: threading.Event | None = None,
     progress: Callable[[float], None] = lambda recorded_s: None,
 ) -> RecordSummary:
@@ -142,7 +151,7 @@ def record(
 class _Take:
     """One recording under way."""
 
-    def __init__(self, client: Client, sink: Sink, duration_s: float | None, notes: dict[str, str]) -> None:
+    def __init__(self, client: Client, sink: Sink, duration_s: float | None, notes: dict[str, Json]) -> None:
         self._client = client
         self._notes = notes
         self._sink = sink
@@ -153,6 +162,8 @@ class _Take:
         self._status: Mapping[str, Any] = {}
         """At the start."""
         self._newest: Mapping[str, Any] = {}
+        self._away = False
+        """A bridge says that there is no daemon behind it."""
         self._rates: list[tuple[int, float]] = []
         """The servo's from a tick on."""
         self._missed_at, self._missed = array("Q"), array("Q")
@@ -161,9 +172,11 @@ class _Take:
     def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
         """Takes what comes; why it ended early, None where it did not."""
         client, span = self._client, self._span
-        with client.telemetry("samples", "event", "change", "status") as messages:
+        # Who is not there says so at once to a question; to wait for telemetry takes longer.
+        client.get_status()
+        with client.telemetry("samples", "event", "change", "status", "bridge") as messages:
             self._begin()
-            silent_since = time.monotonic()
+            silent_since, ended = time.monotonic(), 0
             while not span.over:
                 if stop.is_set() and not span.ends:
                     # What somebody did before stopping it is in it.
@@ -171,12 +184,19 @@ class _Take:
                     continue
                 received = messages.receive(0.1)
                 if received is None:
-                    if time.monotonic() - silent_since > client.timeout_s:
+                    silent_s = time.monotonic() - silent_since
+                    if silent_s > client.timeout_s:
                         return str(calls.silent(client.paths, client.timeout_s))
+                    # Twice in a row: what was on its way when its socket went is here then.
+                    ended = ended + 1 if silent_s > ENDED_AFTER_S and self._has_ended() else 0
+                    if ended > 1:
+                        return ENDED
                     continue
-                silent_since = time.monotonic()
+                silent_since, ended = time.monotonic(), 0
                 topic, message = received
-                if topic == "samples":
+                if topic == "bridge":
+                    self._away = message.get("daemon") is False
+                elif topic == "samples":
                     batch = self._stream.convert(topic, message)
                     if self._stream.restarts or (batch.lost and self._restarted()):
                         return "the daemon was restarted"
@@ -193,6 +213,9 @@ class _Take:
                     self._sink.write_status(message)
             self._await_changes(messages)
         return STOPPED if span.ends else None
+
+    def _has_ended(self) -> bool:
+        return self._away or calls.has_ended(self._client.paths)
 
     def _look(self) -> int | None:
         """The tick that the servo is at; None where nobody answers."""

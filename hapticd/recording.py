@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from hapticd import arguments
 from hapticd.clock import Moment, moment_of
 from hapticd.errors import HapticdError
 from hapticd.missed import missed_periods, rates_of
@@ -26,6 +27,8 @@ from hapticd.sink import open_sink
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+    from hapticd.yaml_source import Json
 
 _AXES: Final = ("x", "y")
 _STRETCH: Final = 10_000
@@ -82,10 +85,10 @@ class Recording:
         return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
 
     @property
-    def notes(self) -> dict[str, str]:
-        """What `--note` said."""
+    def notes(self) -> dict[str, Json]:
+        """What `--note` said, as texts, or `daemon.record(path, trial=3)`, with its types."""
         notes = self._about.get("notes")
-        return {str(key): str(value) for key, value in notes.items()} if isinstance(notes, dict) else {}
+        return dict(notes) if isinstance(notes, dict) else {}
 
     @property
     def started(self) -> Moment | None:
@@ -140,7 +143,7 @@ class Recording:
         try:
             import pandas
         except ImportError:
-            raise HapticdError("to_pandas needs pandas: pip install pandas") from None
+            raise HapticdError("to_pandas needs pandas: pip install 'hapticd[pandas]'") from None
         columns: dict[str, npt.NDArray[Any]] = {}
         for name in self.samples.dtype.names or ():
             values = self.samples[name]
@@ -187,10 +190,12 @@ class Recording:
         return found if isinstance(found, dict) else {}
 
 
-def load(path: str | os.PathLike[str]) -> Recording:
+def load(path: str | os.PathLike[str], max_memory: int | None = None) -> Recording:
     """Reads a recording: .npz, .csv or .mcap of `hapticd record`, `hapticd simulate` or `hapticd flight`.
 
-    Raises HapticdError (one line) where the file is none.
+    `max_memory`, in bytes, is what it may take; by default 32 times the size of the file and at least 1 GiB, but at
+    most nine tenths of the memory that is available. Raises HapticdError (one line) where the file is none, or takes
+    more.
     """
-    recorded = load_recorded(path)
+    recorded = load_recorded(arguments.path("path", path), max_memory)
     return Recording(os.fspath(path), recorded.samples, recorded.events, recorded.texts, recorded.truth)

@@ -25,6 +25,7 @@ _TCP: Final = re.compile(r"tcp://(\[[0-9A-Fa-f:.]+(?:%\w+)?\]|[^\[\]:/\s]+)(?::(
 _RECONNECT_MS: Final = 100
 _RECONNECT_MOST_MS: Final = 2000
 _LOOK_EVERY_S: Final = 0.1
+_LOOK_S: Final = 1.0
 _FAILED: Final = (
     zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
     | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
@@ -116,16 +117,25 @@ class Remote:
             monitor: zmq.Socket[Any] = trial.get_monitor_socket(_FAILED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
             try:
                 trial.connect(endpoint)
-                return self._heard(monitor, command, timeout_s, patient, given_up)
+                heard = self._heard(monitor, timeout_s, patient, given_up)
             finally:
                 trial.disable_monitor()
                 monitor.close()
+        if heard is None or heard[0] or command or not self._takes_commands():
+            return heard
+        return False, f"the bridge at {self} is there, but not its port {self.port + 1} for telemetry: a firewall?"
+
+    def _takes_commands(self) -> bool:
+        """Whether anybody takes connections at the port that the bridge is known by; no key is shown."""
+        try:
+            network.create_connection((self.host, self.port), _LOOK_S).close()
+        except OSError:
+            return False
+        return True
 
     def _heard(
-        self, monitor: zmq.Socket[Any], command: bool, timeout_s: float, patient: bool, given_up: Callable[[], bool]
+        self, monitor: zmq.Socket[Any], timeout_s: float, patient: bool, given_up: Callable[[], bool]
     ) -> tuple[bool, str] | None:
-        # It is known by the address that it was given by; telemetry has the port after that.
-        port = "" if command else f" (port {self.port + 1}, for telemetry)"
         for event in monitored(monitor, timeout_s, given_up):
             match event:
                 case zmq.EVENT_HANDSHAKE_SUCCEEDED:
@@ -135,13 +145,13 @@ class Remote:
                 case zmq.EVENT_CLOSED if patient:
                     continue
                 case zmq.EVENT_CLOSED:
-                    return False, f"no bridge at {self}: nobody takes connections there{port}"
+                    return False, f"no bridge at {self}: nobody takes connections there"
                 case _:
                     return True, (
                         f"the bridge at {self} ended the handshake: its key is not the server_key that we were "
                         "given, or it has all the connections that it takes"
                     )
-        return False, f"no bridge at {self}: no answer within {timeout_s:g} s{port}"
+        return False, f"no bridge at {self}: no answer within {timeout_s:g} s"
 
 
 def monitored(

@@ -1,8 +1,8 @@
 """Lines of the log that repeat each other: the first at once, those that follow as sums at doubling intervals.
 
     14:03:22  40 periods missed
-    14:03:23  1,210 periods missed, 31 times, in the last 1 s
-    14:03:25  2,377 periods missed, 58 times, in the last 2 s
+    14:03:23  1,210 periods missed (12.1 %), 31 times, in the last 1 s
+    14:03:25  2,377 periods missed (11.9 %), 58 times, in the last 2 s
     14:03:29  ...
 
 The interval doubles with each line, from one second to an hour. Whoever was quiet for five minutes begins anew.
@@ -10,6 +10,7 @@ The interval doubles with each line, from one second to an hour. Whoever was qui
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
@@ -47,8 +48,9 @@ class Since:
 
     @property
     def more(self) -> str:
-        """What follows a line that shows the newest of several: ` (and 12 more in the last 64 s)`."""
-        told = [f"and {self.times - 1:,} more"] if self.times > 1 else []
+        """What follows a line that shows the newest of several: ` (and 12 more in the last 64 s)`, ` (once in the last
+        64 s)`."""
+        told = [f"and {self.times - 1:,} more"] if self.times > 1 else ["once"] if self.seconds else []
         told += [self.window] if self.seconds else []
         return f" ({' '.join(told)})" if told else ""
 
@@ -78,13 +80,14 @@ class _Kind:
 
 
 class Repeats:
-    """Says which lines are told. For one thread, which calls `flush` now and then, ten times a second say."""
+    """Says which lines are told. For any thread; one calls `flush` now and then, ten times a second say."""
 
     def __init__(
         self, now_s: Callable[[], float] = time.monotonic, may_tell: Callable[[], bool] = lambda: True
     ) -> None:
         """`may_tell`: asked before each line; a line for which there is no room now is held back as others are."""
         self._now_s, self._may_tell = now_s, may_tell
+        self._lock = threading.RLock()
         self._kinds: OrderedDict[str, _Kind] = OrderedDict()
 
     def __len__(self) -> int:
@@ -95,6 +98,10 @@ class Repeats:
 
         Lines of one kind repeat each other.
         """
+        with self._lock:
+            self._note(kind, tell, amounts, longest_s)
+
+    def _note(self, kind: str, tell: Tell, amounts: Mapping[str, int], longest_s: float) -> None:
         now_s = self._now_s()
         known = self._kinds.pop(kind, None)
         if known is not None and known.over(now_s):
@@ -113,20 +120,22 @@ class Repeats:
 
     def flush(self) -> None:
         """Tells the sums that are due, and forgets who was quiet."""
-        now_s = self._now_s()
-        for kind, known in list(self._kinds.items()):
-            if not known.due(now_s):
-                continue
-            if known.held is not None:
-                self._tell(known, now_s)
-            elif known.over(now_s):
-                del self._kinds[kind]
+        with self._lock:
+            now_s = self._now_s()
+            for kind, known in list(self._kinds.items()):
+                if not known.due(now_s):
+                    continue
+                if known.held is not None:
+                    self._tell(known, now_s)
+                elif known.over(now_s):
+                    del self._kinds[kind]
 
     def finish(self) -> None:
         """Tells all that is held back, at the end."""
-        now_s = self._now_s()
-        for known in self._kinds.values():
-            self._tell(known, now_s)
+        with self._lock:
+            now_s = self._now_s()
+            for known in self._kinds.values():
+                self._tell(known, now_s)
 
     def _tell(self, known: _Kind, now_s: float, at_once: bool = False) -> None:
         if known.held is None or not self._may_tell():

@@ -25,9 +25,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd import words
+from hapticd import arguments, words
 from hapticd.config import Device, load_config
-from hapticd.core import Flag
+from hapticd.core import SAMPLE_DTYPE, Flag
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
@@ -36,7 +36,8 @@ from hapticd.materials import Material, validate_materials
 from hapticd.mode import Mode
 from hapticd.offline import Rerun
 from hapticd.place import displaced
-from hapticd.recorded import Recorded, Samples, load_recorded
+from hapticd.reading import Memory, Recorded, Samples, TooMuchMemoryError
+from hapticd.recorded import load_recorded, memory_for
 from hapticd.scene import Scene, materials_of, validate_object, validate_scene
 from hapticd.sink import open_sink
 from hapticd.texture import Autoregressive, Stochastic
@@ -54,6 +55,12 @@ _LEFT_OUT: Final = {
 }
 _LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
 _NO_TIME: Final = 0xFFFFFFFF
+_RENDERED_BYTES: Final = 2 * SAMPLE_DTYPE.itemsize + 160
+"""Memory for each sample, beside itself: what is rendered of it, what is compared; rates, periods, intervals, masks."""
+_OBJECT_BYTES: Final = 4096
+"""Memory for an object or a material that was validated."""
+_ENTRY_BYTES: Final = 128
+"""Memory for an object or a material in one more revision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,13 +152,19 @@ class Replay:
         }
 
 
-def replay(path: str | os.PathLike[str]) -> Replay:
+def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Replay:
     """Renders a recording (.npz, .csv or .mcap) again, and compares.
 
-    Raises HapticdError where the file is no recording, does not hold what it was rendered with, or holds what this
-    version takes no more.
+    `max_memory`, in bytes, is what it may take, as with `hapticd.load`. Raises HapticdError where the file is no
+    recording, does not hold what it was rendered with, would take more memory, or holds what this version does not
+    take.
     """
-    recorded = load_recorded(path)
+    path = arguments.path("path", path)
+    try:
+        memory = memory_for(path, max_memory, SAMPLE_DTYPE.itemsize + _RENDERED_BYTES)
+    except OSError as error:
+        raise HapticdError(f"{os.fspath(path)}: {error.strerror}") from None
+    recorded = load_recorded(path, memory=memory)
     missing = [name for name in NEEDED if not recorded.texts.get(name)]
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
@@ -161,19 +174,23 @@ def replay(path: str | os.PathLike[str]) -> Replay:
     if missing:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")
     try:
-        return _replay(recorded)
+        return _replay(recorded, memory)
+    except TooMuchMemoryError:
+        raise
     except HapticdError as error:
         raise HapticdError(f"{os.fspath(path)}: {error}") from None
+    except MemoryError:
+        raise HapticdError(f"{os.fspath(path)}: takes more memory than there is") from None
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with: {error!r}") from None
 
 
-def _replay(recorded: Recorded) -> Replay:
+def _replay(recorded: Recorded, memory: Memory) -> Replay:
     samples, texts = recorded.samples, recorded.texts
     servo, status = texts["config"]["servo"], texts.get("status") or {}
     # A daemon that has stepped down has another rate than its configuration.
     rate_hz = status.get("rate_hz", servo["rate_hz"])
-    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz))
+    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz, memory))
     known = [revision.number for revision in revisions]
     rates_hz = _rates(samples, revisions, rate_hz)
     is_known = np.isin(samples["revision"], known) & (samples["tick"] >= _complete_from(texts))
@@ -194,8 +211,8 @@ def _replay(recorded: Recorded) -> Replay:
     intervals = _intervals(samples, periods, rates_hz, configs[rate_hz].device)
     commands = _commands(texts)
     place = -1
-    given: list[slice] = []
-    found: list[Samples] = []
+    count = sum(stretch.stop - stretch.start for stretch, _ in stretches)
+    again, at = np.empty(count, SAMPLE_DTYPE), 0
     events: list[dict[str, object]] = []
     for stretch, muted in stretches:
         rerun.restart(muted)
@@ -210,13 +227,14 @@ def _replay(recorded: Recorded) -> Replay:
             for command in commands.get(int(samples["tick"][part.start]), ()):
                 _carry_out(rerun, command, int(samples["time_ns"][part.start]))
             rendered, happened = rerun.run(samples[part], intervals[part], periods[part])
-            given.append(part)
-            found.append(rendered)
-            events += [event_map(event, rerun.name_of(event)) for event in happened]
-    if not found:
+            again[at : at + len(rendered)] = rendered
+            at += len(rendered)
+            events += [memory.event(event_map(event, rerun.name_of(event))) for event in happened]
+    if not count:
         raise HapticdError("no tick of it can be rendered again: there is a fault in each, or its scene is missing")
-    again = np.concatenate(found)
-    before = np.concatenate([samples[part] for part in given])
+    before = samples
+    if count < len(samples):
+        before = np.concatenate([samples[stretch] for stretch, _ in stretches])
     different = np.zeros(len(again), bool)
     for name in FORCES:
         different |= (again[name].view(np.uint64) != before[name].view(np.uint64)).any(axis=1)
@@ -290,8 +308,10 @@ class _Revision:
     rate_hz: float
 
 
-def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> Iterator[_Revision]:
+def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memory: Memory) -> Iterator[_Revision]:
     """Those of the recording that samples were rendered with, in order."""
+    entries = [len(found) for found in (texts["scene"].get("objects", {}), texts["materials"])]
+    memory.take(_OBJECT_BYTES * sum(entries), "its scenes")
     scene = validate_scene(texts["scene"], ("scene",))
     materials: dict[str, Material] = validate_materials(texts["materials"])
     pending = set(scene.objects)
@@ -302,7 +322,9 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> It
             id: None if item is None else validate_object(id, item, ("changes",))
             for id, item in change.get("objects", {}).items()
         }
-        scene = scene.with_objects(objects)
+        if objects:
+            memory.take(_OBJECT_BYTES * len(objects), "its scenes")
+            scene = scene.with_objects(objects)
         pending |= objects.keys()
         if "scene" in change:
             shown = validate_scene({**scene.model_copy(update={"objects": {}}).to_dict(), **change["scene"]})
@@ -313,6 +335,7 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float) -> It
             materials = {name: item for name, item in materials.items() if name not in patch} | new
         rate_hz = change.get("rate_hz", rate_hz)
         if change["revision"] in wanted:
+            memory.take(_ENTRY_BYTES * (len(scene.objects) + len(materials)), "its scenes")
             yield _Revision(change["revision"], scene, materials, frozenset(pending), rate_hz)
             pending = set()
 

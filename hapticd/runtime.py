@@ -13,12 +13,10 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
-
-import zmq
 
 from hapticd.errors import HapticdError
 from hapticd.paths import RuntimePaths, make_directory
@@ -44,26 +42,23 @@ class Owned:
         """Remembers that the file at `path` is ours."""
         self._files[path] = _identity(path)
 
-    def bind(self, bound: zmq.Socket[bytes], path: Path) -> None:
-        """Binds a ZeroMQ socket to `path`, in place of what a daemon that was killed left there.
-
-        libzmq is given a socket that listens already, because it would remove the file at its end whosever it is.
-        Raises HapticdError.
-        """
+    def listen(self, path: Path) -> socket.socket:
+        """A socket that listens at `path`, in place of what a killed daemon left there. Raises HapticdError."""
         try:
             unnamed = path.with_name(".new")
             unnamed.unlink(missing_ok=True)
-            with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as own:
+            with ExitStack() as stack:
+                own = stack.enter_context(
+                    socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
+                )
                 own.bind(os.fspath(unnamed))
                 unnamed.chmod(0o660)
                 own.listen(_BACKLOG)
+                self._files[path] = _identity(unnamed)  # before others see it, who may put theirs in its place
                 unnamed.replace(path)  # its existence means that it can be connected to
-                self.note(path)
-                bound.setsockopt(zmq.USE_FD, own.fileno())
-                bound.bind(f"ipc://{path}")
-                own.detach()
-                bound.setsockopt(zmq.USE_FD, -1)
-        except OSError as error:  # zmq.ZMQError is one
+                stack.pop_all()
+                return own
+        except OSError as error:
             raise HapticdError(f"{path}: cannot be bound: {error.strerror}") from None
 
     def remove(self, path: Path) -> None:

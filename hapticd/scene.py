@@ -5,15 +5,17 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 
 import math
 import os
-from collections.abc import Collection, Iterable, Mapping
-from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from types import MappingProxyType
+from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias, get_args
 
 from pydantic import AfterValidator, Field, Strict, ValidationError, model_validator
 
+from hapticd import arguments
 from hapticd.document_kinds import refuse_other_keys, refuse_other_kinds
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.model import MAX_FAULTS, Damping, Model, Name, Position, Stiffness, faults_of, plain, problems_of
-from hapticd.yaml_source import Document, load_path
+from hapticd.yaml_source import Document, Json, load_path
 
 MAX_OBJECTS: Final = 2**20
 """Address room; memory follows what is used."""
@@ -66,10 +68,34 @@ class Patch(Model):
         return self
 
 
-def _apart(patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
+class Patches(tuple[Patch, ...]):
+    """Patches that were looked at as a whole; what follows from them is found once, and kept with them."""
+
+    order: tuple[int, ...]
+    """Their indices, in rising order along the wall."""
+    first: Mapping[str, int]
+    """Their materials, and the index of the first patch of each."""
+    narrow: tuple[float, list[tuple[int, str]]] | None
+    """A ramp, and what is too narrow for it (displayable.patch_warnings)."""
+
+    def __new__(cls, patches: Iterable[Patch] = ()) -> Self:
+        made = super().__new__(cls, patches)
+        made.order = tuple(sorted(range(len(made)), key=lambda index: made[index].from_m))
+        first: dict[str, int] = {}
+        for index, patch in enumerate(made):
+            first.setdefault(patch.material, index)
+        made.first, made.narrow = MappingProxyType(first), None
+        return made
+
+    def __reduce__(self) -> tuple[type[Self], tuple[tuple[Patch, ...]]]:
+        return type(self), (tuple(self),)
+
+
+def _apart(given: tuple[Patch, ...]) -> tuple[Patch, ...]:
     """Refuses patches that overlap, or leave gaps that nobody means."""
     faults = []
-    order = sorted(range(len(patches)), key=lambda index: patches[index].from_m)
+    patches = patches_of(given)
+    order = patches.order
     farthest = order[0] if order else 0
     for index in order[1:]:
         gap = patches[index].from_m - patches[farthest].to_m
@@ -84,6 +110,11 @@ def _apart(patches: tuple[Patch, ...]) -> tuple[Patch, ...]:
         more = len(faults) - _SHOWN_OVERLAPS
         raise ValueError("; ".join(faults[:_SHOWN_OVERLAPS]) + (f"; and {more} more" if more > 0 else ""))
     return patches
+
+
+def patches_of(given: tuple[Patch, ...]) -> Patches:
+    """The patches of a wall, as they were kept if they were validated."""
+    return given if isinstance(given, Patches) else Patches(given)
 
 
 class Piece(NamedTuple):
@@ -110,12 +141,18 @@ class Wall(Model):
 
     def pieces(self) -> list[Piece]:
         """The whole wall in rising order: patches and the base material between them. One piece without patches."""
-        found = [Piece(-math.inf, self.material)]
-        for patch in sorted(self.patches, key=lambda patch: patch.from_m):
-            if patch.from_m - found[-1].from_m <= TOUCHING_M:  # the base material has no room between two patches
-                found.pop()
-            found += Piece(patch.from_m, patch.material), Piece(patch.to_m, self.material)
-        return found
+        return [Piece(*each) for each in zip(*self.stretches(), strict=True)]
+
+    def stretches(self) -> tuple[list[float], list[str]]:
+        """As `pieces`: where they begin, and their materials."""
+        begins, materials = [-math.inf], [self.material]
+        for patch in (self.patches[index] for index in patches_of(self.patches).order):
+            if patch.from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
+                begins.pop()
+                materials.pop()
+            begins += patch.from_m, patch.to_m
+            materials += patch.material, self.material
+        return begins, materials
 
 
 class Box(Model):
@@ -175,6 +212,7 @@ Surface: TypeAlias = Wall | Membrane | Box | Disc
 Passivity: TypeAlias = Literal["off", "observe", "control"]
 SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
 SURFACES: Final = (Wall, Membrane, Box, Disc)
+_SURFACE_KINDS: Final = tuple(tag for kind in SURFACES for tag in get_args(kind.model_fields["kind"].annotation))
 
 
 def materials_of(item: SceneObject) -> tuple[str, ...]:
@@ -187,6 +225,24 @@ def materials_of(item: SceneObject) -> tuple[str, ...]:
     return (item.material,)
 
 
+def material_names(item: SceneObject) -> Collection[str]:
+    """As materials_of, each once: in time that does not grow with the patches."""
+    if item.kind == "wall" and item.patches:
+        return {item.material: None} | dict.fromkeys(patches_of(item.patches).first)
+    return materials_of(item)
+
+
+def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
+    """The materials of an object, each once, and where it first names them."""
+    if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
+        return
+    yield item.material, ("material",)
+    if item.kind == "wall" and item.patches:
+        for name, index in patches_of(item.patches).first.items():
+            if name != item.material:
+                yield name, ("patches", index, "material")
+
+
 def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
     """Ids of the fields that follow position or speed."""
     return [id for id, item in objects.items() if item.kind == "spring" or item.kind == "viscous"]
@@ -194,7 +250,7 @@ def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
 
 def used_materials(objects: Iterable[SceneObject]) -> set[str]:
     """Names of all materials that these objects are made of."""
-    return {name for item in objects for name in materials_of(item)}
+    return {name for item in objects for name in material_names(item)}
 
 
 class Display(Model):
@@ -254,7 +310,7 @@ def load_scene(source: SceneSource) -> Scene:
 
 def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
     """As load_scene; also the document that it stands in, and where."""
-    document = Document(plain(source)) if isinstance(source, Mapping) else load_path(source)
+    document = Document(plain(source)) if isinstance(source, Mapping) else load_path(arguments.path("scene", source))
     refuse_other_kinds(document, "scene", "bare scene")
     data = document.data
     root: Path = ()
@@ -283,19 +339,45 @@ def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
     """Materials that objects name and nobody defines, with paths relative to the scene; MAX_FAULTS of them are told."""
+    named = (
+        (("objects", id, *(("patches", index - 1) if index else ()), "material"), name)
+        for id, item in objects.items()
+        if not all(name in materials for name in material_names(item))
+        for index, name in enumerate(materials_of(item))
+    )
+    return _unknown(named, materials)
+
+
+def faults_of_names(objects: Json, materials: Collection[str]) -> list[tuple[Path, str]]:
+    """As reference_faults, of plain data that is faulty elsewhere; what is no name in it is passed over."""
+    return _unknown(_named(objects), materials)
+
+
+def _named(objects: Json) -> Iterator[tuple[Path, str]]:
+    for id, item in objects.items() if isinstance(objects, dict) else ():
+        if not isinstance(item, dict) or item.get("kind") not in _SURFACE_KINDS:
+            continue
+        patches = item.get("patches")
+        parts: list[tuple[Path, Json]] = [((), item)]
+        parts += [
+            (("patches", index), patch) for index, patch in enumerate(patches if isinstance(patches, list) else ())
+        ]
+        for path, part in parts:
+            name = part.get("material") if isinstance(part, dict) else None
+            if isinstance(name, str):
+                yield ("objects", id, *path, "material"), name
+
+
+def _unknown(named: Iterable[tuple[Path, str]], materials: Collection[str]) -> list[tuple[Path, str]]:
     faults: list[tuple[Path, str]] = []
     more = 0
-    for id, item in objects.items():
-        for index, wanted in enumerate(materials_of(item)):
-            if wanted in materials:
-                continue
-            if len(faults) == MAX_FAULTS:
-                more += 1
-                continue
-            inner: Path = ("patches", index - 1, "material") if index else ("material",)
-            faults.append(
-                (("objects", id, *inner), f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}")
-            )
+    for path, wanted in named:
+        if wanted in materials:
+            continue
+        if len(faults) == MAX_FAULTS:
+            more += 1
+            continue
+        faults.append((path, f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}"))
     if more:
         faults.append((("objects",), f"name unknown materials {more} times more"))
     return faults

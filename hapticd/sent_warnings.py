@@ -22,7 +22,7 @@ from hapticd.displayable import (
 from hapticd.errors import Path, Problem, path_text
 from hapticd.materials import Material, Materials
 from hapticd.model import MAX_FAULTS
-from hapticd.scene import SceneObject, Wall, materials_of
+from hapticd.scene import SceneObject, Wall, material_places
 
 _KEYS: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
 """Where a mode stands in its material, if not under its own name."""
@@ -51,8 +51,7 @@ def change_warnings(
     found: list[Problem] = []
     places: dict[str, Path] = {}
     for id, item in objects.items():
-        for index, name in enumerate(materials_of(item)):
-            inner: Path = ("patches", index - 1, "material") if index else ("material",)
+        for name, inner in material_places(item):
             places.setdefault(name, (*root, id, *inner))
         if isinstance(item, Wall) and item.patches:
             found += patch_warnings(item, (*root, id))

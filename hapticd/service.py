@@ -13,14 +13,15 @@ import subprocess
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Final, Literal
 
 from hapticd._version import __version__
+from hapticd.config_files import user_config
 from hapticd.errors import HapticdError, quoted
+from hapticd.rooted import Rooted
 
 _MARK: Final = "# Put here by `hapticd install-service` of version "
 _SUM: Final = "; sha256 of the lines above: "
@@ -100,18 +101,22 @@ class Service:
         dry_run: bool = False,
         config_home: Path | None = None,
         run: Callable[[Sequence[str]], str | None] | None = None,
-        booted: Path = Path("/run/systemd/system"),
+        booted: Path | None = None,
+        udev: Path = Path("/run/udev/control"),
         may_write: Callable[[Path], bool] = lambda folder: os.access(folder, os.W_OK | os.X_OK),
     ) -> None:
-        """`root`: instead of the system's; nothing of the running system is touched then. `run`: does a command, and
-        says what was wrong with it."""
+        """`root`: instead of the system's; nothing of the running system is touched then, and no symbolic link below it
+        is followed. `run`: does a command, and says what was wrong with it. `booted`, `udev`: what is there while
+        systemd, the user's own with `user`, and udev run."""
         self._installation = installation
         self._user = user
         self._root = root
+        self._files = Rooted(root or Path("/"), strict=root is not None, mode=0o700 if user else 0o755)
         self._dry = dry_run
-        self._config_home = config_home or Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config")
+        self._config_home = config_home or user_config().parents[1]
         self._run = run or _run
-        self._booted = booted
+        self._booted = booted or (_user_manager() if user else Path("/run/systemd/system"))
+        self._udev = udev
         self._writable = may_write
 
     # ---- What it does ----------------------------------------------------------------------------------------------
@@ -119,6 +124,8 @@ class Service:
     def install(self) -> Iterator[Step]:
         """Does it, step by step. Raises HapticdError, before anything is changed where that can be."""
         targets = self._targets()
+        for target in targets:
+            self._files.check(target.path)
         if not self._dry:
             self._may_write([target.path for target in targets])
         for folder in self._installation.folders:
@@ -133,15 +140,19 @@ class Service:
     def uninstall(self) -> Iterator[Step]:
         """Takes away what `install` put there and nobody changed since."""
         targets = self._targets()
+        there = [target.path for target in targets if self._files.exists(target.path)]
         if not self._dry:
-            self._may_write([target.path for target in targets if target.path.exists()])
-        units = [target.path.name for target in targets if target.path.suffix == ".service" and target.path.exists()]
-        if units and self._root is None and self._booted.exists():
-            yield from self._commands([self._systemctl("disable", "--now", *units).split()])
+            self._may_write(there)
+        units = [path.name for path in there if path.suffix == ".service"]
+        if units and self._root is None:
+            if self._booted.exists():
+                yield from self._commands([self._systemctl("disable", "--now", *units).split()])
+            else:
+                yield Step("note", f"systemd does not run here, so no service is stopped: {', '.join(units)}")
         for target in targets:
             yield self._take_away(target.path)
             beside = _beside(target.path)
-            if beside.exists():
+            if self._files.exists(beside):
                 yield self._take_away(beside)
         yield from self._commands(self._after_uninstall())
         if not self._user:
@@ -182,9 +193,9 @@ class Service:
 
     def _put(self, target: _Target) -> Step:
         path, text = target.path, _signed(target.body)
-        if not os.path.lexists(path):
+        if not self._files.exists(path):
             return self._write(path, text, "wrote")
-        old = _read(path)
+        old = self._files.read(path)
         if old is not None and old == text:
             return Step("unchanged", str(path))
         if old is not None and _is_ours(old):
@@ -197,31 +208,17 @@ class Service:
 
     def _write(self, path: Path, text: str, kind: Kind) -> Step:
         if not self._dry:
-            part = path.with_name(f".{path.name}.{os.getpid()}.part")
-            try:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                out = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-                with open(out, "w", encoding="utf-8") as file:
-                    os.fchmod(out, 0o644)
-                    file.write(text)
-                os.replace(part, path)
-            except OSError as error:
-                with suppress(OSError):
-                    part.unlink()
-                raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
+            self._files.write(path, text)
         return Step(kind, str(path))
 
     def _take_away(self, path: Path) -> Step:
-        if not os.path.lexists(path):
+        if not self._files.exists(path):
             return Step("absent", str(path))
-        old = _read(path)
+        old = self._files.read(path)
         if old is None or not _is_ours(old):
             return Step("kept", str(path), "changed by hand")
         if not self._dry:
-            try:
-                path.unlink()
-            except OSError as error:
-                raise HapticdError(f"{path}: cannot be removed: {error.strerror}") from None
+            self._files.remove(path)
         return Step("removed", str(path))
 
     def _may_write(self, paths: Sequence[Path]) -> None:
@@ -244,7 +241,7 @@ class Service:
             ["systemd-tmpfiles", *within, "--create", "hapticd.conf"],
         ]
         if self._root is None:
-            if Path("/run/udev/control").exists():
+            if self._udev.exists():
                 commands += [
                     ["udevadm", "control", "--reload"],
                     ["udevadm", "trigger", "--subsystem-match=hidraw"],
@@ -255,10 +252,10 @@ class Service:
         return commands
 
     def _after_uninstall(self) -> list[list[str]]:
-        if self._root is not None or not self._booted.exists():
+        if self._root is not None:
             return []
-        reload = [self._systemctl("daemon-reload").split()]
-        return reload if self._user else [["udevadm", "control", "--reload"], *reload]
+        commands = [["udevadm", "control", "--reload"]] if not self._user and self._udev.exists() else []
+        return [*commands, self._systemctl("daemon-reload").split()] if self._booted.exists() else commands
 
     def _systemctl(self, *words: str) -> str:
         return " ".join(["systemctl", *(["--user"] if self._user else []), *words])
@@ -275,6 +272,11 @@ class Service:
                 continue
             problem = None if self._dry else self._run(words)
             yield Step("ran" if problem is None else "failed", " ".join(words), problem or "")
+
+
+def _user_manager() -> Path:
+    """The socket of the user's own systemd."""
+    return Path(os.environ.get("XDG_RUNTIME_DIR") or f"/run/user/{os.getuid()}", "systemd", "private")
 
 
 def unit_word(path: Path) -> str:
@@ -306,18 +308,6 @@ def _below(path: Path, places: Sequence[str]) -> bool:
 
 def _beside(path: Path) -> Path:
     return path.with_name(path.name + ".new")
-
-
-def _read(path: Path) -> str | None:
-    """A regular file's text; None for everything else."""
-    if path.is_symlink() or not path.is_file():
-        return None
-    try:
-        return path.read_text(encoding="utf-8")
-    except UnicodeDecodeError:
-        return None
-    except OSError as error:
-        raise HapticdError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _checksum(body: str) -> str:

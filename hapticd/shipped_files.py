@@ -90,5 +90,5 @@ def file_of(text: str, folder: Folder) -> str:
     if stem in known:
         raise HapticdError(f"{text}: there is no such file here; the shipped {what} of that name is called {stem}")
     near = near_names(text, list(known), _MOST_NEAR)
-    guess = f"did you mean {' or '.join(near)}? " if near else ""
-    raise HapticdError(f"{one_line(text)}: is no file here and no shipped {what}; {guess}shipped: {', '.join(known)}")
+    meant = f"did you mean {' or '.join(near)}?" if near else f"shipped: {', '.join(known)}"
+    raise HapticdError(f"{one_line(text)}: is no file here and no shipped {what}; {meant}")

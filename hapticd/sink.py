@@ -7,8 +7,8 @@ A file that is there is replaced only with `overwrite`. Without it, a file that 
 keeps its name, and the recording takes the next free one (`tap-2.npz`).
 
 What fails leaves no file and changes none, with two exceptions. A disk that is full takes no more, but what is on it is
-finished: samples at the end make room for what else belongs to the file. A process that was killed leaves its parts;
-`recover` makes a file of them.
+finished: samples at the end make room for what else belongs to the file. A process that was killed leaves its parts,
+and so does one whose file could not get its name, or not be written any further; recovery.py makes a file of them.
 
 .npz   `samples` (structured, one a tick), `events` (structured, one column for each key that occurs), and JSON texts;
        read by numpy.load without pickle
@@ -23,10 +23,11 @@ from __future__ import annotations
 
 import csv
 import errno
-import fcntl
 import io
 import json
 import os
+import re
+import shlex
 import zipfile
 import zlib
 from abc import ABC, abstractmethod
@@ -42,15 +43,19 @@ import numpy.typing as npt
 
 from hapticd.errors import HapticdError
 from hapticd.event_columns import NO_TIME, cell_of, columns_of, dtype_of, event_array, rows_of
-from hapticd.place import is_there, numbered, put
+from hapticd.parts import Folder, Part, new_stem, resolved
+from hapticd.place import is_there, numbered
 
-__all__ = ["NO_TIME", "DiskFullError", "Part", "Samples", "Sink", "event_array", "open_sink", "recover"]
+__all__ = ["NO_TIME", "DiskFullError", "Samples", "Sink", "event_array", "open_sink"]
 
 Samples: TypeAlias = npt.NDArray[np.void]
 
 _AXES = ("x", "y")
 _CHECK_EVERY: Final = 1 << 18
 """Bytes of samples after which there is a place that a full disk may fall back to."""
+_ROW: Final = re.compile(rb"[-+0-9.eE,naif]+\n")
+"""What a row of numbers is made of."""
+_FIELD: Final = re.compile("[<>|]?[iuf][1248]")
 _FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 
 
@@ -58,73 +63,19 @@ class DiskFullError(HapticdError):
     """The disk takes no more. What was written before is whole, and can be finished."""
 
 
-class Part:
-    """A file in the making, locked while it is: what is appended is in it whole, or not at all."""
-
-    def __init__(self, path: Path, resume: bool = False) -> None:
-        """Raises FileExistsError, BlockingIOError (`resume`: somebody is still writing it), OSError."""
-        self.path = path
-        self.fd = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_CREAT | (0 if resume else os.O_EXCL), 0o666)
-        try:
-            fcntl.flock(self.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(self.fd)
-            raise
-        self.size = os.fstat(self.fd).st_size
-        self._closed = False
-
-    def append(self, data: bytes) -> None:
-        """Raises OSError; then there is as much in it as before."""
-        try:
-            self.put(self.size, data)
-        except OSError:
-            os.ftruncate(self.fd, self.size)
-            raise
-        self.size += len(data)
-
-    def put(self, at: int, data: bytes) -> None:
-        """Writes at a place."""
-        rest = memoryview(data)
-        while rest:
-            written = os.pwrite(self.fd, rest, at)
-            at, rest = at + written, rest[written:]
-
-    def cut(self, size: int) -> None:
-        """Forgets what comes after."""
-        os.ftruncate(self.fd, size)
-        self.size = size
-
-    def lines(self) -> Iterator[bytes]:
-        """Its whole lines."""
-        with open(self.path, "rb") as file:
-            for line in file:
-                if line.endswith(b"\n"):
-                    yield line
-
-    def close(self) -> None:
-        if not self._closed:
-            self._closed = True
-            os.close(self.fd)
-
-    def discard(self) -> None:
-        self.close()
-        with suppress(FileNotFoundError):
-            os.unlink(self.path)
-
-
 class Sink(ABC):
-    """A file in the making; what was not finished when its `with` ends is thrown away.
+    """A file in the making; what was not finished when its `with` ends is thrown away, unless it could not be finished.
 
     Its methods raise HapticdError where the disk does not take what is written; DiskFullError where it is only full.
     """
 
-    def __init__(self, target: str | os.PathLike[str], *, overwrite: bool = False, left: int | None = None) -> None:
-        """`left`: the parts that this process left when it was killed are taken up.
+    def __init__(self, target: str | os.PathLike[str], *, overwrite: bool = False, left: str | None = None) -> None:
+        """`left`: the parts that a process left when it was killed, by the stem of their names, are taken up.
 
-        Raises HapticdError where the target cannot be written, or is there already and not to be replaced;
-        BlockingIOError where the process still lives.
+        Raises HapticdError where the target cannot be written, or is there already and not to be replaced; with `left`
+        BlockingIOError where the process still lives, and OSError and ValueError where they cannot be read.
         """
-        self.target = Path(os.path.realpath(target))
+        self.target = resolved(target)
         """Where it goes; once it is finished, where it is."""
         self.displaced = False
         """Another file had appeared at the target, so that it has another name."""
@@ -137,27 +88,38 @@ class Sink(ABC):
         self.texts: dict[str, object] = {}
         self.about: dict[str, object] = {}
         """What of `recording` is known at the start."""
-        self._process = os.getpid() if left is None else left
+        self._stem = new_stem(self.target) if left is None else left
         self._name = os.fspath(target)
         self._dtype: np.dtype[np.void] | None = None
         self._parts: list[Part] = []
         self._shortened = False
+        self._kept = left is not None
+        """The parts stay, whatever happens."""
+        self.torn = 0
+        """Bytes at the end of what was taken up that are no whole sample or record."""
         if self.target.is_dir():
             raise HapticdError(f"{self._name}: is a directory")
-        if self.target.exists() and not os.access(self.target, os.W_OK):
+        if left is None and self.target.exists() and not os.access(self.target, os.W_OK):
             raise HapticdError(f"{self._name}: may not be overwritten")
         if left is None and not overwrite:
             self.refuse_taken(target)
+        try:
+            self._folder = Folder(self.target.parent)
+        except OSError as error:
+            raise HapticdError(f"{self._name}: cannot be written: {error.strerror}") from None
         try:
             self._part = self._open_part("part", left is not None)
             self._notes = self._open_part("notes", left is not None)
             if left is not None:
                 self._take_up()
-        except BlockingIOError:
-            self._close()
-            raise
         except OSError as error:
-            self._fail(error)
+            if left is None:
+                self._fail(error)
+            self._discard()
+            raise
+        except ValueError:
+            self._discard()
+            raise
 
     # ---- What each form does ---------------------------------------------------------------------------------------
 
@@ -169,7 +131,7 @@ class Sink(ABC):
     @classmethod
     def refuse_taken(cls, target: str | os.PathLike[str]) -> None:
         """Raises HapticdError where a file of a recording of this name is there already."""
-        place = Path(os.path.realpath(target))
+        place = resolved(target)
         for path in reversed(cls.files_of(place)):
             if os.path.lexists(path):
                 name = os.fspath(target)
@@ -188,8 +150,9 @@ class Sink(ABC):
         """Gives up the newest samples to make room; False where there are none."""
 
     @abstractmethod
-    def _resume(self) -> None:
-        """Finds out what the part holds, and cuts off what is not whole."""
+    def _resume(self) -> int:
+        """Finds out what the part holds; how many of its bytes are whole. Raises ValueError and others for what is none
+        of ours."""
 
     # ---- What they share -------------------------------------------------------------------------------------------
 
@@ -237,11 +200,13 @@ class Sink(ABC):
         """
         while True:
             try:
+                if self.torn:
+                    self._part.cut(self._part.size)
                 found = texts() if callable(texts) else texts
                 self._finish(self.texts | dict(found or {}), arrays or {})
                 return
             except OSError as error:
-                if error.errno not in _FULL or not self._shorten():
+                if error.errno not in _FULL or self._kept or not self._shorten():
                     self._fail(error)
                 self._shortened = True
                 self._recount()
@@ -253,19 +218,21 @@ class Sink(ABC):
             os.fsync(part.fd)
         for number in numbers(1):
             names = dict(zip(self.files_of(self.target), self.files_of(numbered(self.target, number)), strict=True))
-            placed: dict[Path, Part] = {}
+            placed: dict[str, Part] = {}
             try:
                 for path, part in parts.items():
-                    put(part.path, names[path], self._overwrite)
-                    placed[names[path]] = part
+                    before = part.name
+                    part.name_it(names[path].name, self._overwrite)
+                    placed[before] = part
             except OSError as error:
-                for path, part in placed.items():
-                    os.replace(path, part.path)
+                for before, part in placed.items():
+                    part.rename_back(before)
                 if isinstance(error, FileExistsError):
                     continue
                 raise
-            self.displaced = number > 1
-            self.target = names[self.target]
+            folder = self._folder.where()
+            self.displaced = number > 1 or folder != self._folder.path
+            self.target = folder / names[self.target].name
             for part in parts.values():
                 part.close()
             return
@@ -285,7 +252,10 @@ class Sink(ABC):
             self._notes.append(json.dumps([tag, value]).encode() + b"\n")
 
     def _noted(self, wanted: str) -> Iterator[Any]:
-        return (value for tag, value in map(json.loads, self._notes.lines()) if tag == wanted)
+        for line in self._notes.lines():
+            tag, value = json.loads(line)
+            if tag == wanted:
+                yield value
 
     def _all_texts(self, texts: Mapping[str, object]) -> dict[str, object]:
         changes = list(self._noted("change"))
@@ -298,10 +268,15 @@ class Sink(ABC):
             self.about = about
         for description in self._noted("dtype"):
             fields = [(name, form, *map(tuple, rest)) for name, form, *rest in description]
+            if not all(_FIELD.fullmatch(form) for _, form, *_ in fields):
+                raise ValueError("a field of samples is no plain number")
             self._dtype = np.dtype(fields)
-        self._resume()
-        self._shortened = True
-        self._recount()
+        if self._dtype is not None:
+            size = self._part.size
+            self._part.size = self._resume()
+            self.torn = max(size - self._part.size, 0)
+            self._shortened = True
+            self._recount()
 
     @contextmanager
     def _telling(self) -> Iterator[None]:
@@ -313,21 +288,35 @@ class Sink(ABC):
             self._fail(error)
 
     def _fail(self, error: OSError) -> NoReturn:
+        told = f"{self._name}: cannot be written: {error.strerror}"
+        # A disk that is full has no room for what was not finished; elsewhere it may be all that there is of an hour.
+        if self.count and error.errno not in _FULL and self._part.is_there():
+            self._kept = True
+            told += f"; what was recorded is kept, and `hapticd recover {shlex.quote(self._name)}` makes a file of it"
         self._discard()
-        raise HapticdError(f"{self._name}: cannot be written: {error.strerror}") from None
+        raise HapticdError(told) from None
+
+    def _remove(self, name: str) -> None:
+        with suppress(FileNotFoundError):
+            os.unlink(name, dir_fd=self._folder.fd)
 
     def _open_part(self, kind: str, resume: bool = False) -> Part:
-        part = Part(_part_path(self.target, self._process, kind), resume)
+        part = Part(self._folder, f"{self._stem}.{kind}", resume)
         self._parts.append(part)
         return part
 
-    def _close(self) -> None:
-        for part in self._parts:
-            part.close()
+    def discard(self) -> None:
+        """Throws away what is not finished, also what was taken up."""
+        self._kept = False
+        self._discard()
 
     def _discard(self) -> None:
         for part in self._parts:
-            part.discard()
+            if self._kept:
+                part.close()
+            else:
+                part.discard()
+        self._folder.close()
 
     def __enter__(self) -> Self:
         return self
@@ -336,10 +325,6 @@ class Sink(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._discard()
-
-
-def _part_path(target: Path, process: int, kind: str) -> Path:
-    return target.with_name(f".{target.name}.{process}.{kind}")
 
 
 # ---- .npz --------------------------------------------------------------------------------------------------------
@@ -384,7 +369,7 @@ class NpzSink(Sink):
         header = _npy_header(dtype, self.count, self._npy_size)
         checksum = crc32_of_both(zlib.crc32(header), self._checksum, size - self._start)
         try:
-            with _closing(open(self._part.path, "r+b")) as file:
+            with _closing(open(self._part.descriptor(), "r+b")) as file:
                 file.seek(size)
                 with zipfile.ZipFile(file, "w") as archive:
                     info = zipfile.ZipInfo(self._MEMBER)
@@ -421,21 +406,22 @@ class NpzSink(Sink):
         self.count = (size - self._start) // self._itemsize
         return self.count > 0
 
-    def _resume(self) -> None:
-        if self._dtype is None:
-            return
+    def _resume(self) -> int:
+        assert self._dtype is not None
         self._lay_out(self._dtype)
-        self.count = (self._part.size - self._start) // self._itemsize
-        if self.count == 0:
-            return
-        self._part.cut(self._start + self.count * self._itemsize)
-        with open(self._part.path, "rb") as file:
+        count = (self._part.size - self._start) // self._itemsize
+        with open(self._part.descriptor(), "rb") as file:
             file.seek(self._start)
-            while data := file.read(self._itemsize * 8192):
+            while self.count < count:
+                data = file.read(self._itemsize * min(8192, count - self.count))
+                if not data:
+                    break
+                self.count += len(data) // self._itemsize
                 self._checksum = zlib.crc32(data, self._checksum)
                 last = np.frombuffer(data[-self._itemsize :], self._dtype)
                 self._checks.append((file.tell(), self._checksum, *last_of(last)))
         self.last_tick, self.last_time_ns = self._checks[-1][2:]
+        return self._start + self.count * self._itemsize
 
 
 def last_of(samples: Samples) -> tuple[int, int]:
@@ -537,7 +523,7 @@ class CsvSink(Sink):
                 made[about] = self._make("about", [json.dumps(told, indent=1) + "\n"])
             self._put({**made, samples: self._part})
             if not told and self._overwrite:
-                about.unlink(missing_ok=True)  # it told of the recording that was replaced
+                self._remove(about.name)  # it told of the recording that was replaced
         except OSError:
             for part in made.values():
                 part.discard()
@@ -575,24 +561,23 @@ class CsvSink(Sink):
         self._part.cut(size)
         return self.count > 0
 
-    def _resume(self) -> None:
+    def _resume(self) -> int:
         lines = self._part.lines()
-        names = next(lines, b"").decode().strip().split(",")
-        size, self._checks = 0, [(0, 0, -1, 0)]
-        if "tick" not in names:
-            return
+        head = next(lines, b"")
+        names = head.decode().strip().split(",")
+        self._checks = [(0, 0, -1, 0)]
         tick, time = names.index("tick"), names.index("time_ns")
-        size = len(",".join(names)) + 1
+        size = len(head)
         for line in lines:
+            cells = line.split(b",")
+            if len(cells) != len(names) or not _ROW.fullmatch(line):
+                break
             size += len(line)
             self.count += 1
-            if size - self._checks[-1][0] >= _CHECK_EVERY:
-                cells = line.split(b",")
-                self._checks.append((size, self.count, int(cells[tick]), int(cells[time])))
-        if self.count:
-            cells = line.split(b",")
             self.last_tick, self.last_time_ns = int(cells[tick]), int(cells[time])
-        self._part.cut(size)
+            if size - self._checks[-1][0] >= _CHECK_EVERY:
+                self._checks.append((size, self.count, self.last_tick, self.last_time_ns))
+        return size
 
 
 class _Lines:
@@ -623,7 +608,8 @@ def _csv_names(dtype: np.dtype[Any]) -> list[str]:
 # ---- By name -----------------------------------------------------------------------------------------------------
 
 
-def _form(target: str | os.PathLike[str]) -> type[Sink]:
+def form_of(target: str | os.PathLike[str]) -> type[Sink]:
+    """Raises HapticdError for an ending that is none of ours."""
     match Path(target).suffix.lower():
         case ".npz":
             return NpzSink
@@ -640,40 +626,11 @@ def _form(target: str | os.PathLike[str]) -> type[Sink]:
 def open_sink(target: str | os.PathLike[str], overwrite: bool = False) -> Sink:
     """The sink for a target, by its ending. Raises HapticdError for another, an unwritable target, and, without
     `overwrite`, for one that is there already."""
-    return _form(target)(target, overwrite=overwrite)
+    return form_of(target)(target, overwrite=overwrite)
 
 
 def check_target(target: str | os.PathLike[str], overwrite: bool) -> None:
     """Raises HapticdError for a target of another ending, and, without `overwrite`, for one that is there already."""
-    form = _form(target)
+    form = form_of(target)
     if not overwrite:
         form.refuse_taken(target)
-
-
-def recover(target: str | os.PathLike[str]) -> list[Path]:
-    """Makes files of what recordings into `target` left that were killed: NAME.recovered.ENDING beside it.
-
-    Those of processes that still record are let alone. Raises HapticdError where the disk does not take them.
-    """
-    form = _form(target)
-    place = Path(os.path.realpath(target))
-    made = []
-    for part in sorted(place.parent.glob(f".{_escaped(place.name)}.*.part")):
-        process = part.name.removeprefix(f".{place.name}.").removesuffix(".part")
-        if not process.isdecimal():
-            continue
-        try:
-            sink = form(target, left=int(process))
-        except BlockingIOError:
-            continue
-        with sink:
-            if sink.count:
-                sink.target = place.with_name(f"{place.stem}.recovered{place.suffix}")
-                found = {"ticks": sink.count, "events": sink.event_count, "ended_because": "killed"}
-                sink.finish({"recording": {**sink.about, **found}})
-                made.append(sink.target)
-    return made
-
-
-def _escaped(name: str) -> str:
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)

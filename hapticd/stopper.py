@@ -289,8 +289,12 @@ def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[i
             os.close(own)
 
     writer = threading.Thread(target=send, name="stop", daemon=True)
-    writer.start()
-    writer.join(max(0.0, until_s - time.monotonic()))
+    try:
+        writer.start()
+    except RuntimeError:
+        send()  # no thread is to be had: better to wait for a device that hangs than to leave each as it is
+    else:
+        writer.join(max(0.0, until_s - time.monotonic()))
     if writer.is_alive():
         given_up.set()
         raise HapticdError(f"{what}: does not take reports; it may still push")

@@ -1,7 +1,7 @@
 """The telemetry publisher: drains the servo's rings and sends what they held to whoever listens.
 
 Runs in a thread of its own. The servo never waits for it; a ring holds more than a second, which outlasts a garbage
-collection. A slow subscriber costs itself messages (PUB drops them), nobody else.
+collection. A slow subscriber costs itself messages, nobody else.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import zmq
 
 from hapticd import wire
 from hapticd.changes import change_map
@@ -23,12 +22,12 @@ from hapticd.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
 from hapticd.events import event_map
 from hapticd.flight import Flight
 from hapticd.journal import EventLog
+from hapticd.publisher import Publisher
 
 SAMPLES_EVERY_S: Final = 0.020
 STATE_EVERY_S: Final = 1.0 / 60.0
 STATUS_EVERY_S: Final = 1.0
-SEND_HIGH_WATER_MARK: Final = 400
-"""Messages kept for a subscriber that does not read: about three seconds of them."""
+TOPICS: Final = ("samples", "state", "event", "change", "status")
 
 _EVENT_READS: Final = 2
 _DESCRIPTION: Final = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
@@ -47,37 +46,39 @@ def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
 
 
 class Telemetry:
-    """Publishes one engine's telemetry on a PUB socket that is already bound."""
+    """Publishes one engine's telemetry."""
 
     def __init__(
         self,
         engine: Engine,
-        socket: zmq.Socket[bytes],
+        publisher: Publisher,
         status: Callable[[], dict[str, object]],
         flight: Flight | None = None,
     ) -> None:
         self._engine = engine
-        self._socket = socket
+        self._publisher = publisher
         self._status = status
         self._flight = flight
-        self._log = EventLog(missing=lambda: engine.granted is not None and bool(engine.granted.missing))
+        self._log = EventLog(
+            missing=lambda: engine.granted is not None and bool(engine.granted.missing),
+            rate_hz=lambda: engine.rate_hz,
+        )
         self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
         self._events = records(EVENT_DTYPE, 1024)
         self._held = 0
         self._newest: npt.NDArray[np.void] | None = None
         self._dropped = 0
-        self._wake = threading.Event()
         self._asked: deque[Future[dict[str, object]]] = deque()
 
     def wake(self) -> None:
         """Ends the wait for the next message, so that `run` looks whether it is to stop. For any thread."""
-        self._wake.set()
+        self._publisher.wake()
 
     def ask_state(self) -> Future[dict[str, object]]:
         """What `state` says once there is a tick, of the newest at this time or of a later one. For any thread."""
         answer: Future[dict[str, object]] = Future()
         self._asked.append(answer)
-        self._wake.set()
+        self._publisher.wake()
         return answer
 
     def run(self, stop: threading.Event) -> None:
@@ -91,8 +92,7 @@ class Telemetry:
         }
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
         while True:
-            self._wake.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9))
-            self._wake.clear()
+            self._publisher.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9))
             if stop.is_set():
                 break
             drained_ns = monotonic_ns()
@@ -199,7 +199,7 @@ class Telemetry:
         self._send("status", self._status())
 
     def _send(self, topic: str, message: dict[str, object]) -> None:
-        self._socket.send_multipart([topic.encode(), wire.encode(message)])
+        self._publisher.publish(topic, wire.encode(message))
 
     def _note(self, event: Any) -> dict[str, object]:
         """An event's map."""

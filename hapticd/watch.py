@@ -21,9 +21,11 @@ from rich.live import Live
 from rich.text import Text
 
 from hapticd import words
-from hapticd.calls import KeyRefused, State, Status, Topic
+from hapticd.calls import Topic
 from hapticd.client import Client, Subscription
 from hapticd.errors import HapticdError
+from hapticd.remote import Remote
+from hapticd.results import State, Status
 
 REFRESH_S: Final = 1 / 15
 LOST_AFTER_S: Final = 1.5
@@ -380,7 +382,7 @@ def watch(
     """
     console = console or Console()
     ends_s = math.inf if duration_s is None else time.monotonic() + duration_s
-    with client.telemetry("state", "event", "status") as messages:
+    with client.telemetry("state", "event", "status", "bridge") as messages:
         if as_json or not console.is_terminal:
             for line in _lines(client, messages, as_json, ends_s):
                 console.file.write(line + "\n")
@@ -403,27 +405,25 @@ def _draw(client: Client, messages: _Messages, console: Console, ends_s: float) 
     """Draws until the time is over (true) or the terminal is gone (false)."""
     view = View()
     heard = shown = time.monotonic()
-    asked = -math.inf
+    asked, asks = -math.inf, _is_here(client)
     with Live(console=console, screen=True, auto_refresh=False) as live:
         _first_status(client, view)
         while (now := time.monotonic()) < ends_s:
             item = messages.receive(min(REFRESH_S, ends_s - now))
             now = time.monotonic()
-            if item is not None:
+            if item is not None and item[0] == "bridge":
+                asks = item[1]["may"] == "command"
+            elif item is not None:
                 heard = now
                 view.feed(*item)
             elif now - heard > LOST_AFTER_S:
                 view.lost_for_s = now - heard
-            if view.wants_scene and now - asked > 1.0:
+            if asks and view.wants_scene and now - asked > 1.0:
                 asked = now
                 # Asked again if there is no answer; that the daemon is gone shows by its silence.
-                try:
+                with suppress(HapticdError):
                     answer = client.get_scene()
                     view.set_scene(answer["scene"], answer["revision"])
-                except KeyRefused:
-                    asked = math.inf
-                except HapticdError:
-                    pass
             if now - shown >= REFRESH_S:
                 shown = now
                 if not console.file.isatty():
@@ -432,9 +432,14 @@ def _draw(client: Client, messages: _Messages, console: Console, ends_s: float) 
     return True
 
 
+def _is_here(client: Client) -> bool:
+    """Whether we may ask. A bridge says whether our key may; its command socket would count a refusal otherwise."""
+    return not isinstance(client.paths, Remote)
+
+
 def _first_status(client: Client, view: View) -> None:
-    # Who may only watch is told the status within a second all the same.
-    with suppress(KeyRefused):
+    # Who does not ask is told the status within a second all the same.
+    if _is_here(client):
         view.feed("status", client.get_status())
 
 
@@ -453,8 +458,10 @@ def _lines(client: Client, messages: _Messages, as_json: bool, ends_s: float) ->
                 yield json.dumps({"topic": "lost"}) if as_json else "daemon lost; waiting for it"
             view.lost_for_s = now - heard
             continue
-        heard = now
         topic, message = item
+        if topic == "bridge":
+            continue
+        heard = now
         view.feed(topic, message)
         if topic == "event" and as_json:
             yield json.dumps({"topic": topic, **message})

@@ -80,6 +80,10 @@ def _bad(message: str) -> WireError:
     return WireError(Code.PARSE, message)
 
 
+def _too_long(size: int, limit: int) -> str:
+    return f"the body has {size} bytes: at most {limit} are taken"
+
+
 def _map(pairs: list[tuple[str, object]]) -> dict[str, object]:
     result = {}
     for key, value in pairs:
@@ -127,7 +131,7 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
     """
     size = len(body)
     if size > limit:
-        raise _bad(f"the body has {size} bytes: at most {limit} are taken")
+        raise _bad(_too_long(size, limit))
     # A short body with few bytes that could open a container, and none that could open an extension, needs
     # no second look; most are so.
     flat = size <= _SMALL and size - len(body.translate(None, _OPENERS)) <= MAX_DEPTH
@@ -233,6 +237,28 @@ def parse_request(message: object) -> Request:
     return Request(id, has_id, method, params)
 
 
+def peek(body: bytes) -> Request | None:
+    """Method and id of a large request, without its params; None for what is not one at a first look. It costs a
+    tenth of decoding it."""
+    found: dict[str, object] = {}
+    try:
+        scanner = msgpack.Unpacker(max_buffer_size=max(len(body), 1), raw=False, strict_map_key=False)
+        scanner.feed(body)
+        members = scanner.read_map_header()
+        if members > len(_MEMBERS):
+            return None
+        for _ in range(members):
+            key = scanner.unpack()
+            if key in ("id", "method"):
+                found[key] = scanner.unpack()
+            else:
+                scanner.skip()
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError):
+        return None
+    id, method = found.get("id"), found.get("method")
+    return Request(id, "id" in found, method, {}) if _is_id(id) and isinstance(method, str) else None
+
+
 def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> bytes:
     """The body of a call."""
     message: dict[str, object] = {"jsonrpc": "2.0", "id": id, "method": method}
@@ -266,6 +292,11 @@ def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
     if count == 2 and delimited:
         return True, frames[1]
     return delimited, None
+
+
+def too_long(size: int) -> bytes:
+    """The answer to a body of more than MAX_BODY bytes that nobody kept."""
+    return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY))
 
 
 def close_envelope(delimited: bool, body: bytes) -> list[bytes]:

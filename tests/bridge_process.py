@@ -21,6 +21,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from hapticd.keys import new_certificate, write_certificate
 from hapticd.remote import Remote
+from tests.daemon_process import PATIENCE_S
 
 HANDSHAKES = zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED
 FAILURES = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
@@ -69,10 +70,15 @@ class Bridge:
             return next((match for line in self._lines[since:] if (match := re.search(pattern, line))), None)
 
         with self._said:
-            assert self._said.wait_for(lambda: found() or "the end" in self._lines, 60), self._lines
+            assert self._said.wait_for(lambda: found() or "the end" in self._lines, PATIENCE_S), self._lines
             match = found()
             assert match is not None, self._lines
             return match
+
+    def said(self, text: str) -> list[str]:
+        """The lines so far that hold the text."""
+        with self._said:
+            return [line for line in self._lines if text in line]
 
     @property
     def spoken(self) -> int:
@@ -101,11 +107,21 @@ class Bridge:
 
     def raw(self, telemetry: bool = False) -> socket.socket:
         """A connection without ZeroMQ."""
-        return socket.create_connection((self.host, self.port + telemetry), 30)
+        return socket.create_connection((self.host, self.port + telemetry), PATIENCE_S)
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """It stands still meanwhile; the kernel takes connections for it."""
+        self.process.send_signal(signal.SIGSTOP)
+        os.waitpid(self.process.pid, os.WUNTRACED)
+        try:
+            yield
+        finally:
+            self.process.send_signal(signal.SIGCONT)
 
     def stop(self) -> int:
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(60)
+        return self.process.wait(PATIENCE_S)
 
     def close(self) -> None:
         """After its end."""
@@ -136,8 +152,8 @@ class Peer:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.socket = self._context.socket(kind)
         self.socket.setsockopt(zmq.LINGER, 0)
-        self.socket.setsockopt(zmq.RCVTIMEO, 30_000)
-        self.socket.setsockopt(zmq.SNDTIMEO, 30_000)
+        self.socket.setsockopt(zmq.RCVTIMEO, int(1e3 * PATIENCE_S))
+        self.socket.setsockopt(zmq.SNDTIMEO, int(1e3 * PATIENCE_S))
         if remote is not None:
             remote.secure(self.socket)
         self._monitor = self.socket.get_monitor_socket(HANDSHAKES | FAILURES)
@@ -145,7 +161,7 @@ class Peer:
 
     def event(self) -> int:
         """The next event."""
-        assert self._monitor.poll(30_000)
+        assert self._monitor.poll(1e3 * PATIENCE_S)
         return int(recv_monitor_message(self._monitor)["event"])
 
     def more(self) -> bool:

@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import json
+import sys
 
 import pytest
 
 from hapticd.cli import main
+from tests.daemon_process import PATIENCE_S
+
+HAPTICD = [
+    sys.executable,
+    "-c",
+    "import sys, hapticd.calls; from hapticd.cli import main\n"
+    f"hapticd.calls.TIMEOUT_S = {PATIENCE_S}; sys.exit(main())",
+]
+"""The command in a process of its own; it waits for an answer as long as the tests do, not five seconds."""
 
 
 def said(capsys: pytest.CaptureFixture[str], code: int, *arguments: str) -> str:

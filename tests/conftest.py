@@ -8,6 +8,7 @@ import shutil
 import signal
 import tempfile
 from collections.abc import Iterator
+from importlib import resources
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -49,9 +50,20 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(autouse=True, scope="session")
-def _no_configuration_of_the_user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def _neither_the_users_configuration_nor_an_installed_service(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[None]:
+    """A process that a test starts takes the built-in configuration, too, whatever stands in /etc/hapticd: a copy of it
+    is the user's."""
+    none, home = tmp_path_factory.mktemp("none"), tmp_path_factory.mktemp("config")
+    built_in = resources.files("hapticd").joinpath("shipped", "default.yaml").read_text(encoding="utf-8")
+    (home / "hapticd").mkdir()
+    (home / "hapticd" / "config.yaml").write_text(built_in, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CONFIG_HOME", str(tmp_path_factory.mktemp("config")))
+        patch.setenv("XDG_CONFIG_HOME", str(home))
+        patch.setattr("hapticd.config_files.SYSTEM_CONFIG", none / "config.yaml")
+        for module in ("hapticd.paths", "hapticd.calls"):
+            patch.setattr(f"{module}.SYSTEM_DIRECTORY", none / "run")
         yield
 
 

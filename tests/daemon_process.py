@@ -20,13 +20,15 @@ import zmq
 
 import hapticd
 
-connect = partial(hapticd.connect, timeout_s=60.0)
-"""The client, with the patience that a busy machine asks for; the bound only keeps a broken test from hanging."""
+PATIENCE_S = 120.0
+"""How long a test waits for what is sure to come, on however busy a machine: a bound for tests that are broken."""
+
+connect = partial(hapticd.connect, timeout_s=PATIENCE_S)
 
 
-def until(what: Callable[[], bool], timeout_s: float = 60.0) -> None:
-    """Waits for what another process does and does not tell; the bound only keeps a broken test from hanging."""
-    pause, deadline = threading.Event(), time.monotonic() + timeout_s
+def until(what: Callable[[], bool]) -> None:
+    """Waits for what another process does and does not tell."""
+    pause, deadline = threading.Event(), time.monotonic() + PATIENCE_S
     while not what():
         assert time.monotonic() < deadline
         pause.wait(0.01)
@@ -50,10 +52,10 @@ class Daemon:
             os.setpriority(os.PRIO_PROCESS, self.process.pid, -20)
 
     def wait_ready(self) -> None:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + PATIENCE_S
         while not (self.directory / "hapticd.command").exists():
             assert self.process.poll() is None, self.said()
-            assert time.monotonic() < deadline, "not ready in a minute"
+            assert time.monotonic() < deadline, "not ready"
             time.sleep(0.01)  # another process: its socket file is the event, and nothing tells of it
 
     def said(self) -> str:
@@ -61,7 +63,7 @@ class Daemon:
 
     def stop(self, number: int = signal.SIGTERM) -> int:
         self.process.send_signal(number)
-        return self.process.wait(60)
+        return self.process.wait(PATIENCE_S)
 
 
 class Wire:
@@ -71,7 +73,7 @@ class Wire:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self.socket = self._context.socket(kind)
         self.socket.setsockopt(zmq.LINGER, 0)
-        self.socket.setsockopt(zmq.RCVTIMEO, 30_000)
+        self.socket.setsockopt(zmq.RCVTIMEO, int(1e3 * PATIENCE_S))
         self.socket.connect(f"ipc://{directory}/hapticd.command")
         self._id = 0
 

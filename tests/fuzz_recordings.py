@@ -2,9 +2,10 @@
 
     python -m tests.fuzz_recordings [--runs 20000] [--seed 0]
 
-A recording of each form, .npz, .csv and .mcap, is changed in its bytes and in what it holds: members, headers,
-lengths, texts. What is read is rendered again, which must say what is wrong, too. The tests do some of each; a file
-that fails is kept and named.
+A recording of each form, .npz, .csv and .mcap, a file of the flight recorder and what killed recordings left are
+changed in their bytes and in what they hold: members, directories, headers, lengths, chunks, texts. What is read is
+rendered again, which must say what is wrong, too; of parts a file is made, or they stay. Each may take LIMIT_BYTES of
+memory, and the process gets little more. The tests do some of each; a file that fails is kept and named.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import io
 import json
 import random
+import re
 import resource
 import shutil
 import struct
@@ -22,9 +24,9 @@ import warnings
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Final
 
@@ -33,17 +35,21 @@ import numpy as np
 from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError
+from hapticd.mcap import McapSink
 from hapticd.offline import simulate
 from hapticd.recorded import load_recorded
+from hapticd.recovery import recover
 from hapticd.replayed import replay
-from hapticd.sink import open_sink
+from hapticd.sink import Sink, open_sink
 from tests import fuzzing
 from tests.fuzzing import Tree
 
 HANGS_S: Final = 10.0
 """Processor time; a recording of twenty milliseconds that takes longer hangs."""
-ROOM_BYTES: Final = 1 << 30
-"""Address room beyond what the process has; a file of some kilobytes that needs more is not bounded."""
+LIMIT_BYTES: Final = 64 << 20
+"""What each recording may take."""
+ROOM_BYTES: Final = 4 * LIMIT_BYTES
+"""Address room beyond what the process has, so that what is freed and not yet given back has its place."""
 LONGEST_LINE: Final = 4000
 TICKS: Final = 200
 
@@ -70,28 +76,51 @@ class Failure(AssertionError):
     """What was found, and where the file is."""
 
 
-@cache
-def whole(ending: str) -> dict[str, bytes]:
-    """The files of a recording, by what its name has behind the stem."""
+def _fill(sink: Sink) -> None:
+    """Records a short simulation."""
     config = load_config(CONFIG)
     samples = simulate(CONFIG, [[0.0, 0.0, 0.001], [0.01, 0.0, -0.001], [0.02, 0.001, 0.001]], 1e-4 * TICKS)
     samples["revision"] = np.where(samples["tick"] < 120, 1, 2)
+    sink.begin(
+        {
+            "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
+            "scene": config.scene.to_dict(),
+            "materials": {name: config.materials[name].to_dict() for name in ("wood", "steel")},
+        }
+    )
+    for change in CHANGES:
+        sink.write_change(change)
+    sink.write(samples)
+    sink.write_event({"event": "contact", "tick": 3, "time_ns": 300000, "object": "floor"})
+    sink.write_event({"event": "mark", "tick": 9, "time_ns": 900000, "text": "one", "data": {"a": [1, None]}})
+
+
+@cache
+def whole(form: str) -> dict[str, bytes]:
+    """The files of a recording, by what their names have behind the stem; of parts by their names."""
     with tempfile.TemporaryDirectory(prefix="hapticd-test-") as folder:
-        with open_sink(Path(folder) / f"r{ending}") as sink:
-            sink.begin(
-                {
-                    "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
-                    "scene": config.scene.to_dict(),
-                    "materials": {name: config.materials[name].to_dict() for name in ("wood", "steel")},
-                }
-            )
-            for change in CHANGES:
-                sink.write_change(change)
-            sink.write(samples)
-            sink.write_event({"event": "contact", "tick": 3, "time_ns": 300000, "object": "floor"})
-            sink.write_event({"event": "mark", "tick": 9, "time_ns": 900000, "text": "one", "data": {"a": [1, None]}})
-            sink.finish()
+        with open_sink(Path(folder) / f"r{form}") as sink:
+            _fill(sink)
+            if form.startswith("left"):
+                if isinstance(sink, McapSink):
+                    sink._write_chunk()
+                kinds = {path.suffix: path.read_bytes() for path in Path(folder).iterdir()}
+                return {f".f{form}.1.0123456789abcdef{kind}": content for kind, content in kinds.items()}
+            flight = {"reason": "asked", "tick": None, "complete_from": 10}
+            sink.finish({"flight": flight, "recording": {"ticks": TICKS}} if form.startswith("flight") else {})
         return {path.name.removeprefix("r"): path.read_bytes() for path in Path(folder).iterdir()}
+
+
+@cache
+def members(form: str) -> dict[str, tuple[bytes, str | None]]:
+    """The members of an archive: their bytes, and the text of those that are one."""
+    found = {}
+    with zipfile.ZipFile(io.BytesIO(whole(form)[form])) as archive:
+        for name in archive.namelist():
+            member = archive.read(name)
+            array = np.load(io.BytesIO(member))
+            found[name] = (member, str(array) if array.dtype.kind == "U" else None)
+    return found
 
 
 # ---- What is changed ---------------------------------------------------------------------------------------------
@@ -174,66 +203,92 @@ def _hurt(source: random.Random, records: np.ndarray) -> None:
             record[name] = source.choice((0, int(limits.max), int(limits.min), source.randrange(int(limits.max))))
 
 
-def npz(source: random.Random) -> dict[str, bytes]:
+def npz(source: random.Random, form: str = ".npz") -> dict[str, bytes]:
     """A .npz: its archive torn, or put together anew of changed members."""
-    content = whole(".npz")[".npz"]
-    if source.random() < 0.35:
-        return {".npz": torn(source, content)}
+    content = whole(form)[form]
+    choice = source.random()
+    if choice < 0.2:
+        return {form: torn(source, content)}
+    if choice < 0.4:
+        return {form: _patched(source, content)}
     made = io.BytesIO()
-    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(made, "w") as new, warnings.catch_warnings():
+    with zipfile.ZipFile(made, "w") as new, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that a name is there twice is meant
-        names = old.namelist()
+        names = list(members(form))
         plain = (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)
         kinds = (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA) if source.random() < 0.05 else plain
         chosen = source.sample(names, source.choice((1, 1, 2)))
         for name in names:
-            member = old.read(name)
+            member, text = members(form)[name]
             if name in chosen:
                 if source.random() < 0.15:
                     continue
-                member = _member(source, member)
+                member = _member(source, member, text)
             kind = source.choice(kinds)
             new.writestr(
                 name if source.random() < 0.98 else source.choice(("../x.npy", "x.npy", "a/b.npy")), member, kind
             )
+        if source.random() < 0.1:
+            again = source.choice(names)
+            new.writestr(again, members(form)[again][0])
     found = made.getvalue()
-    return {".npz": _patched(source, found) if source.random() < 0.2 else found}
+    return {form: _patched(source, found) if source.random() < 0.2 else found}
 
 
-def _member(source: random.Random, member: bytes) -> bytes:
+def flight(source: random.Random) -> dict[str, bytes]:
+    """A file of the flight recorder."""
+    return npz(source, "flight.npz")
+
+
+def _member(source: random.Random, member: bytes, text: str | None) -> bytes:
     """A changed member; texts are arrays of one long string."""
-    if source.random() < 0.02:
-        return member + bytes(20_000_000)
-    try:
-        array = np.load(io.BytesIO(member))
-        text = str(array)
-        if array.dtype.kind != "U" or source.random() < 0.2:
-            return _array(source, member)
-        made = io.BytesIO()
-        np.save(made, np.array(_text(source, text.encode()).decode("utf-8", "replace")))
-        return made.getvalue()
-    except ValueError:
-        return torn(source, member)
+    choice = source.random()
+    if choice < 0.005:
+        return member + bytes(source.choice((20_000_000, 100_000_000)))
+    if choice < 0.02:  # a header that is said to be as long as all that follows
+        return b"\x93NUMPY\x02\x00" + struct.pack("<I", source.choice((2**31, 2**32 - 1, 65536))) + bytes(1_000_000)
+    if text is None or source.random() < 0.2:
+        return _array(source, member)
+    made = io.BytesIO()
+    np.save(made, np.array(_text(source, text.encode()).decode("utf-8", "replace")))
+    return made.getvalue()
+
+
+ZIP_FIELDS: Final = {
+    b"PK\x03\x04": ((4, 2), (6, 2), (8, 2), (14, 4), (18, 4), (22, 4), (26, 2), (28, 2)),
+    b"PK\x01\x02": ((6, 2), (8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (30, 2), (32, 2), (34, 2), (42, 4)),
+    b"PK\x05\x06": ((4, 2), (6, 2), (8, 2), (10, 2), (12, 4), (16, 4), (20, 2)),
+    b"PK\x06\x06": ((4, 8), (24, 8), (32, 8), (40, 8), (48, 8)),
+}
+"""Of local headers, of the directory, and of its end: where fields are, and how long."""
 
 
 def _patched(source: random.Random, content: bytes) -> bytes:
-    """An archive whose directory says something else: methods, sizes, flags."""
+    """An archive whose headers or directory say something else: flags, methods, checksums, sizes, lengths, places."""
     found = bytearray(content)
-    at = found.find(b"PK\x01\x02")
-    while at >= 0 and source.random() < 0.7:
-        place, value = source.choice(
-            ((8, b"\x01\x00"), (10, b"\x63\x00"), (20, b"\xff" * 4), (24, b"\xff\xff\xff\x7f"), (42, b"\xff" * 4))
-        )
-        found[at + place : at + place + len(value)] = value
-        at = found.find(b"PK\x01\x02", at + 4)
+    for _ in range(source.choice((1, 1, 2, 4))):
+        mark = source.choice((b"PK\x03\x04", b"PK\x01\x02", b"PK\x01\x02", b"PK\x01\x02", b"PK\x05\x06"))
+        places = [match.start() for match in re.finditer(re.escape(mark), content)]
+        if not places:
+            continue
+        place, size = source.choice(ZIP_FIELDS[mark])
+        at = source.choice(places) + place
+        old = int.from_bytes(found[at : at + size], "little")
+        most = 256**size
+        new = source.choice((0, 1, most - 1, most // 2 - 1, old + 1, old - 1, old * 2, 99, source.randrange(most)))
+        found[at : at + size] = (new % most).to_bytes(size, "little")
     return bytes(found)
 
 
 def csv(source: random.Random) -> dict[str, bytes]:
     """A .csv with what stands beside it."""
     files = dict(whole(".csv"))
-    name = source.choice((".csv", ".csv", ".about.json"))
-    if name == ".about.json":
+    name = source.choice((".csv", ".csv", ".about.json", ".events.csv"))
+    if name == ".events.csv" and source.random() < 0.2:
+        files[name] += source.choice(
+            (b'"', b'"' + b"x" * 200_000, b"mark,1,2" + b"," * 5000, b"a,\n" * 1000, b"\r\r\n\0")
+        )
+    elif name == ".about.json":
         files[name] = _text(source, files[name])
     elif source.random() < 0.4:
         files[name] = torn(source, files[name])
@@ -243,7 +298,29 @@ def csv(source: random.Random) -> dict[str, bytes]:
             row = rows[source.choice((0, 1, source.randrange(len(rows))))]
             place = source.randrange(len(row))
             row[place] = source.choice(
-                (b"", b"nan", b"inf", b"-1", b"1e999", b"x", b'"', b"#", b"9" * 400, b"\xff", b"1 2", row[place - 1])
+                (
+                    b"",
+                    b"nan",
+                    b"inf",
+                    b"-1",
+                    b"1e999",
+                    b"x",
+                    b'"',
+                    b"#",
+                    b"9" * 400,
+                    b"\xff",
+                    b"1 2",
+                    row[place - 1],
+                    b"9" * 70_000,
+                    b"0x1",
+                    b"1_0",
+                    b"[" * 2000,
+                    b"null",
+                    b'"a"',
+                    b"1.5",
+                    b"2e3",
+                    b"\0",
+                )
             )
             if source.random() < 0.2:
                 row.append(b"1")
@@ -272,6 +349,10 @@ def mcap(source: random.Random) -> dict[str, bytes]:
         return {".mcap": torn(source, content)}
     found = [content[:8]]
     records = list(_records(content))
+    if source.random() < 0.1:
+        source.shuffle(records)
+    if source.random() < 0.1:
+        records.insert(source.randrange(len(records)), source.choice(records))
     hit = source.sample(range(len(records)), source.choice((1, 1, 2)))
     for place, (opcode, body) in enumerate(records):
         if place in hit:
@@ -289,19 +370,34 @@ def _record(source: random.Random, opcode: int, body: bytes, same_size: bool) ->
     if opcode == 6 and source.random() < 0.8:  # a chunk: its own lengths, or what it holds
         begin, end, size, crc, length = struct.unpack_from("<QQQII", body)
         kind, data = body[32 : 32 + length], body[40 + length :]
+        import zstandard
+
         if source.random() < 0.5:
             size = source.choice((0, size + 1, 1 << 31, 1 << 40, 2**64 - 1))
         else:
-            import zstandard
-
             messages = bytearray(zstandard.decompress(data, size)) if kind == b"zstd" else bytearray(data)
             messages = bytearray(torn(source, bytes(messages)))
             if source.random() < 0.1:
                 messages += bytes(50_000_000)
             size, crc = len(messages), zlib.crc32(bytes(messages))
             data = zstandard.compress(bytes(messages)) if kind == b"zstd" else bytes(messages)
-        if source.random() < 0.1:
-            kind = source.choice((b"lz4", b"", b"zst", b"none"))
+        if source.random() < 0.4:  # compressed in another way, and perhaps for long
+            raw = zstandard.decompress(data, 1 << 27) if kind == b"zstd" and source.random() < 0.9 else data
+            if source.random() < 0.05:
+                raw += bytes(80_000_000)
+            kind = source.choice((b"lz4", b"lz4", b"", b"zst", b"zstd"))
+            if kind == b"lz4":
+                import lz4.frame
+
+                data = lz4.frame.compress(raw, store_size=source.random() < 0.5)
+            elif kind == b"zstd":
+                data = zstandard.ZstdCompressor(write_content_size=source.random() < 0.5).compress(raw)
+            else:
+                data = raw
+            if source.random() < 0.3:
+                data = torn(source, data)
+            if source.random() < 0.3:
+                size, crc = len(raw), zlib.crc32(raw)
         return struct.pack("<QQQII", begin, end, size, crc, len(kind)) + kind + struct.pack("<Q", len(data)) + data
     made = bytearray(body)
     for _ in range(source.choice((1, 2, 6))):
@@ -312,7 +408,32 @@ def _record(source: random.Random, opcode: int, body: bytes, same_size: bool) ->
     return bytes(made[: len(body)]) if same_size else bytes(made)
 
 
-FORMS: Final[dict[str, Callable[[random.Random], dict[str, bytes]]]] = {".npz": npz, ".csv": csv, ".mcap": mcap}
+def left(source: random.Random, form: str) -> dict[str, bytes]:
+    """What a killed recording left: its part or its notes changed."""
+    files = dict(whole(form))
+    for name in source.sample(sorted(files), source.choice((1, 1, 2))):
+        if source.random() < 0.03:
+            del files[name]
+        elif name.endswith(".notes") and source.random() < 0.7:
+            lines = files[name].splitlines()
+            at = source.randrange(len(lines))
+            lines[at] = _text(source, lines[at])
+            files[name] = b"".join(line + b"\n" for line in lines)
+        else:
+            files[name] = torn(source, files[name])
+    return files
+
+
+FORMS: Final[dict[str, Callable[[random.Random], dict[str, bytes]]]] = {
+    ".npz": npz,
+    ".csv": csv,
+    ".mcap": mcap,
+    "flight.npz": flight,
+    "left.npz": partial(left, form="left.npz"),
+    "left.csv": partial(left, form="left.csv"),
+    "left.mcap": partial(left, form="left.mcap"),
+}
+WEIGHTS: Final = (6, 6, 6, 2, 1, 1, 1)
 
 
 # ---- Runs --------------------------------------------------------------------------------------------------------
@@ -336,19 +457,22 @@ def check_refusal(error: HapticdError, path: Path) -> None:
     assert told.isprintable(), repr(told)
     assert len(told) < LONGEST_LINE, len(told)
     assert str(path.with_suffix("")) in told, told
+    assert "takes more memory than there is" not in told, told
 
 
 def run_one(path: Path) -> str:
     """Reads a recording and renders it again; what came of it."""
+    if path.name.startswith("fleft"):
+        return _recovered(path)
     try:
-        found = load_recorded(path)
+        found = load_recorded(path, LIMIT_BYTES)
     except HapticdError as error:
         check_refusal(error, path)
         return "refused"
     assert found.samples.dtype == SAMPLE_DTYPE
     assert found.samples.ndim == 1
     try:
-        again = replay(path)
+        again = replay(path, LIMIT_BYTES)
     except HapticdError as error:
         check_refusal(error, path)
         return "read, not rendered"
@@ -356,6 +480,25 @@ def run_one(path: Path) -> str:
     json.dumps(again.to_dict())
     assert again.summary().isprintable()
     return "rendered"
+
+
+def _recovered(path: Path) -> str:
+    found = recover(path)
+    for told in found.told:
+        check_refusal(HapticdError(told), path.with_name(f".{path.name}"))
+    for made in found.files:
+        try:
+            load_recorded(made, LIMIT_BYTES)
+        except HapticdError as error:
+            check_refusal(error, made)
+            return "recovered, not read"
+    return "rendered" if found.files else "refused"
+
+
+def _write(folder: str, files: Mapping[str, bytes]) -> None:
+    for name, content in files.items():
+        hidden = name.endswith((".part", ".notes"))
+        (Path(folder) / (name if hidden else f"f{name}")).write_bytes(content)
 
 
 def run(source: random.Random, runs: int, forms: tuple[str, ...] = tuple(FORMS)) -> tuple[Counter[str], float]:
@@ -366,15 +509,13 @@ def run(source: random.Random, runs: int, forms: tuple[str, ...] = tuple(FORMS))
         whole(form)
     with tempfile.TemporaryDirectory(prefix="hapticd-test-") as folder, fuzzing.hangs_after(HANGS_S) as begin:
         for form in forms:
-            for name, content in whole(form).items():
-                (Path(folder) / f"f{name}").write_bytes(content)
+            _write(folder, whole(form))
             assert run_one(Path(folder) / f"f{form}") == "rendered"
         for number in range(runs):
-            form = source.choice(forms)
+            (form,) = source.choices(forms, [WEIGHTS[list(FORMS).index(form)] for form in forms])
             for old in Path(folder).iterdir():
                 old.unlink()
-            for name, content in FORMS[form](source).items():
-                (Path(folder) / f"f{name}").write_bytes(content)
+            _write(folder, FORMS[form](source))
             begin()
             started = time.process_time()
             try:

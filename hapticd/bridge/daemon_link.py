@@ -48,15 +48,22 @@ class DaemonLink:
 
     def missing(self) -> str | None:
         """Why the daemon's command socket takes nobody; None where it does."""
+        problem = self._probe()
+        return None if problem is None else str(problem)
+
+    def _probe(self) -> HapticdError | None:
         try:
             calls.probe(self._paths)
         except HapticdError as error:
-            return str(error)
+            return error
         return None
 
     def away(self) -> str:
-        """Why the daemon does not answer, in words."""
-        return self.missing() or f"the daemon at {self._paths.directory} does not answer"
+        """Why the daemon does not answer, for who asked from another machine, where our paths mean nothing."""
+        missing = self._probe()
+        if missing is None or isinstance(missing, calls.DaemonNotRunning):
+            return "the daemon behind it does not answer"
+        return "it may not use the sockets of the daemon behind it"
 
     async def run(self) -> None:
         """Listens for the status, until cancelled."""

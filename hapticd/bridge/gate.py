@@ -23,6 +23,7 @@ from typing import Final, Literal
 import zmq
 import zmq.asyncio
 
+from hapticd import wire
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Account, Accounts
 from hapticd.bridge.daemon_link import DaemonLink
@@ -41,6 +42,9 @@ HANDSHAKES_PER_HOST: Final = 16
 """So many that have not shown a key yet are borne with, of all and of one address."""
 REFUSED_S: Final = 1.0
 """A refused connection is held for so long, which slows down whoever tries again."""
+
+BRIDGE: Final = b"bridge"
+"""The topic of what the bridge itself tells."""
 
 _GREETING: Final = 10
 _HANDSHAKE_BYTES: Final = 8192
@@ -79,6 +83,7 @@ class Gate:
         self._connections: dict[str, Connection] = {}
         self._handshakes: Counter[str] = Counter()
         self._count = 0
+        self._there = False
 
     # ---- coming ------------------------------------------------------------------------------------------------------
 
@@ -170,11 +175,21 @@ class Gate:
         for connection in self._connections.values():
             if connection.relay is not None:
                 connection.relay.daemon_lost()
+        self._tell_of_daemon()
+
+    def _tell_of_daemon(self) -> None:
+        """Whether the daemon is there, to everybody who asked, where it is not as it was."""
+        there = self.link.status is not None
+        if there != self._there:
+            self._there = there
+            for connection in list(self._connections.values()):
+                connection.tell_of_bridge()
 
     def tick(self) -> None:
         """Once a second: subscriptions are looked at although no telemetry comes, and the log is told what is due."""
         self.tell.flush()
         self._welcome.flush()
+        self._tell_of_daemon()
         for connection in list(self._connections.values()):
             connection.take_subscriptions()
 
@@ -410,6 +425,13 @@ class Connection(asyncio.Protocol):
             except zmq.Again:
                 self.account.telemetry_dropped += 1
 
+    def tell_of_bridge(self) -> None:
+        """What a client may, and whether the daemon is there, to one who asked for the topic."""
+        if b"\x01" + BRIDGE in self._topics and self._front is not None and self.account is not None:
+            told = {"may": self.account.may, "daemon": self._gate.link.status is not None}
+            with suppress(zmq.Again):
+                self._front.send_multipart([BRIDGE, wire.encode(told)], zmq.NOBLOCK)
+
     def take_subscriptions(self) -> None:
         """Looks at what a watcher has subscribed to."""
         if self.kind != "telemetry" or self._front is None or self.account is None:
@@ -418,6 +440,8 @@ class Connection(asyncio.Protocol):
             frame: bytes = self._front.recv()
             if frame.startswith(b"\x01"):
                 self._topics.add(frame)
+                if frame == b"\x01" + BRIDGE:
+                    self.tell_of_bridge()
             elif frame.startswith(b"\x00"):
                 self._topics.discard(b"\x01" + frame[1:])
             if len(self._topics) > _SUBSCRIPTIONS:

@@ -16,7 +16,7 @@ from typing import Any, Final
 import zmq.asyncio
 from pydantic import ValidationError
 
-from hapticd import journal, memory, notify
+from hapticd import journal, memory, notify, threads
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Accounts
 from hapticd.bridge.config import BridgeConfig, load_bridge, metrics_place
@@ -96,6 +96,7 @@ class _Bridge:
             loop.add_signal_handler(number, stop.set)
         loop.add_signal_handler(signal.SIGHUP, self._reload)
         async with AsyncExitStack() as stack:
+            threads.check(threads.BRIDGE)
             context = zmq.asyncio.Context()
             stack.callback(context.destroy, 0)
             authenticator = zap.bind(context)
@@ -129,11 +130,11 @@ class _Bridge:
                     raise HapticdError(f"metrics: {self._config.metrics}: {error.strerror or error}") from None
                 stack.callback(server.close)
                 told = f", metrics at http://{_name(server.sockets[0])}/metrics"
-            _log.info("ready: commands at %s, telemetry at the port after it%s", place, told)
-            notify.ready(f"commands at {place}")
             missing = link.missing()
             if missing is not None:
                 _log.warning("%s; it may come later", missing)
+            _log.info("ready: commands at %s, telemetry at the port after it%s", place, told)
+            notify.ready(f"commands at {place}")
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             failed = [task for task in done if task.get_name() != "stop"]
             for task in failed:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -18,6 +19,7 @@ import zmq
 from hapticd import wire
 from hapticd.bridge.accounts import Account
 from hapticd.bridge.daemon_link import DaemonLink
+from hapticd.errors import quoted
 
 ANSWER_S: Final = 30.0
 """A daemon that says nothing for so long has lost the request."""
@@ -27,6 +29,7 @@ _GRACE_S: Final = 0.1
 _LONGEST_ID: Final = 256
 _PEEKED: Final = 64
 _ID_KEYS: Final = (b"\xa2id", b"\xd9\x02id", b"\xda\x00\x02id", b"\xdb\x00\x00\x00\x02id")
+_METHOD_KEYS: Final = (b"\xa6method", b"\xd9\x06method", b"\xda\x00\x06method", b"\xdb\x00\x00\x00\x06method")
 
 _log = logging.getLogger("hapticd.bridge")
 
@@ -86,7 +89,7 @@ class Relay:
     def daemon_lost(self) -> None:
         """The daemon is gone; an answer that is still on its way has a moment."""
         if self._sent:
-            told = "the daemon went away before it answered; the request may have been carried out"
+            told = "the daemon behind it went away before it answered; the request may have been carried out"
             self._wait(_GRACE_S, lambda: self._give_up(told))
 
     # ---- what can be done --------------------------------------------------------------------------------------------
@@ -132,7 +135,9 @@ class Relay:
         answerable, id = (True, None) if body is None else peek(body)
         self._request = _Request(frames, answerable, id)
         size = sum(map(len, frames))
-        _log.debug("%s: a request of %d bytes", self._account.name, size)
+        if _log.isEnabledFor(logging.DEBUG):
+            told = "no request" if body is None else method_in(body) or "a request without a method"
+            _log.debug("%s: %s, %d bytes", self._account.name, told, size)
         if size > self._largest():
             told = f"the message has {size} bytes: at most {self._largest()} are taken by the bridge"
             self._refuse(_Request(frames, True, None), wire.Code.PARSE, told)
@@ -155,7 +160,7 @@ class Relay:
         self._back.send_multipart(request.frames, zmq.NOBLOCK)
         if request.answerable:
             self._sent = True
-            told = f"the daemon did not answer within {ANSWER_S:g} s; the request may yet be carried out"
+            told = f"the daemon behind it did not answer within {ANSWER_S:g} s; the request may yet be carried out"
             self._wait(ANSWER_S, lambda: self._give_up(told))
         else:
             self._done()
@@ -216,21 +221,37 @@ def peek(body: bytes) -> tuple[bool, wire.Id]:
 
     Only a map without `id` is not answered, and not always then.
     """
+    try:
+        found, id = _member(body, _ID_KEYS)
+    except (ValueError, msgpack.UnpackException, RecursionError):
+        return True, None
+    return found, id if isinstance(id, str | int | float) and not isinstance(id, bool) else None
+
+
+def method_in(body: bytes) -> str | None:
+    """The method that a body names, as a line of the log shows it; None where none shows."""
+    try:
+        _, method = _member(body, _METHOD_KEYS)
+    except (ValueError, msgpack.UnpackException, RecursionError):
+        return None
+    return (method if re.fullmatch(r"\w{1,64}", method) else quoted(method)) if isinstance(method, str) else None
+
+
+def _member(body: bytes, keys: tuple[bytes, ...]) -> tuple[bool, object]:
+    """Whether a map has one of these keys, and its value; skipping builds nothing, however much a header claims.
+
+    Raises ValueError, msgpack.UnpackException or RecursionError for what is no such map.
+    """
     unpacker = msgpack.Unpacker(max_buffer_size=max(len(body), 1))
     unpacker.feed(body)
 
     def skipped() -> bytes:
-        # Skipping builds nothing, however much a header claims.
         start = unpacker.tell()
         unpacker.skip()
         return body[start : min(unpacker.tell(), start + _LONGEST_ID)]
 
-    try:
-        for _ in range(min(unpacker.read_map_header(), _PEEKED)):
-            key, value = skipped(), skipped()
-            if key in _ID_KEYS:
-                id = msgpack.unpackb(value)
-                return True, id if type(id) in (str, int, float) else None
-    except (ValueError, msgpack.UnpackException, RecursionError):
-        return True, None
+    for _ in range(min(unpacker.read_map_header(), _PEEKED)):
+        key, value = skipped(), skipped()
+        if key in keys:
+            return True, msgpack.unpackb(value)
     return False, None

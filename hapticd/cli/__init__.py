@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from typing import Final
@@ -16,6 +17,7 @@ import click
 
 from hapticd._version import __version__
 from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.misplaced import with_hint
 from hapticd.cli.streams import guarded
 from hapticd.errors import HapticdError
 
@@ -33,6 +35,7 @@ _HOMES: Final = {
     "mark": "mark",
     "watch": "telemetry",
     "record": "telemetry",
+    "recover": "recover",
     "flight": "telemetry",
     "replay": "offline",
     "simulate": "offline",
@@ -56,6 +59,7 @@ _HOMES: Final = {
 _HERE_ALONE: Final = frozenset(
     [
         "run",
+        "recover",
         "replay",
         "simulate",
         "check",
@@ -176,13 +180,16 @@ def cli(
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
+    # Before numpy is loaded: its BLAS would start a thread for each processor, and no command needs that.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with guarded() as told:
         code = _run(arguments)
     return code or int(told.lost)
 
 
 def _run(arguments: Sequence[str] | None) -> int:
-    as_json = asks_for_json(sys.argv[1:] if arguments is None else arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    as_json = asks_for_json(given)
     try:
         result = cli.main(
             args=None if arguments is None else list(arguments), prog_name="hapticd", standalone_mode=False
@@ -193,11 +200,17 @@ def _run(arguments: Sequence[str] | None) -> int:
     except HapticdError as error:
         return tell(error, 1, as_json)
     except click.ClickException as error:
-        return tell(error, error.exit_code, as_json)
+        return tell(with_hint(error, given), error.exit_code, as_json)
     except (KeyboardInterrupt, click.Abort):
         return 130
     except MemoryError:
         return tell("there is not enough memory for this; a shorter run or a lower rate needs less", 1, as_json)
+    except RuntimeError as error:
+        from hapticd import threads
+
+        if str(error) != threads.REFUSED:
+            raise
+        return tell(threads.refused(), 1, as_json)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return tell(f"{where}{error.strerror or error}", 1, as_json)

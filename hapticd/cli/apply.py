@@ -5,13 +5,12 @@ from __future__ import annotations
 import click
 
 from hapticd.cli import names
-from hapticd.cli.common import change_options, changed, daemon, json_option, print_result, yaml_file
+from hapticd.cli.common import change, change_options, yaml_file
 
 
 @click.command("apply", short_help="Change materials and scene at once.")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", shell_complete=names.scenes)
 @change_options
-@json_option
 @click.pass_context
 def apply_command(
     ctx: click.Context, files: tuple[str, ...], expect_revision: int | None, wait: bool, as_json: bool
@@ -24,9 +23,11 @@ def apply_command(
     """
     from hapticd.change_files import load_change
 
-    change = load_change([yaml_file(file) for file in files])
-    with daemon(ctx) as client:
-        result = client.apply(
-            materials=change.materials, scene=change.scene, expect_revision=expect_revision, wait=wait
-        )
-    print_result(result, as_json, changed(result))
+    given = load_change([yaml_file(file) for file in files])
+    change(
+        ctx,
+        as_json,
+        lambda client: client.apply(
+            materials=given.materials, scene=given.scene, expect_revision=expect_revision, wait=wait
+        ),
+    )

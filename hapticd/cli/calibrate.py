@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,7 +9,18 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json, write_whole, yaml_text
+from hapticd.cli.common import (
+    Choice,
+    Finite,
+    check_new,
+    config_option,
+    json_option,
+    note,
+    overwrite_option,
+    print_json,
+    write_whole,
+    yaml_text,
+)
 
 if TYPE_CHECKING:
     from hapticd.calibration.handle import Calibration
@@ -21,7 +31,7 @@ DEFAULT_FORCE_N = 1.0
 @click.command("calibrate", short_help="Measure handle and grip.")
 @config_option
 @click.option("-o", "--output", type=click.Path(), metavar="FILE", help="Write the device section there, too.")
-@click.option("--overwrite", is_flag=True, help="Replace what is there.")
+@overwrite_option
 @click.option("--plot", type=click.Path(), metavar="FILE.png", help="Draw response and fit (needs matplotlib).")
 @click.option(
     "--accelerometer",
@@ -29,7 +39,7 @@ DEFAULT_FORCE_N = 1.0
     metavar="FILE",
     help="What an accelerometer on the handle recorded meanwhile (.npz or .csv: time_s, acceleration_m_per_s2).",
 )
-@click.option("--axis", type=click.Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
+@click.option("--axis", type=Choice(["x", "y"]), default="x", show_default=True, help="The axis that is driven.")
 @click.option(
     "--force-n",
     type=Finite(min=0.05),
@@ -57,7 +67,6 @@ def calibrate_command(
     its encoder: half a minute alone, then half a minute held as it will be used. The difference of the two is the hand.
     A handle that leaves the middle third of its travel ends it. Ctrl-C takes the force away.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.calibration import handle
     from hapticd.calibration import plot as drawing
     from hapticd.calibration.accelerometer import check_name

@@ -8,7 +8,7 @@ import click
 
 from hapticd import words
 from hapticd.cli import names
-from hapticd.cli.common import Finite, daemon, json_option, operator_file, print_result
+from hapticd.cli.common import Choice, Finite, daemon, json_option, operator_file, print_result
 
 
 @click.command("play", short_help="Strike a material's tap, or a mode.")
@@ -80,7 +80,7 @@ def _mode(text: str) -> dict[str, float]:
 
 
 @click.command("force", short_help="Turn forces on or off.")
-@click.argument("state", type=click.Choice(["on", "off"]))
+@click.argument("state", type=Choice(["on", "off"]))
 @json_option
 @click.pass_context
 def force_command(ctx: click.Context, state: str, as_json: bool) -> None:

@@ -8,8 +8,6 @@ import math
 import os
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import click
@@ -17,9 +15,10 @@ from click.core import ParameterSource
 
 from hapticd.cli import names
 from hapticd.cli.shell import shell_words
-from hapticd.errors import HapticdError, quoted
+from hapticd.errors import HapticdError, known_names, quoted
 from hapticd.journal import LEVELS
-from hapticd.place import displaced, place
+from hapticd.parts import resolved, write_file
+from hapticd.place import displaced
 
 if TYPE_CHECKING:
     from hapticd.client import Client
@@ -29,6 +28,13 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 # Strings that need no quotes in YAML, whatever stands around them.
 _PLAIN = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
 _UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+class Choice(click.Choice[str]):
+    """click's, which asks whether one of them was meant."""
+
+    def get_invalid_choice_message(self, value: object, ctx: click.Context | None) -> str:
+        return f"{quoted(str(value))} is none of them; {known_names(str(value), map(str, self.choices))}"
 
 
 class Finite(click.FloatRange):
@@ -95,7 +101,7 @@ def log_options(command: _F) -> _F:
 
     @click.option("-q", "--quiet", is_flag=True, help="Log warnings and errors alone.")
     @click.option("-v", "--verbose", is_flag=True, help="Log each request and each event, too.")
-    @click.option("--log-level", type=click.Choice(LEVELS), help="The least important line of the log [default: info].")
+    @click.option("--log-level", type=Choice(LEVELS), help="The least important line of the log [default: info].")
     @functools.wraps(command)
     def with_level(*args: Any, quiet: bool, verbose: bool, log_level: str | None, **options: Any) -> Any:
         if quiet + verbose + (log_level is not None) > 1:
@@ -107,10 +113,10 @@ def log_options(command: _F) -> _F:
 
 
 def change_options(command: _F) -> _F:
-    """The options of commands that change the scene."""
+    """The options of commands that change scene or materials, `--json` among them."""
     command = click.option(
         "--expect-revision", type=click.IntRange(min=0), metavar="N", help="Refuse another revision."
-    )(command)
+    )(json_option(command))
     return click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick.")(command)
 
 
@@ -163,7 +169,7 @@ def print_result(result: Mapping[str, object], as_json: bool, text: str) -> None
 
 def overwrite_option(command: _F) -> _F:
     """The option `--overwrite`."""
-    return click.option("--overwrite", is_flag=True, help="Replace a file that is there.")(command)
+    return click.option("--overwrite", is_flag=True, help="Replace files that are there.")(command)
 
 
 def notes_option(command: _F) -> _F:
@@ -206,20 +212,15 @@ def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
     next free one, which the error says.
     """
     data = content.encode() if isinstance(content, str) else content
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
+    target = resolved(path)
     try:
         if target.exists() and not target.is_file():
             # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
             with open(target, "wb") as file:
                 file.write(data)
             return
-        with open(part, "xb") as file:
-            file.write(data)
-        placed = place(part, target, overwrite)
+        placed = write_file(target, data, overwrite)
     except OSError as error:
-        with suppress(OSError):
-            part.unlink()
         raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
     if placed != target:
         raise HapticdError(displaced(path, placed))
@@ -259,6 +260,46 @@ def changed(result: Mapping[str, object]) -> str:
     """What a change of the scene did, in words."""
     tick = f", in force from tick {result['tick']:,} on" if "tick" in result else ""
     return f"revision {result['revision']:,}{tick}"
+
+
+def _bytes(ctx: click.Context, param: click.Parameter, text: str | None) -> int | None:
+    """The bytes of an option such as 512MiB, 4G or 4GB; a bare number is bytes."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+(?:\.\d*)?)\s*(?:([kMGT])(i?)B?|B)?", text.strip())
+    size = float(match[1]) * (1024 if match[3] else 1000) ** " kMGT".index(match[2] or " ") if match else 0.0
+    if not 1 <= size < 2**63:
+        raise click.BadParameter(f"{text!r} is not a size such as 512MiB or 8GB", ctx, param)
+    return int(size)
+
+
+def max_memory_option(function: _F) -> _F:
+    """`--max-memory SIZE`."""
+    return click.option(
+        "--max-memory",
+        metavar="SIZE",
+        callback=_bytes,
+        help="Memory that it may take: 512MiB, 8GB [default: 32 times the size of FILE and at least 1 GiB, but at most "
+        "nine tenths of what is available].",
+    )(function)
+
+
+def change(
+    ctx: click.Context,
+    as_json: bool,
+    send: Callable[[Client], Mapping[str, object]],
+    timeout_s: float | None = None,
+) -> None:
+    """Has the daemon change scene or materials, and prints what it answers."""
+    with daemon(ctx, timeout_s) as client:
+        result = send(client)
+    print_result(result, as_json, changed(result))
+
+
+def for_option(default: str) -> Callable[[_F], _F]:
+    """The option `--for`, as the parameter `duration_s`; `default` says how long it is without."""
+    told = f"How long: 5s, 500ms, 2min [default: {default}]."
+    return click.option("--for", "duration_s", metavar="TIME", callback=duration, help=told)
 
 
 def duration(ctx: click.Context, param: click.Parameter, text: str | None) -> float | None:

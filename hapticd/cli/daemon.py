@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import gc
-import os
 
 import click
 
 from hapticd.cli.common import (
+    change,
     change_options,
-    changed,
     config_option,
     daemon,
     json_option,
     log_options,
     print_json,
-    print_result,
 )
 from hapticd.cli.status import lines, text_of
 
@@ -31,8 +29,6 @@ def run_command(ctx: click.Context, configs: tuple[str, ...], log_level: str) ->
     """Run the daemon in the foreground."""
     # What is loaded now stays: looking for garbage among it would only take time. The daemon turns it on again.
     gc.disable()
-    # Before numpy is loaded: its BLAS would start a thread for each processor, and the daemon multiplies no matrices.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.daemon import run
 
     return run(configs, ctx.find_root().obj, log_level)
@@ -40,16 +36,13 @@ def run_command(ctx: click.Context, configs: tuple[str, ...], log_level: str) ->
 
 @click.command("reload", short_help="Read the configuration anew.")
 @change_options
-@json_option
 @click.pass_context
 def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Have the daemon read its configuration files anew, and take scene and materials from them: all or nothing.
 
     What was touched or punctured stays so. Anything else that changed needs a restart, and refuses the whole.
     """
-    with daemon(ctx, RELOAD_S) as client:
-        result = client.reload(expect_revision, wait)
-    print_result(result, as_json, changed(result))
+    change(ctx, as_json, lambda client: client.reload(expect_revision, wait), RELOAD_S)
 
 
 @click.command("status")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import chain
 
 import click
 
@@ -19,27 +20,35 @@ _ANSWER_S = 2.0
 def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> int:
     """Say what of this machine is ready for the daemon, and what to do about the rest.
 
-    The rights are those of whoever asks; nothing is changed. The exit code is 1 if something fails that the
-    configuration needs.
+    The rights are those of whoever asks; nothing is changed. It waits at most 5 s for systemd and 2 s for a daemon that
+    runs and does not answer. The exit code is 1 if something fails that the configuration needs.
     """
     from hapticd._version import __version__
     from hapticd.client import DaemonNotRunning, connect
-    from hapticd.config import config_of
+    from hapticd.config_files import choose
     from hapticd.doctor import diagnose
-    from hapticd.doctor.machine import Machine, Needs
-    from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths
+    from hapticd.doctor.configuration import taken
+    from hapticd.doctor.machine import Machine, Needs, holder
+    from hapticd.errors import HapticdError
+    from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
 
-    config = config_of(configs)
+    config, first = taken(choose(configs))
 
     def asked() -> Mapping[str, object] | None:
         # Of this machine, whatever HAPTICD_CONNECT says: our own, else the service's.
         named = ctx.find_root().obj
         for place in (named,) if named is not None else (daemon_paths().directory, SYSTEM_DIRECTORY):
+            there = holder(runtime_paths(place).command)
+            if there is not None and there.stopped:
+                raise HapticdError(f"process {there.pid} holds {place} and does not answer: it is stopped")
             try:
                 with connect(place, _ANSWER_S) as client:
                     return client.get_status()
             except DaemonNotRunning:
-                continue
+                if there is not None:
+                    raise HapticdError(
+                        f"process {there.pid} holds {place} and did not answer within {_ANSWER_S:g} s"
+                    ) from None
         return None
 
     servo = config.servo
@@ -47,7 +56,7 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     described = device if device is not None and device.report is not None else None
     needs = Needs(servo.realtime, servo.priority, servo.cpu, device is not None, described)
     findings = []
-    for finding in diagnose(Machine(daemon=asked, version=__version__), needs):
+    for finding in chain([first], diagnose(Machine(daemon=asked, version=__version__), needs)):
         findings.append(finding)
         if not as_json:
             click.echo(str(finding))

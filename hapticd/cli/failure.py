@@ -1,4 +1,4 @@
-"""What a command that fails says: one line on stderr, or with --json one JSON object there.
+"""What a command that fails says: one line on stderr, on a terminal one a fault, or with --json one JSON object there.
 
     {"error": {"message": "...", "code": -32003, "exit_code": 1, "problems": [{"where": "...", "problem": "..."}]}}
 
@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import click
 
-from hapticd.cli.shell import in_shell_words
-from hapticd.errors import HapticdError, InvalidError, Problem
+from hapticd.cli.shell import in_shell_words, shell_words
+from hapticd.errors import HapticdError, InvalidError, Problem, lines_of
 
 
 def asks_for_json(arguments: Sequence[str]) -> bool:
@@ -26,14 +26,22 @@ def asks_for_json(arguments: Sequence[str]) -> bool:
 
 def tell(error: BaseException | str, exit_code: int, as_json: bool) -> int:
     """Says on stderr what went wrong; returns the exit code."""
-    message = " ".join(_message(error, as_json).split())
+    message = _one_line(_message(error, as_json))
+    found = _problems(error)
     if as_json:
-        problems = [{"where": each.where, "problem": each.problem} for each in _problems(error)]
+        problems = [{"where": each.where, "problem": each.problem} for each in found]
         told = {"message": message, "code": _code(error), "exit_code": exit_code, "problems": problems}
         print(json.dumps({"error": told}, ensure_ascii=False), file=sys.stderr)
-    else:
-        print("hapticd:", message, file=sys.stderr)
+        return exit_code
+    on_terminal = sys.stderr is not None and sys.stderr.isatty()
+    several = [_one_line(shell_words(line)) for line in lines_of(found)] if len(found) > 1 and on_terminal else []
+    for line in several or [message]:
+        print("hapticd:", line, file=sys.stderr)
     return exit_code
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 def _message(error: BaseException | str, as_json: bool) -> str:

@@ -15,7 +15,17 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
 
-from hapticd.cli.common import Finite, check_new, json_option, note, print_json, write_whole, yaml_text
+from hapticd.cli.common import (
+    Choice,
+    Finite,
+    check_new,
+    json_option,
+    note,
+    overwrite_option,
+    print_json,
+    write_whole,
+    yaml_text,
+)
 from hapticd.cli.synthesize import synthesize_command
 from hapticd.errors import HapticdError
 
@@ -60,7 +70,7 @@ fit_command.add_command(synthesize_command)
 def _options(command: _F) -> _F:
     for option in (
         json_option,
-        click.option("--overwrite", is_flag=True, help="Replace the files that are there."),
+        overwrite_option,
         click.option("--merge", is_flag=True, help="Add to what the output holds, instead of replacing it."),
         click.option(
             "--stiffness",
@@ -84,7 +94,7 @@ def _options(command: _F) -> _F:
 @_options
 @click.option(
     "--attack",
-    type=click.Choice(["coefficient", "first_peak"]),
+    type=Choice(["coefficient", "first_peak"]),
     help="What the slope in the material means [default: coefficient].",
 )
 @click.option("--table", is_flag=True, help="Amplitudes over speed in the material, instead of a slope.")
@@ -178,7 +188,6 @@ def _run(
     as_json: bool,
     per_file: int = 1,
 ) -> None:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.fit import provenance
     from hapticd.fit import report as drawing
     from hapticd.fit.regression import require_scipy

@@ -8,13 +8,12 @@ import click
 
 from hapticd.cli import names
 from hapticd.cli.common import (
+    change,
     change_options,
-    changed,
     daemon,
     json_option,
     note,
     print_json,
-    print_result,
     print_yaml,
     yaml_file,
 )
@@ -56,7 +55,11 @@ def material_get(ctx: click.Context, name: str, offline: bool, as_json: bool) ->
     materials = result["materials"]
     assert isinstance(materials, dict)
     if name not in materials:
-        raise HapticdError(f"unknown material {quoted(name)}; {known_names(name, materials)}")
+        told = f"unknown material {quoted(name)}"
+        if result["revision"] is None:
+            told = f"{told} in the shipped library; one that was set is known to the daemon alone"
+            told += f": hapticd material get {name} asks it" if offline else ""
+        raise HapticdError(f"{told}; {known_names(name, materials)}")
     found = {name: materials[name]}
     if as_json:
         print_json({**result, "materials": found})
@@ -85,22 +88,16 @@ def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:
 @material_command.command("set")
 @click.argument("file", type=click.Path())
 @change_options
-@json_option
 @click.pass_context
 def material_set(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Set the materials in FILE (YAML; - is the standard input): each is replaced whole, others stay."""
-    with daemon(ctx) as client:
-        result = client.set_materials(yaml_file(file), expect_revision, wait)
-    print_result(result, as_json, changed(result))
+    change(ctx, as_json, lambda client: client.set_materials(yaml_file(file), expect_revision, wait))
 
 
 @material_command.command("update")
 @click.argument("file", type=click.Path())
 @change_options
-@json_option
 @click.pass_context
 def material_update(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Change materials as FILE says: what it holds is merged into them by name and key, null removes."""
-    with daemon(ctx) as client:
-        result = client.update_materials(yaml_file(file), expect_revision, wait)
-    print_result(result, as_json, changed(result))
+    change(ctx, as_json, lambda client: client.update_materials(yaml_file(file), expect_revision, wait))

@@ -9,8 +9,9 @@ import click
 from hapticd import words
 from hapticd.cli import names
 from hapticd.cli.common import (
-    duration,
+    for_option,
     json_option,
+    max_memory_option,
     note,
     notes_option,
     operator_file,
@@ -36,13 +37,7 @@ from hapticd.errors import undisplayable_text
     metavar="FILE",
     help="Where the samples go (.npz, .csv or .mcap)  [default: nowhere, the summary alone is printed]",
 )
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms [default: as long as the operator].",
-)
+@for_option("as long as the operator")
 @click.option("--rate", "rate_hz", type=float, metavar="HZ", help="Ticks per second [default: the configuration's].")
 @notes_option
 @overwrite_option
@@ -63,11 +58,13 @@ def simulate_command(
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
-    from hapticd.cli.simulation import simulate_files
+    from hapticd.cli.simulation import configuration, simulate_files
 
     file = scene_file(scene)
     operator = operator or _own_operator(file)
     if operator is None:
+        if file != "/dev/stdin":
+            configuration(file)  # what is no scene is told first
         raise click.UsageError("Missing option '--operator'.")
     if output is None and (notes or overwrite):
         raise click.UsageError("--note and --overwrite are for a file: name it with -o")
@@ -101,8 +98,9 @@ def _own_operator(scene: str) -> str | None:
     "-o", "--output", type=click.Path(), metavar="FILE", help="Where what was rendered goes (.npz, .csv or .mcap)."
 )
 @overwrite_option
+@max_memory_option
 @json_option
-def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool) -> int:
+def replay_command(file: str, output: str | None, overwrite: bool, max_memory: int | None, as_json: bool) -> int:
     """Render FILE (.npz, .csv or .mcap of `record`, `simulate` or `flight`) again, without daemon and clock, and
     compare the forces.
 
@@ -113,7 +111,7 @@ def replay_command(file: str, output: str | None, overwrite: bool, as_json: bool
 
     if output is not None:
         check_target(output, overwrite)
-    again = replay(file)
+    again = replay(file, max_memory)
     if output is not None:
         again.write(output, overwrite)
     if as_json:

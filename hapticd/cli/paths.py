@@ -7,7 +7,7 @@ from typing import TypedDict
 
 import click
 
-from hapticd.cli.common import config_option, json_option, print_json
+from hapticd.cli.common import config_option, json_option, note, print_json
 
 
 class _Paths(TypedDict):
@@ -26,10 +26,10 @@ class _Paths(TypedDict):
 @config_option
 @json_option
 @click.pass_context
-def paths_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> None:
+def paths_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> int:
     """Say where the configuration, the sockets, the flight files and what ships with hapticd are.
 
-    Nothing is made, and no daemon is asked. The exit code is 1 if the configuration cannot be read.
+    Nothing is made, and no daemon is asked. The exit code is 1 if the configuration is faulty.
     """
     from hapticd.config import chosen_config
     from hapticd.config_files import choose
@@ -41,16 +41,17 @@ def paths_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -
     chosen = choose(configs)
     runtime = runtime_paths(ctx.find_root().obj)
     flight: str | None = None
-    problem: HapticdError | None = None
+    fault: str | None = None
     try:
         flight = str(directory_of(chosen_config(chosen).flight.directory, runtime.directory))
     except HapticdError as error:
-        problem = error
+        fault = str(error)
     found: _Paths = {
         "configuration": {
             "origin": chosen.origin,
             "files": [os.path.abspath(file) for file in chosen.files],
             "looked_for": list(chosen.looked_for),
+            "fault": fault,
         },
         "runtime_directory": str(runtime.directory),
         "command_socket": str(runtime.command),
@@ -65,13 +66,17 @@ def paths_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -
         print_json(found)
     else:
         _print(found, str(chosen))
-    if problem is not None:
-        raise problem
+    if fault is None:
+        return 0
+    note("the configuration is faulty")
+    return 1
 
 
 def _print(found: _Paths, configuration: str) -> None:
+    fault = found["configuration"]["fault"]
     lines = [
         ("configuration", configuration),
+        *([("its fault", str(fault))] if fault is not None else []),
         ("runtime directory", _place(found["runtime_directory"])),
         ("command socket", _place(found["command_socket"])),
         ("telemetry socket", _place(found["telemetry_socket"])),

@@ -6,12 +6,11 @@ import click
 
 from hapticd.cli import names
 from hapticd.cli.common import (
+    change,
     change_options,
-    changed,
     daemon,
     json_option,
     print_json,
-    print_result,
     print_yaml,
     scene_file,
     yaml_file,
@@ -56,23 +55,17 @@ def scene_get(ctx: click.Context, as_json: bool) -> None:
 @scene_command.command("set")
 @click.argument("file", shell_complete=names.scenes)
 @change_options
-@json_option
 @click.pass_context
 def scene_set(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Replace the scene by that in FILE (YAML, or the name of a shipped scene; - is the standard input)."""
     source = scene_file(file)
-    with daemon(ctx) as client:
-        result = client.set_scene(source, expect_revision, wait)
-    print_result(result, as_json, changed(result))
+    change(ctx, as_json, lambda client: client.set_scene(source, expect_revision, wait))
 
 
 @scene_command.command("update")
 @click.argument("file", type=click.Path())
 @change_options
-@json_option
 @click.pass_context
 def scene_update(ctx: click.Context, file: str, expect_revision: int | None, wait: bool, as_json: bool) -> None:
     """Change objects as FILE says: what it holds is merged into them by id and key, null removes."""
-    with daemon(ctx) as client:
-        result = client.update_scene(yaml_file(file), expect_revision, wait)
-    print_result(result, as_json, changed(result))
+    change(ctx, as_json, lambda client: client.update_scene(yaml_file(file), expect_revision, wait))

@@ -54,7 +54,7 @@ def simulate_files(
     is there already and not to be replaced.
     """
     with nullcontext() if output is None else open_sink(output, overwrite) as sink:
-        config = _config(scene)
+        config = configuration(scene)
         run = simulate_run(config, operator_file, duration_s, rate_hz)
         if sink is not None:
             _write(sink, config, run, notes or {})
@@ -98,6 +98,7 @@ def _write(sink: Sink, config: Config, run: Run, notes: Mapping[str, str]) -> No
     sink.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
 
 
-def _config(path: str) -> Config:
+def configuration(path: str) -> Config:
+    """That of a file which holds a scene or a whole one. Raises HapticdError or InvalidError."""
     refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
     return load_config(path)

@@ -10,7 +10,7 @@ from hapticd.errors import offload_text, undisplayable_text
 from hapticd.stability_words import stability_words
 
 if TYPE_CHECKING:
-    from hapticd.calls import Status
+    from hapticd.results import Status
 
 Line = tuple[str, str]
 """What it is about, and what is said of it. Without a name it goes on with the line before."""

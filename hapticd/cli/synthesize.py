@@ -11,7 +11,16 @@ import click
 
 from hapticd import words
 from hapticd.cli import names
-from hapticd.cli.common import Finite, check_new, config_option, json_option, note, print_json, write_whole
+from hapticd.cli.common import (
+    Finite,
+    check_new,
+    config_option,
+    json_option,
+    note,
+    overwrite_option,
+    print_json,
+    write_whole,
+)
 from hapticd.errors import HapticdError, known_names, quoted
 
 if TYPE_CHECKING:
@@ -40,7 +49,7 @@ def _stylus_options(command: _F) -> _F:
     """What lies between the surface and the numbers."""
     for option in (
         json_option,
-        click.option("--overwrite", is_flag=True, help="Replace the files that are there."),
+        overwrite_option,
         click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of what is random."),
         _number("--position-step", "position_step_m", 0.0, 1.0, "M", "Step of the positions; 0: exact.", 0.0),
         _number("--drift", "drift_m_per_s3", -1e3, 1e3, "M/S^3", "Drift of the acceleration.", 0.0),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hapticd.cli.common import daemon, duration, json_option, note, notes_option, overwrite_option, print_json
+from hapticd.cli.common import daemon, for_option, json_option, note, notes_option, overwrite_option, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -23,13 +23,7 @@ if TYPE_CHECKING:
 
 
 @click.command("watch", short_help="Show what happens, live.")
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
-)
+@for_option("until Ctrl-C")
 @json_option
 @click.pass_context
 def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -> None:
@@ -49,13 +43,7 @@ def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -
 
 @click.command("record", short_help="Record telemetry to a file.")
 @click.argument("file", type=click.Path(dir_okay=False))
-@click.option(
-    "--for",
-    "duration_s",
-    metavar="TIME",
-    callback=duration,
-    help="How long: 5s, 500ms, 2min [default: until Ctrl-C].",
-)
+@for_option("until Ctrl-C")
 @notes_option
 @overwrite_option
 @json_option
@@ -67,12 +55,13 @@ def record_command(
     `hapticd replay`. FILE is there once the recording is complete.
 
     With .csv the events go into a second file, NAME.events.csv, and scene and materials into a third, NAME.about.json.
-    What a recording into FILE left that was killed becomes NAME.recovered.ENDING.
+    What a recording into FILE left that was killed is told; `hapticd recover FILE` makes a file of it.
     """
     from dataclasses import asdict
 
     from hapticd.record import record
-    from hapticd.sink import check_target, recover
+    from hapticd.recovery import left_behind
+    from hapticd.sink import check_target
 
     stop = threading.Event()
     received: list[int] = []
@@ -82,9 +71,8 @@ def record_command(
         stop.set()
 
     check_target(file, overwrite)
-    recovered = [os.fspath(path) for path in recover(file)]
-    for path in recovered:
-        note(f"{path}: what a recording held that was killed")
+    for told in left_behind(file):
+        note(told)
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
         try:
@@ -96,7 +84,7 @@ def record_command(
             for number, handler in before.items():
                 signal.signal(number, handler)
     if as_json:
-        print_json({**asdict(recording), "recovered": recovered})
+        print_json(asdict(recording))
     else:
         click.echo(recording.summary())
     if recording.warning is not None:
@@ -117,7 +105,12 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
     """
     here = ctx.find_root().params["connect"] is None
     if file is not None and not here:
-        raise click.UsageError("FILE is for a daemon of this machine; through a bridge its file stays there", ctx)
+        given = ctx.find_root().get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
+        raise click.UsageError(
+            f"FILE is for a daemon of this machine; {'--connect' if given else 'HAPTICD_CONNECT'} names a bridge, and "
+            "through a bridge its file stays there",
+            ctx,
+        )
     if file is not None:
         from hapticd.sink import check_target
 
@@ -133,17 +126,16 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
                     break
                 raise HapticdError(f"the flight recorder did not write {written}: {problem or 'its log says why'}")
             time.sleep(0.05)
-    if file is not None:
-        from hapticd.place import displaced
-        from hapticd.recording import load
+    found: dict[str, object] = {"file": written}
+    line = written  # through a bridge all that is known of it
+    if here:
+        from hapticd.cli.flown import summed_up
 
-        place = load(written).save(file, overwrite)
-        if place.name != os.path.basename(os.path.realpath(file)):
-            raise HapticdError(displaced(file, place))
+        found, line = summed_up(written, file, overwrite)
     if as_json:
-        print_json({"file": file or written})
+        print_json(found)
     else:
-        click.echo(file or written)
+        click.echo(line)
 
 
 def _exit_code(recording: RecordSummary, duration_s: float | None, received: list[int]) -> int:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from typing import TYPE_CHECKING, Literal
 
 import click
 
-from hapticd.cli.common import Finite, config_option, json_option, note, print_json
+from hapticd.cli.common import Choice, Finite, config_option, json_option, note, print_json
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 @click.option(
     "--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S", help="Speed of a tap."
 )
-@click.option("--axis", type=click.Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
+@click.option("--axis", type=Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
 @click.option("--yes", is_flag=True, help="Do not ask.")
 @json_option
 def verify_command(
@@ -47,7 +46,6 @@ def verify_command(
     The simulated handle is known as it is. On a real one an accelerometer must record while they are struck, half a
     second apart, the handle held as it will be used.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from hapticd.calibration import verify
     from hapticd.calibration.accelerometer import load_recording
     from hapticd.config import config_of

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from rich.progress import Progress, TaskID
 
-from hapticd.calls import Event
 from hapticd.client import Client, Subscription, connect
 from hapticd.errors import HapticdError
+from hapticd.results import Event
 
 Floats = npt.NDArray[np.float64]
 

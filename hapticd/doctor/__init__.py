@@ -1,6 +1,6 @@
 """`hapticd doctor`: what of this machine is ready for the daemon, and what to do about the rest.
 
-Nothing is changed, and nothing waits: files are read, two commands are asked with a time limit. What cannot be read is
+Nothing is changed: files are read, systemd and the daemon are asked, each with a time limit. What cannot be read is
 told as not known, never as well.
 """
 

@@ -7,11 +7,15 @@ import os
 import re
 import resource
 import shutil
+import socket
+import struct
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
+
+from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from hapticd.hid.config import Hid
@@ -81,6 +85,36 @@ def find(sysfs: Path, dev: Path) -> list[Found]:
     from hapticd.hid import discover
 
     return discover.find(sysfs, dev)
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """The process that listens on a socket."""
+
+    pid: int
+    stopped: bool
+    """By SIGSTOP or by a debugger: it answers nobody."""
+
+
+def holder(path: Path) -> Holder | None:
+    """Who listens on a Unix socket; None where nobody does, or it cannot be told. Waits for nothing.
+
+    Raises HapticdError where no more connections may wait there.
+    """
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK) as own:
+        try:
+            own.connect(os.fspath(path))
+            # The credentials of the listener, as the kernel noted them when it began to listen.
+            pid, _, _ = struct.unpack("3i", own.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+        except BlockingIOError:
+            raise HapticdError(f"{path}: nobody accepts connections any more: its daemon does not answer") from None
+        except (OSError, ValueError):
+            return None
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return None
+    return Holder(pid, state in "Tt")
 
 
 def group_name(gid: int) -> str | None:

@@ -47,7 +47,10 @@ def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
         status = machine.daemon()
     except HapticdError as error:
         yield Finding(
-            "daemon", "fail", str(error), "restart it if it is stopped; whoever is refused joins the group hapticd"
+            "daemon",
+            "fail",
+            str(error),
+            "kill -CONT lets a stopped one go on; whoever is refused joins the group hapticd",
         )
         return
     if status is None:

@@ -242,6 +242,8 @@ class Connection:
             if live is not None and not self._abandoned:
                 ended = lib.hd_hid_disconnect(self.hid, orderly)
                 live.opened.device.close()
+                if self._stop_file is not None:
+                    lib.hd_last_drop()
                 if orderly and ended == Status.OK and self._stop_file is not None:
                     self._stop_file.drop()
         self._counted, self._rates = None, (None, None)
@@ -258,6 +260,8 @@ class Connection:
             plan = replace(plan, on_change=on_change)
             self._hand_over(opened.device, plan)
         except BaseException:
+            if self._stop_file is not None:
+                lib.hd_last_drop()
             opened.device.close()
             raise
         self._connects += 1
@@ -270,6 +274,14 @@ class Connection:
         # Last: whoever hears that it is connected hears of no problem, and has it counted.
         self._live = live = _Live(opened, plan, link)
         return live
+
+    def _keep_last(self, device: Device, plan: Plan) -> None:
+        """What a fault of the process sends to the device."""
+        if self._stop_file is not None:
+            reports = [message.at_rest() for message in (*plan.force, *plan.stop)]
+            lengths = ffi.new("uint32_t[]", [len(report) for report in reports])
+            all_bytes = ffi.new("uint8_t[]", b"".join(reports))
+            lib.hd_last_keep(device.fileno(), all_bytes, lengths, len(reports), plan.write_interval_s)
 
     def _hand_over(self, device: Device, plan: Plan) -> None:
         described = plan.to_c()
@@ -286,6 +298,7 @@ class Connection:
                 self.denied, self._priority = True, 0
                 result = lib.hd_hid_connect(self.hid, described, device.fileno(), 0)
             if result == Status.OK:
+                self._keep_last(device, plan)
                 self.offload.attach(plan.periodic, plan.no_periodic)
         if result == Status.ERR_INVALID:
             raise DeviceError(f"{device.path}: {invalid_reason()}")

@@ -28,6 +28,19 @@ static inline size_t test_below(uint64_t *state, size_t limit) {
     return (size_t)(test_random(state) % limit);
 }
 
+/* Which of several runs this is, from 0: C_RUNS of the Makefile sets it. */
+static inline uint64_t test_run(void) {
+    const char *run = getenv("HD_RUN");
+
+    return run == NULL ? 0 : strtoull(run, NULL, 10);
+}
+
+/* How many of the `whole` random cases this run has, from case test_run() * whole on. The same cases again would show
+ * nothing new: each run after the first has a tenth as many, which are its own. */
+static inline uint64_t test_share(uint64_t whole) {
+    return test_run() == 0 ? whole : whole / 10;
+}
+
 #define TEST_WORDS 7
 
 /* A record that cannot be torn unnoticed: every word follows from the first. */

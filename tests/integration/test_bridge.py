@@ -17,7 +17,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,7 @@ from hapticd.cli import main
 from hapticd.client import Client
 from hapticd.errors import HapticdError
 from hapticd.keys import new_certificate, write_certificate
+from hapticd.remote import Remote
 from tests.bridge_process import (
     FAILURES,
     Bridge,
@@ -42,7 +43,8 @@ from tests.bridge_process import (
     network_namespace,
     running_bridge,
 )
-from tests.daemon_process import Daemon, connect, running_daemon
+from tests.cli import HAPTICD
+from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 from tests.fake_daemon import fake_daemon, result
 
 CLIENTS = {"alice": "command", "carol": "command", "bob": "watch"}
@@ -118,7 +120,7 @@ def test_a_client_works_as_beside_the_daemon(daemon: Daemon, bridge: Bridge) -> 
 
 
 def test_configuration_and_flight_recorder_of_a_commander(bridge: Bridge) -> None:
-    with connect(bridge.address, timeout_s=30, **bridge.as_client("alice")) as client:
+    with connect(bridge.address, **bridge.as_client("alice")) as client:
         assert client.call("get_config")["config"]["servo"]["rate_hz"] == 1000
         before = client.set_scene({"objects": {"floor": FLOOR}})["revision"]
         assert client.call("reload", {"wait": True})["revision"] > before
@@ -161,9 +163,9 @@ def test_ten_clients_at_once(bridge: Bridge) -> None:
 
     def one(number: int) -> None:
         try:
-            together.wait(60)
+            together.wait(PATIENCE_S)
             name = ("alice", "carol")[number % 2]
-            with connect(bridge.address, timeout_s=30, **bridge.as_client(name)) as client:
+            with connect(bridge.address, **bridge.as_client(name)) as client:
                 with client.states() as states:
                     ticks = [next(states)["tick"] for _ in range(20)]
                 assert ticks == sorted(ticks)
@@ -185,12 +187,16 @@ def test_ten_clients_at_once(bridge: Bridge) -> None:
 # ---- without one -----------------------------------------------------------------------------------------------------
 
 
-def refused(bridge: Bridge, daemon: Daemon, peer: Peer) -> None:
+def refused(bridge: Bridge, daemon: Daemon, endpoint: str, remote: Remote | None = None) -> None:
     """Sends every command over a connection, which does not come about."""
-    with peer, nothing_passes(daemon):
-        peer.socket.setsockopt(zmq.SNDTIMEO, 0)
-        for body in commands():
-            peer.socket.send(body)
+    with ExitStack() as stack:
+        stack.enter_context(nothing_passes(daemon))
+        # A connection that was refused takes no more messages: all of them wait before the bridge sees it.
+        with bridge.held():
+            peer = stack.enter_context(Peer(zmq.DEALER, endpoint, remote))
+            peer.socket.setsockopt(zmq.SNDTIMEO, 0)
+            for body in commands():
+                peer.socket.send(body)
         assert peer.event() & (FAILURES | zmq.EVENT_DISCONNECTED)
         assert peer.event() != zmq.EVENT_HANDSHAKE_SUCCEEDED
         assert not peer.socket.poll(0)
@@ -201,7 +207,7 @@ _NO_CURVE = "refused 127.0.0.1 at the command socket: no handshake of CURVE with
 
 def test_without_a_key(daemon: Daemon, tmp_path: Path) -> None:
     with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
-        refused(bridge, daemon, Peer(zmq.DEALER, bridge.at("alice").command_endpoint))
+        refused(bridge, daemon, bridge.at("alice").command_endpoint)
         bridge.hears(_NO_CURVE)
 
 
@@ -218,7 +224,7 @@ def test_with_a_password(bridge: Bridge, daemon: Daemon) -> None:
 
 def test_with_a_key_that_nobody_knows(bridge: Bridge, daemon: Daemon) -> None:
     since = bridge.spoken
-    refused(bridge, daemon, Peer(zmq.DEALER, bridge.address, bridge.at("stranger")))
+    refused(bridge, daemon, bridge.address, bridge.at("stranger"))
     line = bridge.hears("refused 127.0.0.1 at the command socket: key (.*)... belongs to no client", since)
     assert bridge.keys["stranger"].public_key.startswith(line[1])
     with pytest.raises(KeyRefused, match="refuses our key"):
@@ -228,7 +234,7 @@ def test_with_a_key_that_nobody_knows(bridge: Bridge, daemon: Daemon) -> None:
 @pytest.mark.slow
 def test_with_another_server_key(daemon: Daemon, tmp_path: Path) -> None:
     with running_bridge(tmp_path, daemon.directory, CLIENTS) as bridge:
-        refused(bridge, daemon, Peer(zmq.DEALER, bridge.address, bridge.at("alice", server="bob")))
+        refused(bridge, daemon, bridge.address, bridge.at("alice", server="bob"))
         bridge.hears(_NO_CURVE)
         with pytest.raises(HapticdError, match="not the server_key"):
             connect(bridge.address, key=bridge.keys["alice"], server_key=bridge.keys["bob"].public_key)
@@ -241,7 +247,7 @@ def test_a_watcher_commands_nothing(daemon: Daemon, tmp_path: Path) -> None:
 
 
 def watches_and_no_more(daemon: Daemon, bridge: Bridge) -> None:
-    refused(bridge, daemon, Peer(zmq.DEALER, bridge.address, bridge.at("bob")))
+    refused(bridge, daemon, bridge.address, bridge.at("bob"))
     bridge.hears('refused 127.0.0.1 at the command socket: "bob" may watch, not command')
     # Nor by the other socket: what is sent up there is no subscription.
     with nothing_passes(daemon), Peer(zmq.XSUB, bridge.at("bob").telemetry_endpoint, bridge.at("bob")) as peer:
@@ -264,13 +270,13 @@ def test_a_watcher_at_the_command_line(bridge: Bridge, tmp_path: Path) -> None:
         "HAPTICD_KEY": str(secret),
         "HAPTICD_SERVER_KEY": str(bridge.folder / "keys" / "server.key"),
     }
-    command = [sys.executable, "-m", "hapticd"]
+    command = HAPTICD
     with subprocess.Popen([*command, "watch", "--json"], env=environment, stdout=subprocess.PIPE) as watching:
         assert watching.stdout is not None
         line = json.loads(watching.stdout.readline())
         watching.terminate()
     assert line["topic"] in ("state", "event")
-    done = subprocess.run([*command, "status"], env=environment, capture_output=True, text=True, timeout=120)
+    done = subprocess.run([*command, "status"], env=environment, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
     assert "may only watch" in done.stderr
 
@@ -385,7 +391,7 @@ def test_who_floods_waits_and_nobody_else(daemon: Daemon, tmp_path: Path) -> Non
             flood.socket.send(wire.request(number, "get_status"))
         answered = msgpack.unpackb(flood.socket.recv())["id"]
         assert answered == 0
-        with connect(bridge.address, timeout_s=30, **bridge.as_client("carol")) as client:
+        with connect(bridge.address, **bridge.as_client("carol")) as client:
             for _ in range(20):
                 client.get_status()
         while flood.socket.poll(0):
@@ -586,9 +592,9 @@ def test_without_a_daemon_it_says_so_and_comes_back(tmp_path: Path) -> None:
     (tmp_path / "bridge").mkdir()
     with (
         running_bridge(tmp_path / "bridge", directory, CLIENTS) as bridge,
-        connect(bridge.address, timeout_s=30, **bridge.as_client("alice")) as client,
+        connect(bridge.address, **bridge.as_client("alice")) as client,
     ):
-        with pytest.raises(DaemonNotRunning, match=r"no daemon at .*; nothing was carried out"):
+        with pytest.raises(DaemonNotRunning, match=r"does not answer; nothing was carried out"):
             client.get_status()
         seen: list[Any] = []
         with fake_daemon(directory, lambda request: [result(request, len(seen))]) as daemon:
@@ -612,7 +618,7 @@ def test_without_a_daemon_it_says_so_and_comes_back(tmp_path: Path) -> None:
 
             asking = threading.Thread(target=ask)
             asking.start()
-            assert asked.wait(60)
+            assert asked.wait(PATIENCE_S)
         asking.join(60)
         assert "may have been carried out" in str(failures[0])
         with fake_daemon(directory, lambda request: [result(request, "again")]) as second:
@@ -632,7 +638,7 @@ def when_it_is_there(client: Client, method: str) -> object:
 
 def bridge_knows(bridge: Bridge) -> None:
     """Waits until the bridge has its connection for the status, too: telemetry shows it."""
-    with connect(bridge.address, timeout_s=30, **bridge.as_client("bob")) as client, client.states() as states:
+    with connect(bridge.address, **bridge.as_client("bob")) as client, client.states() as states:
         next(states)
 
 
@@ -662,7 +668,7 @@ def test_who_leaves_in_the_handshake_leaves_no_file(
                 with socket.create_connection((bridge.host, bridge.port)) as knock:
                     knock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
                     knock.sendall(b"\xff\0\0\0\0\0\0\0\x01\x7f")
-            with connect(bridge.address, timeout_s=30, **bridge.as_client("alice")) as client:
+            with connect(bridge.address, **bridge.as_client("alice")) as client:
                 client.get_status()
                 assert list(folder.iterdir()) == []
 
@@ -672,7 +678,7 @@ def test_two_on_one_port(daemon: Daemon, bridge: Bridge) -> None:
         [sys.executable, "-m", "hapticd", "bridge", "-c", str(bridge.file), "--listen", bridge.address],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert second.returncode == 1
     assert second.stderr.splitlines()[-1] == (
@@ -690,7 +696,7 @@ def test_two_on_one_port(daemon: Daemon, bridge: Bridge) -> None:
 )
 def test_what_it_does_not_start_with(bridge: Bridge, arguments: list[str], told: str) -> None:
     command = [sys.executable, "-m", "hapticd", "bridge", "-c", str(bridge.file), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert told in line
@@ -773,7 +779,7 @@ def test_from_another_network_namespace(daemon: Daemon, tmp_path: Path, elsewher
                 cwd=ROOT,
                 capture_output=True,
                 text=True,
-                timeout=120,
+                timeout=PATIENCE_S,
             )
             assert done.returncode == 0, done.stderr
             return done.stdout.splitlines()
@@ -793,7 +799,7 @@ def test_from_another_network_namespace(daemon: Daemon, tmp_path: Path, elsewher
                     elsewhere.command("-c", _BARE, bridge.address, mechanism),
                     input=msgpack.packb(commands()),
                     capture_output=True,
-                    timeout=60,
+                    timeout=PATIENCE_S,
                 )
                 assert bare.stdout == b"nothing\n", bare.stderr
             asked = metrics(bridge)["hapticd_bridge_requests_total"]
@@ -855,13 +861,16 @@ def test_a_key_revoked_under_way_from_another_network_namespace(
             assert asked < 40  # the rest waits
             line = bridge.reload({"carol": "command"})
             assert "1 connections ended" in line
-            with nothing_passes(daemon), connect(bridge.address, timeout_s=30, **bridge.as_client("carol")) as other:
+            with (
+                nothing_passes(daemon),
+                connect(bridge.address, **bridge.as_client("carol")) as other,
+            ):
                 other.get_status()
                 sending.stdin.write(b"more\n")
                 sending.stdin.flush()
                 assert sending.stdout.readline() == b"nothing\n"
                 other.get_status()
-            assert sending.wait(60) == 0
+            assert sending.wait(PATIENCE_S) == 0
         bridge.hears(f"refused {elsewhere.there} at the command socket: key .{{8}}... belongs to no client")
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,17 +18,11 @@ from hapticd.client import Client
 from hapticd.keys import new_certificate, write_certificate
 from hapticd.wire import GESTURE_ENDS
 from tests.bridge_process import running_bridge
-from tests.daemon_process import Daemon, connect, running_daemon
+from tests.daemon_process import Daemon, connect
 from tests.fake_daemon import fake_daemon, result
 
 SHORT = [[0.0, 0.0, 0.05], [0.02, 0.0, 0.04]]
 LONG = [[0.0, 0.0, 0.05], [1000.0, 0.0, 0.04]]
-
-
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with running_daemon() as daemon:
-        yield daemon
 
 
 def status_of(request: Mapping[str, Any]) -> list[bytes]:
@@ -93,7 +88,9 @@ def test_a_client_may_come_before_the_daemon(
 
 @pytest.mark.parametrize("ask", [blocking, with_asyncio])
 def test_a_daemon_that_does_not_come_is_told_as_ever(tmp_path: Path, ask: Callable[[Path, float], object]) -> None:
-    with pytest.raises(DaemonNotRunning, match=f"no daemon at {tmp_path}; start one with: hapticd run"):
+    with pytest.raises(
+        DaemonNotRunning, match=rf"no daemon at {tmp_path}; start one with: hapticd run.* \(waited 0\.05 s for it\)$"
+    ):
         ask(tmp_path, 0.05)
 
 
@@ -183,19 +180,18 @@ def test_the_variable_is_blamed_that_is_wrong(tmp_path: Path, monkeypatch: pytes
 
 def test_a_bridge_is_told_by_the_address_that_it_was_given_by(tmp_path: Path) -> None:
     certificate = new_certificate()
+    keys: dict[str, Any] = {"key": certificate, "server_key": certificate.public_key}
     with pytest.raises(DaemonNotRunning) as caught:
-        connect("tcp://127.0.0.1:9", key=certificate, server_key=certificate.public_key)
-    told = "no bridge at tcp://127.0.0.1:9: nobody takes connections there (port 10, for telemetry)"
-    assert str(caught.value) == told
+        connect("tcp://127.0.0.1:9", **keys)
+    assert str(caught.value) == "no bridge at tcp://127.0.0.1:9: nobody takes connections there"
+    # Where its port for telemetry alone is closed, that is what is wrong.
+    with socket.create_server(("127.0.0.1", 0)) as open_one:
+        port = open_one.getsockname()[1]
+        with pytest.raises(DaemonNotRunning, match=f"127.0.0.1:{port} is there, but not its port {port + 1} for telem"):
+            connect(f"tcp://127.0.0.1:{port}", **keys)
 
 
 # ---- The end of a gesture --------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with connect(daemon.directory) as client:
-        yield client
 
 
 def test_the_end_of_a_gesture_is_waited_for(client: Client) -> None:

@@ -18,7 +18,7 @@ from click.shell_completion import BashComplete
 
 from hapticd.cli import cli, main, names
 from hapticd.cli.completion import SHELLS, script
-from tests.daemon_process import running_daemon
+from tests.daemon_process import PATIENCE_S, running_daemon
 
 PROMPT = "ready> "
 # What is typed before the key is pressed, and the arguments of the command that results.
@@ -105,7 +105,7 @@ class Terminal:
     def until(self, wanted: str) -> str:
         """What is shown up to and with `wanted`. The bound only keeps a broken test from hanging."""
         while wanted not in self._shown:
-            assert select.select([self._master], [], [], 60)[0], f"nothing more was shown: {self._shown!r}"
+            assert select.select([self._master], [], [], PATIENCE_S)[0], f"nothing more was shown: {self._shown!r}"
             try:
                 self._shown += os.read(self._master, 4096).decode()
             except OSError:

@@ -67,6 +67,7 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
     config = with_config(tmp_path, f"scene: {json.dumps({'objects': PUSH})}\n")
     with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
         assert client.get_status()["counters"]["suspends"] == 0
+        lease = client.lease(1800.0)["token"]  # half of what the suspend takes
         with client.telemetry("samples", "event") as messages:
             parts: list[np.ndarray] = []
             stream = SampleStream(warn=False)
@@ -94,6 +95,8 @@ def test_a_suspend_is_told_and_the_force_comes_back_over_the_ramp(tmp_path: Path
         status = client.get_status()
         assert status["counters"]["suspends"] == 1
         assert (status["forces"], status["faults"]) == ("on", [])
+        assert status["lease_s"] > 900
+        client.lease(0, lease)
         until(lambda: "the machine was suspended for 1 h" in daemon.said())
 
 
@@ -179,9 +182,10 @@ def test_a_fault_leaves_a_file_with_the_fault_and_a_second_after_it(tmp_path: Pa
         until(lambda: (client.get_status()["flight"] or {})["skipped"] == 1)
         copy = tmp_path / "mine.npz"
         command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", str(copy)]
-        assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip() == str(copy)
+        told = subprocess.run([*command, "--json"], capture_output=True, text=True, check=True).stdout
+        assert (json.loads(told)["file"], json.loads(told)["events"] > 0) == (str(copy), True)
         with np.load(copy) as file:
-            assert len(file["samples"]) >= len(samples)
+            assert len(file["samples"]) == json.loads(told)["ticks"] >= len(samples)
             assert json.loads(str(file["flight"])) == {"reason": "asked", "tick": None, "complete_from": 0}
         client.dump_flight()
         written(client, 3)

@@ -216,3 +216,36 @@ def test_killed_in_the_first_moments() -> None:
         finally:
             nursery.close()
             stick.close()
+
+
+def test_a_fault_of_the_process_stops_the_joystick_before_it_ends() -> None:
+    stick = FakePid(bytes(Joystick()), on_log=lambda _: None)
+    with tempfile.TemporaryDirectory(prefix="hapticd-test-") as parent:
+        nursery = Nursery(Path(parent), stick)
+        moving = threading.Event()
+
+        def move() -> None:
+            y = 0
+            while not moving.wait(0.002):
+                y = (y + 37) % 2000
+                stick.report(0, 1000 + y)
+
+        hand = threading.Thread(target=move)
+        hand.start()
+        try:
+            for fault in (signal.SIGABRT, signal.SIGSEGV):
+                set_up(stick)
+                pid = nursery.daemon()
+                wire = Wire(nursery.runtime)
+                wire.result("get_status")
+                push(wire, stick)
+                wire.close()
+                os.kill(pid, fault)
+                assert nursery.ended() == -fault
+                stick.wait(lambda: not stick.effects and not stick.enabled)
+                assert stick.force() == (0.0, 0.0)
+        finally:
+            moving.set()
+            hand.join()
+            nursery.close()
+            stick.close()

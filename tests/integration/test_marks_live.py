@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
 from hapticd.client import Client, Subscription
-from tests.daemon_process import Daemon, Wire, connect, running_daemon, wired
+from tests.daemon_process import Wire
 
 AWAY = [[0.0, 0.0, 0.05], [0.05, 0.0, 0.04]]
-
-
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with running_daemon() as daemon:
-        yield daemon
-
-
-@pytest.fixture
-def wire(daemon: Daemon) -> Iterator[Wire]:
-    with wired(daemon) as wire:
-        yield wire
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with connect(daemon.directory) as client:
-        yield client
 
 
 def next_of(events: Subscription[Any], kind: str) -> dict[str, Any]:

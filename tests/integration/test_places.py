@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,29 +13,11 @@ from hapticd.client import Client
 from hapticd.from_file import FromFile, placed
 from hapticd.yaml_source import load_text
 from tests.cli import said
-from tests.daemon_process import Daemon, Wire, connect, running_daemon, wired
+from tests.daemon_process import Daemon, Wire
 
 LOUD = {"stiffness_n_per_m": 800.0, "tap": {"attack_slope_per_s": 300.0, "frequency_hz": 5e4, "decay_time_s": 1e-3}}
 SILENT = "50000 Hz is above 4000 Hz, 0.4 of the rate: it is silent"
 FLOOR = {"kind": "wall", "point_m": [0.0, -0.05], "normal": [0.0, 1.0], "material": "wood"}
-
-
-@pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with running_daemon() as daemon:
-        yield daemon
-
-
-@pytest.fixture
-def wire(daemon: Daemon) -> Iterator[Wire]:
-    with wired(daemon) as wire:
-        yield wire
-
-
-@pytest.fixture
-def client(daemon: Daemon) -> Iterator[Client]:
-    with connect(daemon.directory) as client:
-        yield client
 
 
 # ---- Faults ----------------------------------------------------------------------------------------------------------

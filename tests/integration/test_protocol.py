@@ -19,18 +19,6 @@ FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material"
 
 
 @pytest.fixture(scope="module")
-def daemon() -> Iterator[Daemon]:
-    with running_daemon() as daemon:
-        yield daemon
-
-
-@pytest.fixture
-def wire(daemon: Daemon) -> Iterator[Wire]:
-    with wired(daemon) as wire:
-        yield wire
-
-
-@pytest.fixture(scope="module")
 def beaten() -> Iterator[Daemon]:
     """One that may be left in any state: tests come in any order, and others need their materials and forces."""
     with running_daemon() as daemon:

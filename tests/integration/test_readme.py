@@ -148,6 +148,17 @@ def test_every_block_runs() -> None:
                 reader.finishes(block)
 
 
+@pytest.mark.slow
+def test_the_commands_of_the_page_of_materials_run() -> None:
+    """They need nothing but each other."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-test-") as home:
+        reader = Reader(Path(home))
+        commands = [block for block in blocks((ROOT / "docs" / "materials.md").read_text()) if block.language == "sh"]
+        assert len(commands) == 3
+        for block in commands:
+            reader.finishes(block)
+
+
 def why_not(block: Block) -> str | None:
     """Why a block is not run; None for one that is."""
     return next((why for look, why in NOT_RUN.items() if re.search(look, block.code, re.MULTILINE)), None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import json
+import math
 import os
 import resource
 import signal
@@ -14,6 +15,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +24,16 @@ import numpy as np
 import pytest
 
 import hapticd
+from hapticd import background
 from hapticd.client import Client
 from hapticd.config import Overruns, default_config, load_config
 from hapticd.core import SAMPLE_DTYPE, Flag
 from hapticd.errors import HapticdError
 from hapticd.record import RecordSummary, record
 from hapticd.recorded import load_recorded
+from hapticd.recovery import recover
 from hapticd.replayed import replay
-from tests.daemon_process import Daemon, connect, running_daemon
+from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 from tests.fake_daemon import FakeDaemon, fake_daemon, result
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -71,11 +76,11 @@ def recording(daemon: Daemon, target: Path, *options: str, limit: int | None = N
 
 
 def wait_until_it_records(client: Client, target: Path, process: subprocess.Popen[str]) -> None:
-    notes = target.with_name(f".{target.name}.{process.pid}.notes")
     with client.samples() as batches:
         for _ in batches:  # 50 times a second
             assert process.poll() is None
-            if notes.exists() and b'["dtype"' in notes.read_bytes():
+            notes = target.parent.glob(f".{target.name}.{process.pid}.*.notes")
+            if any(b'["dtype"' in path.read_bytes() for path in notes):
                 return
 
 
@@ -99,7 +104,7 @@ def test_what_a_daemon_rendered_is_rendered_again_bit_for_bit(daemon: Daemon, tm
                     next(event for event in events if event["event"] == "contact" and event["tick"] > tick)
             client.set_operator([[0, 0, 0.01]], interpolation="linear")
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=PATIENCE_S)
         assert (process.returncode, err) == (0, "") and "nothing lost" in out, out
         scene, materials = client.get_scene()["scene"], client.get_materials()["materials"]
     again = replay(target)
@@ -184,21 +189,25 @@ def test_the_configuration_goes_round(daemon: Daemon) -> None:
     assert config.device.sim.hand == default_config().device.sim.hand
 
 
-def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, tmp_path: Path) -> None:
+def test_what_a_killed_recording_left_is_told_by_the_next(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with connect(daemon.directory) as client, recording(daemon, target) as process:
         wait_until_it_records(client, target, process)
-        part = target.with_name(f".{target.name}.{process.pid}.part")
+        (part,) = tmp_path.glob(f".{target.name}.{process.pid}.*.part")
         with client.samples() as batches:
             while part.stat().st_size < 1000 * SAMPLE_DTYPE.itemsize:
                 next(batches)
         process.kill()
-        process.communicate(timeout=60)
+        process.communicate(timeout=PATIENCE_S)
     assert len(os.listdir(tmp_path)) == 2
     with recording(daemon, target, "--for", "100ms") as process:
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0 and "nothing lost" in out
-    assert err == f"hapticd: {tmp_path}/run.recovered.npz: what a recording held that was killed\n"
+    assert err == (
+        f"hapticd: {target}: {part.name} beside it is of another recording: under way, or killed; "
+        f"`hapticd recover {target}` makes a file of what was killed\n"
+    )
+    assert recover(target).files == [tmp_path / "run.recovered.npz"]
     assert sorted(os.listdir(tmp_path)) == ["run.npz", "run.recovered.npz"]
     recovered = load_recorded(tmp_path / "run.recovered.npz")
     assert recovered.texts["recording"]["ended_because"] == "killed"
@@ -210,7 +219,7 @@ def test_what_a_killed_recording_left_is_recovered_by_the_next(daemon: Daemon, t
 def test_a_full_disk_ends_a_recording_that_is_kept(daemon: Daemon, tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
     with recording(daemon, target, limit=700_000) as process:
-        out, err = process.communicate(timeout=120)
+        out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert err == f"hapticd: {target}: cannot be written: File too large; {target} holds what came before\n"
     assert os.listdir(tmp_path) == ["run.npz"]
@@ -296,7 +305,7 @@ def test_a_gap_is_told_and_stands_in_the_file(tmp_path: Path, directory: Path) -
 @pytest.mark.parametrize("first", [500, 10])
 def test_another_daemon_ends_a_recording(tmp_path: Path, directory: Path, first: int) -> None:
     told = Told(directory, samples(0, 100), samples(first, 100))
-    told.started = [1, 2]
+    told.started = [1, 1, 2]
     kept = told.record(tmp_path / "run.mcap", 600)
     assert (kept.ticks, kept.ended_because) == (100, "the daemon was restarted")
 
@@ -450,7 +459,8 @@ def test_a_block_is_recorded_from_its_first_to_its_last_command(daemon: Daemon, 
 def test_marks_of_a_block_are_in_the_file(daemon: Daemon, tmp_path: Path, ending: str) -> None:
     with connect(daemon.directory) as client:
         client.set_operator([[0, 0, 0.01]], interpolation="linear")
-        with client.record(tmp_path / f"run.{ending}", subject=3, hand="left") as recorder:
+        notes: dict[str, Any] = {"subject": 3, "hand": "left", "sham": False, "gain": None, "order": (1, [2.5])}
+        with client.record(tmp_path / f"run.{ending}", **notes, block=np.int64(4), force_n=np.ones(2)) as recorder:
             first = client.mark("first", {"trial": 1})["tick"]
             operator = client.set_operator([[0, 0, 0.01], [0.01, 0, 0.012]])["tick"]
             with client.events() as events:
@@ -469,7 +479,48 @@ def test_marks_of_a_block_are_in_the_file(daemon: Daemon, tmp_path: Path, ending
     ends = [event for event in recording.events if event["event"] == "gesture_end"]
     assert operator in [event["started_tick"] for event in ends]
     assert all(isinstance(event["completed"], bool) for event in ends)
-    assert recording.notes == {"subject": "3", "hand": "left"}
+    kept = {**notes, "order": [1, [2.5]], "block": 4, "force_n": [1.0, 1.0]}
+    assert recording.notes == kept
+    assert [type(note) for note in recording.notes.values()] == [type(note) for note in kept.values()]
+
+
+@pytest.mark.parametrize(
+    ("note", "told"),
+    [
+        ({"when": date(2026, 1, 2)}, r"notes\.when: must be what JSON can hold, is a Python object of type date"),
+        ({"gains": [1.0, math.nan]}, r"notes\.gains\[1\]: must be finite, is nan"),
+        ({"by_trial": {1: "wood"}}, r"notes\.by_trial: must have texts as keys, has 1"),
+        ({"name": "\ud800"}, r"notes\.name: must be text that UTF-8 can hold"),
+    ],
+)
+def test_a_note_that_no_file_can_keep_is_refused(
+    daemon: Daemon, tmp_path: Path, note: dict[str, Any], told: str
+) -> None:
+    with (
+        connect(daemon.directory) as client,
+        pytest.raises(hapticd.InvalidError, match=f"^{told}"),
+        client.record(tmp_path / "run.npz", **note),
+    ):
+        raise AssertionError("the block is not entered")
+    assert not (tmp_path / "run.npz").exists()
+
+
+def test_a_block_with_too_many_missed_periods_is_warned_of(
+    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `hapticd record` warns: here of a recording that says so, whatever this machine missed."""
+
+    def busy(*arguments: Any, **options: Any) -> RecordSummary:
+        return replace(record(*arguments, **options), warning="38 of 148 periods were missed")
+
+    monkeypatch.setattr(background, "record", busy)
+    with (
+        pytest.warns(hapticd.MissedPeriods, match=r"run\.npz: 38 of 148 periods were missed$") as warned,
+        connect(daemon.directory) as client,
+        client.record(tmp_path / "run.npz"),
+    ):
+        pass
+    assert [Path(each.filename).name for each in warned] == [Path(__file__).name]
 
 
 def test_what_goes_wrong_in_a_block_is_what_is_told_and_the_recording_is_kept(daemon: Daemon, tmp_path: Path) -> None:
@@ -486,7 +537,7 @@ def test_what_goes_wrong_in_a_block_is_what_is_told_and_the_recording_is_kept(da
 
 def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
     async def run() -> tuple[int, int]:
-        async with hapticd.aio.connect(daemon.directory, timeout_s=60.0) as client:
+        async with hapticd.aio.connect(daemon.directory, timeout_s=PATIENCE_S) as client:
             async with client.record(tmp_path / "run.npz", subject=3):
                 first = (await client.mark("first"))["tick"]
                 last = (await client.mark("last"))["tick"]
@@ -499,7 +550,7 @@ def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
     recording = hapticd.load(tmp_path / "run.npz")
     assert [mark["tick"] for mark in recording.marks] == [first, last]
     assert recording.samples["tick"][0] < first and last <= recording.samples["tick"][-1]
-    assert recording.notes == {"subject": "3"}
+    assert recording.notes == {"subject": 3}
 
 
 # ---- The flight recorder -------------------------------------------------------------------------------------------
@@ -526,7 +577,10 @@ def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None
             return subprocess.run(command, capture_output=True, text=True, check=False)
 
         for target in targets:
-            assert flight(str(target)).stdout == f"{target}\n"
+            told = flight(str(target)).stdout
+            held = hapticd.load(target)
+            assert told.startswith(f"{target}: {len(held.samples):,} ticks in ")
+            assert told.endswith(f" missed, {len(held.events):,} events\n") or " %), " in told
         again = flight(str(targets[0]))
         assert again.returncode == 1 and "is there already; give another name, or --overwrite" in again.stderr
         assert flight(str(targets[0]), "--overwrite").returncode == 0

@@ -20,7 +20,7 @@ import pytest
 
 from hapticd.client import connect
 from hapticd.keys import new_certificate, write_certificate
-from tests.daemon_process import running_daemon
+from tests.daemon_process import PATIENCE_S, running_daemon
 
 ROOT = Path(__file__).parents[2]
 NUMBERS = Path("/usr/include/x86_64-linux-gnu/asm/unistd_64.h")
@@ -116,7 +116,7 @@ def service(unit: str, ready: str, *words: str) -> Iterator[re.Match[str]]:
         process.terminate()
         rest = process.stderr.read()
         process.stderr.close()
-        code = process.wait(60)
+        code = process.wait(PATIENCE_S)
     assert code == 0, (said, rest)
 
 
@@ -125,7 +125,11 @@ def test_a_filter_refuses() -> None:
     code = "import os\ntry: os.chroot('/')\nexcept PermissionError: print('refused')"
     for unit in ("hapticd.service", "hapticd-bridge.service"):
         done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, preexec_fn=restricted(unit), timeout=60
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            preexec_fn=restricted(unit),
+            timeout=PATIENCE_S,
         )
         assert done.stdout == "refused\n", done.stderr
     code = (
@@ -137,7 +141,7 @@ def test_a_filter_refuses() -> None:
         capture_output=True,
         text=True,
         preexec_fn=restricted("hapticd-bridge.service"),
-        timeout=60,
+        timeout=PATIENCE_S,
     )
     assert done.stdout == "refused\ntaken\n", done.stderr
 
@@ -145,7 +149,7 @@ def test_a_filter_refuses() -> None:
 def test_the_daemon(tmp_path: Path) -> None:
     with (
         service("hapticd.service", "ready: sim", "--runtime-dir", str(tmp_path / "run"), "run"),
-        connect(tmp_path / "run", timeout_s=30) as client,
+        connect(tmp_path / "run", timeout_s=PATIENCE_S) as client,
     ):
         client.set_scene({"objects": {}}, wait=True)
         client.set_forces(False)
@@ -163,7 +167,7 @@ def test_the_bridge(tmp_path: Path) -> None:
         words = "--runtime-dir", str(daemon.directory), "bridge", "-c", str(file)
         with (
             service("hapticd-bridge.service", r"ready: commands at ([^,]+),", *words) as ready,
-            connect(ready[1], timeout_s=30, key=alice, server_key=server.public_key) as client,
+            connect(ready[1], timeout_s=PATIENCE_S, key=alice, server_key=server.public_key) as client,
         ):
             assert client.get_status()["protocol"] == 1
             with client.states() as states:

@@ -24,9 +24,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hapticd.calls import State, Status
+from hapticd.keys import write_certificate
+from hapticd.results import State, Status
 from hapticd.watch import View, bar, draw_scene, event_line, signed_bar
-from tests.daemon_process import Daemon, connect, running_daemon
+from tests.bridge_process import running_bridge
+from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 
 ROOT = Path(__file__).parents[2]
 SCENE: dict[str, Any] = {
@@ -325,7 +327,7 @@ class Terminal:
         os.close(self._master)
         assert self.process.stderr is not None
         with self.process.stderr:
-            return self.process.wait(60), self.process.stderr.read()
+            return self.process.wait(PATIENCE_S), self.process.stderr.read()
 
     def end(self, number: int) -> tuple[int, bytes]:
         self.process.send_signal(number)
@@ -340,7 +342,7 @@ class Terminal:
                 while True:
                     self.output += os.read(self._master, 65536)
             os.close(self._master)
-            return self.process.wait(60), self.process.stderr.read()
+            return self.process.wait(PATIENCE_S), self.process.stderr.read()
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -371,6 +373,31 @@ def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str
         assert terminal.end(signal.SIGINT) == (130, b"")
 
 
+def test_through_a_bridge_who_may_only_watch_asks_nothing(daemon: Daemon, tmp_path: Path) -> None:
+    """A refusal would be logged and counted; who may command sees the scene, too."""
+    with running_bridge(tmp_path, daemon.directory, {"alice": "command", "bob": "watch"}) as bridge:
+        with connect(daemon.directory) as client:
+            client.set_scene({"objects": {"floor": SCENE["objects"]["floor"]}})
+        secrets = {name: write_certificate(bridge.keys[name], name, tmp_path)[1] for name in ("alice", "bob")}
+
+        def command(name: str) -> list[str]:
+            server = bridge.keys["server"].public_key
+            there = ["--connect", bridge.address, "--key", str(secrets[name]), "--server-key", server]
+            return [sys.executable, "-m", "hapticd", *there, "watch"]
+
+        with Terminal(command("bob")) as terminal:
+            terminal.read_until("forces on")
+            terminal.read_until("●")
+            assert terminal.end(signal.SIGINT) == (130, b"")
+        lines = subprocess.run([*command("bob"), "--for", "2s"], capture_output=True, text=True, timeout=60)
+        assert (lines.returncode, lines.stderr) == (0, "") and "tick" in lines.stdout
+        with Terminal(command("alice")) as terminal:
+            terminal.read_until("░")
+            assert terminal.end(signal.SIGINT) == (130, b"")
+        bridge.hears("alice: command")
+        assert not bridge.said("refused")
+
+
 def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
     process = subprocess.Popen(arguments(daemon), stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True)
     assert process.stdout is not None and process.stderr is not None
@@ -383,14 +410,14 @@ def test_into_a_pipe_it_prints_lines(daemon: Daemon) -> None:
         while process.stdout.readline() != f"revision {revision}\n":
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 130
+        assert process.wait(PATIENCE_S) == 130
         assert process.stderr.read() == ""
 
 
 @pytest.mark.parametrize("options", [[], ["--json"]], ids=["lines", "json"])
 def test_into_a_pipe_it_ends_by_itself(daemon: Daemon, options: list[str]) -> None:
     done = subprocess.run(
-        arguments(daemon, "--for", "300ms", *options), capture_output=True, cwd=ROOT, text=True, timeout=60
+        arguments(daemon, "--for", "300ms", *options), capture_output=True, cwd=ROOT, text=True, timeout=PATIENCE_S
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "tick" in done.stdout

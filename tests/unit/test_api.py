@@ -12,7 +12,7 @@ import pytest
 from pydantic import ValidationError
 
 import hapticd
-from hapticd import calls
+from hapticd import results
 from hapticd.client import Client
 from hapticd.model import Model
 
@@ -28,8 +28,8 @@ def test_every_public_name_is_there_and_shown() -> None:
 
 
 def test_every_result_of_the_clients_is_public() -> None:
-    results = {
-        name for name, value in vars(calls).items() if isinstance(value, type) and "TypedDict" in repr(type(value))
+    public = {
+        name for name, value in vars(results).items() if isinstance(value, type) and "TypedDict" in repr(type(value))
     }
     used = {
         word
@@ -37,7 +37,7 @@ def test_every_result_of_the_clients_is_public() -> None:
         if inspect.isfunction(method)
         for word in str(method.__annotations__.get("return", "")).replace("[", " ").replace("]", " ").split()
     }
-    assert results & used <= set(hapticd.__all__)
+    assert public & used <= set(hapticd.__all__)
 
 
 PROGRAM = '''\

@@ -26,7 +26,7 @@ from hapticd.bridge.daemon_link import DaemonLink
 from hapticd.bridge.gate import Gate
 from hapticd.bridge.limits import Bucket, Teller
 from hapticd.bridge.metrics import Metrics
-from hapticd.bridge.relay import peek
+from hapticd.bridge.relay import method_in, peek
 from hapticd.config import default_config
 from hapticd.control import Control
 from hapticd.engine import Engine
@@ -225,8 +225,17 @@ def test_a_look_at_a_body_misses_no_answer(tree: object) -> None:
         assert id == told
 
 
+def test_the_method_of_a_body_for_the_log() -> None:
+    assert method_in(msgpack.packb({"jsonrpc": "2.0", "id": 1, "method": "get_status"})) == "get_status"
+    assert method_in(msgpack.packb({"id": 1, "method": "two\nlines"})) == '"two\\nlines"'
+    for tree in ({"id": 1}, {"method": 3}, {"method": "x" * 300}, ["method"], 7):
+        assert method_in(msgpack.packb(tree)) is None
+    assert method_in(b"\xdf\xff\xff\xff\xff") is None
+
+
 @given(st.binary(max_size=100))
 def test_a_look_at_any_bytes(body: bytes) -> None:
+    method_in(body)
     look, _ = peek(body)
     if not look:
         message = msgpack.unpackb(body, strict_map_key=False, raw=True) if _whole(body) else {}

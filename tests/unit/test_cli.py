@@ -115,8 +115,15 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
         (["scene", "nonsense"], "No such command 'nonsense'"),
         (["status", "--nonsense"], "--nonsense"),
         (["status", "more"], "unexpected extra argument"),
-        (["force", "maybe"], "'maybe' is not one of 'on', 'off'"),
+        (["force", "maybe"], '"maybe" is none of them; known: on, off'),
         (["force"], "Missing argument"),
+        (["-q", "run"], "No such option '-q': -q belongs after run: hapticd run -q (see hapticd --help)"),
+        (["-c", "x.yaml", "run"], "No such option '-c': -c belongs after run: hapticd run -c"),
+        (["-z", "run"], "No such option '-z'. (see"),
+        (["-z"], "No such option '-z'. (see"),
+        (["status", "--runtime-dir", "x"], "--runtime-dir belongs before the command: hapticd --runtime-dir ..."),
+        (["scene", "set", "--key", "x"], "--key belongs before the command: hapticd --key ..."),
+        (["check", "s.yaml"], "Got unexpected extra argument (s.yaml): a file is given with -c"),
         (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
         (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
         (["play", "--mode", "frequency_hz", "--amplitude", "1"], "write it as frequency_hz=200"),
@@ -148,7 +155,10 @@ def test_materials_without_a_daemon_are_the_shipped_ones(capsys: pytest.CaptureF
         captured = capsys.readouterr()
         assert captured.err == "" and json.loads(captured.out) == {**printed, "revision": None}
     told = said(capsys, 1, "material", "get", "stel", "--offline")
-    assert told.startswith('hapticd: unknown material "stel"; did you mean steel? known: wood, ')
+    shipped = 'hapticd: unknown material "stel" in the shipped library; one that was set is known to the daemon alone'
+    assert told == f"{shipped}: hapticd material get stel asks it; did you mean steel?\n"
+    assert main(["material", "get", "stel"]) == 1
+    assert capsys.readouterr().err.splitlines()[1] == f"{shipped}; did you mean steel?"
 
 
 def test_a_mark_keeps_json(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
 
-from hapticd.calls import DaemonNotRunning, RemoteError, Status
+from hapticd.calls import DaemonNotRunning, RemoteError, outcome, patch_tree
 from hapticd.cli import main
 from hapticd.cli.common import print_result
 from hapticd.cli.failure import asks_for_json, tell
@@ -17,8 +20,10 @@ from hapticd.cli.status import FAULTS, lines, text_of
 from hapticd.control import _FAULT_WORDS
 from hapticd.core import Fault
 from hapticd.engine import Granted
-from hapticd.errors import HapticdError, InvalidError, Problem
+from hapticd.errors import HapticdError, InvalidError, Problem, in_order
 from hapticd.events import fault_names
+from hapticd.paths import runtime_paths
+from hapticd.results import Status
 from hapticd.wire import Code
 from tests.cli import said
 
@@ -160,7 +165,6 @@ WITH_JSON = [
     ["verify", "-c", "none.yaml"],
     ["fit", "tap", "none.csv"],
     ["fit", "synthesize", "tap", "--material", "none", "-o", "x.npz"],
-    ["doctor", "-c", "none.yaml"],
     ["key", "new", "a/b"],
 ]
 
@@ -186,6 +190,50 @@ def test_with_json_nothing_but_an_error_is_on_stderr(tmp_path: Path, capsys: pyt
     captured = capsys.readouterr()
     assert list(json.loads(captured.out)["materials"]) == ["wood"] and captured.err == ""
     assert "unknown material" in said(capsys, 1, *place, "material", "get", "none", "--json")
+
+
+class Terminal(io.StringIO):
+    """A stderr that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_on_a_terminal_each_fault_has_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = [Problem(f"s.yaml:{line}:1: ramp_s", "set_operator moves\nit") for line in (10, 9)]
+    for error in (
+        InvalidError(problems),
+        RemoteError(Code.INVALID_PARAMS, "", [asdict(problem) for problem in in_order(problems)]),
+    ):
+        terminal, pipe = Terminal(), io.StringIO()
+        for stream in (terminal, pipe):
+            monkeypatch.setattr("sys.stderr", stream)
+            assert tell(error, 1, as_json=False) == 1
+        nine, ten = (f"s.yaml:{line}:1: ramp_s: `hapticd operator` moves it" for line in (9, 10))
+        assert terminal.getvalue() == f"hapticd: {nine}\nhapticd: {ten}\n"
+        if type(error) is RemoteError:
+            assert pipe.getvalue() == f"hapticd: {nine}; {ten}\n"
+    monkeypatch.setattr("sys.stderr", Terminal())
+    tell(InvalidError(problems), 1, as_json=True)
+    assert isinstance(sys.stderr, Terminal)
+    assert [each["where"] for each in json.loads(sys.stderr.getvalue())["error"]["problems"]] == [
+        "s.yaml:9:1: ramp_s",
+        "s.yaml:10:1: ramp_s",
+    ]
+
+
+def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
+    file = tmp_path / "s.yaml"
+    file.write_text("b: {kind: wall}\na: {kind: wall}\n")
+    params = {"objects": patch_tree(file, "objects")}
+    found = [{"where": f"objects.{id}.point_m", "problem": "is missing"} for id in ("a", "b", "c")]
+    with pytest.raises(RemoteError) as caught:
+        outcome(RemoteError(Code.INVALID_PARAMS, "", found), params, runtime_paths(tmp_path))
+    assert [problem.where for problem in caught.value.problems] == [
+        f"{file}:1:1: b.point_m",
+        f"{file}:1:1: c.point_m",
+        f"{file}:2:1: a.point_m",
+    ]
 
 
 # ---- the shell's words -----------------------------------------------------------------------------------------------
@@ -270,6 +318,20 @@ def test_a_command_that_is_mistyped(arguments: list[str], told: str, capsys: pyt
 @pytest.mark.parametrize("options", [["-q", "-v"], ["-v", "--log-level", "info"]])
 def test_one_level_of_the_log(command: str, options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert "-q, -v and --log-level say the same" in said(capsys, 2, command, *options)
+
+
+@pytest.mark.parametrize(
+    ("options", "level"),
+    [([], "info"), (["-q"], "warning"), (["-v"], "debug"), (["--log-level", "error"], "error")],
+)
+def test_one_option_says_how_much_is_logged(
+    options: list[str], level: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[object] = []
+    monkeypatch.setattr("hapticd.daemon.run", lambda *words: given.append(words[-1]) or 0)
+    monkeypatch.setattr("gc.disable", lambda: None)
+    assert main(["run", *options]) == 0
+    assert given == [level]
 
 
 def test_main_is_what_is_tested(capsys: pytest.CaptureFixture[str]) -> None:

@@ -80,7 +80,7 @@ def test_nothing_takes_the_place_of_one_that_cannot_be_read(home: Path, monkeypa
         config_of()
 
 
-COMMANDS = ["check", "run", "doctor", "verify", "calibrate", "devices calibrate", "paths"]
+COMMANDS = ["check", "run", "verify", "calibrate", "devices calibrate"]
 COMMANDS += ["fit synthesize tap --material wood -o x.npz"]
 
 
@@ -111,6 +111,7 @@ def test_paths(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "origin": "built in",
         "files": [],
         "looked_for": [f"{home}/.config/hapticd/config.yaml", str(config_files.SYSTEM_CONFIG)],
+        "fault": None,
     }
     runtime = home.parent / "hapticd"
     assert found["runtime_directory"] == found["flight_files"] == str(runtime)
@@ -143,5 +144,27 @@ def test_paths_with_a_configuration_that_cannot_be_read(home: Path, capsys: pyte
     assert main(["paths", "--json"]) == 1
     captured = capsys.readouterr()
     found = json.loads(captured.out)
+    fault = f"{user}:1:9: servo.rate_hz: must be at least 1000, is 1"
     assert (found["configuration"]["files"], found["flight_files"]) == ([user], None)
-    assert f"{user}:1:9: servo.rate_hz: must be at least 1000, is 1" in captured.err
+    assert (found["configuration"]["fault"], captured.err) == (fault, "")
+    assert main(["paths"]) == 1
+    captured = capsys.readouterr()
+    first, second, *rest = captured.out.splitlines()
+    assert (first, second) == (f"configuration      {user}", f"its fault          {fault}")
+    assert "flight files       not known" in rest and len(rest) == 8
+    assert captured.err == "hapticd: the configuration is faulty\n"
+
+
+@pytest.mark.parametrize("command", ["paths", "doctor"])
+def test_a_file_that_is_missing_is_one_line_of_many(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    main([command])
+    sound = len(capsys.readouterr().out.splitlines())
+    monkeypatch.setenv("HAPTICD_CONFIG", "gone.yaml")
+    assert main([command]) == 1
+    captured = capsys.readouterr()
+    told = captured.out.splitlines()
+    assert sum("gone.yaml: there is no such file; HAPTICD_CONFIG names it" in line for line in told) == 1
+    assert len(told) >= sound
+    assert len(captured.err.splitlines()) == 1

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import textwrap
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, TypeGuard, get_args
 
 import click
 import msgpack
@@ -15,7 +16,6 @@ import pytest
 from pydantic import BaseModel
 
 from hapticd import wire
-from hapticd.calls import State
 from hapticd.cli import cli
 from hapticd.cli.simulation import simulate_files
 from hapticd.config import default_config, load_config
@@ -28,6 +28,7 @@ from hapticd.events import event_map, fault_names
 from hapticd.hid.config import Quirk
 from hapticd.materials import ModeKeys
 from hapticd.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
+from hapticd.results import State
 from hapticd.service import Installation, Service
 from hapticd.sink import NO_TIME, open_sink
 from hapticd.yaml_source import load_text
@@ -317,6 +318,44 @@ def test_the_directives_that_the_page_names_stand_in_the_unit() -> None:
         )
 
 
+# ---- What shows the promises of a page ------------------------------------------------------------------------------
+
+SHOWS = "## What shows it"
+PROMISING = [ROOT / "docs" / name for name in ("reliability.md", "service.md")]
+
+
+def is_there(test: str) -> bool:
+    """A function of a file below tests/, a target of make, or a module that is run."""
+    if test.startswith("make "):
+        return re.search(rf"^{test[5:]}:|^\.PHONY:.* {test[5:]}\b", (ROOT / "Makefile").read_text(), re.M) is not None
+    if test.startswith("python -m "):
+        return (ROOT / f"{test[10:].replace('.', '/')}.py").exists()
+    file, _, function = test.partition("::")
+    path = ROOT / "tests" / file
+    return path.is_file() and re.search(rf"^def {function}\(", path.read_text(), re.M) is not None
+
+
+@pytest.mark.parametrize("page", PROMISING, ids=lambda page: page.stem)
+def test_every_promise_stands_in_the_page_and_its_tests_are_there(page: Path) -> None:
+    text = page.read_text()
+    before = " ".join(re.sub(r"^- ", "", text.partition(f"\n{SHOWS}\n")[0], flags=re.M).split())
+    rows = tables(section(text, SHOWS))["promise"]
+    for promise, shown in rows:
+        assert promise in before, promise
+        assert names(shown) and all(map(is_there, names(shown))), shown
+    assert len({promise for promise, _ in rows}) == len(rows)
+
+
+@pytest.mark.parametrize("page", PROMISING, ids=lambda page: page.stem)
+def test_every_section_has_a_promise_that_is_shown(page: Path) -> None:
+    text = page.read_text()
+    promises = [promise for promise, _ in tables(section(text, SHOWS))["promise"]]
+    for heading in re.findall(r"^## .*$", text, re.M):
+        there = " ".join(section(text, heading).split())
+        measured = heading == "## What looking costs"
+        assert heading == SHOWS or measured or any(promise in there for promise in promises), heading
+
+
 # ---- architecture.md, decision records, links ----------------------------------------------------------------------
 
 
@@ -351,6 +390,22 @@ def test_links_lead_somewhere(page: Path) -> None:
         there = page.parent / name if name else page
         assert there.exists(), target
         assert not anchor or anchor in anchors(there.read_text()), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_blocks_of_python_import_what_they_use(page: Path) -> None:
+    for code in re.findall(r"^```python\n(.*?)^```$", page.read_text(), flags=re.MULTILINE | re.DOTALL):
+        names = {node.value.id for node in ast.walk(ast.parse(code)) if is_of_a_name(node)}
+        imported = {alias.asname or alias.name for node in ast.walk(ast.parse(code)) for alias in names_of(node)}
+        assert names & {"hapticd", "np", "json", "zmq", "msgpack"} <= imported, code
+
+
+def is_of_a_name(node: ast.AST) -> TypeGuard[Any]:
+    return isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+
+
+def names_of(node: ast.AST) -> list[ast.alias]:
+    return node.names if isinstance(node, ast.Import | ast.ImportFrom) else []
 
 
 # ---- README.md -----------------------------------------------------------------------------------------------------

@@ -6,6 +6,9 @@ from __future__ import annotations
 import json
 import os
 import resource
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,9 +16,10 @@ from typing import Any, Literal
 
 import pytest
 
+from hapticd.calls import DaemonNotRunning
 from hapticd.cli import main
 from hapticd.doctor import CHECKS, devices, diagnose, kernel, limits, processors, service
-from hapticd.doctor.machine import Finding, Machine, Needs, listed
+from hapticd.doctor.machine import Finding, Holder, Machine, Needs, holder, listed
 from hapticd.doctor.machine import processors as numbers
 from hapticd.errors import HapticdError
 from hapticd.hid.config import Hid
@@ -461,3 +465,90 @@ def test_a_fault_of_the_machine_is_exit_code_1(
     captured = capsys.readouterr()
     assert "\nfail  processor    processor 1023" in captured.out
     assert captured.err == "hapticd: not ready: processor\n"
+    assert captured.out.startswith(f"ok    config       {config}\n")
+    config.write_text("servo: {cpu: -1}\n")
+    assert main(["doctor", "-c", str(config)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out.startswith(
+        f"fail  config       {config}:1:9: servo.cpu: must be at least 0, is -1; the lines below"
+    )
+    assert "\nok    clock " in captured.out or "\nwarn  clock " in captured.out
+    assert captured.err.startswith("hapticd: not ready: config")
+
+
+# A process that listens as a daemon does, and never answers.
+LISTENS = """
+import socket, sys
+with socket.socket(socket.AF_UNIX) as own:
+    own.bind(sys.argv[1])
+    own.listen()
+    print("listens", flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def silent(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    """Whoever listens on the command socket in `tmp_path`."""
+    words = [sys.executable, "-c", LISTENS, str(tmp_path / "hapticd.command")]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "listens\n"
+        yield process
+        process.kill()
+
+
+def of_the_daemon(directory: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    assert main(["--runtime-dir", str(directory), "doctor"]) == 1
+    captured = capsys.readouterr()
+    assert "daemon" in captured.err
+    return next(line for line in captured.out.splitlines() if line.startswith("fail  daemon "))
+
+
+def test_a_stopped_daemon_is_known_without_being_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], silent: subprocess.Popen[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(*_: object) -> None:
+        raise AssertionError("it waits for an answer")
+
+    os.kill(silent.pid, signal.SIGSTOP)
+    assert os.WIFSTOPPED(os.waitpid(silent.pid, os.WUNTRACED)[1])
+    assert holder(tmp_path / "hapticd.command") == Holder(silent.pid, stopped=True)
+    monkeypatch.setattr("hapticd.client.connect", asked)
+    line = of_the_daemon(tmp_path, capsys)
+    assert f"process {silent.pid} holds {tmp_path} and does not answer: it is stopped; kill -CONT" in line
+
+
+def test_a_daemon_that_runs_and_does_not_answer_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], silent: subprocess.Popen[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hapticd.cli.doctor._ANSWER_S", 0.1)
+    line = of_the_daemon(tmp_path, capsys)
+    assert f"process {silent.pid} holds {tmp_path} and did not answer within 0.1 s" in line
+
+
+def test_nobody_holds_what_nobody_listens_on(tmp_path: Path) -> None:
+    assert holder(tmp_path / "hapticd.command") is None
+    (tmp_path / "hapticd.command").touch()
+    assert holder(tmp_path / "hapticd.command") is None
+
+
+def test_whose_daemon_is_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[str] = []
+
+    def connect(place: object, timeout_s: float) -> None:
+        asked.append(str(place))
+        raise DaemonNotRunning("nobody")
+
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("HAPTICD_CONNECT", "tcp://127.0.0.1:1")
+    monkeypatch.setattr("hapticd.paths.SYSTEM_DIRECTORY", tmp_path / "service")
+    monkeypatch.setattr("hapticd.client.connect", connect)
+    main(["doctor"])
+    assert asked == [str(tmp_path / "hapticd"), str(tmp_path / "service")]
+    asked.clear()
+    monkeypatch.delenv("HAPTICD_CONNECT")
+    main(["--runtime-dir", str(tmp_path / "named"), "doctor"])
+    assert asked == [str(tmp_path / "named")]

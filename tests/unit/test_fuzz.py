@@ -19,12 +19,16 @@ from hapticd.operator import parse_operator
 from hapticd.recorded import load_recorded
 from hapticd.replayed import replay
 from hapticd.scene import validate_scene
-from tests import fuzz_messages, fuzz_recordings, fuzz_yaml
+from tests import fuzz_messages, fuzz_recordings, fuzz_yaml, fuzz_zmtp
 
 
 def test_messages() -> None:
     found = fuzz_messages.run(random.Random(101), 400)
     assert {0, -32700, -32600, -32602} <= found.outcomes.keys(), "some kind of message was not among them"
+
+
+def test_zmtp() -> None:
+    assert 0 < fuzz_zmtp.run(random.Random(105), 2000) < 2000
 
 
 @pytest.mark.parametrize(
@@ -42,7 +46,7 @@ def test_reloads() -> None:
 
 
 def test_recordings() -> None:
-    outcomes, _ = fuzz_recordings.run(random.Random(104), 90)
+    outcomes, _ = fuzz_recordings.run(random.Random(104), 150)
     for form in fuzz_recordings.FORMS:
         assert outcomes[f"{form} refused"] > 0
     assert any(outcome.endswith("rendered") for outcome in outcomes)

@@ -250,7 +250,21 @@ def test_with_level_debug_every_event_is_told(caplog: pytest.LogCaptureFixture) 
         log = EventLog(Clock())
         for _ in range(3):
             log.note({"event": "release", "tick": 7, "object": "table"})
-    assert caplog.messages == ["event release: tick 7, object table"] * 3
+            log.note(
+                {"event": "contact", "time_ns": 1234567890, "speed_m_per_s": 0.10012345678, "position_m": [1 / 3, 0.0]}
+            )
+    assert caplog.messages[::2] == ["event release: tick 7, object table"] * 3
+    assert caplog.messages[1] == "event contact: time_ns 1234567890, speed_m_per_s 0.1001, position_m [0.3333, 0]"
+
+
+def test_a_sum_of_missed_periods_says_what_part_of_all_they_are(said: pytest.LogCaptureFixture) -> None:
+    clock = Clock()
+    log = EventLog(clock, rate_hz=lambda: 2000.0)
+    for _ in range(3):
+        log.note(overrun(10))
+    clock.s = 4.0
+    log.flush()
+    assert said.messages == ["10 periods missed, 2 times", "20 periods missed (0.25 %), 4 times, in the last 4 s"]
 
 
 def test_a_line_that_cannot_be_made_costs_no_thread(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -100,6 +100,17 @@ def test_a_public_key_that_others_may_change_is_refused(tmp_path: Path, mode: in
         public_key_of(public)
 
 
+def test_a_path_that_could_be_a_key_is_a_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    certificate, path = new_certificate(), "keys/public-key-of-the-bridge-upstairs.k"
+    assert is_key(path)
+    public, _ = write_certificate(certificate, "server", tmp_path)
+    (tmp_path / "keys").mkdir()
+    public.rename(path)
+    assert public_key_of(path) == certificate.public_key
+    assert public_key_of(certificate.public_key) == certificate.public_key
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives files away")
 def test_keys_of_somebody_else_are_refused(tmp_path: Path) -> None:
     for path in write_certificate(new_certificate(), "alice", tmp_path):

@@ -56,7 +56,7 @@ def test_waypoints_are_taken_as_they_are() -> None:
         ({"waypoints": []}, [("waypoints", f"must hold 1 to {MAX_WAYPOINTS} entries, holds 0")]),
         (
             {"waypoint": []},
-            [("waypoint", "unknown key; did you mean waypoints? known: waypoints, interpolation, gesture")],
+            [("waypoint", "unknown key; did you mean waypoints?")],
         ),
         (
             {"waypoints": [[0, 0, 0]], "interpolation": "cubic"},
@@ -85,7 +85,7 @@ def test_waypoints_are_taken_as_they_are() -> None:
         ({"gesture": {}}, [("gesture.kind", "is missing")]),
         (
             {"gesture": {"kind": "tab"}},
-            [("gesture.kind", 'unknown kind "tab"; did you mean tap? known: tap, stroke, puncture')],
+            [("gesture.kind", 'unknown kind "tab"; did you mean tap?')],
         ),
         (
             {"gesture": {"kind": "tap"}},

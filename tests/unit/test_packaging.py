@@ -32,7 +32,7 @@ def test_messages_and_pages_name_extras_that_exist() -> None:
         for names in re.findall(r"hapticd\[([a-z,]+)\]", path.read_text())
         for extra in names.split(",")
     }
-    assert {extra for extra, _ in told} == {"fit", "mcap"}
+    assert {extra for extra, _ in told} == {"fit", "mcap", "pandas"}
     assert {"fit", "mcap"} < EXTRAS.keys()
 
 

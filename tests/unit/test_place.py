@@ -10,28 +10,25 @@ import pytest
 
 from hapticd.cli.common import write_whole
 from hapticd.errors import HapticdError
-from hapticd.place import place
+from hapticd.parts import write_file
 
 
 @pytest.mark.parametrize("links", [True, False])
 def test_a_name_that_is_taken_is_not_taken_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, links: bool) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EPERM, "no hard links here")
 
     if not links:
         monkeypatch.setattr(os, "link", refuse)
     target = tmp_path / "a.yaml"
     for number, name in enumerate(("a.yaml", "a-2.yaml", "a-3.yaml"), 1):
-        part = tmp_path / ".part"
-        part.write_text(str(number))
-        assert place(part, target, overwrite=False) == tmp_path / name
+        assert write_file(target, str(number).encode(), overwrite=False) == tmp_path / name
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
         "a.yaml": "1",
         "a-2.yaml": "2",
         "a-3.yaml": "3",
     }
-    part.write_text("4")
-    assert place(part, target, overwrite=True) == target and target.read_text() == "4"
+    assert write_file(target, b"4", overwrite=True) == target and target.read_text() == "4"
     assert len(list(tmp_path.iterdir())) == 3
 
 

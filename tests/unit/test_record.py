@@ -27,7 +27,8 @@ from hapticd.errors import HapticdError
 from hapticd.events import event_map
 from hapticd.mcap import CHUNK_BYTES, EVENT_MEMBERS
 from hapticd.recorded import load_recorded
-from hapticd.sink import NO_TIME, DiskFullError, crc32_of_both, event_array, open_sink, recover
+from hapticd.recovery import recover
+from hapticd.sink import NO_TIME, DiskFullError, crc32_of_both, event_array, open_sink
 
 FORMS = ["npz", "csv", "mcap"]
 
@@ -160,7 +161,7 @@ def test_a_file_that_is_there_is_not_replaced_unasked(tmp_path: Path, name: str,
 def test_a_file_that_appears_meanwhile_keeps_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, appeared: str, links: bool
 ) -> None:
-    def refuse(*_: object) -> None:
+    def refuse(*_: object, **__: object) -> None:
         raise OSError(errno.EPERM, "no hard links here")
 
     if not links:
@@ -332,7 +333,7 @@ def test_what_a_killed_recording_left_is_recovered(tmp_path: Path, ending: str, 
     (part,) = tmp_path.glob(f".run.{ending}.*.part")
     with open(part, "ab") as file:
         file.write(torn)
-    assert recover(target) == [tmp_path / f"run.recovered.{ending}"]
+    assert recover(target).files == [tmp_path / f"run.recovered.{ending}"]
     recorded = load_recorded(tmp_path / f"run.recovered.{ending}")
     count = len(recorded.samples)
     assert recorded.samples.tobytes() == given[:count].tobytes()
@@ -342,7 +343,7 @@ def test_what_a_killed_recording_left_is_recovered(tmp_path: Path, ending: str, 
     assert recorded.texts["changes"] == [{"revision": 1}]
     assert recorded.texts["recording"] == {"ticks": count, "events": 1, "ended_because": "killed", "notes": {}}
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
-    assert recover(target) == []
+    assert not recover(target).files and not recover(target).told
 
 
 def test_what_killed_recordings_left_gets_a_name_of_its_own(tmp_path: Path) -> None:
@@ -350,7 +351,7 @@ def test_what_killed_recordings_left_gets_a_name_of_its_own(tmp_path: Path) -> N
     for _ in range(2):
         record_until_killed(target, some(100))
     names = ["run[1].recovered-2.npz", "run[1].recovered.npz"]
-    assert sorted(path.name for path in recover(target)) == names
+    assert sorted(path.name for path in recover(target).files) == names
     assert sorted(os.listdir(tmp_path)) == names
 
 
@@ -359,7 +360,8 @@ def test_a_recording_under_way_is_let_alone(tmp_path: Path, ending: str) -> None
     target = tmp_path / f"run.{ending}"
     with open_sink(target) as sink:
         sink.write(some(3))
-        assert recover(target) == []
+        found = recover(target)
+        assert not found.files and [line.split(": ")[1] for line in found.told] == ["is still being recorded"]
         sink.write(some(3, 3))
         sink.finish({"scene": {}})
     assert len(load_recorded(target).samples) == 6
@@ -580,7 +582,7 @@ def test_a_text_that_is_none_is_refused(tmp_path: Path) -> None:
         members = dict(file)
     members["events"] = np.frombuffer(b"\xff\xff\xff\x7f", [("event", "<U1")])
     np.savez(tmp_path / "wrong.npz", **members)
-    with pytest.raises(HapticdError, match=r"wrong.npz: is no recording of hapticd: .* can't decode"):
+    with pytest.raises(HapticdError, match=r"wrong.npz: is no recording of hapticd: a text of it is no Unicode"):
         load_recorded(tmp_path / "wrong.npz")
 
 

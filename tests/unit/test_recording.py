@@ -113,7 +113,7 @@ def test_pandas(tmp_path: Path) -> None:
 def test_without_pandas_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     recording = hapticd.load(write(tmp_path / "run.npz"))
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(HapticdError, match=r"^to_pandas needs pandas: pip install pandas$"):
+    with pytest.raises(HapticdError, match=r"^to_pandas needs pandas: pip install 'hapticd\[pandas\]'$"):
         recording.to_pandas()
 
 

@@ -44,7 +44,7 @@ def test_one_that_was_held_back_says_so() -> None:
         repeats.note("a", told.append)
     clock.s = 1.0
     repeats.flush()
-    assert [since.more for since in told] == ["", " (in the last 1 s)"]
+    assert [since.more for since in told] == ["", " (once in the last 1 s)"]
 
 
 def test_what_is_held_back_is_told_when_it_has_been_quiet() -> None:

@@ -112,7 +112,7 @@ def test_the_kind_is_no_part_of_a_path() -> None:
         (
             {"kind": "wal"},
             "objects.o.kind",
-            'unknown kind "wal"; did you mean wall? known: wall, membrane, box, disc, spring',
+            'unknown kind "wal"; did you mean wall?',
         ),
         (
             {"kind": "cube"},
@@ -216,7 +216,7 @@ def test_unknown_materials() -> None:
     assert reference_problems(scene.objects, known, ("scene",)) == [
         Problem(
             "scene.objects.x.material",
-            'unknown material "wod"; did you mean wood? known: wood, glass, cellophane',
+            'unknown material "wod"; did you mean wood?',
         ),
         *(
             Problem(f"scene.objects.{where}.material", 'unknown material "zz"; known: wood, glass, cellophane')

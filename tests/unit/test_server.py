@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import socket
 import threading
+from pathlib import Path
 from typing import cast
 
 import pytest
-import zmq
 
 from hapticd import server
 from hapticd.control import Control
+from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine
+from hapticd.intake import Intake
+from hapticd.router import Router
 
 
 class Beating:
@@ -26,20 +30,30 @@ class Beating:
         """Nothing is wrong here."""
 
 
-def test_it_ends_without_a_request_or_a_beat(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server, "BEAT_EVERY_MS", 3_600_000)
-    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+class Idle:
+    """What the loop needs of a control plane."""
+
+    def __init__(self) -> None:
+        self.intake = Intake()
+
+
+def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "BEAT_EVERY_S", 3600.0)
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+    listening.bind(str(tmp_path / "s"))
+    listening.listen()
+    router = Router(listening)
     engine, stop = Beating(), threading.Event()
     # Nobody asks anything, so there is nothing to control.
-    control = cast(Control, None)
-    with server.router(context) as socket:
-        thread = threading.Thread(target=server.serve, args=(socket, cast(Engine, engine), control, stop), daemon=True)
-        thread.start()
-        assert engine.begun.wait(60)
-        stop.set()
-        server.wake(context)
-        thread.join(60)
-        assert not thread.is_alive()
-        # Nor does waking keep anything from ending where nobody serves any more.
-        server.wake(context)
-    context.term()
+    control = cast(Control, Idle())
+    arguments = (router, cast(Engine, engine), Dispatch(control), stop)
+    thread = threading.Thread(target=server.serve, args=arguments, daemon=True)
+    thread.start()
+    assert engine.begun.wait(60)
+    stop.set()
+    router.wake()
+    thread.join(60)
+    assert not thread.is_alive()
+    # Nor does waking keep anything from ending where nobody serves any more.
+    router.wake()
+    router.close()

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -143,6 +144,14 @@ def test_clients_are_told_the_directory_of_the_units() -> None:
     assert f" --runtime-dir {SYSTEM_DIRECTORY} bridge\n" in bridge
 
 
+@pytest.mark.parametrize("name", [*UNITS, "hapticd.user.service"])
+def test_a_service_that_cannot_start_is_never_given_up(name: str) -> None:
+    """systemd gives up after StartLimitBurst starts within StartLimitIntervalSec."""
+    unit = dict(line.split("=", 1) for line in (ROOT / "systemd" / name).read_text().splitlines() if "=" in line)
+    assert unit["Restart"] == "on-failure"
+    assert float(unit["StartLimitIntervalSec"]) / float(unit["RestartSec"]) < float(unit["StartLimitBurst"])
+
+
 @pytest.mark.parametrize("what", ["link", "binary", "unsigned"])
 def test_what_is_not_ours_is_never_overwritten(system: System, what: str) -> None:
     path = system.root / "etc/systemd/system/hapticd.service"
@@ -215,6 +224,91 @@ def test_for_one_user(tmp_path: Path) -> None:
     assert "User=" not in unit and "multi-user.target" not in unit
     assert all(words[:2] == ["systemctl", "--user"] for words in commands)
     assert [step.kind for step in service.uninstall() if step.what.startswith(str(tmp_path))] == ["removed"] * 2
+
+
+# ---- Another root, and systems without systemd or udev ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("inner", ["etc", "etc/systemd", "etc/hapticd"])
+@pytest.mark.parametrize("done", ["install", "dry run", "uninstall"])
+def test_no_link_leads_out_of_another_root(system: System, tmp_path: Path, inner: str, done: str) -> None:
+    outside = tmp_path.parent / f"{tmp_path.name}-outside"
+    if done == "uninstall":
+        system.install()
+        (system.root / inner).rename(outside)
+    else:
+        outside.mkdir()
+        (system.root / inner).parent.mkdir(parents=True, exist_ok=True)
+    (system.root / inner).symlink_to(outside)
+    before = {path: path.stat().st_mtime_ns for path in outside.rglob("*")}
+    service = system.service(dry_run=done == "dry run")
+    ran = len(system.commands)
+    with pytest.raises(HapticdError) as told:
+        list(service.uninstall() if done == "uninstall" else service.install())
+    assert str(told.value) == f"{system.root / inner}: is a symbolic link; below --root it must be a folder"
+    assert {path: path.stat().st_mtime_ns for path in outside.rglob("*")} == before
+    assert len(system.commands) == ran
+
+
+def test_a_link_that_is_put_there_meanwhile_is_not_followed(system: System, tmp_path: Path) -> None:
+    outside = tmp_path.parent / f"{tmp_path.name}-outside"
+    outside.mkdir()
+    steps = system.service().install()
+    assert next(steps).kind == "wrote"
+    (system.root / "etc" / "sysusers.d").symlink_to(outside)
+    with pytest.raises(HapticdError, match="is a symbolic link"):
+        list(steps)
+    assert not any(outside.iterdir())
+
+
+def test_the_root_itself_may_be_named_by_a_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to("real")
+    System(tmp_path / "link").install()
+    assert System(tmp_path / "real").files() == FILES
+
+
+def test_folders_of_the_system_can_be_entered_whatever_the_umask(system: System) -> None:
+    before = os.umask(0o177)
+    try:
+        system.install()
+    finally:
+        os.umask(before)
+    assert {path.stat().st_mode & 0o777 for path in system.root.rglob("*") if path.is_dir()} == {0o755}
+
+
+@pytest.mark.parametrize("udev", [False, True])
+@pytest.mark.parametrize("booted", [False, True])
+def test_uninstall_asks_of_the_system_only_what_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, udev: bool, booted: bool
+) -> None:
+    """The running system's `/` stands in a folder here."""
+    monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
+    runs = tmp_path / "runs"
+    runs.mkdir()
+    ran: list[list[str]] = []
+
+    service = Service(
+        HERE,
+        run=lambda words: ran.append(list(words)),
+        booted=runs if booted else tmp_path / "none",
+        udev=runs if udev else tmp_path / "none",
+    )
+    targets = service._targets()
+    monkeypatch.setattr(
+        service,
+        "_targets",
+        lambda: [replace(target, path=tmp_path / target.path.relative_to("/")) for target in targets],
+    )
+    assert "failed" not in {step.kind for step in service.install()}
+    ran.clear()
+    steps = list(service.uninstall())
+    assert [step.kind for step in steps].count("removed") == len(FILES)
+    assert (["udevadm", "control", "--reload"] in ran) == udev
+    assert (["systemctl", "disable", "--now", *UNITS] in ran) == (["systemctl", "daemon-reload"] in ran) == booted
+    told = "systemd does not run here, so no service is stopped: hapticd.service, hapticd-bridge.service"
+    assert (told in [step.what for step in steps]) == (not booted)
 
 
 # ---- Paths -----------------------------------------------------------------------------------------------------------

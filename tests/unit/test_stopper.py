@@ -11,6 +11,7 @@ import os
 import pty
 import select
 import termios
+import threading
 import time
 import tty
 from collections.abc import Iterator
@@ -151,6 +152,17 @@ def test_a_device_that_hangs_is_given_up(record: Path, node: Node) -> None:
     with pytest.raises(HapticdError, match="does not take reports; it may still push"):
         stop_device(record, sysfs=node.sysfs, deadline_s=0.1)
     assert record.exists()
+
+
+def test_without_another_thread_it_is_stopped_all_the_same(
+    record: Path, node: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def start(thread: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", start)
+    assert "force zero, effects stopped" in str(stop_device(record, sysfs=node.sysfs))
+    assert node.written() == b"".join([*ZERO, *STOP])
 
 
 def refuses(*refused: bytes) -> dict[str, Any]:

@@ -76,6 +76,7 @@ class Read(Names):
         self.events, self.revisions = events, revisions
         self.said: list[int] = []
         self.granted = None
+        self.rate_hz = 10_000.0
 
     def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
         count, revisions = len(self.revisions), self.revisions
@@ -97,7 +98,7 @@ class Read(Names):
 class Nowhere:
     """A socket that takes everything."""
 
-    def send_multipart(self, parts: list[bytes]) -> None:
+    def publish(self, topic: str, body: bytes) -> None:
         pass
 
 
@@ -117,10 +118,10 @@ class Heard:
     """A socket that keeps what is sent, by topic."""
 
     def __init__(self) -> None:
-        self.last: dict[bytes, dict[str, Any]] = {}
+        self.last: dict[str, dict[str, Any]] = {}
 
-    def send_multipart(self, parts: list[bytes]) -> None:
-        self.last[parts[0]] = cast(dict[str, Any], wire.decode_trusted(parts[1]))
+    def publish(self, topic: str, body: bytes) -> None:
+        self.last[topic] = cast(dict[str, Any], wire.decode_trusted(body))
 
 
 def test_what_is_touched_is_right_again_after_events_were_lost() -> None:
@@ -134,7 +135,7 @@ def test_what_is_touched_is_right_again_after_events_were_lost() -> None:
     def touching() -> list[str]:
         telemetry._drain()
         telemetry._send_state()
-        return cast(list[str], heard.last[b"state"]["touching"])
+        return cast(list[str], heard.last["state"]["touching"])
 
     engine.start()
     try:

@@ -121,9 +121,9 @@ SLIPS = {
     "another key that is nearly one": (floor("normal", "normals"), "normals: unknown key; did you mean normal?"),
     "a kind that is nearly one": (
         f"objects:\n  honey: {HONEY.replace('s,', 's_,')}\n",
-        "did you mean viscous? known: ",
+        "did you mean viscous?",
     ),
-    "a material that is nearly one": (floor("glass", "Glas"), 'unknown material "Glas"; did you mean glass? known: '),
+    "a material that is nearly one": (floor("glass", "Glas"), 'unknown material "Glas"; did you mean glass?'),
     "a choice that is nearly one": ("servo: {realtime: prefered}\n", 'is "prefered"; did you mean preferred?'),
 }
 

@@ -285,6 +285,13 @@ def unplugged() -> None:
         stopped(joystick)
 
 
+def for_everybody() -> None:
+    """Any user may run hapticd, wherever this installation and its interpreter are."""
+    for path in (HAPTICD, os.path.realpath(sys.executable), hapticd.__file__):
+        for folder in Path(path).parents:
+            folder.chmod(folder.stat().st_mode | 0o055)
+
+
 def of_a_user() -> None:
     scenario("systemctl --user")
     succeeds("a user", "useradd", "--create-home", "--shell", "/bin/sh", USER)
@@ -298,10 +305,7 @@ def of_a_user() -> None:
     def theirs(*words: str) -> subprocess.CompletedProcess[str]:
         return run("setpriv", f"--reuid={USER}", f"--regid={USER}", "--init-groups", "env", *environment, *words)
 
-    # Theirs to run, wherever this installation and its interpreter are.
-    for path in (HAPTICD, os.path.realpath(sys.executable), hapticd.__file__):
-        for folder in Path(path).parents:
-            folder.chmod(folder.stat().st_mode | 0o055)
+    for_everybody()
     # As user@.service, without a login.
     Path("/run/systemd/system/someone.service").write_text(
         f"[Service]\nType=notify\nUser={USER}\nDelegate=yes\nEnvironment={' '.join(environment)}\n"

@@ -1,7 +1,8 @@
 #!/bin/bash
 # test.sh: everything that needs a kernel of its own (make test-vm). One machine for what happens, one with the
 # PREEMPT_RT kernel for how long it takes, at the same time. Where QEMU or the kernels cannot be had it says why, and that
-# is no failure. With -s: the installed service under systemd instead (make test-systemd).
+# is no failure. With -s: the installed service under systemd instead, and beside it the same under attack (make
+# test-systemd).
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd) tree=$(cd "$(dirname "$0")/../.." && pwd)
 out=$tree/build/vm
@@ -20,8 +21,14 @@ echo "the machines are ready after $((SECONDS - begin)) s"
 
 if [ "${1:-}" = -s ]; then
     [ -x /lib/systemd/systemd ] || { echo "skipped: no /lib/systemd/systemd here, which the machine would start"; exit 0; }
-    bash "$here/run.sh" -s -t "${VM_SECONDS:-1800}" job_system.py
-    exit
+    limit=${VM_SECONDS:-1800} failed=0
+    bash "$here/run.sh" -s -k rt-amd64 -t "$limit" job_attack.py >"$out/attack.log" 2>&1 &
+    beside=$!
+    bash "$here/run.sh" -s -t "$limit" job_system.py || failed=1
+    wait "$beside" || failed=1
+    cat "$out/attack.log"
+    echo "all jobs after $((SECONDS - begin)) s"
+    exit "$failed"
 fi
 limit=${VM_SECONDS:-600}
 bash "$here/run.sh" -k rt-amd64 -t "$limit" job_latency.py job_vendor.py >"$out/rt.log" 2>&1 &

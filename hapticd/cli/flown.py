@@ -1,0 +1,30 @@
+"""What `hapticd flight` says of the file that the flight recorder wrote, apart from it because it loads numpy."""
+
+from __future__ import annotations
+
+import os
+
+from hapticd import words
+from hapticd.errors import HapticdError
+from hapticd.place import displaced
+from hapticd.record import missed_text
+from hapticd.recording import load
+
+
+def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str, object], str]:
+    """What is in the file, which is written to `copy`, too; as JSON, and as a line for people. Raises HapticdError."""
+    recording = load(written)
+    if copy is not None:
+        place = recording.save(copy, overwrite)
+        if place.name != os.path.basename(os.path.realpath(copy)):
+            raise HapticdError(displaced(copy, place))
+    file, ticks, missed = copy or written, len(recording.samples), recording.missed_periods
+    found: dict[str, object] = {
+        "file": file,
+        "ticks": ticks,
+        "duration_s": (ticks + missed) / recording.rate_hz,
+        "missed_periods": missed,
+        "events": len(recording.events),
+    }
+    line = f"{file}: {words.count(ticks, 'tick')} in {found['duration_s']:.3f} s, {missed_text(missed, ticks)}, "
+    return found, line + words.count(len(recording.events), "event")

@@ -1,0 +1,35 @@
+"""`hapticd recover`: files of what killed recordings left."""
+
+from __future__ import annotations
+
+import os
+
+import click
+
+from hapticd.cli.common import json_option, note, print_json
+from hapticd.errors import HapticdError
+
+
+@click.command("recover", short_help="Make a file of what a killed recording left.")
+@click.argument("file", type=click.Path(dir_okay=False))
+@json_option
+def recover_command(file: str, as_json: bool) -> int:
+    """Make NAME.recovered.ENDING of each recording into FILE (.npz, .csv or .mcap) that was killed, or whose file could
+    not be written to its end.
+
+    What cannot be read, what is still being recorded and what is another user's stays as it is, and is told. Ends with
+    1 where no file was made.
+    """
+    from hapticd.recovery import recover
+
+    found = recover(file)
+    for told in found.told:
+        note(told)
+    if not found.files and not found.told:
+        raise HapticdError(f"{file}: no recording into it left anything")
+    if as_json:
+        print_json({"files": [os.fspath(path) for path in found.files], "told": found.told})
+    else:
+        for path in found.files:
+            click.echo(os.fspath(path))
+    return 0 if found.files else 1

@@ -1,0 +1,23 @@
+"""The configuration that the other checks go by, and its faults."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hapticd.doctor.machine import Finding
+from hapticd.errors import HapticdError
+
+if TYPE_CHECKING:
+    from hapticd.config import Config
+    from hapticd.config_files import Chosen
+
+
+def taken(chosen: Chosen) -> tuple[Config, Finding]:
+    """The configuration, or where it is faulty the built-in one, and the line that says so."""
+    from hapticd.config import chosen_config, default_config
+
+    try:
+        return chosen_config(chosen), Finding("config", "ok", str(chosen))
+    except HapticdError as error:
+        told = Finding("config", "fail", str(error), "the lines below hold for the built-in configuration")
+        return default_config(), told

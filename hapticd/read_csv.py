@@ -1,0 +1,138 @@
+"""Recordings in .csv, read: the samples block by block, and what stands in the two files beside them."""
+
+from __future__ import annotations
+
+import csv
+import re
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, Final
+
+import numpy as np
+
+from hapticd.core import SAMPLE_DTYPE
+from hapticd.event_columns import event_of_cells
+from hapticd.reading import BadRecordingError, Memory, Recorded, Rows, Samples, regular, samples_of
+
+_BLOCK: Final = 1 << 18
+_LONGEST_LINE: Final = 1 << 16
+"""Bytes; a row of ours has at most 450, the line of names 300."""
+_LONGEST_EVENT: Final = 1 << 20
+"""Bytes of a line of the events; the longest mark has 37 kB."""
+_MOST_COLUMNS: Final = 1000
+_PLACE: Final = re.compile(r"at row (\d+)(?:, column (\d+))?")
+
+
+def files_beside(path: Path) -> tuple[Path, Path]:
+    """The events, and the texts."""
+    return path.with_name(f"{path.stem}.events.csv"), path.with_name(f"{path.stem}.about.json")
+
+
+def load_csv(path: Path, file: IO[bytes], memory: Memory) -> Recorded:
+    """Raises HapticdError, OSError, and what reading text raises."""
+    events_path, about_path = files_beside(path)
+    with regular(about_path) as (about, size):
+        memory.check(2 * size, about_path.name)
+        texts = memory.json(about.read(size), about_path.name)
+    if not isinstance(texts, dict):
+        raise BadRecordingError(f"{about_path.name}: is no map")
+    samples = _samples(file, memory)
+    return Recorded(samples, texts, list(_events(events_path, memory)))
+
+
+def _samples(file: IO[bytes], memory: Memory) -> Samples:
+    names = _decoded(file.readline(_LONGEST_LINE), 1).strip().split(",")
+    if len(names) > _MOST_COLUMNS:
+        raise BadRecordingError(f"has {len(names)} columns")
+    forms: dict[str, np.dtype[Any]] = {}
+    for name in SAMPLE_DTYPE.names or ():
+        base, shape = SAMPLE_DTYPE[name].base, SAMPLE_DTYPE[name].shape
+        forms |= {f"{name}_{axis}": base for axis in "xy"} if shape else {name: base}
+    missing = [name for name in forms if name not in names]
+    if missing:
+        raise BadRecordingError(f"its line of names lacks {missing[0]}")
+    first = {name: names.index(name) for name in forms}
+    # Columns that we do not know are counted, and else left out.
+    cells = [(f"c{at}", forms[name] if first.get(name) == at else np.dtype("S1")) for at, name in enumerate(names)]
+    dtype = np.dtype(cells)
+
+    rows = Rows(memory)
+    for line, text in _blocks(file):
+        found = _parsed(text, line, dtype)
+
+        def column(name: str, found: Samples = found) -> Any:
+            if SAMPLE_DTYPE[name].shape:
+                return np.stack([found[f"c{first[f'{name}_{axis}']}"] for axis in "xy"], axis=1)
+            return found[f"c{first[name]}"]
+
+        rows.append(samples_of(len(found), column))
+    return rows.whole()
+
+
+def _blocks(file: IO[bytes]) -> Iterator[tuple[int, list[str]]]:
+    """Lines, some at a time, and the number of the first; empty ones among them."""
+    line, rest = 2, b""
+    while data := file.read(_BLOCK):
+        whole, _, rest = (rest + data).rpartition(b"\n")
+        if whole:
+            lines = _decoded(whole, line).split("\n")
+            yield line, lines
+            line += len(lines)
+        if len(rest) > _LONGEST_LINE:
+            raise BadRecordingError(f"line {line} is too long")
+    if rest.strip():
+        yield line, [_decoded(rest, line)]
+
+
+def _decoded(data: bytes, line: int) -> str:
+    try:
+        return data.decode("ascii")
+    except UnicodeDecodeError as error:
+        at = line + data.count(b"\n", 0, error.start)
+        raise BadRecordingError(f"line {at} has something else than numbers") from None
+
+
+def _parsed(lines: list[str], line: int, dtype: np.dtype[Any]) -> Samples:
+    """Records of the lines that are not empty."""
+    places = [at for at, text in enumerate(lines) if text.strip()]
+    if not places:
+        return np.empty(0, dtype)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a whole number that is written as another one
+            return np.loadtxt([lines[at] for at in places], dtype, delimiter=",", comments=None, ndmin=1)
+    except (ValueError, OverflowError, Warning) as error:
+        match = _PLACE.search(str(error))
+        # What numpy says shows the cell; of a wrong number of columns it counts rows from 1.
+        counted = int(match[1]) - (0 if match[2] else 1) if match else 0
+        where = line + places[min(max(counted, 0), len(places) - 1)]
+        if match and match[2]:
+            raise BadRecordingError(f"line {where}: column {match[2]} is no number of its kind") from None
+        raise BadRecordingError(f"line {where}: has another number of columns than the line of names") from None
+
+
+def _events(path: Path, memory: Memory) -> Iterator[dict[str, Any]]:
+    with regular(path) as (file, _):
+        rows = csv.reader(_lines(file, path.name))
+        names = next(rows, [])
+        if len(names) > _MOST_COLUMNS or "event" not in names:
+            raise BadRecordingError(f"{path.name}: has no line of the names of events")
+        for row in rows:
+            if len(row) != len(names):
+                raise BadRecordingError(f"{path.name}: line {rows.line_num} has {len(row)} columns, not {len(names)}")
+            try:
+                event = event_of_cells(dict(zip(names, row, strict=True)))
+            except (ValueError, RecursionError):
+                raise BadRecordingError(f"{path.name}: line {rows.line_num} is no event") from None
+            yield memory.event(event)
+
+
+def _lines(file: IO[bytes], name: str) -> Iterator[str]:
+    while line := file.readline(_LONGEST_EVENT):
+        if len(line) == _LONGEST_EVENT:
+            raise BadRecordingError(f"{name}: a line is too long")
+        try:
+            yield line.decode()
+        except UnicodeDecodeError:
+            raise BadRecordingError(f"{name}: is no Unicode") from None

@@ -1,0 +1,28 @@
+"""A real daemon for each file of tests, and clients of it for each test; a file that needs another has its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from hapticd.client import Client
+from tests.daemon_process import Daemon, Wire, connect, running_daemon, wired
+
+
+@pytest.fixture(scope="module")
+def daemon() -> Iterator[Daemon]:
+    with running_daemon() as daemon:
+        yield daemon
+
+
+@pytest.fixture
+def wire(daemon: Daemon) -> Iterator[Wire]:
+    with wired(daemon) as wire:
+        yield wire
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[Client]:
+    with connect(daemon.directory) as client:
+        yield client
