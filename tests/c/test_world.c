@@ -62,10 +62,12 @@ static int scarce_index_put(struct hd_index *index, uint32_t slot, const struct 
 #define hd_world_new scarce_world_new
 #define hd_world_regions scarce_world_regions
 #define hd_world_release scarce_world_release
+#define hd_world_still scarce_world_still
 #define hd_world_update scarce_world_update
 /* Their declarations under the new names. */
 struct hd_world *hd_world_new(void);
 void hd_world_free(struct hd_world *world);
+void hd_world_still(struct hd_world *world);
 int hd_world_load(struct hd_world *world, const struct hd_table *table);
 size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
                      size_t capacity);
