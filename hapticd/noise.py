@@ -551,7 +551,32 @@ def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
         if best.error_db <= CLOSE_DB:
             break
     assert best is not None
-    return Resampled(best.realised(), kept, best.error_db)
+    shown, error_db = best.realised(), best.error_db
+    if error_db > CLOSE_DB:  # it is told, so it is looked for between the nodes of the fit, too
+        error_db = max(
+            error_db, _error_between(model, shown, poles, band, ratio, power, best.power[: len(power)], angle)
+        )
+    return Resampled(shown, kept, error_db)
+
+
+def _error_between(
+    model: Reflection,
+    shown: Reflection,
+    poles: ComplexArray,
+    band: float,
+    ratio: float,
+    wanted: Array,
+    fitted: Array,
+    angle: Array,
+) -> float:
+    """The largest error in dB at twice the nodes; `wanted` and `fitted` are the two powers at the nodes `angle`."""
+    peak = int(np.argmax(wanted))
+    own, _ = _pole_mesh(poles, band, MAX_ORDER)
+    power, there = _power(model, None, own), _power(shown, None, own * ratio)
+    power *= wanted[peak] / float(_power(model, None, angle[peak : peak + 1] / ratio)[0])
+    there *= fitted[peak] / float(_power(shown, None, angle[peak : peak + 1])[0])
+    heard = power >= power.max() * 10 ** (-RANGE_DB / 10)
+    return float(np.abs(10 * np.log10(there[heard] / power[heard])).max())
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,10 @@ PARTS = ("test_nothing_of_the_shell_is_taken_for_ours", "test_a_process_that_is_
 
 def test_nothing_of_the_shell_is_taken_for_ours() -> None:
     assert not [name for name in os.environ if name.startswith("HAPTICD_")]
-    assert not os.listdir(os.environ["XDG_CONFIG_HOME"])
+    # The user's configuration is a copy of the built-in one; see conftest.py.
+    built_in = resources.files("hapticd").joinpath("shipped", "default.yaml").read_bytes()
+    ours = Path(os.environ["XDG_CONFIG_HOME"], "hapticd")
+    assert {path.name: path.read_bytes() for path in ours.iterdir()} == {"config.yaml": built_in}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
