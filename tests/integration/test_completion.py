@@ -212,8 +212,9 @@ def commands(command: click.Command, ctx: click.Context) -> Iterator[tuple[str, 
 
 
 def test_every_file_and_folder_is_completed() -> None:
-    for path, command in commands(cli, click.Context(cli, info_name="hapticd")):
-        ctx = click.Context(command, info_name=path)
+    # Click keeps what a context makes of --help, so each has the settings of the root.
+    for path, command in commands(cli, click.Context(cli, info_name="hapticd", **cli.context_settings)):
+        ctx = click.Context(command, info_name=path, **cli.context_settings)
         for parameter in command.params:
             shown = parameter.make_metavar(ctx)
             if "FILE" in shown or "DIR" in shown:
