@@ -303,8 +303,8 @@ class _Revision:
     number: int
     scene: Scene
     materials: Mapping[str, Material]
-    changed: frozenset[str]
-    """Objects that are not those of the one before in this list."""
+    changed: tuple[str, ...]
+    """Objects that are not those of the one before in this list, in the order in which they changed."""
     rate_hz: float
 
 
@@ -314,7 +314,7 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memor
     memory.take(_OBJECT_BYTES * sum(entries), "its scenes")
     scene = validate_scene(texts["scene"], ("scene",))
     materials: dict[str, Material] = validate_materials(texts["materials"])
-    pending = set(scene.objects)
+    pending = dict.fromkeys(scene.objects)
     for change in texts["changes"]:
         if "revision" not in change:
             continue
@@ -325,7 +325,7 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memor
         if objects:
             memory.take(_OBJECT_BYTES * len(objects), "its scenes")
             scene = scene.with_objects(objects)
-        pending |= objects.keys()
+        pending |= dict.fromkeys(objects)
         if "scene" in change:
             shown = validate_scene({**scene.model_copy(update={"objects": {}}).to_dict(), **change["scene"]})
             scene = shown.model_copy(update={"objects": scene.objects})
@@ -336,8 +336,8 @@ def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memor
         rate_hz = change.get("rate_hz", rate_hz)
         if change["revision"] in wanted:
             memory.take(_ENTRY_BYTES * (len(scene.objects) + len(materials)), "its scenes")
-            yield _Revision(change["revision"], scene, materials, frozenset(pending), rate_hz)
-            pending = set()
+            yield _Revision(change["revision"], scene, materials, tuple(pending), rate_hz)
+            pending = {}
 
 
 def _rates(samples: Samples, revisions: list[_Revision], rate_hz: float) -> npt.NDArray[np.float64]:
@@ -352,11 +352,12 @@ def _rates(samples: Samples, revisions: list[_Revision], rate_hz: float) -> npt.
 def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
     """From the revision at `place` to another, which is a later one as a rule; a place below 0: from nothing."""
     if to > place:
-        changed = frozenset[str]().union(*(revision.changed for revision in revisions[place + 1 : to + 1]))
+        changed = [id for revision in revisions[place + 1 : to + 1] for id in revision.changed]
     else:
-        changed = frozenset(revisions[place].scene.objects) | frozenset(revisions[to].scene.objects)
+        changed = [*revisions[place].scene.objects, *revisions[to].scene.objects]
     revision = revisions[to]
-    rerun.turn_to(revision.scene, changed, revision.materials, revision.number)
+    # In the same order each time, because the order in which forces are added up follows from it.
+    rerun.turn_to(revision.scene, dict.fromkeys(changed), revision.materials, revision.number)
     return to
 
 

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from hapticd.errors import HapticdError
 from hapticd.mode import Mode
 from hapticd.offline import Rerun, render_run, simulate_run
 from hapticd.recorded import load_recorded
-from hapticd.replayed import FORCES, replay
+from hapticd.replayed import FORCES, _Revision, _turn, replay
 from hapticd.scene import validate_scene
 from hapticd.sink import open_sink
 
@@ -400,3 +400,20 @@ def test_a_rate_that_is_none_is_refused(tmp_path: Path, rate_hz: object) -> None
     write(tmp_path / "run.npz", run.samples, config, {"revision": 2, "rate_hz": rate_hz})
     with pytest.raises(HapticdError):
         replay(tmp_path / "run.npz")
+
+
+def test_objects_are_taken_in_the_order_in_which_they_changed() -> None:
+    """The order in which forces are added up follows from it, and must not differ from process to process."""
+    scene = validate_scene({"objects": {id: {"kind": "constant", "force_n": [1, 0]} for id in ("c", "a", "b")}})
+    taken: list[list[str]] = []
+
+    class Took:
+        def turn_to(self, _scene: object, changed: Mapping[str, None], *_: object) -> None:
+            taken.append(list(changed))
+
+    names = [f"o{number}" for number in range(40, 0, -1)]
+    revisions = [_Revision(1, scene, {}, (*names, "c"), 1e3), _Revision(2, scene, {}, ("z", "o7", "c", "a"), 1e3)]
+    rerun = cast(Rerun, Took())
+    assert _turn(rerun, revisions, -1, 1) == 1
+    assert _turn(rerun, revisions, 1, 0) == 0
+    assert taken == [[*names, "c", "z", "a"], ["c", "a", "b"]]
