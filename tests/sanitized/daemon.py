@@ -464,6 +464,8 @@ def mishaps(load: Load, *, freezes: bool) -> Callable[[Client, random.Random], N
             load.daemon.tell(line)
             until(happened, load.daemon, every_s=0.2)
 
+        # What happens before somebody listens is told to nobody.
+        until(lambda: load.over.is_set() or bool(load.status), load.daemon)
         if freezes:
             happens("hold", "fault")
             load.daemon.tell("move")
