@@ -51,6 +51,7 @@ def test_the_bridge_is_named_and_its_daemon_blamed(lonely: Bridge, tmp_path: Pat
             client.states()
 
 
+@pytest.mark.slow
 def test_a_watcher_is_told_too(lonely: Bridge) -> None:
     with (
         connect(lonely.address, **lonely.as_client("bob")) as client,

@@ -67,6 +67,7 @@ def test_with_friction_it_is_what_small_steps_go_to(peers: Peers) -> None:
     assert np.any(np.diff(truth) < 0)
 
 
+@pytest.mark.slow
 def test_the_core_is_exact_and_the_others_have_their_order(peers: Peers) -> None:
     handle = joystick.HANDLES["a hand draws it"]
     errors = {}

@@ -47,6 +47,7 @@ def strokes(
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spacing_m", "frequency_hz", "decay_time_s"),
     [(0.002, 200.0, 0.003), (0.00076, 350.0, 0.008), (0.0024, 1682.0, 0.003)],
@@ -65,6 +66,7 @@ def test_the_truth_is_found(spacing_m: float, frequency_hz: float, decay_time_s:
     assert found.groove_mode is not None
 
 
+@pytest.mark.slow
 def test_backwards_and_by_speed_alone() -> None:
     """A stroke to the left strikes to the left; without a position, speed gives the spacing."""
     material = comb()
@@ -80,6 +82,7 @@ def test_backwards_and_by_speed_alone() -> None:
     assert fit.force_gain_m_per_s2_per_n.value == pytest.approx(63.4, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_frequency_that_moves_with_speed_is_told() -> None:
     fit = fit_grooves(strokes(lambda speed: comb(frequency_hz=200.0 if speed < 0.06 else 220.0), 2))
     assert any("moves with speed" in warning for warning in fit.warnings)
@@ -87,6 +90,7 @@ def test_a_frequency_that_moves_with_speed_is_told() -> None:
     assert fit.frequency_per_speed_hz_s_per_m.low < 20.0 / 0.04 < fit.frequency_per_speed_hz_s_per_m.high * 1.2
 
 
+@pytest.mark.slow
 def test_knocks_do_not_pull_the_gains() -> None:
     """One in each stroke, eight times as hard as its groove."""
     recordings = []

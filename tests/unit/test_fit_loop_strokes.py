@@ -96,6 +96,7 @@ def loop(
         assert getattr(second, name).value == pytest.approx(getattr(first, name).value, rel=0.01), name
 
 
+@pytest.mark.slow
 def test_grooves_come_back() -> None:
     figures = {
         "spacing_m": 0.002,

@@ -32,6 +32,7 @@ def punctures(material: Material, seed: int) -> list[Recording]:
     return [puncture(material, speed, Stylus(seed=100 * seed + k)) for k, speed in enumerate(SPEEDS)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("depth_m", [0.002, 0.005])
 def test_the_truth_is_found(depth_m: float) -> None:
     material = membrane(depth_m=depth_m)

@@ -64,6 +64,7 @@ def test_a_frequency_that_moves_with_speed_is_told() -> None:
     assert fit.mean_per_speed_hz_s_per_m.low > 0
 
 
+@pytest.mark.slow
 def test_autoregressive_models_have_the_spectrum() -> None:
     """A resonance over another: the truth's own spectrum, in dB."""
     radius = (0.93, 0.9)
@@ -92,6 +93,7 @@ def test_autoregressive_models_have_the_spectrum() -> None:
     assert float(np.median(np.abs(errors))) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mains_hz", [50.0, 59.9])
 def test_hum_is_told(mains_hz: float) -> None:
     """A fifth of the RMS is a line with 4 % of the power."""

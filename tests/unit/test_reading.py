@@ -184,6 +184,7 @@ def test_a_cell_that_is_none_is_not_shown(tmp_path: Path, cell: bytes) -> None:
     assert refusal(path) == "a.csv: is no recording of hapticd: line 5: column 1 is no number of its kind"
 
 
+@pytest.mark.slow
 def test_events_take_what_they_may(tmp_path: Path) -> None:
     path = csv(tmp_path, events_csv=b"event,tick,time_ns\n" + b"a,1,1\n" * 200_000)
     assert "of memory with its events" in refusal(path)
