@@ -328,11 +328,13 @@ static void run(void) {
         scene.objects[i] = (struct hd_object){.generation = stamp};
     scene.table.revision++;
     CHECK(hd_world_load(world, &scene.table) == HD_OK);
-    for (int i = 0; i < 1000; i++)
+    /* With the passivity controller two forces fade, each perhaps many times the limit: that takes longer, and ends. */
+    for (int i = 0; i < 1000 || state->residual.left > 0; i++) {
+        CHECK(i < 10000);
         tick(world, state, position, 1);
+    }
     CHECK(state->active_count == 0 && state->healing_count == 0 && state->voice_count == 0);
     CHECK(state->free_noise_count == HD_NOISE_CAPACITY);
-    CHECK(state->residual.left == 0);
     hd_world_free(world);
     hd_state_free(state);
 }
