@@ -619,7 +619,8 @@ class Control:
         )
 
     def _read_anew(self, load: Callable[[], Config]) -> Config:
-        """Reads the files, and beats meanwhile: large ones take longer than the servo waits. Raises HapticdError."""
+        """Reads the files, for LOAD_S at most and until the daemon ends; meanwhile it says that it works, as large ones
+        take longer than the servo waits. Raises HapticdError."""
         found: list[Config | BaseException] = []
 
         def read() -> None:

@@ -71,5 +71,4 @@ class Router(Peers):
         if peer.closed:
             self.undelivered += 1
             return
-        start = b"\x01\x00" + zmtp.header(len(body)) if delimited else zmtp.header(len(body))
-        self._send(peer, start + body)
+        self._send(peer, zmtp.message(wire.close_envelope(delimited, body)))

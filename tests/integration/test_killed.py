@@ -138,50 +138,57 @@ def stopped(stick: FakePid, record: Path) -> str | None:
     return said
 
 
-@pytest.mark.slow
-def test_killed_at_random_moments_under_load() -> None:
-    dice, pushed = random.Random(20), 0
+@contextmanager
+def moved() -> Iterator[tuple[Nursery, FakePid]]:
+    """Where daemons come from, and their joystick, which a hand moves."""
     stick = FakePid(bytes(Joystick()), on_log=lambda _: None)
     with tempfile.TemporaryDirectory(prefix="hapticd-test-") as parent:
         nursery = Nursery(Path(parent), stick)
-        record = nursery.runtime / "hapticd.device"
-        moving = threading.Event()
+        over = threading.Event()
 
         def move() -> None:
             y = 0
-            while not moving.wait(0.002):
+            while not over.wait(0.002):
                 y = (y + 37) % 2000
                 stick.report(0, 1000 + y)
 
         hand = threading.Thread(target=move)
         hand.start()
         try:
-            for _ in range(KILLS):
-                stick.log.clear()
-                set_up(stick)
-                pid = nursery.daemon()
-                wire = Wire(nursery.runtime)
-                # A socket that was left behind answers nobody: the connection is made when the daemon binds anew.
-                wire.result("get_status")
-                push(wire, stick)
-                wire.close()
-                with load(nursery.runtime):
-                    reports = len(stick.log) + dice.randrange(60)
-                    stick.wait(lambda reports=reports: len(stick.log) >= reports)  # type: ignore[misc]
-                    os.kill(pid, signal.SIGKILL)
-                    assert nursery.ended() == -signal.SIGKILL
-                pushed += stick.force() != (0.0, 0.0)
-                assert (nursery.runtime / "hapticd.command").exists()
-                said = stopped(stick, record)
-                assert said is not None and "force zero" in said and "refused" not in said
-                assert stick.force() == (0.0, 0.0)
-                assert not record.exists()
-                assert not any("unknown" in line for line in stick.log)
+            yield nursery, stick
         finally:
-            moving.set()
+            over.set()
             hand.join()
             nursery.close()
             stick.close()
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_under_load() -> None:
+    dice, pushed = random.Random(20), 0
+    with moved() as (nursery, stick):
+        record = nursery.runtime / "hapticd.device"
+        for _ in range(KILLS):
+            stick.log.clear()
+            set_up(stick)
+            pid = nursery.daemon()
+            wire = Wire(nursery.runtime)
+            # A socket that was left behind answers nobody: the connection is made when the daemon binds anew.
+            wire.result("get_status")
+            push(wire, stick)
+            wire.close()
+            with load(nursery.runtime):
+                reports = len(stick.log) + dice.randrange(60)
+                stick.wait(lambda reports=reports: len(stick.log) >= reports)  # type: ignore[misc]
+                os.kill(pid, signal.SIGKILL)
+                assert nursery.ended() == -signal.SIGKILL
+            pushed += stick.force() != (0.0, 0.0)
+            assert (nursery.runtime / "hapticd.command").exists()
+            said = stopped(stick, record)
+            assert said is not None and "force zero" in said and "refused" not in said
+            assert stick.force() == (0.0, 0.0)
+            assert not record.exists()
+            assert not any("unknown" in line for line in stick.log)
     assert 2 * pushed > KILLS
 
 
@@ -219,33 +226,15 @@ def test_killed_in_the_first_moments() -> None:
 
 
 def test_a_fault_of_the_process_stops_the_joystick_before_it_ends() -> None:
-    stick = FakePid(bytes(Joystick()), on_log=lambda _: None)
-    with tempfile.TemporaryDirectory(prefix="hapticd-test-") as parent:
-        nursery = Nursery(Path(parent), stick)
-        moving = threading.Event()
-
-        def move() -> None:
-            y = 0
-            while not moving.wait(0.002):
-                y = (y + 37) % 2000
-                stick.report(0, 1000 + y)
-
-        hand = threading.Thread(target=move)
-        hand.start()
-        try:
-            for fault in (signal.SIGABRT, signal.SIGSEGV):
-                set_up(stick)
-                pid = nursery.daemon()
-                wire = Wire(nursery.runtime)
-                wire.result("get_status")
-                push(wire, stick)
-                wire.close()
-                os.kill(pid, fault)
-                assert nursery.ended() == -fault
-                stick.wait(lambda: not stick.effects and not stick.enabled)
-                assert stick.force() == (0.0, 0.0)
-        finally:
-            moving.set()
-            hand.join()
-            nursery.close()
-            stick.close()
+    with moved() as (nursery, stick):
+        for fault in (signal.SIGABRT, signal.SIGSEGV):
+            set_up(stick)
+            pid = nursery.daemon()
+            wire = Wire(nursery.runtime)
+            wire.result("get_status")
+            push(wire, stick)
+            wire.close()
+            os.kill(pid, fault)
+            assert nursery.ended() == -fault
+            stick.wait(lambda: not stick.effects and not stick.enabled)
+            assert stick.force() == (0.0, 0.0)
