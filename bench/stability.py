@@ -12,11 +12,11 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from bench.end_state import EndState, Fate, end_state
 from bench.report import ROOT, Advance, Floats, Options, Section, Table
 from hapticd.compile import Compiler
 from hapticd.config import Config, load_config
@@ -29,18 +29,8 @@ from hapticd.together import Sets
 
 SEED = 20
 TRIALS = 10_000
-FIRST_S = 1.0
-LONGEST_S = 128.0
-UNSAFE_S = 8.0
-"""How long those are looked at that nobody calls safe: what dies away more slowly counts as a limit cycle."""
-NOTHING_M_PER_S = 1e-7
-"""Slower than this everywhere is at rest."""
-DECAYS = 0.9
-"""A peak speed that falls below this part of what it was in the half of the time before is dying away."""
-FALLS = 0.999
-GROWS = 1.1
-
-Fate = Literal["stops", "cycles", "grows"]
+LONGEST_S = 640.0
+"""A motion that is neither at rest nor in a regular cycle is followed for so long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,35 +217,11 @@ class Simulation:
         return truth
 
 
-def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> tuple[Fate, float]:
-    """What becomes of the handle once the hand's wish rests, and its peak speed in the end, m/s.
-
-    The time since then is doubled until the peak speed of a half of it tells: nothing, or less than in the half before,
-    or more. What falls three times running, by more each time, dies away, however slowly: on its way to a limit cycle
-    it would fall by less each time. What is the same for `longest_s` is a limit cycle. A handle that slides along a
-    wall at a constant speed is at rest.
-    """
+def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> EndState:
+    """What becomes of the handle once the hand's wish rests."""
     simulation = Simulation(config, waypoints)
     simulation.go_on(waypoints[-1][0] + 0.2)
-    span_s = FIRST_S / 2.0
-    peaks: list[float] = []
-    while span_s < longest_s:
-        peaks.append(_peak(simulation.go_on(span_s)))
-        if _peak(simulation.go_on(0.02)) <= NOTHING_M_PER_S:
-            return "stops", 0.0
-        if span_s >= 2.0 and peaks[-1] < 0.7 * peaks[-2]:
-            return "stops", peaks[-1]
-        span_s *= 2.0
-    falls = [before - after for before, after in pairwise(peaks[-4:])]
-    dies = len(falls) == 3 and (1.0 - FALLS) * peaks[-1] < falls[0] < falls[1] < falls[2]
-    if peaks[-1] < DECAYS * peaks[-2] or dies:
-        return "stops", peaks[-1]
-    return ("grows" if peaks[-1] > GROWS * peaks[-2] else "cycles"), peaks[-1]
-
-
-def _peak(truth: Floats) -> float:
-    speeds = truth[:, 2:]
-    return float(np.abs(speeds - speeds.mean(axis=0)).max())
+    return end_state(simulation.go_on, longest_s)
 
 
 def linear_grows(trial: Trial) -> bool:
@@ -314,7 +280,7 @@ class Counts:
 
     fates: Counter[tuple[str, Fate]] = field(default_factory=Counter)
     broken: list[int] = field(default_factory=list)
-    """Trials that were called safe and did not stop."""
+    """Trials that were called safe and did not come to rest."""
     plain: Counter[Fate] = field(default_factory=Counter)
     """What became of those that the plain conditions call safe."""
     linear: int = 0
@@ -337,18 +303,18 @@ class Counts:
 SAFE, STABLE, GROWING = "safe", "not safe, stable in this hand", "not safe, spectral radius above 1.001"
 
 
-def counted(seed: int, indices: range) -> Counts:
+def counted(seed: int, indices: range, longest_s: float = LONGEST_S) -> Counts:
     """Draws trials and simulates them; the same on every run."""
     found = Counts()
     for index in indices:
         trial = draw(np.random.default_rng((seed, index)))
-        fate, _ = fate_of(trial.config, trial.waypoints, LONGEST_S if trial.safe else UNSAFE_S)
+        fate = fate_of(trial.config, trial.waypoints, longest_s).fate
         radius = trial.radius
         found.fates[SAFE if trial.safe else GROWING if radius > 1.001 else STABLE, fate] += 1
-        if trial.safe and fate != "stops":
+        if trial.safe and fate != "rests":
             found.broken.append(index)
         if trial.plainly_safe:
-            found.plain[fate if fate == "stops" else fate_of(trial.config, trial.waypoints)[0]] += 1
+            found.plain[fate] += 1
         if radius > 1.001:
             grows = linear_grows(trial)
             found.linear += 1
@@ -436,9 +402,7 @@ def _configuration(axis: str, at: float, hand: dict[str, float], stiffness: floa
 def _rests(axis: str, at: float, hand: dict[str, float], stiffness: float) -> bool:
     config = _configuration(axis, at, hand, stiffness)
     deep = -0.003 if hand is HELD else 0.005
-    # Just below the limit of passivity a free handle takes its time.
-    longest_s = LONGEST_S if hand is LIGHT else UNSAFE_S
-    return fate_of(config, [[0.0, 0.0, 0.005], [0.08, 0.0, deep]], longest_s)[0] == "stops"
+    return fate_of(config, [[0.0, 0.0, 0.005], [0.08, 0.0, deep]]).fate == "rests"
 
 
 def simulated_limit(axis: str, at: float, hand: dict[str, float]) -> float:
@@ -530,7 +494,7 @@ def run(options: Options, advance: Advance) -> Section:
     """The counts of the trials, and the maps; draws docs/stability.png unless it is quick."""
     trials = options.few(TRIALS, 200)
     found = counts(trials, lambda part: advance(0.6 * part, f"{trials} trials"))
-    fates: tuple[Fate, ...] = ("stops", "cycles", "grows")
+    fates: tuple[Fate, ...] = ("rests", "cycles", "grows", "falls")
     rows = []
     for what in (SAFE, STABLE, GROWING):
         numbers = [found.fates[what, fate] for fate in fates]
@@ -555,7 +519,7 @@ def run(options: Options, advance: Advance) -> Section:
             f"with the servo's tick and the simulated joystick. Called safe and not at rest: {len(found.broken)}. "
             f"Spectral radius above 1.001: {found.linear}, of which {found.grew} grow in the bilateral loop without "
             "friction, rounding and limit.",
-            Table("Trials by what the margin says", ["", "trials", "stop", "cycle", "grow"], rows),
+            Table("Trials by what the margin says", ["", "trials", "rest", "cycle", "grow", "still fall"], rows),
             *(
                 Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
                 for axis, (label, _) in AXES.items()
