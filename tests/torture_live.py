@@ -1,7 +1,11 @@
 """Random changes of every kind at a real daemon, under a simulated hand that presses, strokes and lets ring; and the
 rule of csrc/hd_ramp.h, looked at in every tick that was recorded meanwhile.
 
-    python -m tests.torture_live [--changes 50000] [--seed 0] [--rate 10000]
+    python -m tests.torture_live [--ticks 10000000] [--changes 50000] [--seed 0] [--rate 10000]
+
+Daemons of a million ticks follow each other, so that no recording is larger than memory; each has its own seed, and what
+it recorded is looked at before the next one starts. Changes come in bursts, as fast as the daemon answers, and on average
+as often as ticks and changes say: 50 a second.
 
 What a command does in a tick is the force of the tick, less that of the same tick with the scene from before and every
 ramp standing still. It is at most max_force_n / ramp_s, for a period. The second force comes from rendering the
@@ -23,6 +27,7 @@ import argparse
 import random
 import tempfile
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -57,6 +62,10 @@ MOST_LEFT_OUT: Final = 0.5
 _BY_ITSELF: Final = (EventKind.CONTACT, EventKind.RELEASE, EventKind.GROOVE, EventKind.PUNCTURE)
 ROOM: Final = 256
 """Events of one tick."""
+ROUND: Final = 1_000_000
+"""Ticks of one daemon."""
+BURST: Final = 20
+"""Changes that follow each other at once, at most."""
 SHIPPED: Final = ("wood", "steel", "comb", "sandpaper_100", "cellophane", "rubber", "glass")
 
 Tree = dict[str, Any]
@@ -306,8 +315,25 @@ class Found:
     flags: Counter[str] = field(default_factory=Counter)
     identical: int = 0
     rendered: int = 0
+    looked_s: float = 0.0
+    """What looking took."""
     sent: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
+
+
+    def add(self, other: Found) -> None:
+        self.ticks += other.ticks
+        self.changed += other.changed
+        self.left_out += other.left_out
+        self.worst = max(self.worst, other.worst)
+        self.worst_changed = max(self.worst_changed, other.worst_changed)
+        self.over += other.over
+        self.flags += other.flags
+        self.identical += other.identical
+        self.rendered += other.rendered
+        self.looked_s += other.looked_s
+        self.sent += other.sent
+        self.refused += other.refused
 
 
 class Tortured(Rerun):
@@ -465,8 +491,10 @@ def look(path: Path) -> Found:
     return found
 
 
-def run(source: random.Random, changes: int, rate_hz: float = 10_000.0, folder: Path | None = None) -> Found:
-    """So many changes at a daemon, as fast as it answers, and what they did."""
+def run(
+    source: random.Random, changes: int, rate_hz: float = 10_000.0, folder: Path | None = None, lasts_s: float = 0.0
+) -> Found:
+    """So many changes at a daemon, as fast as it answers or spread over `lasts_s`, and what they did."""
     with tempfile.TemporaryDirectory(prefix="hapticd-torture-", dir=folder) as name:
         config, recording = Path(name) / "config.yaml", Path(name) / "torture.npz"
         scenes = Scenes(source)
@@ -491,32 +519,57 @@ def run(source: random.Random, changes: int, rate_hz: float = 10_000.0, folder: 
             mover = threading.Thread(target=move)
             mover.start()
             try:
-                for _ in range(changes):
+                began = time.monotonic()
+                burst = 0
+                for sent in range(changes):
+                    if burst == 0:
+                        burst = source.randrange(1, BURST)
+                        stop.wait(max(0.0, began + lasts_s * sent / changes - time.monotonic()))
+                    burst -= 1
                     hand.change()
+                stop.wait(max(0.0, began + lasts_s - time.monotonic()))
             finally:
                 stop.set()
                 mover.join()
+        began = time.monotonic()
         found = look(recording)
+        found.looked_s = time.monotonic() - began
         found.sent, found.refused = hand.sent, hand.refused
         return found
 
 
+def tell(found: Found) -> str:
+    """One line for people, and the worst ticks."""
+    text = (
+        f"{found.ticks:,} ticks, {found.changed:,} took a command ({sum(found.sent.values()):,} sent, "
+        f"{sum(found.refused.values()):,} refused), {found.left_out:,} left out; {found.identical:,} of "
+        f"{found.rendered:,} as recorded, bit for bit; {dict(found.flags)}; at most {found.worst:.6f} of what is "
+        f"allowed, {found.worst_changed:.6f} in ticks that took a command, more than 1 in {len(found.over)} ticks; "
+        f"looked at in {found.looked_s:.0f} s"
+    )
+    worst = sorted(found.over, key=lambda one: -one[1])[:20]
+    return "\n".join([text, *(f"  tick {tick}: {part:.3f}" for tick, part in worst)])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
+    parser.add_argument("--ticks", type=int, default=10_000_000)
     parser.add_argument("--changes", type=int, default=50_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rate", type=float, default=10_000.0)
     arguments = parser.parse_args()
-    found = run(random.Random(arguments.seed), arguments.changes, arguments.rate)
-    print(
-        f"{found.ticks:,} ticks, {found.changed:,} took a command ({sum(found.sent.values()):,} sent, "
-        f"{sum(found.refused.values()):,} refused), {found.left_out:,} left out; {found.identical:,} of "
-        f"{found.rendered:,} as recorded, bit for bit; {dict(found.flags)}; at most {found.worst:.6f} of what is "
-        f"allowed, {found.worst_changed:.6f} in ticks that took a command, more than 1 in {len(found.over)} ticks"
-    )
-    for tick, part in sorted(found.over, key=lambda one: -one[1])[:20]:
-        print(f"  tick {tick}: {part:.3f}")
-    print(dict(found.sent), "refused", dict(found.refused))
+    rounds = -(-arguments.ticks // ROUND)
+    total = Found()
+    for i in range(rounds):
+        source = random.Random(arguments.seed + i)
+        changes = arguments.changes * (i + 1) // rounds - arguments.changes * i // rounds
+        found = run(source, changes, arguments.rate, lasts_s=arguments.ticks / rounds / arguments.rate)
+        print(f"seed {arguments.seed + i}: {tell(found)}", flush=True)
+        total.add(found)
+    print(f"all: {tell(total)}")
+    print(dict(total.sent), "refused", dict(total.refused))
+    if total.worst > ROUNDED or total.worst_changed > MOVING or total.identical < total.rendered:
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":
