@@ -8,8 +8,8 @@ what it recorded is looked at before the next one starts. Changes come in bursts
 average as often as ticks and changes say: 50 a second.
 
 What a command does in a tick is the force of the tick, less that of the same tick with the scene from before and every
-ramp standing still. It is at most max_force_n / ramp_s, for a period. The second force comes from rendering the
-recording again, twice: as it was, and from a copy of the state.
+ramp standing still. It is at most max_force_n / ramp_s, for the periods since the tick before. The second force comes
+from rendering the recording again, twice: as it was, and from a copy of the state.
 
 A tick that takes a command is looked at twice. First with the hand where it was in the tick before, as
 tests/c/test_ramp.c does it: there the servo knows exactly what the scene from before would do, and the rule holds as it
@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import shutil
 import tempfile
 import threading
 import time
@@ -313,8 +314,8 @@ class Found:
     """In those that did, with the hand where it was."""
     worst_moving: float = 0.0
     """In those that did, as the hand went on."""
-    over: list[tuple[int, float]] = field(default_factory=list)
-    """Ticks with more than 1, and how much."""
+    over: list[tuple[int, float, str]] = field(default_factory=list)
+    """Ticks with more than is allowed, how much, and what they are."""
     flags: Counter[str] = field(default_factory=Counter)
     identical: int = 0
     rendered: int = 0
@@ -438,7 +439,7 @@ class Tortured(Rerun):
         left_out[0] |= self._first
         self._first = False
         self._last = recorded[-1:].copy()
-        self._judge(samples, still, left_out, commanded, rested, ramp)
+        self._judge(samples, still, left_out, commanded, rested, ramp * periods)
         return samples, self._event_room[:0].copy()
 
     def _rest(self, before: Any, earlier: Samples, taken: Samples, told: Samples) -> float:
@@ -479,7 +480,7 @@ class Tortured(Rerun):
         left_out: npt.NDArray[np.bool_],
         commanded: npt.NDArray[np.bool_],
         rested: npt.NDArray[np.float64],
-        allowed_n: float,
+        allowed_n: npt.NDArray[np.float64],
     ) -> None:
         found = type(self).found
         force = samples["force_n"]
@@ -488,9 +489,9 @@ class Tortured(Rerun):
         moving = np.zeros(len(samples))
         for i in np.flatnonzero(commanded & ~left_out):
             earlier = samples[i - 1] if i else self._before
-            moving[i] = off_between(force[i], earlier, still[i]) / allowed
+            moving[i] = off_between(force[i], earlier, still[i]) / allowed[i]
         self._before = samples[-1].copy()
-        parts[commanded] = rested[commanded] / allowed
+        parts[commanded] = (rested / allowed)[commanded]
         parts[left_out] = 0.0
         found.ticks += len(samples)
         found.changed += int(commanded.sum())
@@ -498,8 +499,9 @@ class Tortured(Rerun):
         found.worst = max(found.worst, float(parts[~commanded].max(initial=0.0)))
         found.worst_changed = max(found.worst_changed, float(parts[commanded].max(initial=0.0)))
         found.worst_moving = max(found.worst_moving, float(moving.max(initial=0.0)))
-        for i in np.flatnonzero(parts > ROUNDED):
-            found.over.append((int(samples["tick"][i]), float(parts[i])))
+        for i in np.flatnonzero((parts > ROUNDED) | (moving > MOVING)):
+            what = "with a command" if commanded[i] else "without one"
+            found.over.append((int(samples["tick"][i]), max(float(parts[i]), float(moving[i])), what))
         for flag in (Flag.CONTACT, Flag.RINGING, Flag.RAMPING, Flag.SATURATED, Flag.RESTRAINED):
             found.flags[str(flag.name).lower()] += int((samples["flags"] & flag != 0).sum())
 
@@ -533,10 +535,11 @@ def look(path: Path) -> Found:
 
 
 def run(
-    source: random.Random, changes: int, rate_hz: float = 10_000.0, folder: Path | None = None, lasts_s: float = 0.0
+    source: random.Random, changes: int, rate_hz: float = 10_000.0, lasts_s: float = 0.0, keep: Path | None = None
 ) -> Found:
-    """So many changes at a daemon, as fast as it answers or spread over `lasts_s`, and what they did."""
-    with tempfile.TemporaryDirectory(prefix="hapticd-torture-", dir=folder) as name:
+    """So many changes at a daemon, as fast as it answers or spread over `lasts_s`, and what they did; a recording in
+    which they did too much is kept in a folder `keep`."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-torture-") as name:
         config, recording = Path(name) / "config.yaml", Path(name) / "torture.npz"
         scenes = Scenes(source)
         write_config(config, scenes, source, rate_hz=rate_hz)
@@ -574,6 +577,9 @@ def run(
                 mover.join()
         began = time.monotonic()
         found = look(recording)
+        if found.over and keep is not None:
+            keep.mkdir(parents=True, exist_ok=True)
+            shutil.copy(recording, keep / f"{time.time_ns()}.npz")
         found.looked_s = time.monotonic() - began
         found.sent, found.refused = hand.sent, hand.refused
         return found
@@ -586,11 +592,11 @@ def tell(found: Found) -> str:
         f"{sum(found.refused.values()):,} refused), {found.left_out:,} left out; {found.identical:,} of "
         f"{found.rendered:,} as recorded, bit for bit; {dict(found.flags)}; at most {found.worst:.6f} of what is "
         f"allowed, {found.worst_changed:.6f} in ticks that took a command, {found.worst_moving:.6f} as the hand went "
-        f"on in them, more than 1 in {len(found.over)} ticks; "
+        f"on in them, more than is allowed in {len(found.over)} ticks; "
         f"looked at in {found.looked_s:.0f} s"
     )
     worst = sorted(found.over, key=lambda one: -one[1])[:20]
-    return "\n".join([text, *(f"  tick {tick}: {part:.3f}" for tick, part in worst)])
+    return "\n".join([text, *(f"  tick {tick}, {what}: {part:.3f}" for tick, part, what in worst)])
 
 
 def main() -> None:
@@ -605,7 +611,8 @@ def main() -> None:
     for i in range(rounds):
         source = random.Random(arguments.seed + i)
         changes = arguments.changes * (i + 1) // rounds - arguments.changes * i // rounds
-        found = run(source, changes, arguments.rate, lasts_s=arguments.ticks / rounds / arguments.rate)
+        lasts_s = arguments.ticks / rounds / arguments.rate
+        found = run(source, changes, arguments.rate, lasts_s, Path("build/torture"))
         print(f"seed {arguments.seed + i}: {tell(found)}", flush=True)
         total.add(found)
     print(f"all: {tell(total)}")
