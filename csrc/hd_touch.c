@@ -15,6 +15,7 @@
 #include "hd_contact.h"
 #include "hd_friction.h"
 #include "hd_groove.h"
+#include "hd_seam.h"
 #include "hd_skin.h"
 
 #define HD_PI 3.14159265358979323846
@@ -395,6 +396,15 @@ HD_RT static void let_go(struct hd_walk *walk, uint32_t index, const struct hd_o
     hd_contact_end(walk->state, index, walk->input->time_ns);
 }
 
+/* What depends on s, as far as it is there at all. */
+HD_RT static void fade(struct hd_slot *slot, double along_m, double part) {
+    slot->skin.lowering_m *= part;
+    slot->skin.lowering_slope *= part;
+    if (!(part > 0.0)) {
+        slot->anchor_m = along_m;
+    }
+}
+
 HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
@@ -419,13 +429,14 @@ HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object
     const int strikes = has_strikes(walk->table, object);
     /* In place: a skin on the stack that is copied as a whole right after it was written costs a third of a touch. */
     struct hd_skin *skin = &slot->skin;
+    const double coefficient = skin->friction_coefficient;
+    const double spring = skin->friction_stiffness_n_per_m;
     const struct hd_under under = hd_skin_at(walk->table, object, place.along_m, half_length, skin);
+    if (slot->seam > 0) {
+        hd_seam_ease(slot, place.along_m, coefficient, spring);
+    }
     if (lever.fade < 1.0) {
-        skin->lowering_m *= lever.fade;
-        skin->lowering_slope *= lever.fade;
-        if (!(lever.fade > 0.0)) {
-            slot->anchor_m = place.along_m;
-        }
+        fade(slot, place.along_m, lever.fade);
     }
     if (left(walk, index, object, walk->input->position_m, &place)) {
         if (strikes) {
