@@ -186,6 +186,7 @@ HD_RT void hd_contact_hush(struct hd_state *state, struct hd_slot *slot) {
     if (slot->noise != 0) {
         struct hd_noise_voice *voice = &state->noises[slot->noise - 1u];
         const double last_n = hd_noise_last(voice);
+        state->change.noise_rms_n += hd_noise_rms(voice);
         state->change.noise_n[0] += last_n * voice->direction[0];
         state->change.noise_n[1] += last_n * voice->direction[1];
         state->change.any = 1;

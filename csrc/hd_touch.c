@@ -314,6 +314,10 @@ HD_RT static void sound(struct hd_walk *walk, uint32_t index, const struct hd_un
         as_it_was = hear(&still, &heard, 0, 0.0);
     }
     const double sample = hear(voice, &heard, changed, walk->ramp_step);
+    walk->noise_rms_n += hd_noise_rms(voice);
+    if (eases) {
+        state->change.noise_rms_n += hd_noise_rms(&still) - hd_noise_rms(voice);
+    }
     for (int axis = 0; axis < 2; axis++) {
         walk->noise_n[axis] += sample * direction[axis];
         if (eases) {

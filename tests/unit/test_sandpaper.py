@@ -845,14 +845,13 @@ def test_the_force_limit_holds_and_the_wall_yields_last() -> None:
     samples = rig.render(path.position_m, path.velocity_m_per_s)
     force = np.hypot(*samples["force_n"].T)
     assert np.all(np.isfinite(samples["force_n"])) and force.max() <= 1.5
-    wanted = samples["contact_force_n"] + samples["vibration_force_n"]
-    over = np.hypot(*wanted.T) > 1.5
-    assert 0.3 < np.mean(over) < 1
-    assert np.array_equal((samples["flags"] & Flag.SATURATED) != 0, over)
-    np.testing.assert_array_equal(samples["force_n"][~over], wanted[~over])
-    # Beyond the ramp of the contact force, which was met inside.
+    both = samples["contact_force_n"] + samples["vibration_force_n"]
+    np.testing.assert_array_equal(samples["force_n"], both)
+    assert np.all(samples["flags"] & Flag.SATURATED)
+    # Beyond the ramp of the contact force, which was met inside. The noise has what the wall leaves; see
+    # test_noise_at_limit.py.
     np.testing.assert_allclose(samples["force_n"][20:, 1], 1.2, rtol=1e-9)
-    np.testing.assert_allclose(force[over], 1.5, rtol=1e-9)
+    assert rms(samples["force_n"][40:, 0]) == pytest.approx(0.3 / 4, rel=0.05)
 
 
 def test_what_is_not_a_number_stops_it_and_never_comes_out() -> None:
