@@ -329,10 +329,10 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(BIN)/python -m tests.fuzz_recordings --runs $(RECORDINGS)
 
 .PHONY: torture
-torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000 offline, CHANGES=50000 live
+torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live (20 min)
 	@$(MAKE) --no-print-directory -j$(JOBS) $(C_DIR)/test_ramp
 	$(C_DIR)/test_ramp $(TICKS) $(CHANGES) 1
-	$(BIN)/python -m tests.torture_live --changes $(CHANGES)
+	$(BIN)/python -m tests.torture_live --ticks $(TICKS) --changes $(CHANGES)
 
 # $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes, from the first one on: what the
 # bytes do not say is zero, and a short input says nearly nothing.
