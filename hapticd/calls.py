@@ -453,12 +453,11 @@ def _knock(
     refused = place.knock(timeout_s, command, patient, given_up)
     if refused is None:
         return
-    there, why = refused
-    if not there:
-        raise DaemonNotRunning(why)
-    if command and place.knock(timeout_s, command=False) is None:
-        raise KeyRefused(f"{why} for commands: it may only watch")
-    raise KeyRefused(why)
+    if refused.by in ("nobody", "busy"):
+        raise DaemonNotRunning(refused.why)
+    if refused.by == "key" and command and place.knock(timeout_s, command=False) is None:
+        raise KeyRefused(f"{refused.why} for commands: it may only watch")
+    raise KeyRefused(refused.why)
 
 
 def unanswered(paths: Place, timeout_s: float) -> DaemonNotRunning:
