@@ -28,11 +28,11 @@ from hapticd.errors import HapticdError, Problem
 from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
 from hapticd.hid.sources import expected_plan
+from hapticd.judged import Stability, judge
 from hapticd.materials import Material
 from hapticd.scene import field_ids
 from hapticd.stability import Loop
 from hapticd.texture import Stochastic
-from hapticd.together import Stability, judge
 
 _UNPLUGGED: Final = "the encoder's step is not known"
 

@@ -404,6 +404,10 @@ class _Materials:
             self._compile(index)
         return used
 
+    def names(self) -> tuple[str, ...]:
+        """By index."""
+        return tuple(self._names)
+
     def use(self, name: str) -> int:
         """The index of a material that one thing more is made of."""
         index = self._index.get(name)
@@ -704,6 +708,7 @@ class Compiler:
             self._pieces.copy(),
             float(self._table.field.stiffness_n_per_m),
             float(self._table.field.damping_n_s_per_m),
+            self._materials.names(),
         )
 
     def missing(self, names: Set[str], materials: Mapping[str, Material]) -> int:

@@ -58,13 +58,13 @@ from hapticd.hid.connection import Connection, Link
 from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim, set_rate
+from hapticd.judged import Stability, judge
 from hapticd.marks import Mark, Marks, MarksFullError
 from hapticd.materials import Material, Materials
 from hapticd.mode import Attack, Mode
 from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
 from hapticd.stability import Loop, timing
 from hapticd.stopper import StopFile
-from hapticd.together import Stability, judge
 from hapticd.wire import GESTURE_ENDS
 
 SAMPLE_CAPACITY: Final = 16384

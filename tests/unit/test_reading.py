@@ -299,6 +299,7 @@ def test_attachments_that_are_there_twice(tmp_path: Path) -> None:
     assert refusal(path) == "a.mcap: is no recording of hapticd: config is there twice"
 
 
+@pytest.mark.slow
 def test_a_long_simulation_is_written_in_chunks(tmp_path: Path) -> None:
     samples = np.concatenate([noisy(250_000, 0), noisy(250_000, 250_000)])
     with open_sink(tmp_path / "a.mcap") as sink:
