@@ -402,6 +402,10 @@ struct hd_sim_config {
     double hand_stiffness_n_per_m;
     double hand_damping_n_s_per_m;
     double start_m[2];
+    double actuator_rate_per_s;    /* of its lag, 2 pi times its natural frequency */
+    double actuator_damping_ratio; /* of second order */
+    uint32_t actuator_order;       /* 0: the force acts at once; 1 or 2: it lags */
+    uint32_t reserved;
 };
 
 enum hd_interpolation { HD_LINEAR = 0, HD_MINIMUM_JERK = 1 };

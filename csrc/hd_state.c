@@ -48,6 +48,8 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
     state->free_noise_count = HD_NOISE_CAPACITY;
     state->enabled = 1;
     state->gain = 1.0;
+    state->noise_gain = 1.0;
+    state->ringing_gain = 1.0;
     state->epoch = 1;
     state->resync = 1;
     hd_velocity_init(&state->velocity, 0.0);

@@ -60,10 +60,11 @@ struct hd_skin {
 struct hd_change {
     double object_n[2]; /* of what is touched */
     double field_n[2];
-    double noise_n[2]; /* of noises that are no more: what they would be in this tick */
-    double eased_n[2]; /* what noises that are on a ramp are more than they would be if it stood still */
-    uint8_t any;       /* not all of the first three are zero */
-    uint8_t eases;     /* nor is the last */
+    double noise_n[2];  /* of noises that are no more: what they would be in this tick */
+    double eased_n[2];  /* what noises that are on a ramp are more than they would be if it stood still */
+    double noise_rms_n; /* what the RMS of noises would be more in this tick without changes and ramps */
+    uint8_t any;        /* not all of the first three are zero */
+    uint8_t eases;      /* nor is the last */
     uint8_t whole; /* something came or went: what that makes is whole in this tick, and fades from the next one on */
 };
 
@@ -97,6 +98,7 @@ struct hd_slot {
     uint8_t resume;              /* its contact was cleared while it was pressed */
     uint8_t changed;             /* what it presses with at the end of this tick is a command's doing */
     uint8_t held;                /* the groove at `groove_m` was struck and the probe has not been away from it since */
+    uint16_t seam;               /* ticks in which friction goes over from what was left to this material */
     double ramp;                 /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
     double anchor_m;             /* friction: where the probe sticks, along the surface */
     double normal_n;             /* the normal force at the last tick, without ramp */
@@ -169,6 +171,7 @@ struct hd_state {
     uint8_t enabled;       /* forces are wanted */
     uint8_t resync;        /* objects are met as if they had just appeared, after contacts were cleared */
     uint8_t saturated;     /* the last tick was */
+    uint8_t yields;        /* noise gives way to the limit in this tick */
     uint8_t field_active;  /* the field exerts a force */
     uint8_t field_known;   /* it is the table's, but for a change of its version */
     uint8_t near_known;    /* near[] holds for near_center_m */
@@ -186,6 +189,8 @@ struct hd_state {
     struct hd_residual residual; /* what is left of that */
     uint64_t commanded_tick;     /* the last one that took in a command */
     double ringing_n[2];         /* the sum of Im z over voices[] */
+    double noise_gain;           /* what the limit left of noises, 0 to 1: hd_limit_noise */
+    double ringing_gain;         /* what is left of modes that ring while contact is beyond the limit, 0 to 1 */
     double reserved_n;           /* of the limit, for reserves[] */
     uint32_t field_version;
     double field_ramp; /* of its force, as of a contact */
