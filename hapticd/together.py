@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.core import Shape, Texture
+from hapticd.round_skins import round_skins
 from hapticd.stability import (
     CORNER,
     GROWS,
@@ -128,10 +129,25 @@ def _material_skins(materials: npt.NDArray[np.void]) -> _Skins:
     )
 
 
+def _round(parts: Parts, skins: _Skins) -> None:
+    """Puts in what discs are where they have friction or shaped grooves."""
+    materials = parts.materials[parts.objects["material"]]
+    depends = (materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY)
+    discs = np.flatnonzero((parts.objects["shape"] == Shape.DISC) & depends)
+    if len(discs) == 0:
+        return
+    found = round_skins(parts.objects["half_m"][discs, 0], materials[discs], PRESS_N)
+    skins.normal[discs] = skins.normal_noise[discs] = found.normal
+    skins.tangent[discs] = found.tangent
+    skins.rubbed[discs] = found.rubbed
+    skins.tangent_noise[discs] = found.tangent + found.spring + found.rubbed
+
+
 def _skins(parts: Parts) -> _Skins:
     """Of each object: its material's, or the largest of its pieces' and of the ramps between them."""
     materials = _material_skins(parts.materials)
     skins = _Skins(*(values.copy() for values in materials.of(parts.objects["material"])))
+    _round(parts, skins)
     patched = np.flatnonzero(parts.objects["piece_count"] > 0)
     if len(patched) == 0:
         return skins
