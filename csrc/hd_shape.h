@@ -33,10 +33,9 @@ HD_RT void hd_membrane_place(const struct hd_object *object, int8_t side, const 
                              struct hd_place *place);
 HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const double position_m[2],
                         struct hd_place *place);
-/* `bearing` is the normal at the last tick, `travel_m` the way since then, or HD_DISC_MOVED; `along`: whether along_m
- * is asked for. */
-#define HD_DISC_MOVED 1e300 /* it is met, or was moved itself: the bearing follows at once, but not round the centre \
-                             */
+/* `bearing` is the normal at the last tick, `travel_m` the way since then; `along`: whether along_m is asked for.
+ * HD_DISC_MOVED: the disc is met, or was moved itself. The bearing follows at once, but not round the centre. */
+#define HD_DISC_MOVED 1e300
 HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2], double travel_m, int along,
                          const double position_m[2], struct hd_place *place);
 

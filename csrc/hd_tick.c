@@ -212,6 +212,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         }
     }
 
+    state->ended_count = 0;
     if (state->voice_count > 0) {
         hd_voices_advance(state, input->periods);
     }

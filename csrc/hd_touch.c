@@ -15,12 +15,11 @@
 #include "hd_contact.h"
 #include "hd_friction.h"
 #include "hd_groove.h"
+#include "hd_seam.h"
 #include "hd_skin.h"
 
 #define HD_PI 3.14159265358979323846
 #define HD_UNBOUNDED 1e300
-
-static const struct hd_lever LEVEL = {.slide = 1.0, .fade = 1.0};
 
 /* The tangent of a surface; of a membrane that was entered from below it stays that of its own normal. */
 HD_RT static void tangent_of(const struct hd_slot *slot, const double normal[2], double tangent[2]) {
@@ -80,27 +79,33 @@ HD_RT static void find_last(const struct hd_walk *walk, const struct hd_slot *sl
     }
 }
 
-/* The force of a skin at a place: along the normal, and along the tangent. Moves the anchor. Returns F_n. */
+/* The force of a skin at a place: along the normal, and along the tangent. `lever`: NULL on what is flat. Moves the
+ * anchor. Returns F_n. */
 HD_RT static inline double press(const struct hd_skin *skin, const struct hd_place *place, const double velocity[2],
                                  const double tangent[2], const struct hd_lever *lever, double *anchor_m,
                                  double force_n[2]) {
     const double depth = place->depth_m - skin->lowering_m;
     double normal_n = 0.0;
     double elastic = 0.0;
-    double tangent_n = -skin->drag_n_s_per_m * hd_dot(velocity, tangent);
+    double slope_n = 0.0;
     if (depth > 0.0) {
         elastic = skin->stiffness_n_per_m * depth;
         const double whole = elastic - skin->damping_n_s_per_m * hd_dot(velocity, place->normal);
         normal_n = whole > 0.0 ? whole : 0.0;
-        tangent_n += lever->slide * (elastic * skin->lowering_slope - 0.5 * skin->stiffness_slope * depth * depth);
+        slope_n = elastic * skin->lowering_slope - 0.5 * skin->stiffness_slope * depth * depth;
     }
-    const double spring_n = hd_friction(skin, normal_n, place->along_m, anchor_m);
+    const double drag_n = -skin->drag_n_s_per_m * hd_dot(velocity, tangent);
+    double spring_n = hd_friction(skin, normal_n, place->along_m, anchor_m);
     force_n[0] = normal_n;
-    force_n[1] = tangent_n + lever->slide * lever->fade * spring_n;
-    if (lever->fade_per_m > 0.0) {
-        const double stored = 0.5 * spring_n * (place->along_m - *anchor_m); /* below 0 */
-        force_n[0] += lever->fade_per_m * (elastic * skin->lowering_m / lever->fade + stored);
+    if (lever != NULL) {
+        if (lever->fade_per_m > 0.0) {
+            const double stored = 0.5 * spring_n * (place->along_m - *anchor_m); /* below 0 */
+            force_n[0] += lever->fade_per_m * (elastic * skin->lowering_m / lever->fade + stored);
+        }
+        slope_n *= lever->slide;
+        spring_n *= lever->slide * lever->fade;
     }
+    force_n[1] = drag_n + slope_n + spring_n;
     return normal_n;
 }
 
@@ -121,13 +126,13 @@ HD_RT static void press_as_it_was(const struct hd_walk *walk, const struct hd_sl
     double after[2];
     double anchor_m = slot->anchor_m;
     tangent_of(slot, place.normal, tangent);
-    press(&skin, &place, walk->input->velocity_m_per_s, tangent, &LEVEL, &anchor_m, before);
+    press(&skin, &place, walk->input->velocity_m_per_s, tangent, NULL, &anchor_m, before);
     const double slid_m = hd_dot(way, tangent);
     place.depth_m -= hd_dot(way, place.normal);
     place.along_m += slid_m;
     skin.stiffness_n_per_m += slid_m * skin.stiffness_slope;
     skin.lowering_m += slid_m * skin.lowering_slope;
-    press(&skin, &place, walk->input->velocity_m_per_s, tangent, &LEVEL, &anchor_m, after);
+    press(&skin, &place, walk->input->velocity_m_per_s, tangent, NULL, &anchor_m, after);
     for (int axis = 0; axis < 2; axis++) {
         const double more = (after[0] - before[0]) * place.normal[axis] + (after[1] - before[1]) * tangent[axis];
         force_n[axis] += slot->ramp * more;
@@ -399,6 +404,25 @@ HD_RT static void let_go(struct hd_walk *walk, uint32_t index, const struct hd_o
     hd_contact_end(walk->state, index, walk->input->time_ns);
 }
 
+/* Of a slot whose friction is still on its way over a seam. */
+HD_RT static struct hd_under skin_past_seam(const struct hd_table *table, const struct hd_object *object,
+                                            double along_m, double half_length_m, struct hd_slot *slot) {
+    const double coefficient = slot->skin.friction_coefficient;
+    const double stiffness = slot->skin.friction_stiffness_n_per_m;
+    const struct hd_under under = hd_skin_at(table, object, along_m, half_length_m, &slot->skin);
+    hd_seam_ease(slot, along_m, coefficient, stiffness);
+    return under;
+}
+
+/* What depends on s, as far as it is there at all. */
+HD_RT static void fade(struct hd_slot *slot, double along_m, double part) {
+    slot->skin.lowering_m *= part;
+    slot->skin.lowering_slope *= part;
+    if (!(part > 0.0)) {
+        slot->anchor_m = along_m;
+    }
+}
+
 HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
@@ -411,25 +435,24 @@ HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object
     tangent_of(slot, place.normal, tangent);
     double half_length = HD_UNBOUNDED;
     double jump = 0.0; /* of s over the bottom of a disc, where it starts again */
-    struct hd_lever lever = LEVEL;
+    struct hd_lever round;
+    const struct hd_lever *lever = NULL;
     if (object->shape == HD_SHAPE_DISC) {
         const double radius = object->half_m[0];
         half_length = HD_PI * radius;
         const double step = place.along_m - slot->last.along_m;
         jump = step > half_length ? -2.0 * half_length : step < -half_length ? 2.0 * half_length : 0.0;
         slot->anchor_m -= jump;
-        hd_disc_lever(radius, place.depth_m, &lever);
+        hd_disc_lever(radius, place.depth_m, &round);
+        lever = &round;
     }
     const int strikes = has_strikes(walk->table, object);
     /* In place: a skin on the stack that is copied as a whole right after it was written costs a third of a touch. */
     struct hd_skin *skin = &slot->skin;
-    const struct hd_under under = hd_skin_at(walk->table, object, place.along_m, half_length, skin);
-    if (lever.fade < 1.0) {
-        skin->lowering_m *= lever.fade;
-        skin->lowering_slope *= lever.fade;
-        if (!(lever.fade > 0.0)) {
-            slot->anchor_m = place.along_m;
-        }
+    const struct hd_under under = slot->seam > 0 ? skin_past_seam(walk->table, object, place.along_m, half_length, slot)
+                                                 : hd_skin_at(walk->table, object, place.along_m, half_length, skin);
+    if (lever != NULL && lever->fade < 1.0) {
+        fade(slot, place.along_m, lever->fade);
     }
     if (left(walk, index, object, walk->input->position_m, &place)) {
         if (strikes) {
@@ -442,7 +465,7 @@ HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object
 
     double pressed[2];
     const double normal_n =
-        press(skin, &place, walk->input->velocity_m_per_s, tangent, &lever, &slot->anchor_m, pressed);
+        press(skin, &place, walk->input->velocity_m_per_s, tangent, lever, &slot->anchor_m, pressed);
     if (strikes) {
         pass_grooves(walk, index, object, &place, skin, tangent, fraction, 1.0, jump, half_length);
     } else if (slot->held) {
