@@ -64,6 +64,11 @@ class Case:
         """Of the servo."""
         return float(self.source["servo"]["rate_hz"])
 
+    @property
+    def age(self) -> int:
+        """How old a position is when it is read, in whole periods."""
+        return math.ceil(float(self.source["device"]["sim"].get("report_delay_s", 0.0)) * self.rate_hz)
+
     def config(self, mode: Mode, vibration: bool = True) -> Config:
         """As a configuration."""
         scene = {**self.source["scene"], "passivity": mode, "display": {"force": True, "vibration": vibration}}
@@ -243,7 +248,7 @@ class Outcome:
 
     end: EndState
     given_j: float
-    """The most that touched objects gave to the hand in a contact."""
+    """The most that touched objects gave to the hand in a contact, without vibration."""
     bound_j: float
     """F_max v_max (T + a), a the age of a position in whole periods."""
     restrained: int
@@ -300,26 +305,26 @@ class Loop:
         return truth
 
 
-def contact_force(samples: Any, limit_n: float) -> Floats:
-    """What touched objects were commanded: within the limit, without vibration, (n, 2). No fields, forces on."""
-    force: Floats = samples["contact_force_n"]
-    size = np.hypot(*force.T)
-    return force * np.minimum(1.0, limit_n / np.maximum(size, 1e-300))[:, None]
+def given(case: Case, mode: Mode) -> float:
+    """The most, J, that touched objects give to the hand in a contact: without vibration, whose part of a force at the
+    limit samples do not tell. No fields, forces on: every force is theirs."""
+    loop = Loop(case.config(mode, vibration=False), case.waypoints)
+    truth = loop.go_on(case.waypoints[-1][0] + AFTER_S)
+    touched = (loop.samples["flags"] & Flag.CONTACT) != 0
+    return work(loop.samples["force_n"], truth[:, :2], touched, case.age)
 
 
 def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
     """Runs a loop until its end is certain."""
     config = case.config(mode)
     loop = Loop(config, case.waypoints)
-    rate_hz, device = case.rate_hz, config.device
-    truth = loop.go_on(case.waypoints[-1][0] + AFTER_S)
+    device = config.device
+    loop.go_on(case.waypoints[-1][0] + AFTER_S)
     samples = loop.samples.copy()
-    age = math.ceil(device.sim.reports_s[1] * rate_hz)
-    touched = (samples["flags"] & Flag.CONTACT) != 0
     return Outcome(
         end=end_state(loop.go_on, longest_s),
-        given_j=work(contact_force(samples, device.max_force_n), truth[:, :2], touched, age),
-        bound_j=device.max_force_n * device.max_speed_m_per_s * (1 + age) / rate_hz,
+        given_j=given(case, mode),
+        bound_j=device.max_force_n * device.max_speed_m_per_s * (1 + case.age) / case.rate_hz,
         restrained=int(((samples["flags"] & Flag.RESTRAINED) != 0).sum()),
         samples=samples,
     )

@@ -172,21 +172,22 @@ struct hd_state {
     uint32_t reserve_count;
     uint32_t revision;
     uint32_t faults;
-    uint32_t epoch;        /* raised when every membrane heals at once; never 0 */
-    uint8_t started;       /* a tick was rendered */
-    uint8_t located;       /* position_m is a sample */
-    uint8_t enabled;       /* forces are wanted */
-    uint8_t resync;        /* objects are met as if they had just appeared, after contacts were cleared */
-    uint8_t saturated;     /* the last tick was */
-    uint8_t yields;        /* noise gives way to the limit in this tick */
-    uint8_t field_active;  /* the field exerts a force */
-    uint8_t field_known;   /* it is the table's, but for a change of its version */
-    uint8_t near_known;    /* near[] holds for near_center_m */
-    uint8_t commanded;     /* there was a command */
-    uint8_t gesture;       /* gesture_tick is known */
-    uint8_t offload_open;  /* the device plays effects by itself: whoever calls the tick says so */
-    double gain;           /* of the whole command: enabling and fading */
-    double show_force;     /* of contacts and fields: the display flag */
+    uint32_t epoch;       /* raised when every membrane heals at once; never 0 */
+    uint8_t started;      /* a tick was rendered */
+    uint8_t steady;       /* nothing of a command or of the passivity controller is under way: only a command ends it */
+    uint8_t located;      /* position_m is a sample */
+    uint8_t enabled;      /* forces are wanted */
+    uint8_t resync;       /* objects are met as if they had just appeared, after contacts were cleared */
+    uint8_t saturated;    /* the last tick was */
+    uint8_t yields;       /* noise gives way to the limit in this tick */
+    uint8_t field_active; /* the field exerts a force */
+    uint8_t field_known;  /* it is the table's, but for a change of its version */
+    uint8_t near_known;   /* near[] holds for near_center_m */
+    uint8_t commanded;    /* there was a command */
+    uint8_t gesture;      /* gesture_tick is known */
+    uint8_t offload_open; /* the device plays effects by itself: whoever calls the tick says so */
+    double gain;          /* of the whole command: enabling and fading */
+    double show_force;    /* of contacts and fields: the display flag */
     double show_vibration; /* the same of vibration, ramped */
     double controls;       /* how much of what the passivity controller asks for is done, 0 to 1, ramped */
     double position_m[2];  /* the last sample */

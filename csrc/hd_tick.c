@@ -95,8 +95,9 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, str
 }
 
 HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table) {
-    int any = state->residual.left > 0 || state->field_ramp < 1.0 || state->gain != (double)state->enabled ||
-              state->show_vibration != (double)table->display_vibration;
+    int any =
+        state->field_ramp < 1.0 || state->gain != (double)state->enabled ||
+        (!state->steady && (state->residual.left > 0 || state->show_vibration != (double)table->display_vibration));
     for (uint32_t i = 0; i < state->active_count && !any; i++) {
         any = state->slots[state->active[i]].ramp < 1.0;
     }
@@ -225,25 +226,35 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
 
     const double shows = (double)table->display_force;
     const double shown = state->show_vibration;
-    state->show_vibration = toward(shown, (double)table->display_vibration, walk.ramp_step);
+    double controlled = 0.0;
     double contact[2] = {shows * walk.force_n[0], shows * walk.force_n[1]};
     double object[2];
-    const double controlled = state->controls;
-    const double controls = table->passivity == HD_PASSIVITY_CONTROL ? 1.0 : 0.0;
-    state->controls = state->started ? toward(controlled, controls, walk.ramp_step) : controls;
     struct hd_ramped ramped;
-    ramped.cuts = controlled > 0.0 || controls > 0.0;
-    const int due = state->change.any || state->residual.left > 0 || state->show_force != shows || ramped.cuts;
-    ramped.any = due && hd_ramp_contact(&walk, object, contact, &ramped);
-    const int watches = table->passivity != HD_PASSIVITY_OFF || ramped.cuts;
-    const int eases = shown != state->show_vibration || state->change.eases;
-    if (!ramped.any && (watches || eases)) {
-        object[0] = shows * walk.object_n[0];
-        object[1] = shows * walk.object_n[1];
-        nothing_ramped(object, contact, &ramped);
-    }
-    if (watches) {
-        watch_energy(&walk, controlled, object, contact, &ramped, &flags);
+    ramped.any = 0;
+    int watches = 0;
+    int eases = 0;
+    const int steady = state->steady && !walk.new_table && !state->change.any && !state->change.eases;
+    if (!steady) {
+        state->show_vibration = toward(shown, (double)table->display_vibration, walk.ramp_step);
+        controlled = state->controls;
+        const int controls = table->passivity == HD_PASSIVITY_CONTROL;
+        ramped.cuts = controls || controlled > 0.0;
+        if (ramped.cuts) {
+            const double wanted = controls ? 1.0 : 0.0;
+            state->controls = state->started ? toward(controlled, wanted, walk.ramp_step) : wanted;
+        }
+        const int due = state->change.any || state->residual.left > 0 || state->show_force != shows || ramped.cuts;
+        ramped.any = due && hd_ramp_contact(&walk, object, contact, &ramped);
+        watches = table->passivity != HD_PASSIVITY_OFF || ramped.cuts;
+        eases = shown != state->show_vibration || state->change.eases;
+        if (!ramped.any && (watches || eases)) {
+            object[0] = shows * walk.object_n[0];
+            object[1] = shows * walk.object_n[1];
+            nothing_ramped(object, contact, &ramped);
+        }
+        if (watches) {
+            watch_energy(&walk, controlled, object, contact, &ramped, &flags);
+        }
     }
     if (state->strike_count > 0) {
         /* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. Noise
@@ -272,12 +283,12 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     double force[2];
     /* Only on its way out does the command hurry: zero is due by the clock. */
     const double gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
-    ramped.held_n[0] = ramped.held_n[1] = 0.0;
     if (ramped.any || eases) {
         double still[2];
         for (int axis = 0; axis < 2; axis++) {
             const double noise = noise_still[axis];
             still[axis] = shown * (state->voice_count > 0 ? noise + state->ringing_n[axis] : noise);
+            ramped.held_n[axis] = 0.0;
         }
         hd_ramp_command(&walk, &ramped, contact, vibration, still, gain - state->gain, force, &flags);
     } else {
@@ -291,18 +302,24 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     }
     state->gain = gain;
     if (watches) {
-        /* What was held is commanded, too. */
-        const double held[2] = {contact[0] + ramped.held_n[0], contact[1] + ramped.held_n[1]};
-        object[0] += ramped.held_n[0];
-        object[1] += ramped.held_n[1];
+        double held[2] = {contact[0], contact[1]};
+        for (int axis = 0; axis < 2 && (ramped.any || eases); axis++) { /* what was held is commanded, too */
+            held[axis] += ramped.held_n[axis];
+            object[axis] += ramped.held_n[axis];
+        }
         hd_passivity_hold(&state->passivity, table, state->tick, state->gain, object, held);
+    }
+    if (!steady) {
+        state->steady = !watches && state->residual.left == 0 && !state->change.any && !state->change.eases &&
+                        state->show_force == shows && state->show_vibration == (double)table->display_vibration;
     }
     flags |= (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) | (state->enabled ? HD_FLAG_FORCES_ON : 0u) |
              (state->faults != 0 ? HD_FLAG_FAULT : 0u) | ramping(state, table);
+    const double *whole = ramped.any ? ramped.whole_n : contact;
     for (int axis = 0; axis < 2; axis++) {
         sample->position_m[axis] = input->position_m[axis];
         sample->velocity_m_per_s[axis] = input->velocity_m_per_s[axis];
-        sample->contact_force_n[axis] = ramped.any ? ramped.whole_n[axis] : contact[axis];
+        sample->contact_force_n[axis] = whole[axis];
         sample->vibration_force_n[axis] = vibration[axis];
         sample->force_n[axis] = state->gain * force[axis];
         state->position_m[axis] = input->position_m[axis];
