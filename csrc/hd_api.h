@@ -190,6 +190,7 @@ struct hd_table {
     double period_s;
     double max_force_n;       /* magnitude of the whole command */
     double max_speed_m_per_s; /* a step between two samples that implies more is a glitch */
+    double rearm_m;           /* a surface is tapped again when the probe was so far from it; 0: always */
     double ramp_s;
     double ramp_step;                /* period_s / ramp_s: what a ramp moves on in a tick */
     double brake_n_s_per_m;          /* the passivity controller brakes by no more */

@@ -123,7 +123,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         report->speed_m_per_s = approach;
         report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, direction);
     }
-    if (onset->silent || onset->slid || !(approach > 0.0)) {
+    if (onset->silent || onset->slid || !(approach > 0.0) || (slot->disarmed && walk->table->rearm_m > 0.0)) {
         return;
     }
     const struct hd_material *material = material_at(walk, object, onset->place.along_m);
@@ -165,6 +165,7 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     state->active[slot->active_index] = last;
     state->slots[last].active_index = slot->active_index;
     slot->touched = 0;
+    slot->disarmed = 1;
     state->touches++;
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;

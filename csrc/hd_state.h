@@ -94,6 +94,7 @@ struct hd_slot {
     uint8_t touched;
     int8_t side;                 /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
     uint8_t face;                /* box: that was entered; see hd_box.c */
+    uint8_t disarmed;            /* let go, and the probe has not been far enough from it since to tap it */
     uint8_t resume;              /* its contact was cleared while it was pressed */
     uint8_t changed;             /* what it presses with at the end of this tick is a command's doing */
     uint8_t held;                /* the groove at `groove_m` was struck and the probe has not been away from it since */

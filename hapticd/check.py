@@ -89,6 +89,7 @@ class Report:
             "device": self.device,
             "rate_hz": output.rate_hz,
             "link_hz": output.link_rate_hz,
+            "rearm_m": output.rearm_m,
             "refused": [asdict(problem) for problem in self.refused],
             "undisplayable": [asdict(problem) for problem in self.undisplayable],
             "warnings": [asdict(problem) for problem in self.warnings],

@@ -680,6 +680,7 @@ class Compiler:
         self._table.period_s = 1.0 / output.rate_hz
         self._table.max_force_n = output.max_force_n
         self._table.max_speed_m_per_s = output.max_speed_m_per_s
+        self._table.rearm_m = output.rearm_m
         self._table.report_age = min(math.ceil(output.age_s * output.rate_hz - _SAME_PERIOD), PASSIVITY_AGE_MAX)
         known = output.dynamics
         mass_kg = output.effective_mass_kg if known is None else known.handle_mass_kg

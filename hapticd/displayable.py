@@ -46,6 +46,8 @@ class Output:
     compensation: Compensation = "off"
     dynamics: Dynamics | None = None
     """The device that strikes are compensated for; None: it is not known."""
+    rearm_m: float = 0.0
+    """A surface is tapped again when the probe was so far from it."""
     age_s: float = 0.0
     """Between a position and the moment at which the force acts that is put when it is read, where it is known."""
 
