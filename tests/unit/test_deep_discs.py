@@ -145,7 +145,7 @@ def test_no_closed_way_gives_energy(material: str, centred: bool) -> None:
     """Quasi-static: what is given goes to zero with the square of the step, of the 1.6 mJ that the disc can store."""
     rng = np.random.default_rng(4)
     given: list[list[float]] = []
-    for _ in range(6):
+    for _ in range(3):
         fine = ways(rng, 16_001, centred)
         given.append([work(force(peg(material), fine[::every]), fine[::every]) for every in (4, 1)])
     coarse, finest = np.array(given).T
