@@ -514,7 +514,9 @@ def draw_maps(maps: dict[str, list[Point]]) -> None:
 
         def line(name: str, style: str, label: str, points: list[Point] = points, shown: Floats = shown) -> None:
             values = np.array([getattr(point, name) for point in points])
-            values = np.where((values > 0.0) & (values <= 2.0 * HIGHEST), values, np.nan)
+            # None found is no marker.
+            top = HIGHEST * (1.0 - 1e-9) if name.startswith("simulated") else 2.0 * HIGHEST
+            values = np.where((values > 0.0) & (values <= top), values, np.nan)
             panel.plot(shown, values, style, label=label)  # noqa: B023
 
         line("passive", "-", "passive (any hand)")

@@ -47,3 +47,21 @@ class Actuator(Model):
     def at(self, s: complex) -> complex:
         """As `response`, of one frequency."""
         return complex(self.response(np.array([s], np.complex128))[0])
+
+    def shares(self) -> tuple[float, float, float]:
+        """What stability needs of the force h(t) after an impulse: the integrals of |h|, of t |h| and of t h, in s.
+
+        A force is the one that was told, spread over later times with the weights h; they sum up to 1.
+        """
+        if self.order == 1:
+            return 1.0, 1.0 / self.rate_per_s, 1.0 / self.rate_per_s
+        # In units of 1/a; slower than the slower root by 40 time constants nothing is left.
+        zeta = self.damping_ratio
+        slow = zeta if zeta <= 1.0 else zeta - math.sqrt(zeta * zeta - 1.0)
+        step = 40.0 / slow / 100_000
+        t = step * (np.arange(100_000) + 0.5)
+        root = np.emath.sqrt(zeta * zeta - 1.0)
+        away = np.exp(-zeta * t)
+        h = np.real(away * t if abs(root) < 1e-6 else away * np.sinh(root * t) / root)
+        gain, late = step * float(np.abs(h).sum()), step * float((t * np.abs(h)).sum())
+        return gain, late / self.rate_per_s, 2.0 * zeta / self.rate_per_s

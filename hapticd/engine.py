@@ -23,7 +23,7 @@ import numpy.typing as npt
 from hapticd.awake import Awake
 from hapticd.changes import Change, Reset, Revised, revised
 from hapticd.compile import Compiler
-from hapticd.config import Config
+from hapticd.config import Config, Device
 from hapticd.core import (
     EVENT_DTYPE,
     HISTOGRAM_EDGES_NS,
@@ -64,7 +64,7 @@ from hapticd.materials import Material, Materials
 from hapticd.mode import Attack, Mode
 from hapticd.plays import Play, Plays
 from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
-from hapticd.stability import Loop, timing
+from hapticd.stability import Loop, Timing, timing
 from hapticd.stopper import StopFile
 from hapticd.wire import GESTURE_ENDS
 
@@ -185,7 +185,7 @@ def loop_of(
         interval_s, age_s = sim.reports_s
         frame_s, frames = (0.0, 1) if sim.link is None else (1.0 / sim.link.rate_hz, sim.link.delay_frames)
         return Loop(
-            timing(rate_hz, interval_s, age_s, frame_s, frames),
+            _lagging(device, timing(rate_hz, interval_s, age_s, frame_s, frames)),
             dynamics,
             sim.encoder_step_m,
             sim.force_step_n,
@@ -194,13 +194,19 @@ def loop_of(
         )
     frame_s = 1.0 / min(rate_hz, rate_hz if link_rate_hz is None else link_rate_hz)
     return Loop(
-        timing(rate_hz, frame_s, frame_s, frame_s, 1),
+        _lagging(device, timing(rate_hz, frame_s, frame_s, frame_s, 1)),
         dynamics,
         resolution_m,
         force_step_n,
         device.max_force_n,
         device.hid.travel_m,
     )
+
+
+def _lagging(device: Device, timing: Timing) -> Timing:
+    """The timing behind the actuator, where its lag is known."""
+    known = device.lag
+    return timing if known is None else timing.behind(*known.shares())
 
 
 UNKNOWN_HANDLE: Final = "device.handle is not given: mass_kg, damping_n_s_per_m and friction_n of the handle decide it"

@@ -65,7 +65,9 @@ def with_remedy(margin: Margin, parts: Parts, loop: Loop, slots: Sequence[int]) 
 def _bends(parts: Parts, own: Ints, materials: Ints) -> bool:
     """Whether anything of it has a stiffness that is not proportional to `stiffness_n_per_m`."""
     grooved = bool((parts.materials["texture"][materials] == Texture.GEOMETRY).any())
-    return grooved or bool((parts.objects["piece_count"][own] > 0).any())
+    rubs = parts.materials["friction_coefficient"][parts.objects["material"][own]] > 0.0
+    round_rubs = bool((rubs & (parts.objects["shape"][own] == Shape.DISC)).any())
+    return grooved or round_rubs or bool((parts.objects["piece_count"][own] > 0).any())
 
 
 def _scaled(parts: Parts, materials: Ints, factor: float) -> Parts:

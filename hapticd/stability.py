@@ -66,6 +66,18 @@ class Timing:
     """The same for a damping of 1 N s/m: 1 where every position is used for as long as it is new."""
     reading_s: float
     """The shortest time between two positions that are read."""
+    gain: float = 1.0
+    """How much larger an actuator that overshoots may make the noise of forces."""
+
+    def behind(self, gain: float, late_s: float, mean_s: float) -> Timing:
+        """The same with an actuator that spreads a force over later times (Actuator.shares)."""
+        return replace(
+            self,
+            delay_s=self.delay_s + mean_s,
+            reach_s=gain * self.reach_s + late_s,
+            echo=gain * self.echo,
+            gain=gain,
+        )
 
 
 @lru_cache(maxsize=64)
@@ -296,7 +308,7 @@ def limits(
     Shapes (n,): stiffness and damping as they act on passivity, the noise that grows with stiffness, and that which
     does not, both for the worse axis. A factor is infinite where nothing depends on it, 0 where no stiffness would do.
     """
-    b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n
+    b, c = loop.dynamics.handle_damping_n_s_per_m, loop.dynamics.friction_n / loop.timing.gain
     left = b - loop.damping_echo * damping_n_s_per_m
     need = loop.timing.reach_s * stiffness_n_per_m
     quiet = c - still_noise_n

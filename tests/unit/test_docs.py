@@ -335,6 +335,17 @@ def is_there(test: str) -> bool:
     return path.is_file() and re.search(rf"^def {function}\(", path.read_text(), re.M) is not None
 
 
+def test_the_tests_that_show_what_stability_claims_are_there() -> None:
+    """Each `pytest FILE -k WORDS` and `pytest FILE::NAME` of the page selects something."""
+    text = " ".join((ROOT / "docs" / "stability.md").read_text().split())
+    shown = re.findall(r"`pytest tests/(\S+?\.py)(?:::(\w+))?(?: -k (\"[^\"]*\"|\w+))?`", text)
+    assert len(shown) > 12 and len(shown) == text.count("`pytest ")
+    for file, function, chosen in shown:
+        defined = re.findall(r"^def (test_\w+)\(", (ROOT / "tests" / file).read_text(), re.M)
+        for word in chosen.strip('"').split(" or "):
+            assert any(word in name and function in ("", name) for name in defined), (file, function, word)
+
+
 @pytest.mark.parametrize("page", PROMISING, ids=lambda page: page.stem)
 def test_every_promise_stands_in_the_page_and_its_tests_are_there(page: Path) -> None:
     text = page.read_text()

@@ -15,6 +15,7 @@ from scipy import signal
 
 from bench.stability import SEED, counted, draw, fate_of, judged, linear_grows
 from hapticd import together
+from hapticd.actuator import Actuator
 from hapticd.cli import main
 from hapticd.config import load_config
 from hapticd.control import Control
@@ -143,6 +144,31 @@ def test_the_timing_is_that_of_the_simulated_joystick(sim: dict[str, Any]) -> No
     late = late[200:]
     # Seen at ticks, when a tick's force has just begun.
     assert late.mean() == pytest.approx(loop.timing.delay_s + 0.5 * (loop.timing.period_s - 1e-4), rel=1e-3, abs=1e-8)
+
+
+@pytest.mark.parametrize("damping_ratio", [0.2, math.sqrt(0.5), 1.0, 2.0])
+def test_what_an_actuators_lag_adds(damping_ratio: float) -> None:
+    """Integrals of the impulse response of scipy's, of |h|, t |h| and t h."""
+    actuator = Actuator(bandwidth_hz=300, order=2, damping_ratio=damping_ratio)
+    a = actuator.rate_per_s
+    t, h = signal.impulse(([a * a], [1, 2 * damping_ratio * a, a * a]), T=np.linspace(0, 150 / a, 60_001))
+    step = t[1] - t[0]
+    expected = [step * np.abs(h).sum(), step * (t * np.abs(h)).sum(), step * (t * h).sum()]
+    np.testing.assert_allclose(actuator.shares(), expected, rtol=2e-3)
+    assert Actuator(bandwidth_hz=300).shares() == pytest.approx((1, 1 / (600 * math.pi), 1 / (600 * math.pi)))
+
+
+def test_a_slow_actuator_holds_less() -> None:
+    """b > K (T/2 + 1/a): with 100 Hz a free handle of 0.2 N s/m holds 122 N/m, not 4000."""
+    push = {"kind": "constant", "force_n": [0, -0.5]}
+    hand = {"mass_kg": 0, "stiffness_n_per_m": 0, "damping_n_s_per_m": 0}
+    sim = {"hand": hand, "encoder_step_m": 0, "coulomb_friction_n": 0, "force_step_n": 0, "start_m": [0, 0.005]}
+    sim["actuator"] = {"bandwidth_hz": 100}
+    limit = 0.2 / (0.5e-4 + 1 / (200 * math.pi))
+    for part, fate in ((0.95, "rests"), (1.1, "cycles")):
+        config = config_of({"w": FLOOR, "push": push}, {"m": {"stiffness_n_per_m": part * limit}}, **sim)
+        assert judged(config).factors(0)["passivity"] == pytest.approx(1 / part)
+        assert fate_of(config, [[0, 0, 0.005], [0.01, 0, 0.005]]).fate == fate
 
 
 # ---- Eigenvalues ---------------------------------------------------------------------------------------------------
@@ -388,11 +414,11 @@ def test_a_set_is_no_larger_than_a_pair_and_what_meets_both() -> None:
 
 
 def test_nothing_that_is_called_safe_cycles_or_grows_and_what_grows_linearly_does() -> None:
-    found = counted(SEED + 1, range(120), 128.0)
+    found = counted(SEED + 1, range(70), 128.0)
     assert found.broken == []
     assert found.held == []
     assert found.linear > 5
-    assert sum(count for (what, _), count in found.fates.items() if what == "safe") > 50
+    assert sum(count for (what, _), count in found.fates.items() if what == "safe") > 25
     # The simulation can tell: of what is not safe some does not come to rest.
     assert any(fate == "cycles" for _, fate in found.fates)
 
