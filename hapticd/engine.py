@@ -159,6 +159,7 @@ def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None)
         compensation=device.compensation,
         dynamics=device.dynamics,
         age_s=device.sim.age_s if device.kind == "sim" else 0.0,
+        actuator=device.lag,
     )
 
 
