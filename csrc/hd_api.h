@@ -202,6 +202,7 @@ struct hd_table {
     double period_s;
     double max_force_n;       /* magnitude of the whole command */
     double max_speed_m_per_s; /* a step between two samples that implies more is a glitch */
+    double rearm_m;           /* a surface is tapped again when the probe was so far from it; 0: always */
     double ramp_s;
     double ramp_step;                /* period_s / ramp_s: what a ramp moves on in a tick */
     double brake_n_s_per_m;          /* the passivity controller brakes by no more */
@@ -774,6 +775,9 @@ int hd_servo_stop(struct hd_servo *servo);
 /* Joins a thread that ended by overload, and takes another rate: the next table is compiled for it. HD_ERR_INVALID: no
  * overload, or a rate that servo or simulated joystick refuse; all stays as it is. */
 int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_action action);
+/* After hd_servo_set_rate: a play that was sent under this number and was not taken yet strikes `mode`, which is
+ * compiled for the new rate. Nothing happens to one that was taken. */
+int hd_servo_retune(struct hd_servo *servo, uint64_t sequence, const struct hd_mode *mode);
 /* After hd_servo_set_rate and, where the rate changed, hd_servo_publish: the thread goes on where it ended, as after a
  * stall; what was touched is met anew and the force comes in over the ramp. `faults` are latched. As hd_servo_start;
  * memory was locked then, and is told as it was. */

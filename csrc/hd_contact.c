@@ -13,6 +13,7 @@
 
 #include "hd_offload.h"
 #include "hd_press.h"
+#include "hd_seam.h"
 #include "hd_skin.h"
 #include "hd_voice.h"
 
@@ -103,6 +104,10 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         slot->ramp = pressed < slot->ramp ? pressed : slot->ramp;
     }
     slot->anchor_m = onset->place.along_m;
+    slot->seam = 0;
+    if (onset->slid && !onset->silent) {
+        hd_seam_cross(walk, slot, object);
+    }
     slot->normal_n = 0.0;
     slot->grooves = 0;
     slot->contacts++;
@@ -119,7 +124,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         report->speed_m_per_s = approach;
         report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, direction);
     }
-    if (onset->silent || onset->slid || !(approach > 0.0)) {
+    if (onset->silent || onset->slid || !(approach > 0.0) || (slot->disarmed && walk->table->rearm_m > 0.0)) {
         return;
     }
     const struct hd_material *material = material_at(walk, object, onset->place.along_m);
@@ -161,6 +166,7 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     state->active[slot->active_index] = last;
     state->slots[last].active_index = slot->active_index;
     slot->touched = 0;
+    slot->disarmed = 1;
     state->touches++;
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;
@@ -182,6 +188,7 @@ HD_RT void hd_contact_hush(struct hd_state *state, struct hd_slot *slot) {
     if (slot->noise != 0) {
         struct hd_noise_voice *voice = &state->noises[slot->noise - 1u];
         const double last_n = hd_noise_last(voice);
+        state->change.noise_rms_n += hd_noise_rms(voice);
         state->change.noise_n[0] += last_n * voice->direction[0];
         state->change.noise_n[1] += last_n * voice->direction[1];
         state->change.any = 1;

@@ -1,5 +1,9 @@
 /* One object in one tick: met, pressed, let go, healed. */
 #include "hd_contact.h"
+#include "hd_seam.h"
+
+/* Of a step of the encoder, as far as its positions are rounded. */
+#define HD_REARM_ROUNDING 1e-6
 
 HD_RT void hd_look_changed(struct hd_walk *walk) {
     const struct hd_table *table = walk->table;
@@ -89,6 +93,28 @@ HD_RT static void meet_standing(const struct hd_walk *walk, const struct hd_obje
     }
 }
 
+/* How far a point is outside of a surface, at least. */
+HD_RT static double distance_from(const struct hd_object *object, const double point_m[2]) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(point_m, object->point_m, offset);
+    hd_tangent(object->normal, tangent);
+    const double height = hd_dot(offset, object->normal);
+    const double beside = hd_magnitude(hd_dot(offset, tangent)) - object->half_m[0];
+    switch (object->shape) {
+    case HD_SHAPE_WALL:
+        return height;
+    case HD_SHAPE_MEMBRANE:
+        return hd_magnitude(height) > beside ? hd_magnitude(height) : beside;
+    case HD_SHAPE_BOX: {
+        const double above = hd_magnitude(height) - object->half_m[1];
+        return above > beside ? above : beside;
+    }
+    default:
+        return hd_root(hd_dot(offset, offset)) - object->half_m[0];
+    }
+}
+
 HD_RT static void begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
                         const struct hd_onset *onset) {
     hd_contact_begin(walk, index, object, onset);
@@ -125,6 +151,10 @@ HD_RT void hd_look(struct hd_walk *walk, uint32_t index) {
     if (object->shape == HD_SHAPE_MEMBRANE && slot->open == state->epoch) {
         heal(walk, index, object);
         return;
+    }
+    const double rearm_m = walk->table->rearm_m;
+    if (slot->disarmed && rearm_m > 0.0 && distance_from(object, walk->from_m) >= rearm_m * (1.0 - HD_REARM_ROUNDING)) {
+        slot->disarmed = 0;
     }
     struct hd_onset onset = {.silent = 0};
     if ((resumes && still_pressed(walk, index, object, &onset)) || meets(walk, object, fresh, &onset)) {
@@ -184,7 +214,6 @@ HD_RT static void meet_anew(struct hd_walk *walk, uint32_t index, const struct h
  * hold, and the two do not push at once. */
 HD_RT static int continues(const struct hd_walk *walk, const struct hd_object *object, const struct hd_onset *onset) {
     const struct hd_state *state = walk->state;
-    const double *normal = onset->place.normal;
     if (object->shape != HD_SHAPE_BOX && object->shape != HD_SHAPE_MEMBRANE) {
         return 0;
     }
@@ -199,10 +228,7 @@ HD_RT static int continues(const struct hd_walk *walk, const struct hd_object *o
         hd_membrane_place(object, onset->side, walk->input->position_m, &place);
     }
     for (uint32_t i = 0; i < state->active_count; i++) {
-        const struct hd_place *other = &state->slots[state->active[i]].last;
-        const double turn = normal[0] * other->normal[1] - normal[1] * other->normal[0];
-        if (hd_magnitude(place.depth_m - other->depth_m) <= HD_RIM_M && hd_magnitude(turn) <= HD_RIM_M &&
-            hd_dot(normal, other->normal) > 0.0) {
+        if (hd_flush(&place, &state->slots[state->active[i]].last)) {
             return 1;
         }
     }

@@ -14,14 +14,14 @@
  * distribution, all HD_NOISE_ORDER of them. Stages beyond the order do not run; a k of 0 only delays b, so they join a
  * ramp from 0 with what they hold, which is as uncorrelated as it was.
  *
- * The white numbers are uniform (unit power, within sqrt 3): an output is a sum of them with unit coefficients, whose
- * tails are thinner than a Gaussian's.
+ * The white numbers are Gaussian, so that the output is, whatever the filter and the rate; each is within 6.
  *
  * Interpolated coefficients cannot leave [-1, 1]: see `mix`. A k of exactly 1 is still a rotation. */
 #include "hd_noise.h"
 
 #include <math.h>
 
+#include "hd_normal.h"
 #include "hd_world.h"
 
 #define HD_LARGEST_RMS 1e9
@@ -29,7 +29,6 @@
 /* Taps on the way to their opposites pass by zero: below this sum of squares they are quieter instead of turning over
  * within a tick. */
 #define HD_SMALLEST_TAPS 0.01
-#define HD_ROOT_3 1.7320508075688772
 
 /* splitmix64 (Steele, Lea and Flood): every state is a good one. */
 HD_RT static inline uint64_t scramble(uint64_t z) {
@@ -40,8 +39,7 @@ HD_RT static inline uint64_t scramble(uint64_t z) {
 
 HD_RT static inline double white(uint64_t *random) {
     *random += 0x9e3779b97f4a7c15u;
-    const int64_t bits = (int64_t)(scramble(*random) >> 11);
-    return (double)bits * (HD_ROOT_3 * 0x1p-52) - HD_ROOT_3;
+    return hd_normal(scramble(*random));
 }
 
 /* From one to the other. Of two numbers within [-1, 1], in particular, the result is within [-1, 1] in spite of

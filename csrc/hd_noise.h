@@ -67,6 +67,11 @@ HD_RT void hd_noise_start(struct hd_noise_voice *voice, const struct hd_noise *n
 /* Another noise, or the same one changed: coefficients and RMS move from where they are to it over the next ramp; the
  * state stays. To be called before hd_noise_next sees the other noise, or the same one with other numbers. */
 HD_RT void hd_noise_turn(struct hd_noise_voice *voice);
+/* The RMS of the last sample, N. */
+HD_RT static inline double hd_noise_rms(const struct hd_noise_voice *voice) {
+    return voice->scale_n.now * voice->rms;
+}
+
 /* What the last sample would be now, N: of a noise that is no more. */
 HD_RT double hd_noise_last(struct hd_noise_voice *voice);
 /* The next sample, m/s^2. At an RMS of zero it is 0 and nothing moves on, not even a ramp; so it is at a speed of

@@ -32,13 +32,14 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
     state->healing = calloc(capacity, sizeof *state->healing);
     state->near = calloc(capacity, sizeof *state->near);
     state->voices = calloc(HD_VOICE_CAPACITY, sizeof *state->voices);
+    state->voice_ends = calloc(HD_VOICE_CAPACITY, sizeof *state->voice_ends);
     state->noises = calloc(HD_NOISE_CAPACITY, sizeof *state->noises);
     state->free_noises = calloc(HD_NOISE_CAPACITY, sizeof *state->free_noises);
     state->strikes = calloc(HD_STRIKE_CAPACITY, sizeof *state->strikes);
     state->events = calloc(HD_EVENT_CAPACITY, sizeof *state->events);
     if (state->slots == NULL || state->active == NULL || state->resumed == NULL || state->healing == NULL ||
-        state->near == NULL || state->voices == NULL || state->noises == NULL || state->free_noises == NULL ||
-        state->strikes == NULL || state->events == NULL) {
+        state->near == NULL || state->voices == NULL || state->voice_ends == NULL || state->noises == NULL ||
+        state->free_noises == NULL || state->strikes == NULL || state->events == NULL) {
         hd_state_free(state);
         return NULL;
     }
@@ -48,6 +49,8 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
     state->free_noise_count = HD_NOISE_CAPACITY;
     state->enabled = 1;
     state->gain = 1.0;
+    state->noise_gain = 1.0;
+    state->ringing_gain = 1.0;
     state->epoch = 1;
     state->resync = 1;
     hd_velocity_init(&state->velocity, 0.0);
@@ -62,6 +65,7 @@ void hd_state_free(struct hd_state *state) {
         free(state->healing);
         free(state->near);
         free(state->voices);
+        free(state->voice_ends);
         free(state->noises);
         free(state->free_noises);
         free(state->strikes);
@@ -91,6 +95,7 @@ size_t hd_state_regions(const struct hd_state *state, uint32_t from_slot, uint32
     if (from_slot == 0) {
         regions[count++] = (struct hd_region){(void *)(uintptr_t)state, sizeof *state};
         regions[count++] = (struct hd_region){state->voices, HD_VOICE_CAPACITY * sizeof *state->voices};
+        regions[count++] = (struct hd_region){state->voice_ends, HD_VOICE_CAPACITY * sizeof *state->voice_ends};
         regions[count++] = (struct hd_region){state->noises, HD_NOISE_CAPACITY * sizeof *state->noises};
         regions[count++] = (struct hd_region){state->free_noises, HD_NOISE_CAPACITY * sizeof *state->free_noises};
         regions[count++] = (struct hd_region){state->strikes, HD_STRIKE_CAPACITY * sizeof *state->strikes};
@@ -115,6 +120,7 @@ int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
     to->healing = own.healing;
     to->near = own.near;
     to->voices = own.voices;
+    to->voice_ends = own.voice_ends;
     to->noises = own.noises;
     to->free_noises = own.free_noises;
     to->strikes = own.strikes;
@@ -126,6 +132,7 @@ int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
     memcpy(to->healing, from->healing, from->healing_count * sizeof *to->healing);
     memcpy(to->near, from->near, from->near_count * sizeof *to->near);
     memcpy(to->voices, from->voices, from->voice_count * sizeof *to->voices);
+    memcpy(to->voice_ends, from->voice_ends, from->voice_count * sizeof *to->voice_ends);
     memcpy(to->free_noises, from->free_noises, HD_NOISE_CAPACITY * sizeof *to->free_noises);
     memcpy(to->events, from->events, from->event_count * sizeof *to->events);
     for (uint32_t i = 0; i < from->active_count; i++) {

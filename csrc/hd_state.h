@@ -5,13 +5,12 @@
  *   near[]    what a probe can reach before it has moved by near_radius_m; see hd_near.h
  *   resumed[] slots whose contact was cleared under the hand, looked at once by the next tick
  *   healing[] punctured membranes that close again
- *   voices[]  the modes that ring now, dense, in no order; a slot knows its own
- *   noises[]  the noises that sound now; a slot knows its own, free ones are stacked in free_noises[]
- *   offloads[] strikes of this tick that the device plays by itself; taken by whoever called it
- *   reserves[] what those that were struck may still add to the command
- *   strikes[] filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit
- *             leaves for vibration) is known
- *   events[]  filled by a tick, taken by whoever called it
+ *   voices[]  the modes that ring now, dense, in no order; a slot knows its own, which are chained by voice_ends[];
+ * behind them, to the end of a tick, those that ended since the last one noises[]  the noises that sound now; a slot
+ * knows its own, free ones are stacked in free_noises[] offloads[] strikes of this tick that the device plays by
+ * itself; taken by whoever called it reserves[] what those that were struck may still add to the command strikes[]
+ * filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit leaves for
+ * vibration) is known events[]  filled by a tick, taken by whoever called it
  *
  * Owned by one thread: the servo's, or the caller's of an offline run. hd_state_new reserves address space for every
  * slot there can be; hd_state_reserve touches the pages of those that a table is about to use, so that the servo never
@@ -60,10 +59,11 @@ struct hd_skin {
 struct hd_change {
     double object_n[2]; /* of what is touched */
     double field_n[2];
-    double noise_n[2]; /* of noises that are no more: what they would be in this tick */
-    double eased_n[2]; /* what noises that are on a ramp are more than they would be if it stood still */
-    uint8_t any;       /* not all of the first three are zero */
-    uint8_t eases;     /* nor is the last */
+    double noise_n[2];  /* of noises that are no more: what they would be in this tick */
+    double eased_n[2];  /* what noises that are on a ramp are more than they would be if it stood still */
+    double noise_rms_n; /* what the RMS of noises would be more in this tick without changes and ramps */
+    uint8_t any;        /* not all of the first three are zero */
+    uint8_t eases;      /* nor is the last */
     uint8_t whole; /* something came or went: what that makes is whole in this tick, and fades from the next one on */
 };
 
@@ -84,7 +84,7 @@ struct hd_slot {
     uint32_t active_index;        /* place in active[] while touched */
     uint32_t healing_index;       /* place in healing[] plus one; 0: not in it */
     uint32_t open;                /* membrane: punctured, while this is the state's epoch */
-    uint32_t voice[HD_MODE_USES]; /* place in voices[] plus one; 0: silent */
+    uint32_t voice[HD_MODE_USES]; /* place in voices[] plus one, of the first of a chain; 0: silent */
     uint32_t noise;               /* place in noises[] plus one; 0: silent */
     uint32_t contacts;            /* so far: the salt of their noise */
     uint32_t grooves;             /* struck in this contact */
@@ -94,9 +94,11 @@ struct hd_slot {
     uint8_t touched;
     int8_t side;                 /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
     uint8_t face;                /* box: that was entered; see hd_box.c */
+    uint8_t disarmed;            /* let go, and the probe has not been far enough from it since to tap it */
     uint8_t resume;              /* its contact was cleared while it was pressed */
     uint8_t changed;             /* what it presses with at the end of this tick is a command's doing */
     uint8_t held;                /* the groove at `groove_m` was struck and the probe has not been away from it since */
+    uint16_t seam;               /* ticks in which friction goes over from what was left to this material */
     double ramp;                 /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
     double anchor_m;             /* friction: where the probe sticks, along the surface */
     double normal_n;             /* the normal force at the last tick, without ramp */
@@ -118,6 +120,12 @@ struct hd_voice {
     uint32_t slot;
     uint32_t generation;
     uint32_t use; /* enum hd_mode_use; of a tail HD_MODE_USES more */
+};
+
+/* What of a voice only strikes and ends need. */
+struct hd_voice_end {
+    double over_s; /* from its end to the first tick after that */
+    uint32_t next; /* of the same slot and use, another mode: place in voices[] plus one, or 0 */
 };
 
 struct hd_strike {
@@ -153,6 +161,7 @@ struct hd_state {
     uint64_t gesture_tick; /* that took the path which the simulated hand follows */
     uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
     uint32_t voice_count;
+    uint32_t ended_count;
     uint32_t active_count;
     uint32_t near_count;
     uint32_t resumed_count;
@@ -171,6 +180,7 @@ struct hd_state {
     uint8_t enabled;       /* forces are wanted */
     uint8_t resync;        /* objects are met as if they had just appeared, after contacts were cleared */
     uint8_t saturated;     /* the last tick was */
+    uint8_t yields;        /* noise gives way to the limit in this tick */
     uint8_t field_active;  /* the field exerts a force */
     uint8_t field_known;   /* it is the table's, but for a change of its version */
     uint8_t near_known;    /* near[] holds for near_center_m */
@@ -190,6 +200,8 @@ struct hd_state {
     double ringing_n[2];         /* the sum of Im z over voices[], and of kicks_n[0] */
     uint32_t kick_count;         /* of kicks_n[] that are not zero, from the first on */
     double kicks_n[HD_KICKS][2]; /* what strikes add to this tick and the next ones */
+    double noise_gain;           /* what the limit left of noises, 0 to 1: hd_limit_noise */
+    double ringing_gain;         /* what is left of modes that ring while contact is beyond the limit, 0 to 1 */
     double reserved_n;           /* of the limit, for reserves[] */
     uint32_t field_version;
     double field_ramp; /* of its force, as of a contact */
@@ -207,6 +219,7 @@ struct hd_state {
     uint32_t *healing;
     struct hd_near *near;
     struct hd_voice *voices;
+    struct hd_voice_end *voice_ends;
     struct hd_noise_voice *noises;
     uint32_t *free_noises;
     struct hd_strike *strikes;

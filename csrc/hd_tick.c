@@ -126,6 +126,36 @@ HD_RT static void nothing_ramped(const double object_n[2], const double contact_
     }
 }
 
+/* What is heard of the noise of this tick, and what would be if every ramp stood still, without the gains of `display`.
+ */
+HD_RT static void hear_noise(const struct hd_walk *walk, const struct hd_ramped *ramped, const double contact_n[2],
+                             double shown, double noise_n[2], double still_n[2], uint32_t *flags) {
+    struct hd_state *state = walk->state;
+    const struct hd_table *table = walk->table;
+    const struct hd_change *change = &state->change;
+    const struct hd_noisy is = {{walk->noise_n[0], walk->noise_n[1]}, walk->noise_rms_n};
+    double most_n;
+    double gain = state->noise_gain;
+    if (ramped->any || change->eases || shown != state->show_vibration) {
+        struct hd_noisy was = {{0.0, 0.0}, walk->noise_rms_n + change->noise_rms_n};
+        for (int axis = 0; axis < 2; axis++) {
+            was.noise_n[axis] = walk->noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
+        }
+        gain = hd_limit_noise(state, table, ramped->still_whole_n, &was, shown, &most_n);
+        still_n[0] = gain * was.noise_n[0];
+        still_n[1] = gain * was.noise_n[1];
+    }
+    const double *whole = ramped->any ? ramped->whole_n : contact_n;
+    gain = hd_limit_noise(state, table, whole, &is, state->show_vibration, &most_n);
+    noise_n[0] = gain * is.noise_n[0];
+    noise_n[1] = gain * is.noise_n[1];
+    if (gain < 1.0) {
+        state->yields = 1;
+        hd_limit_report(state, most_n, walk->input->time_ns, flags);
+    }
+    state->noise_gain = gain;
+}
+
 HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const struct hd_input *input,
                    struct hd_sample *sample) {
     const struct hd_table *table = &world->table;
@@ -150,7 +180,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     /* A ramp counts ticks, not the periods that were missed before it began. */
     walk.ramp_step = table->ramp_step;
     walk.force_n[0] = walk.force_n[1] = 0.0;
-    walk.noise_n[0] = walk.noise_n[1] = 0.0;
+    walk.noise_n[0] = walk.noise_n[1] = walk.noise_rms_n = 0.0;
     if ((walk.new_table || state->change.any) && state->started) {
         state->commanded_tick = state->tick;
         state->commanded = 1;
@@ -181,6 +211,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         }
     }
 
+    state->ended_count = 0;
     if (state->voice_count > 0) {
         hd_voices_advance(state, input->periods);
     }
@@ -215,14 +246,21 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         watch_energy(&walk, controlled, object, contact, &ramped, &flags);
     }
     if (state->strike_count > 0) {
-        /* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. */
+        /* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. Noise
+         * leaves room for it. */
         const double *still = ramped.any ? ramped.still_n : contact;
-        const double felt = hd_root(hd_dot(still, still)) + shown * hd_root(hd_dot(walk.noise_n, walk.noise_n));
-        if (hd_strikes_apply(state, table, felt) < 1.0) {
+        if (hd_strikes_apply(state, table, hd_root(hd_dot(still, still))) < 1.0) {
             flags |= HD_FLAG_SATURATED;
         }
     }
-    double vibration[2] = {walk.noise_n[0], walk.noise_n[1]};
+    double vibration[2] = {0.0, 0.0};
+    double noise_still[2] = {0.0, 0.0};
+    state->yields = 0;
+    if (walk.noise_rms_n > 0.0 || state->change.eases || state->change.any) {
+        hear_noise(&walk, &ramped, contact, shown, vibration, noise_still, &flags);
+    } else {
+        state->noise_gain = 1.0;
+    }
     if (state->voice_count > 0) {
         vibration[0] += state->ringing_n[0];
         vibration[1] += state->ringing_n[1];
@@ -236,10 +274,9 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     const double gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
     ramped.held_n[0] = ramped.held_n[1] = 0.0;
     if (ramped.any || eases) {
-        const struct hd_change *change = &state->change;
         double still[2];
         for (int axis = 0; axis < 2; axis++) {
-            const double noise = walk.noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
+            const double noise = noise_still[axis];
             still[axis] = shown * (state->voice_count > 0 ? noise + state->ringing_n[axis] : noise);
         }
         hd_ramp_command(&walk, &ramped, contact, vibration, still, gain - state->gain, force, &flags);

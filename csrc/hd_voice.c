@@ -20,6 +20,7 @@
 /* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
 #define HD_SMALLEST_SQUARE 1e-290
 #define HD_VOICES_COMPARED 16u
+#define HD_END_ROUNDING 1e-12
 
 /* What is struck, of a mode or of its tail. */
 struct part {
@@ -38,21 +39,32 @@ HD_RT static uint32_t *known_place(struct hd_slot *slot, uint32_t use) {
     return use < HD_MODE_USES ? &slot->voice[use] : &slot->tail[use - HD_MODE_USES];
 }
 
-/* The slot that knows a voice by its place learns another one. */
-HD_RT static void repoint(struct hd_state *state, uint32_t index, uint32_t place) {
+/* Where the chain of a voice's slot keeps its place; NULL where nothing does. */
+HD_RT static uint32_t *link_to(struct hd_state *state, uint32_t index) {
     const struct hd_voice *voice = &state->voices[index];
-    if (voice->slot < state->slot_capacity) {
-        uint32_t *known = known_place(&state->slots[voice->slot], voice->use);
-        *known = *known == index + 1u ? place : *known;
+    if (voice->slot >= state->slot_capacity) {
+        return NULL;
     }
+    uint32_t *link = known_place(&state->slots[voice->slot], voice->use);
+    while (*link != 0 && *link != index + 1u) {
+        link = &state->voice_ends[*link - 1u].next;
+    }
+    return *link != 0 ? link : NULL;
 }
 
 HD_RT static void remove_voice(struct hd_state *state, uint32_t index) {
-    repoint(state, index, 0);
+    uint32_t *link = link_to(state, index);
+    if (link != NULL) {
+        *link = state->voice_ends[index].next;
+    }
     const uint32_t last = --state->voice_count;
     if (index != last) {
-        repoint(state, last, index + 1u);
+        link = link_to(state, last);
+        if (link != NULL) {
+            *link = index + 1u;
+        }
         state->voices[index] = state->voices[last];
+        state->voice_ends[index] = state->voice_ends[last];
     }
 }
 
@@ -82,25 +94,44 @@ HD_RT static void power(uint32_t exponent, double *re, double *im) {
     }
 }
 
+HD_RT static void turn(struct hd_voice *voice, uint32_t periods) {
+    double rotor_re = voice->rotor_re;
+    double rotor_im = voice->rotor_im;
+    if (periods != 1) {
+        power(periods, &rotor_re, &rotor_im);
+    }
+    const hd_pair re = voice->re;
+    const hd_pair im = voice->im;
+    voice->re = re * rotor_re - im * rotor_im;
+    voice->im = re * rotor_im + im * rotor_re;
+}
+
+/* It is no more, and goes behind those that ring: a strike of this tick may turn out to have come before its end. */
+HD_RT static void end_voice(struct hd_state *state, uint32_t index, uint32_t periods) {
+    struct hd_voice voice = state->voices[index];
+    struct hd_voice_end end = state->voice_ends[index];
+    if (voice.left + 1u == periods) {
+        turn(&voice, periods);
+    } else {
+        end.over_s = (double)INFINITY; /* longer ago than a strike of this tick can be */
+    }
+    remove_voice(state, index);
+    state->voices[state->voice_count] = voice;
+    state->voice_ends[state->voice_count] = end;
+    state->ended_count++;
+}
+
 HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods) {
     hd_pair sum = {0.0, 0.0};
     uint32_t i = 0;
     while (i < state->voice_count) {
         struct hd_voice *voice = &state->voices[i];
         if (voice->left < periods) {
-            remove_voice(state, i);
+            end_voice(state, i, periods);
             continue;
         }
         voice->left -= periods;
-        double rotor_re = voice->rotor_re;
-        double rotor_im = voice->rotor_im;
-        if (periods != 1) {
-            power(periods, &rotor_re, &rotor_im);
-        }
-        const hd_pair re = voice->re;
-        const hd_pair im = voice->im;
-        voice->re = re * rotor_re - im * rotor_im;
-        voice->im = re * rotor_im + im * rotor_re;
+        turn(voice, periods);
         sum += voice->im;
         i++;
     }
@@ -123,8 +154,14 @@ HD_RT double hd_voices_bound(const struct hd_state *state) {
     return state->kick_count > 0 ? bound + hd_kicks_bound(state) : bound;
 }
 
+/* The end of a mode, with the rounding of a period, of 5/B and of their multiples: a tick at the very end sounds. */
+HD_RT static double latest(double end_s) {
+    return end_s * (1.0 + HD_END_ROUNDING);
+}
+
 /* Ticks after the striking one in which the mode sounds: the largest n with n T + tau <= 5/B; -1 if not even n = 0. */
-HD_RT static int64_t ticks_left(double end_s, double before_s, double period_s) {
+HD_RT static int64_t ticks_left(double mode_end_s, double before_s, double period_s) {
+    const double end_s = latest(mode_end_s);
     if (!(before_s <= end_s)) {
         return -1;
     }
@@ -142,31 +179,51 @@ HD_RT static int64_t ticks_left(double end_s, double before_s, double period_s) 
     return n;
 }
 
-/* The mode's own voice, if it rings. What is played has no slot and is known by its mode. A mode that has become
- * another one since (another material, or another patch of the surface) goes on ringing on its own. */
+HD_RT static int is_voice_of(const struct hd_voice *voice, const struct hd_strike *strike, const struct part *part) {
+    return voice->slot == strike->slot && voice->generation == strike->generation && voice->use == part->use &&
+           voice->rotor_re == part->rotor_re && voice->rotor_im == part->rotor_im;
+}
+
+/* The mode's own voice, if it rings. What is played has no slot and is known by its mode. Modes of other materials that
+ * the slot had, or of other patches of its surface, ring on beside it. */
 HD_RT static struct hd_voice *find_voice(struct hd_state *state, const struct hd_strike *strike,
                                          const struct part *part) {
     if (strike->slot < state->slot_capacity) {
-        const uint32_t index = *known_place(&state->slots[strike->slot], part->use);
-        if (index == 0) {
-            return NULL;
+        uint32_t *link = known_place(&state->slots[strike->slot], part->use);
+        for (uint32_t passed = 1; *link != 0; passed++) {
+            struct hd_voice *voice = &state->voices[*link - 1u];
+            if (is_voice_of(voice, strike, part)) {
+                return voice;
+            }
+            if (passed == HD_VOICES_COMPARED) { /* so that chains stay short; it rings on, known to nobody */
+                voice->slot = HD_NO_SLOT;
+                *link = 0;
+                break;
+            }
+            link = &state->voice_ends[*link - 1u].next;
         }
-        struct hd_voice *voice = &state->voices[index - 1];
-        if (voice->generation == strike->generation && voice->rotor_re == part->rotor_re &&
-            voice->rotor_im == part->rotor_im) {
-            return voice;
-        }
-        voice->slot = HD_NO_SLOT;
         return NULL;
     }
     for (uint32_t i = 0; i < state->voice_count; i++) {
         struct hd_voice *voice = &state->voices[i];
-        if (voice->slot == strike->slot && voice->use == part->use && voice->rotor_re == part->rotor_re &&
-            voice->rotor_im == part->rotor_im) {
+        if (is_voice_of(voice, strike, part)) {
             return voice;
         }
     }
     return NULL;
+}
+
+/* Adds what a voice that ended since the last tick would be now, if this strike came before its end. */
+HD_RT static void revive(struct hd_state *state, const struct hd_strike *strike, const struct part *part, hd_pair *re,
+                         hd_pair *im) {
+    const uint32_t count = state->ended_count < HD_VOICES_COMPARED ? state->ended_count : HD_VOICES_COMPARED;
+    for (uint32_t i = state->voice_count; i < state->voice_count + count; i++) {
+        if (is_voice_of(&state->voices[i], strike, part) && state->voice_ends[i].over_s <= strike->before_s) {
+            *re += state->voices[i].re;
+            *im += state->voices[i].im;
+            state->voice_ends[i].over_s = (double)INFINITY;
+        }
+    }
 }
 
 HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_strike *strike, uint32_t use) {
@@ -183,12 +240,22 @@ HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_
         state->ringing_n[1] -= state->voices[nearest].im[1];
         remove_voice(state, nearest);
     }
-    struct hd_voice *voice = &state->voices[state->voice_count++];
-    *voice = (struct hd_voice){.slot = strike->slot, .generation = strike->generation, .use = use};
-    if (strike->slot < state->slot_capacity) {
-        *known_place(&state->slots[strike->slot], use) = state->voice_count;
+    const uint32_t index = state->voice_count++;
+    const uint32_t behind = index + state->ended_count;
+    if (state->ended_count > 0 && behind < HD_VOICE_CAPACITY) {
+        state->voices[behind] = state->voices[index];
+        state->voice_ends[behind] = state->voice_ends[index];
+    } else if (state->ended_count > 0) {
+        state->ended_count--;
     }
-    return voice;
+    state->voices[index] = (struct hd_voice){.slot = strike->slot, .generation = strike->generation, .use = use};
+    state->voice_ends[index] = (struct hd_voice_end){.over_s = (double)INFINITY};
+    if (strike->slot < state->slot_capacity) {
+        uint32_t *first = known_place(&state->slots[strike->slot], use);
+        state->voice_ends[index].next = *first;
+        *first = index + 1u;
+    }
+    return &state->voices[index];
 }
 
 HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *strike, const struct part *part,
@@ -201,11 +268,24 @@ HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *st
     }
     struct hd_voice *voice = find_voice(state, strike, part);
     if (voice == NULL) {
+        hd_pair re = {0.0, 0.0};
+        hd_pair im = {0.0, 0.0};
+        revive(state, strike, part, &re, &im);
         voice = new_voice(state, strike, part->use);
+        voice->rotor_re = part->rotor_re;
+        voice->rotor_im = part->rotor_im;
+        voice->re = re;
+        voice->im = im;
+        state->ringing_n[0] += im[0];
+        state->ringing_n[1] += im[1];
     }
-    voice->rotor_re = part->rotor_re;
-    voice->rotor_im = part->rotor_im;
-    voice->left = (uint32_t)left;
+    /* Five time constants after the last of several strikes, in whatever order they come. */
+    struct hd_voice_end *end = &state->voice_ends[voice - state->voices];
+    const double over_s = (double)(left + 1) * period_s + strike->before_s - latest(part->end_s);
+    if ((uint32_t)left > voice->left || ((uint32_t)left == voice->left && over_s < end->over_s)) {
+        voice->left = (uint32_t)left;
+        end->over_s = over_s;
+    }
     double turned_re;
     double turned_im;
     polar(-part->decay_rate_per_s * strike->before_s, part->angular_frequency_rad_per_s * strike->before_s, &turned_re,
@@ -278,6 +358,7 @@ HD_RT void hd_voices_silence(struct hd_state *state) {
     while (state->voice_count > 0) {
         remove_voice(state, state->voice_count - 1);
     }
+    state->ended_count = 0;
     state->ringing_n[0] = 0.0;
     state->ringing_n[1] = 0.0;
     state->kick_count = 0;

@@ -21,6 +21,7 @@ struct hd_walk {
     double force_n[2];  /* of contacts and fields, the sum so far */
     double object_n[2]; /* of that, the objects' */
     double noise_n[2];  /* of coloured noise, the sum so far */
+    double noise_rms_n; /* and that of its RMS */
     uint32_t met_count; /* met in this tick, and not begun yet */
     uint32_t met[HD_WALK_MET];
     struct hd_path path;

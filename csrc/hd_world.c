@@ -91,6 +91,9 @@ static int scalars_check(const struct hd_table *table) {
         return hd_invalid("table: force limit %g N, speed limit %g m/s or ramp %g s is out of range",
                           table->max_force_n, table->max_speed_m_per_s, table->ramp_s);
     }
+    if (!between(table->rearm_m, 0.0, 1.0)) {
+        return hd_invalid("table: a tap after %g m away is not between 0 and 1", table->rearm_m);
+    }
     if (!between(table->ramp_step * table->ramp_s, table->period_s * (1.0 - 1e-12), table->period_s * (1.0 + 1e-12))) {
         return hd_invalid("table: ramp step %g is not period over ramp", table->ramp_step);
     }

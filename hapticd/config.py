@@ -181,6 +181,13 @@ class Device(Model):
     max_speed_m_per_s: float = Field(
         default=5.0, ge=0.01, le=1000, description="A step between two positions that is faster is a glitch."
     )
+    rearm_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.01,
+        description="A surface that was let go is tapped again only after the probe was so far from it: the noise of "
+        "positions, the step of their encoder; 0: at every contact.",
+    )
     undisplayable: Literal["mute", "lower"] = Field(
         default_factory=_muted_or_lowered,
         description="What becomes of a mode above 0.4 of the rate, the link's if that is lower.",

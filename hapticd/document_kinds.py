@@ -5,7 +5,7 @@ another command is answered with that command, not with a list of unknown keys.
 """
 
 import os
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Final, Literal, TypeAlias
 
 from hapticd.errors import InvalidError, Problem, near_names
@@ -59,6 +59,12 @@ _TAKER: Final[dict[Kind, str]] = {
     "gesture": "operator",
     "bridge": "bridge -c",
 }
+SIMULATION_TAKER: Final[dict[Kind, str]] = {
+    **_TAKER,
+    "waypoints": "simulate SCENE --operator",
+    "gesture": "simulate SCENE --operator",
+}
+"""As the others, for `hapticd simulate`, whose hand a file may describe."""
 _KEYS: Final[dict[Kind, tuple[str, ...]]] = {
     "configuration": (*CONFIGURATION, "materials", "scene"),
     "bare scene": SCENE,
@@ -108,14 +114,14 @@ def likely_kind_of(data: Json) -> Kind | None:
     return near[0] if near else None
 
 
-def refuse_other_kinds(document: Document, *taken: Kind) -> None:
-    """Raises InvalidError for a document that is none of these and that another command takes.
+def refuse_other_kinds(document: Document, *taken: Kind, takers: Mapping[Kind, str] = _TAKER) -> None:
+    """Raises InvalidError for a document that is none of these and that another command, or option, takes: of `takers`.
 
     What cannot be told is left to the reader, which knows its own keys.
     """
     kind = kind_of(document.data)
     if kind is not None and kind not in taken:
-        raise InvalidError([Problem(_name(document), _other(kind, document.name))])
+        raise InvalidError([Problem(_name(document), _other(kind, document.name, takers))])
 
 
 def refuse_documents(path: str | os.PathLike[str]) -> None:
@@ -149,8 +155,8 @@ def _taker_of(key: str) -> str | None:
     return _TAKER[kinds[0]] if kinds else None
 
 
-def _other(kind: Kind, name: str | None) -> str:
-    return f"holds {_HOLDS[kind]}; use: hapticd {_TAKER[kind]}{f' {one_line(name)}' if name is not None else ''}"
+def _other(kind: Kind, name: str | None, takers: Mapping[Kind, str] = _TAKER) -> str:
+    return f"holds {_HOLDS[kind]}; use: hapticd {takers[kind]}{f' {one_line(name)}' if name is not None else ''}"
 
 
 def _name(document: Document) -> str:

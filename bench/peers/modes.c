@@ -57,6 +57,7 @@ void peer_modes_free(struct peer_modes *modes) {
     }
     if (modes->state != NULL) {
         free(modes->state->voices);
+        free(modes->state->voice_ends);
     }
     free(modes->state);
     free(modes->played);
@@ -84,7 +85,8 @@ struct peer_modes *peer_modes_new(int kind, size_t count, double period_s, const
         return NULL;
     }
     modes->state->voices = aligned_alloc(64, HD_VOICE_CAPACITY * sizeof(struct hd_voice));
-    if (modes->state->voices == NULL) {
+    modes->state->voice_ends = calloc(HD_VOICE_CAPACITY, sizeof(struct hd_voice_end));
+    if (modes->state->voices == NULL || modes->state->voice_ends == NULL) {
         peer_modes_free(modes);
         return NULL;
     }

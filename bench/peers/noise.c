@@ -1,11 +1,10 @@
-/* Ways to make coloured noise, for bench/noise.py. All take the same white numbers as csrc/hd_noise.c: uniform, of unit
- * power, from splitmix64. */
+/* Ways to make coloured noise, for bench/noise.py. All take the same white numbers as csrc/hd_noise.c: Gaussian,
+ * of unit power, from splitmix64. */
 #include <string.h>
 
 #include "hd_noise.h"
+#include "hd_normal.h"
 #include "peers.h"
-
-#define ROOT_3 1.7320508075688772
 
 static inline double white(uint64_t *random) {
     *random += 0x9e3779b97f4a7c15u;
@@ -13,7 +12,7 @@ static inline double white(uint64_t *random) {
     z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
     z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
     z ^= z >> 31;
-    return (double)(int64_t)(z >> 11) * (ROOT_3 * 0x1p-52) - ROOT_3;
+    return hd_normal(z);
 }
 
 static void direct(size_t order, const double *coefficients, const double *gains, size_t count, const uint8_t *which,

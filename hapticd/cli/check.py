@@ -78,6 +78,10 @@ def _print(report: Report, console: Console) -> None:
             "felt wrong by: the handle's acceleration against the library's, 30 Hz to 0.4 of the rate, with "
             f"compensation: {output.compensation}"
         )
+    if output.rearm_m > 0.0:
+        console.print(
+            f"a surface is tapped again after the probe was {1e6 * output.rearm_m:g} um from it (device.rearm_m)"
+        )
     if stability.sets:
         console.print(_sets(report))
         left = stability.sets - len(stability.worst)

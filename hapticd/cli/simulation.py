@@ -12,7 +12,7 @@ import numpy as np
 
 from hapticd.config import Config, load_config
 from hapticd.core import EventKind
-from hapticd.document_kinds import refuse_other_kinds
+from hapticd.document_kinds import SIMULATION_TAKER, refuse_other_kinds
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
 from hapticd.offline import Run, simulate_run
@@ -100,5 +100,5 @@ def _write(sink: Sink, config: Config, run: Run, notes: Mapping[str, str]) -> No
 
 def configuration(path: str) -> Config:
     """That of a file which holds a scene or a whole one. Raises HapticdError or InvalidError."""
-    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene")
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene", takers=SIMULATION_TAKER)
     return load_config(path)

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "hd_noise.h"
+#include "hd_normal.h"
 #include "hd_test.h"
 #include "hd_world.h"
 
@@ -112,12 +113,39 @@ static void follows_the_direct_form(uint32_t order, uint32_t taps, uint64_t *see
 
         memmove(white + 1, white, order * sizeof white[0]);
         memmove(output + 1, output, order * sizeof output[0]);
-        white[0] = sqrt(3.0) * ((double)(test_random(&random) >> 11) / 0x1p52 - 1.0);
+        white[0] = hd_normal(test_random(&random));
         for (uint32_t i = 0; i <= order; i++)
             sum += numerator[i] * white[i] - (i > 0 ? a[i] * output[i] : 0.0);
         output[0] = sum;
         CHECK(fabs(next(&voice, &model, 1.0) - sum) < 1e-10);
     }
+}
+
+/* Every quantile, by the C library's erfc, which is the two-sided tail U; both signs, to the bound and not beyond. */
+static void is_gaussian(uint64_t *seed) {
+    double squares = 0.0;
+    double fourth = 0.0;
+    const int count = 1000000;
+
+    for (int n = 0; n < count; n++) {
+        const uint64_t bits = test_random(seed);
+        const uint64_t small = bits >> test_below(seed, 40) | (bits & 1u);
+        const double tail = (double)(small & ~(uint64_t)1) * 0x1p-64;
+        const double z = hd_normal(small);
+        const double number = hd_normal(bits);
+
+        CHECK(fabs(z) <= 6.0 && (z < 0.0) == (small & 1u));
+        if (fabs(z) < 5.97)
+            CHECK(erfc((fabs(z) + 3e-6) / sqrt(2.0)) <= tail && tail <= erfc((fabs(z) - 3e-6) / sqrt(2.0)));
+        else
+            CHECK(tail <= erfc(5.969 / sqrt(2.0)));
+        squares += number * number;
+        fourth += number * number * number * number;
+    }
+    CHECK(hd_normal(0) == 6.0 && hd_normal(1) == -6.0 && fabs(hd_normal(UINT64_MAX)) < 1e-6);
+    /* Five standard errors. */
+    CHECK(fabs(squares / count - 1.0) < 5.0 * sqrt(2.0 / count));
+    CHECK(fabs(fourth / count - 3.0) < 5.0 * sqrt(96.0 / count));
 }
 
 /* The standard error of the power is below sqrt(2 / (count / memory)), with a memory of a few samples here. */
@@ -556,6 +584,7 @@ int main(void) {
         has_unit_power(10, taps, 0.5, &seed);
         has_unit_power(ORDER, taps, 0.3, &seed);
     }
+    is_gaussian(&seed);
     stays_bounded_when_swung(1000, &seed);
     keeps_the_covariance(6, &seed);
     keeps_the_covariance(47, &seed);

@@ -656,9 +656,9 @@ static uint64_t unfelt(uint64_t seed, uint64_t ticks) {
 }
 
 int main(int argc, char **argv) {
-    const uint64_t ticks = argc > 1 ? strtoull(argv[1], NULL, 10) : 400000;
+    const uint64_t ticks = argc > 1 ? strtoull(argv[1], NULL, 10) : test_share(400000);
     const uint64_t changes = argc > 2 ? strtoull(argv[2], NULL, 10) : ticks / 100;
-    const uint64_t seed = argc > 3 ? strtoull(argv[3], NULL, 10) : 1;
+    const uint64_t seed = argc > 3 ? strtoull(argv[3], NULL, 10) : 1 + 1000 * test_run();
     struct outcome outcome = {.worst = 0.0};
     uint64_t still_ringing = 0;
 

@@ -208,7 +208,7 @@ static void check_same(const struct hd_world *world, const struct hd_world *othe
           a->piece_count == b->piece_count && a->noise_count == b->noise_count && a->number_count == b->number_count);
     CHECK(a->period_s == b->period_s && a->ramp_s == b->ramp_s && a->ramp_step == b->ramp_step &&
           a->max_force_n == b->max_force_n && a->max_speed_m_per_s == b->max_speed_m_per_s &&
-          a->display_force == b->display_force && a->display_vibration == b->display_vibration);
+          a->rearm_m == b->rearm_m && a->display_force == b->display_force && a->display_vibration == b->display_vibration);
     CHECK(memcmp(&a->field, &b->field, sizeof a->field) == 0);
     CHECK(same_records(a->objects, b->objects, a->object_count, sizeof *a->objects));
     CHECK(same_records(a->materials, b->materials, a->material_count, sizeof *a->materials));
@@ -301,6 +301,7 @@ static void refuses_scalars(struct hd_world *world) {
     NOT_WITHIN(bad.table.period_s, 0.9e-6, 1.1, "period");
     NOT_WITHIN(bad.table.max_force_n, 0.0, 2e6, "force limit");
     NOT_WITHIN(bad.table.max_speed_m_per_s, -1.0, (double)INFINITY, "speed limit");
+    NOT_WITHIN(bad.table.rearm_m, -1e-9, 1.1, "tap");
     NOT_WITHIN(bad.table.ramp_s, 0.0, 1e4, "ramp");
     NOT_WITHIN(bad.table.ramp_step, 0.04, 0.06, "ramp step");
     REFUSED((bad.table.ramp_s = 5e-4, bad.table.ramp_step = 2.0), "shorter than a period");

@@ -131,6 +131,8 @@ def test_a_file_for_another_command_is_named_with_that_command(
     else:
         Path(name).write_text(text)
     it = "is no recording: it " if reader in ("replay", "fit tap") else ""
+    if reader == "simulate" and command == "operator":
+        command = "simulate SCENE --operator"
     told = said(capsys, 1, *READERS[reader], name)
     assert told == f"hapticd: {name}: {it}holds {what}; use: hapticd {command} {name}\n"
     assert os.listdir() == [name]

@@ -67,7 +67,8 @@ def test_rotor_against_arbitrary_precision(rate_hz: float) -> None:
         heard = samples["vibration_force_n"][:, 1]
         for k in range(ticks):
             t = k * period + period / 2
-            if k / rate_hz + 0.5 / rate_hz <= 5 / mode.decay_rate_per_s:
+            # A tick at the very end sounds: aluminum's 5/B is 23.5 periods of 10 kHz.
+            if k / rate_hz + 0.5 / rate_hz <= 5 / mode.decay_rate_per_s * (1 + 1e-12):
                 reference = coefficient * mpmath.exp(-decay * t) * mpmath.sin(omega * t)
                 assert abs(heard[k] - float(reference)) <= 1e-12 * peak, (name, k)
             else:

@@ -3,7 +3,7 @@
 References are scipy's filters on the numbers that stand in the compiled table, closed forms, and one run against
 another. Seeds are fixed, so every figure is the same on every run. How far an estimate may lie from what it estimates
 follows from the spectrum: the power of N samples of noise with density P (mean 1 over the band) scatters by
-sqrt(2 mean(P^2)/N) of itself, that of a Gaussian process; uniform white numbers scatter less.
+sqrt(2 mean(P^2)/N) of itself, that of a Gaussian process.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from hapticd.displayable import warnings
 from hapticd.engine import output_of
 from hapticd.noise import CLOSE_DB
 from hapticd.offline import render_run
+from tests.marks import rest_slow
 from tests.rig import FLOOR, Rig, still
 
 Array = npt.NDArray[np.float64]
@@ -271,7 +272,7 @@ def law_of_models(speed: float, force: float, rate_hz: float) -> float:
     return float(grid([min(max(speed, 0.05), 0.2), min(max(force, 0.5), 2.0)])[0])
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", rest_slow(RATES))
 @pytest.mark.parametrize("kind", ["stochastic", "autoregressive"])
 def test_a_minute_of_a_stroke_has_the_power_of_the_law(kind: str, rate: float) -> None:
     """Force per acceleration is the effective mass; the sense of the motion does not matter."""
@@ -347,7 +348,7 @@ PAIRS = [
 ]
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", rest_slow(RATES))
 def test_peak_and_mean_of_the_filter_in_the_table(rate: float) -> None:
     """What was asked for, or what the warning says instead; the latter only where 0.4 of the rate cannot hold 99 % of
     the power, or the mean is within 8 % of a peak at a quarter of the rate, where every mean needs a zero."""
@@ -399,7 +400,7 @@ def test_the_lattice_is_scipys_filter_sample_by_sample() -> None:
     for seed, reflection, taps in ((1, [-0.8, 0.5], []), (2, [-0.6, 0.4, -0.3], [0.5, 0.5, -0.5, 0.5])):
         count = 3000
         white = run([1.0], np.full(count, 0.1), 0.0, seed=seed)
-        assert np.abs(white).max() <= math.sqrt(3)
+        assert np.abs(white).max() <= 6
         out = run([1.0, *reflection, *taps], np.full(count, 0.1), 0.0, taps=bool(taps), seed=seed)
         expected = scipy.signal.lfilter(*ratio(reflection, taps), white)
         # Every start draws as many, whatever its order.
@@ -845,14 +846,13 @@ def test_the_force_limit_holds_and_the_wall_yields_last() -> None:
     samples = rig.render(path.position_m, path.velocity_m_per_s)
     force = np.hypot(*samples["force_n"].T)
     assert np.all(np.isfinite(samples["force_n"])) and force.max() <= 1.5
-    wanted = samples["contact_force_n"] + samples["vibration_force_n"]
-    over = np.hypot(*wanted.T) > 1.5
-    assert 0.3 < np.mean(over) < 1
-    assert np.array_equal((samples["flags"] & Flag.SATURATED) != 0, over)
-    np.testing.assert_array_equal(samples["force_n"][~over], wanted[~over])
-    # Beyond the ramp of the contact force, which was met inside.
+    both = samples["contact_force_n"] + samples["vibration_force_n"]
+    np.testing.assert_array_equal(samples["force_n"], both)
+    assert np.all(samples["flags"] & Flag.SATURATED)
+    # Beyond the ramp of the contact force, which was met inside. The noise has what the wall leaves; see
+    # test_noise_at_limit.py.
     np.testing.assert_allclose(samples["force_n"][20:, 1], 1.2, rtol=1e-9)
-    np.testing.assert_allclose(force[over], 1.5, rtol=1e-9)
+    assert rms(samples["force_n"][40:, 0]) == pytest.approx(0.3 / 4, rel=0.05)
 
 
 def test_what_is_not_a_number_stops_it_and_never_comes_out() -> None:
