@@ -18,7 +18,7 @@ from hapticd.compile import Compiler
 from hapticd.config import load_config
 from hapticd.core import Flag
 from hapticd.displayed import FINER, band_error, handle_acceleration, waveform
-from hapticd.dynamics import Dynamics
+from hapticd.dynamics import Dynamics, held_motion
 from hapticd.engine import output_of
 from hapticd.materials import shipped_materials
 from hapticd.mode import Mode
@@ -32,6 +32,8 @@ GRIPS = {"light": (0.005, 2.0, 100.0), "default": (0.01, 5.0, 300.0), "firm": (0
 """Mass, damping and stiffness of the hand: two fingers, the default hand, and twice the default."""
 MATERIALS = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel", "comb", "cellophane")
 AIM, GOAL = 0.13, 0.05
+WALL_N_PER_M = 800.0
+"""Of the shipped materials."""
 PHASES = 8
 AT_TICK = 2.0**-20
 """So much of a period an onset at a tick lies before it: an onset is a crossing."""
@@ -57,8 +59,10 @@ def held(grip: str) -> Dynamics:
     return Dynamics(*HANDLE, 0.0, mass, damping, stiffness)
 
 
-def tapped(mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float) -> Floats:
-    """The force of a tap of A = 1 that began `part` of a period before the first of the samples."""
+def tapped(
+    mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float, stiffness_n_per_m: float = 0.0
+) -> Floats:
+    """The force of a tap of A = 1 that began `part` of a period before the first of the samples, on such a surface."""
     mass, damping, stiffness = GRIPS[grip]
     hand = {"mass_kg": mass, "damping_n_s_per_m": damping, "stiffness_n_per_m": stiffness}
     handle = {"mass_kg": HANDLE[0], "damping_n_s_per_m": HANDLE[1]}
@@ -70,7 +74,7 @@ def tapped(mode: Mode, grip: str, compensation: Compensation, rate_hz: float, pa
     }
     config = {
         "device": {"handle": handle, "grip": hand, "compensation": compensation, "max_force_n": 100},
-        "materials": {"it": {"stiffness_n_per_m": 0, "tap": tap}},
+        "materials": {"it": {"stiffness_n_per_m": stiffness_n_per_m, "tap": tap}},
         "scene": {"objects": {"floor": {**FLOOR, "material": "it"}}},
     }
     count = int(LASTING_S * rate_hz)
@@ -88,6 +92,41 @@ def moved_error(mode: Mode, grip: str, compensation: Compensation, rate_hz: floa
     moved = np.concatenate((np.zeros(late), handle_acceleration(force, held(grip), rate_hz, FINER)))
     wanted = waveform(mode, len(moved), FINER * rate_hz)
     return band_error(moved, wanted, FINER * rate_hz, 30.0, 0.4 * rate_hz)
+
+
+def walled(force_n: Floats, grip: str, rate_hz: float) -> Floats:
+    """As handle_acceleration, on a surface of WALL_N_PER_M that is felt at each tick."""
+    state, (whole, pushed) = np.zeros(2), held_motion(held(grip), 1 / rate_hz)
+    met = np.empty(len(force_n))
+    for tick, force in enumerate(force_n):
+        met[tick] = force - WALL_N_PER_M * state[0]
+        state = whole @ state + pushed * met[tick]
+    return handle_acceleration(met, held(grip), rate_hz, FINER)
+
+
+def wall_error(mode: Mode, grip: str, known: bool, part: float = AT_TICK) -> float:
+    """Displayed error with `full` on a surface of WALL_N_PER_M; not `known`: with the forces of a tap on nothing."""
+    force = tapped(mode, grip, "full", RATE_HZ, part, WALL_N_PER_M if known else 0.0)
+    moved = np.concatenate((np.zeros(round(part * FINER)), walled(force, grip, RATE_HZ)))
+    wanted = waveform(mode, len(moved), FINER * RATE_HZ)
+    return band_error(moved, wanted, FINER * RATE_HZ, 30.0, 0.4 * RATE_HZ)
+
+
+def _walls(advance: Advance) -> Table:
+    rows = []
+    for name, mode in modes().items():
+        if name in ("comb", "cellophane"):
+            continue
+        cells = []
+        for grip in GRIPS:
+            cells += [_percent(wall_error(mode, grip, known)) for known in (False, True)]
+            anywhere = [wall_error(mode, grip, True, (place + 0.5) / PHASES) ** 2 for place in range(PHASES)]
+            cells.append(_percent(float(np.sqrt(np.mean(anywhere)))))
+        rows.append([name, *cells])
+        advance(0.9, f"wall, {name}")
+    columns = [f"{grip}: {what}" for grip in GRIPS for what in ("wall left out", "full", "any onset")]
+    caption = f"On a wall of {WALL_N_PER_M:g} N/m, {RATE_HZ:.0f} Hz: displayed error with `full`, %"
+    return Table(caption, ["material", *columns], rows)
 
 
 def _percent(value: float) -> str:
@@ -217,6 +256,11 @@ def run(options: Options, advance: Advance) -> Section:
         f"answered before the second of them: what is missing until then counts in `any onset`, the RMS over {PHASES} "
         "places. The tail is told by how long after the onset it ends.",
         *_errors(advance),
+        "All of that is with nothing touched, as of `play` and of `hapticd verify`. A wall acts on the handle while "
+        "its tap rings. `wall left out` are the forces for no wall, against the wall; `full` is what a tap on it is "
+        "given.",
+        _walls(advance),
+        "Command: `python -m bench displayed`; `hapticd verify` tells the same of a configuration, without a wall.",
         _rates(advance),
         _costs(options),
         f"Choosing gain and tail of a mode takes {spread(compile_ms(options.few(5, 1)), '.1f')} ms of processor time, "

@@ -27,12 +27,14 @@ enum hd_status {
 
 /* ---- What a table holds ------------------------------------------------------------------------------------ */
 
+#define HD_KICKS 8
+
 /* A decaying sinusoid A exp(-B t) sin(w t), t >= 0, prepared for one tick period T. What is played of it is the
  * coefficient (force per unit) times
  *
  *     Im(gain exp((-B + i w) t)) up to end_s  +  Im(tail exp((-B' + i w') t)) up to tail_end_s,
  *
- * with a gain of 1 and no tail where the device is not compensated for (docs/adr/0016). */
+ * with a gain of 1 and no tail where the device is not compensated for (docs/adr/0016 and 0030). */
 struct hd_mode {
     double rotor_re; /* exp((-B + i w) T) */
     double rotor_im;
@@ -52,6 +54,16 @@ struct hd_mode {
     double tail_end_s;                       /* 5/B'; 0: there is no tail */
     double tail_re;
     double tail_im;
+    double touched_n_per_m; /* gain, tail and peak are for a surface of this stiffness; 0: for any */
+    double free_peak;       /* where nothing is touched: straight lines between, by what is touched in fact */
+    double free_gain_re;
+    double free_gain_im;
+    double free_tail_re;
+    double free_tail_im;
+    double
+        kicks[2 * HD_KICKS]; /* added to the first samples: c, d of each, c + d x for an onset x T before the first */
+    uint32_t kick_count;     /* 0 or HD_KICKS */
+    uint32_t reserved;
     uint32_t effect; /* id of the hd_hid_offer that a device may play instead; 0: none */
     uint32_t unused;
     double effect_force_per_unit; /* N of coefficient per the same unit, where the effect is played */

@@ -12,6 +12,7 @@
 #include "hd_contact.h"
 
 #include "hd_offload.h"
+#include "hd_press.h"
 #include "hd_seam.h"
 #include "hd_skin.h"
 #include "hd_voice.h"
@@ -219,10 +220,10 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
     double growth = 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
         struct hd_strike *strike = &state->strikes[i];
-        strike->offload = strike->mode->effect != 0 ? hd_offload_reserve(state, strike->mode->effect) : 0;
-        wanted +=
-            strike->units * (strike->offload != 0 ? strike->mode->effect_force_per_unit * strike->mode->effect_peak
-                                                  : strike->mode->force_per_unit * strike->mode->peak);
+        const struct hd_mode *mode = strike->mode;
+        strike->offload = mode->effect != 0 ? hd_offload_reserve(state, mode->effect) : 0;
+        wanted += strike->units * (strike->offload != 0 ? mode->effect_force_per_unit * mode->effect_peak
+                                                        : mode->force_per_unit * hd_press_peak(state, table, strike));
         growth += state->show_force * strike->growth_n;
     }
     const double room = table->max_force_n - felt_n - growth - hd_voices_bound(state) - state->reserved_n;

@@ -138,6 +138,8 @@ struct hd_strike {
     double units;     /* of what excites the mode */
     double before_s;  /* began this long before the tick, 0 to T */
     double growth_n;  /* the surface's own force by the time of the first peak */
+    uint32_t bare;    /* a command's doing: the mode alone, which begins at 0, so that nothing of it comes at once */
+    double touched;   /* stiffness that it meets over the mode's, of one that is compensated for it */
     double direction[2];
 };
 
@@ -196,7 +198,9 @@ struct hd_state {
     struct hd_change change;     /* that commands made since the last tick, and in this one */
     struct hd_residual residual; /* what is left of that */
     uint64_t commanded_tick;     /* the last one that took in a command */
-    double ringing_n[2];         /* the sum of Im z over voices[] */
+    double ringing_n[2];         /* the sum of Im z over voices[], and of kicks_n[0] */
+    uint32_t kick_count;         /* of kicks_n[] that are not zero, from the first on */
+    double kicks_n[HD_KICKS][2]; /* what strikes add to this tick and the next ones */
     double noise_gain;           /* what the limit left of noises, 0 to 1: hd_limit_noise */
     double ringing_gain;         /* what is left of modes that ring while contact is beyond the limit, 0 to 1 */
     double reserved_n;           /* of the limit, for reserves[] */

@@ -218,6 +218,7 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
         .event = event,
         .units = 1.0,
         .before_s = hd_before_tick(walk, fraction + (1.0 - fraction) * part),
+        .bare = slot->changed,
         .direction = {direction[0], direction[1]},
     };
     if (event < HD_EVENT_CAPACITY) {

@@ -15,6 +15,8 @@
 
 #include <math.h>
 
+#include "hd_kicks.h"
+
 /* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
 #define HD_SMALLEST_SQUARE 1e-290
 #define HD_VOICES_COMPARED 16u
@@ -135,6 +137,9 @@ HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods) {
     }
     state->ringing_n[0] = sum[0];
     state->ringing_n[1] = sum[1];
+    if (state->kick_count > 0) {
+        hd_kicks_advance(state, periods);
+    }
 }
 
 HD_RT double hd_voices_bound(const struct hd_state *state) {
@@ -146,7 +151,7 @@ HD_RT double hd_voices_bound(const struct hd_state *state) {
                       voice->im[1] * voice->im[1]);
         HD_RT_FOREIGN_END
     }
-    return bound;
+    return state->kick_count > 0 ? bound + hd_kicks_bound(state) : bound;
 }
 
 /* The end of a mode, with the rounding of a period, of 5/B and of their multiples: a tick at the very end sounds. */
@@ -294,20 +299,29 @@ HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *st
     }
 }
 
+/* On the straight line from one (share 0) to the other (share 1), which it is to the last bit. */
+HD_RT static double along(double from, double to, double share) {
+    return share == 1.0 ? to : from + share * (to - from);
+}
+
 HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
                             double period_s) {
     const struct hd_mode *mode = strike->mode;
+    const double share = mode->touched_n_per_m > 0.0 ? strike->touched : 1.0;
     const struct part own = {
         .rotor_re = mode->rotor_re,
         .rotor_im = mode->rotor_im,
         .decay_rate_per_s = mode->decay_rate_per_s,
         .angular_frequency_rad_per_s = mode->angular_frequency_rad_per_s,
         .end_s = mode->end_s,
-        .gain_re = mode->gain_re,
-        .gain_im = mode->gain_im,
+        .gain_re = strike->bare ? 1.0 : along(mode->free_gain_re, mode->gain_re, share),
+        .gain_im = strike->bare ? 0.0 : along(mode->free_gain_im, mode->gain_im, share),
         .use = strike->use,
     };
     strike_part(state, strike, &own, force_n, period_s);
+    if (strike->bare) {
+        return;
+    }
     if (mode->tail_end_s > 0.0) {
         const struct part tail = {
             .rotor_re = mode->tail_rotor_re,
@@ -315,11 +329,14 @@ HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *stri
             .decay_rate_per_s = mode->tail_decay_rate_per_s,
             .angular_frequency_rad_per_s = mode->tail_angular_frequency_rad_per_s,
             .end_s = mode->tail_end_s,
-            .gain_re = mode->tail_re,
-            .gain_im = mode->tail_im,
+            .gain_re = along(mode->free_tail_re, mode->tail_re, share),
+            .gain_im = along(mode->free_tail_im, mode->tail_im, share),
             .use = HD_MODE_USES + strike->use,
         };
         strike_part(state, strike, &tail, force_n, period_s);
+    }
+    if (mode->kick_count > 0 && state->voice_count > 0) {
+        hd_kicks_add(state, mode, strike->before_s / period_s, force_n);
     }
 }
 
@@ -332,6 +349,7 @@ HD_RT void hd_voices_scale(struct hd_state *state, double factor) {
         state->voices[i].re *= factor;
         state->voices[i].im *= factor;
     }
+    hd_kicks_scale(state, factor);
     state->ringing_n[0] *= factor;
     state->ringing_n[1] *= factor;
 }
@@ -343,4 +361,5 @@ HD_RT void hd_voices_silence(struct hd_state *state) {
     state->ended_count = 0;
     state->ringing_n[0] = 0.0;
     state->ringing_n[1] = 0.0;
+    state->kick_count = 0;
 }

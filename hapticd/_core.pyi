@@ -106,6 +106,7 @@ class Lib:
     HD_TOUCHED_MAX: int
     HD_NO_SLOT: int
     HD_PLAY_SLOT: int
+    HD_KICKS: int
     HD_SIM_FORCES: int
     HD_FAULT_NONFINITE: int
     HD_FAULT_CONTROL: int

@@ -11,19 +11,24 @@ right amplitude and phase where F_k = Im(C exp(p k T)),
 
 but a device that was at rest answers with a motion of its own. `full` adds a tail, a second decaying pole, and chooses
 both complex amplitudes by least squares over the band in which the error is told.
+
+A surface that is touched meanwhile acts on the handle, too: what it does to a motion, held and lagging as every force,
+is part of the device. So is the lag of the actuator, by which every force goes.
 """
 
 from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.actuator import Actuator
+from hapticd.core import KICKS as _CORE_KICKS
 from hapticd.dynamics import Dynamics
 from hapticd.mode import Mode
 
@@ -40,11 +45,50 @@ TAIL_S: Final = 0.05
 WORTH: Final = 0.005
 """A tail that lowers the error by less than this is left away: it costs a voice."""
 
+KICKS: Final = _CORE_KICKS
+"""So many samples after an onset may be corrected one by one, by what is known of its place between two ticks."""
+KICKED: Final = 0.05
+"""Modes from this part of the rate on are: of others the first samples hold little."""
+KICKS_WORTH: Final = 0.01
+"""They are left away where they lower the error over all onsets by less than this."""
+
+_ONSETS: Final = (0.0, 0.25, 0.5, 0.75, 1.0)
 _TIME_CONSTANTS: Final = 5.0
 _PEAK_SAMPLES: Final = 512
 
 _Complex: TypeAlias = npt.NDArray[np.complex128]
 _Floats: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """What a strike meets beside handle and hand: the surface along its direction, and the actuator."""
+
+    stiffness_n_per_m: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    age_s: float = 0.0
+    """Between a position and the surface's force that answers it."""
+    actuator: Actuator | None = None
+
+    @property
+    def free(self) -> Load:
+        """The same where nothing is touched."""
+        return Load(actuator=self.actuator)
+
+    def lag(self, s: _Complex) -> _Complex:
+        """What the actuator makes of a force."""
+        return np.ones_like(s) if self.actuator is None else self.actuator.response(s)
+
+    def surface(self, s: _Complex, period_s: float) -> _Complex:
+        """Force of the surface over minus the position, N/m: sampled, damping by differences, held for a period."""
+        if self.stiffness_n_per_m == 0.0 and self.damping_n_s_per_m == 0.0:
+            return np.zeros_like(s)
+        turned = -np.expm1(-s * period_s) / period_s
+        sampled = self.stiffness_n_per_m + self.damping_n_s_per_m * turned
+        return np.asarray(sampled * turned / s * np.exp(-s * self.age_s) * self.lag(s), np.complex128)
+
+
+NOTHING: Final = Load()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +117,8 @@ class Shape:
     """Displayed error: RMS of what the handle's acceleration differs by, over the RMS of the mode, in the band."""
     limited: bool
     """It would have to be larger than LARGEST, and was scaled back to that."""
+    kicks: tuple[tuple[float, float], ...] = ()
+    """Added to the first samples, one each: (c, d) is c + d x, the onset x of a period before the first of them."""
 
 
 def pole_of(mode: Mode) -> complex:
@@ -86,17 +132,22 @@ def hold_gain(pole: complex, period_s: float) -> complex:
     return pole * period_s * turned / (turned - 1)
 
 
-def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float) -> complex:
+def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NOTHING) -> complex:
     """C of the equation above, over (m + m_h)."""
     p = pole_of(mode)
-    device = 1 + (dynamics.damping_n_s_per_m / p + dynamics.grip_stiffness_n_per_m / p**2) / dynamics.mass_kg
-    return device * hold_gain(p, period_s)
+    at = np.array([p], np.complex128)
+    with np.errstate(over="ignore", invalid="ignore"):
+        met = complex(load.surface(at, period_s)[0])
+    # A mode that is over within a tick meets nothing.
+    stiffness = dynamics.grip_stiffness_n_per_m + (met if cmath.isfinite(met) else 0.0)
+    device = 1 + (dynamics.damping_n_s_per_m / p + stiffness / p**2) / dynamics.mass_kg
+    return device * hold_gain(p, period_s) / complex(load.lag(at)[0])
 
 
 class _Band:
     """Spectra of one mode on one device, sampled over the band; `weight` is the square root of the quadrature's."""
 
-    def __init__(self, mode: Mode, dynamics: Dynamics, rate_hz: float) -> None:
+    def __init__(self, mode: Mode, dynamics: Dynamics, rate_hz: float, load: Load = NOTHING) -> None:
         high = HIGH * rate_hz
         low = min(LOW_HZ, mode.frequency_hz / 2, high / 2)
         # Even steps see the ends of what was cut, even ratios the device, and the rest a mode that hardly decays.
@@ -115,6 +166,9 @@ class _Band:
         stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
         device = (dynamics.mass_kg * self._s + damping) * self._s + stiffness
         hold = (1 - np.exp(-self._s * self._period_s)) / self._s
+        if load != NOTHING:
+            device = device + load.surface(self._s, self._period_s)
+            hold = hold * load.lag(self._s)
         self._response: _Complex = dynamics.mass_kg * self._s**2 / device * hold
         p = pole_of(mode)
         self.wanted = self._real(p.imag / ((self._s - p) * (self._s - p.conjugate())))
@@ -125,11 +179,19 @@ class _Band:
         weighted = self.weight * spectrum
         return np.concatenate((weighted.real, weighted.imag))
 
-    def columns(self, pole: complex) -> list[_Floats]:
-        """The acceleration for Im(exp(p k T)) and for Re(exp(p k T)), of the ticks up to five time constants."""
-        count = math.floor(_TIME_CONSTANTS / -pole.real / self._period_s + 1e-9) + 1
-        one, other = (self._sum(each, count) for each in (pole, pole.conjugate()))
-        return [self._real(self._response * (one - other) / 2j), self._real(self._response * (one + other) / 2)]
+    def columns(self, pole: complex, part: float = 0.0) -> list[_Floats]:
+        """The acceleration for Im(exp(p t)) and for Re(exp(p t)), of the ticks up to five time constants, the first of
+        them `part` of a period after the onset."""
+        late_s = part * self._period_s
+        count = math.floor((_TIME_CONSTANTS / -pole.real - late_s) / self._period_s + 1e-9) + 1
+        one, other = (cmath.exp(each * late_s) * self._sum(each, count) for each in (pole, pole.conjugate()))
+        shown = self._response if part == 0.0 else self._response * np.exp(-self._s * late_s)
+        return [self._real(shown * (one - other) / 2j), self._real(shown * (one + other) / 2)]
+
+    def kicks(self, part: float) -> list[_Floats]:
+        """The acceleration for 1 and for `part` in each of the first samples alone, the first as late as that."""
+        late = [self._real(self._response * np.exp(-self._s * (part + k) * self._period_s)) for k in range(KICKS)]
+        return [scale * each for each in late for scale in (1.0, part)]
 
     def _sum(self, pole: complex, count: int) -> _Complex:
         """Of exp((p - s) k T) over k < count."""
@@ -188,31 +250,104 @@ def _tails(mode: Mode, rate_hz: float) -> list[complex]:
     return [complex(-slow, min(slow / 2, highest)), complex(-3 * mode.decay_rate_per_s, highest)]
 
 
-def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex) -> Shape:
+def _attacked(band: _Band, mode: Mode, tail: complex, kicks: _Floats | None = None) -> tuple[Shape, float]:
+    """Gain, tail and kicks together, by least squares over onsets anywhere between two ticks, and the displayed error
+    over them, RMS. With `kicks` given, only gain and tail."""
+    p = pole_of(mode)
+    rung = [np.stack(band.columns(p, part) + band.columns(tail, part), 1) for part in _ONSETS]
+    kicked = [np.stack(band.kicks(part), 1) for part in _ONSETS]
+    wanted = np.tile(band.wanted, len(_ONSETS))
+    if kicks is None:
+        whole = np.vstack([np.hstack(pair) for pair in zip(rung, kicked, strict=True)])
+        found: _Floats = np.asarray(np.linalg.lstsq(whole, wanted, rcond=None)[0], np.float64)
+    else:
+        fixed = np.concatenate([each @ kicks for each in kicked])
+        own = np.linalg.lstsq(np.vstack(rung), wanted - fixed, rcond=None)[0]
+        found = np.concatenate((own, kicks))
+    shape = _shape(band, [p, tail], band.columns(p) + band.columns(tail), found[:4])
+    pairs = found[4:].reshape(-1, 2)
+    peak = shape.peak + float(max(np.abs(pairs[:, 0]).max(), np.abs(pairs.sum(1)).max()))
+    missing = [np.hstack(pair) @ found - band.wanted for pair in zip(rung, kicked, strict=True)]
+    errors = [float(np.linalg.norm(each)) / band.wanted_norm for each in missing]
+    anywhere = math.sqrt(sum(error**2 for error in errors) / len(errors))
+    told = tuple((float(c), float(d)) for c, d in pairs)
+    return replace(shape, peak=peak, error=errors[0], limited=peak > LARGEST, kicks=told), anywhere
+
+
+def _anywhere(band: _Band, shape: Shape) -> float:
+    """The displayed error of a shape without kicks over the same onsets, RMS."""
+    sounding = [shape.mode] if shape.tail is None else [shape.mode, shape.tail]
+    errors = []
+    for part in _ONSETS:
+        columns = [column for each in sounding for column in band.columns(each.pole, part)]
+        errors.append(band.error(columns, np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])))
+    return math.sqrt(sum(error**2 for error in errors) / len(errors))
+
+
+def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, load: Load = NOTHING) -> Shape:
     """The mode's pole alone, with this gain in units of (m + m_h)."""
-    band, p = _Band(mode, dynamics, rate_hz), pole_of(mode)
+    band, p = _Band(mode, dynamics, rate_hz, load), pole_of(mode)
     return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
 
 
 @lru_cache(maxsize=4096)
-def shape_of(mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"]) -> Shape:
+def shape_of(
+    mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load = NOTHING
+) -> Shape:
     """What is struck for a mode that the rate can carry; `rate_hz` is how often the force changes at the device.
 
     Deterministic. `full` takes a few milliseconds, once.
     """
-    band, p, period_s = _Band(mode, dynamics, rate_hz), pole_of(mode), 1 / rate_hz
-    own = band.columns(p)
-    gain = hold_gain(p, period_s)
-    mass = _shape(band, [p], own, np.array([gain.real, gain.imag]))
+    band = _Band(mode, dynamics, rate_hz, load)
+    mass, plain = _plain(band, mode, dynamics, 1 / rate_hz, load)
     if compensation == "mass":
         return mass
-    gain = pole_gain(mode, dynamics, period_s)
-    tried = [mass, _shape(band, [p], own, np.array([gain.real, gain.imag]))]
-    plain = min(tried, key=lambda shape: shape.error)
-    tailed = []
-    for pole in _tails(mode, rate_hz):
-        columns = own + band.columns(pole)
-        gains: _Floats = np.asarray(np.linalg.lstsq(np.stack(columns, 1), band.wanted, rcond=None)[0], np.float64)
-        tailed.append(_shape(band, [p, pole], columns, gains))
-    best = min(tailed, key=lambda shape: shape.error)
-    return best if best.error < plain.error - WORTH else plain
+    tails = _tails(mode, rate_hz)
+    best = min((_tailed(band, mode, pole) for pole in tails), key=lambda shape: shape.error)
+    best = best if best.error < plain.error - WORTH else plain
+    if mode.frequency_hz < KICKED * rate_hz or 1 / mode.decay_rate_per_s < 2 * KICKS / rate_hz / _TIME_CONSTANTS:
+        return best
+    kicked, anywhere = _attacked(band, mode, tails[0])
+    return kicked if not kicked.limited and anywhere < _anywhere(band, best) - KICKS_WORTH else best
+
+
+def _plain(band: _Band, mode: Mode, dynamics: Dynamics, period_s: float, load: Load) -> tuple[Shape, Shape]:
+    """The mode's pole alone: what makes up for hold and actuator, and that or C, whichever leaves less."""
+    p = pole_of(mode)
+    own = band.columns(p)
+    lag = complex(load.lag(np.array([p], np.complex128))[0])
+    gains = (hold_gain(p, period_s) / lag, pole_gain(mode, dynamics, period_s, load))
+    mass, whole = (_shape(band, [p], own, np.array([gain.real, gain.imag])) for gain in gains)
+    return mass, min((mass, whole), key=lambda shape: shape.error)
+
+
+def _tailed(band: _Band, mode: Mode, tail: complex) -> Shape:
+    """Gain and tail together, by least squares."""
+    p = pole_of(mode)
+    columns = band.columns(p) + band.columns(tail)
+    gains: _Floats = np.asarray(np.linalg.lstsq(np.stack(columns, 1), band.wanted, rcond=None)[0], np.float64)
+    return _shape(band, [p, tail], columns, gains)
+
+
+@lru_cache(maxsize=4096)
+def shapes_of(
+    mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load, own: bool
+) -> tuple[Shape, Shape]:
+    """What is struck where nothing is touched, and against the surface of `load`, with the same poles: those that are
+    best against the surface where it is the mode's `own`, else those that are best without.
+
+    C is linear in the stiffness that is met: in between, and somewhat beyond, straight lines do for both.
+    """
+    if compensation == "mass" or load == load.free:
+        chosen = shape_of(mode, dynamics, rate_hz, compensation, load)
+        return chosen, chosen
+    first, second = (load, load.free) if own else (load.free, load)
+    chosen = shape_of(mode, dynamics, rate_hz, compensation, first)
+    band = _Band(mode, dynamics, rate_hz, second)
+    if chosen.tail is None:
+        other = _plain(band, mode, dynamics, 1 / rate_hz, second)[1]
+    elif chosen.kicks:
+        other = _attacked(band, mode, chosen.tail.pole, np.array(chosen.kicks).ravel())[0]
+    else:
+        other = _tailed(band, mode, chosen.tail.pole)
+    return (other, chosen) if own else (chosen, other)

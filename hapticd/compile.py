@@ -29,7 +29,9 @@ import numpy.typing as npt
 
 from hapticd import noise
 from hapticd.compensation import Ringing
+from hapticd.compensation import Shape as Struck
 from hapticd.core import (
+    KICKS,
     MATERIAL_DTYPE,
     NOISE_DTYPE,
     OBJECT_DTYPE,
@@ -43,7 +45,7 @@ from hapticd.core import (
     pointer,
     records,
 )
-from hapticd.displayable import Output, displayed_mode, displayed_pair, modes_of, struck_shape
+from hapticd.displayable import TOUCHED_N_PER_M, Output, displayed_mode, displayed_pair, modes_of, struck_shapes
 from hapticd.gone import Gone
 from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
@@ -107,8 +109,10 @@ def mode_record(
     coefficient_per_unit: float,
     output: Output,
     effect: Effect | None = None,
-) -> tuple[float, ...]:
-    """The numbers of a `struct hd_mode`, in its order.
+    touched: tuple[float, float] = (0.0, 0.0),
+) -> tuple[float | list[float], ...]:
+    """The numbers of a `struct hd_mode`, in its order. `touched`: stiffness and damping of the surface that its
+    compensation is chosen for; what presses in fact is known when it is struck.
 
     `amplitude_per_unit` (m/s^2 per unit of what excites the mode) is reported, `coefficient_per_unit` is struck.
     """
@@ -116,20 +120,26 @@ def mode_record(
     decay, omega = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
     whole_force = output.effective_mass_kg * coefficient_per_unit
     force = 0.0
-    shape = None
+    shapes: tuple[Struck, Struck] | None = None
     if shown is not None:
         omega = shown.angular_frequency_rad_per_s
         force = whole_force * factor
-        shape = struck_shape(shown, output)
+        shapes = struck_shapes(shown, output, *touched)
     period = 1.0 / output.rate_hz
     rotor = cmath.exp(complex(-decay * period, omega * period))
     heard = mode if shown is None else shown
     peak, peak_time_s, gain, tail = heard.peak, heard.peak_time_s, complex(1.0), _NO_TAIL
-    if shape is not None:
+    free, kicks = _NO_FREE, _NO_KICKS
+    if shapes is not None:
         assert output.dynamics is not None
+        untouched, shape = shapes
         force = output.dynamics.mass_kg * coefficient_per_unit * factor
         peak, peak_time_s, gain = shape.peak, shape.peak_time_s, shape.mode.gain
         tail = _NO_TAIL if shape.tail is None else _tail_record(shape.tail, period)
+        other, its_tail = untouched.mode.gain, 0j if untouched.tail is None else untouched.tail.gain
+        if shape.kicks:
+            kicks = ([number for pair in shape.kicks for number in pair], len(shape.kicks), 0)
+        free = (touched[0] or TOUCHED_N_PER_M, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
     return (
         rotor.real,
         rotor.imag,
@@ -143,11 +153,21 @@ def mode_record(
         gain.real,
         gain.imag,
         *tail,
+        *free,
+        *kicks,
         *((0, 0, 0.0, 0.0, 0.0) if effect is None else (effect[0], 0, whole_force, effect[1], effect[2])),
     )
 
 
 _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
+_NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
+_NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * KICKS), 0, 0)
+
+
+_SIGNED: Final = (
+    *("gain_re", "gain_im", "tail_re", "tail_im"),
+    *("free_gain_re", "free_gain_im", "free_tail_re", "free_tail_im"),
+)
 
 
 def _tail_record(tail: Ringing, period_s: float) -> tuple[float, ...]:
@@ -172,17 +192,22 @@ def material_record(
     record = ffi.new("struct hd_material *")
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m
+    touched = (material.stiffness_n_per_m, material.damping_n_s_per_m)
     if material.tap is not None:
         mode, slope = material.tap.mode, material.tap.attack_slope_per_s
         if slope is None:  # the points give A itself
             slope = 1.0
         coefficient = mode.coefficient(slope, material.tap.attack)
-        record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode))
+        record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode), touched)
         if material.tap.second is not None:
             ratio = material.tap.second.ratio
-            record.second = mode_record(material.tap.second.mode, 0.0, abs(ratio) * coefficient, output)
+            record.second = mode_record(
+                material.tap.second.mode, 0.0, abs(ratio) * coefficient, output, touched=touched
+            )
             if ratio < 0:
-                for key in ("gain_re", "gain_im", "tail_re", "tail_im"):
+                for index in range(2 * KICKS):
+                    record.second.kicks[index] = -record.second.kicks[index]
+                for key in _SIGNED:
                     setattr(record.second, key, -getattr(record.second, key))
     if material.rupture is not None:
         amplitude, mode = material.rupture.amplitude_m_per_s2, material.rupture.mode

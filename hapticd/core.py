@@ -24,6 +24,7 @@ __all__ = [
     "EVENT_DTYPE",
     "FIELD_DTYPE",
     "HISTOGRAM_EDGES_NS",
+    "KICKS",
     "MARKS",
     "MATERIAL_DTYPE",
     "MODE_DTYPE",
@@ -122,6 +123,8 @@ HISTOGRAM_EDGES_NS: tuple[int, ...] = tuple(map(lib.hd_histogram_edge_ns, range(
 """Between the bins of lateness and work, the first and the last of which have one each."""
 MARKS: int = lib.HD_MARKS
 """So many marks may be under way to the servo and back: their events find room."""
+KICKS: int = lib.HD_KICKS
+"""So many samples of a strike may be corrected one by one."""
 SIM_FORCES: int = lib.HD_SIM_FORCES
 """So many frames a force may be under way to the simulated joystick."""
 

@@ -12,7 +12,8 @@ from functools import lru_cache
 from itertools import islice
 from typing import Final, Literal, TypeAlias
 
-from hapticd.compensation import LARGEST, Compensation, Shape, shape_of
+from hapticd.actuator import Actuator
+from hapticd.compensation import LARGEST, Compensation, Load, Shape, shapes_of
 from hapticd.dynamics import Dynamics
 from hapticd.errors import Path, Problem, path_text, undisplayable_text
 from hapticd.materials import Material
@@ -24,6 +25,8 @@ from hapticd.texture import Autoregressive, Grooves, Stochastic
 
 DISPLAYABLE: Final = 0.4
 """What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""
+TOUCHED_N_PER_M: Final = 800.0
+"""The surface that a mode without one of its own may meet: that of the shipped materials."""
 STROKE_M_PER_S: Final = 0.5
 """A fast stroke: a groove's shape that it passes in less than two ticks is hardly displayed."""
 MAX_LOSS: Final = 0.01
@@ -50,6 +53,8 @@ class Output:
     """A surface is tapped again when the probe was so far from it."""
     age_s: float = 0.0
     """Between a position and the moment at which the force acts that is put when it is read, where it is known."""
+    actuator: Actuator | None = None
+    """Its lag, as far as it is known."""
 
     @property
     def carried_hz(self) -> float:
@@ -90,12 +95,18 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
     return lowered, mode.peak / lowered.peak
 
 
-def struck_shape(mode: Mode, output: Output) -> Shape | None:
-    """The force by which a mode that the rate can carry is struck; None where nothing is compensated."""
+def struck_shapes(
+    mode: Mode, output: Output, stiffness_n_per_m: float = 0.0, damping_n_s_per_m: float = 0.0
+) -> tuple[Shape, Shape] | None:
+    """The forces by which a mode that the rate can carry is struck: where nothing is touched, and against a surface of
+    this stiffness and damping (of TOUCHED_N_PER_M where it has none of its own). None where nothing is compensated."""
     if output.compensation == "off":
         return None
     assert output.dynamics is not None
-    return shape_of(mode, output.dynamics, output.carried_hz, output.compensation)
+    own = stiffness_n_per_m > 0.0
+    touched = (stiffness_n_per_m, damping_n_s_per_m) if own else (TOUCHED_N_PER_M, 0.0)
+    load = Load(*touched, output.age_s, output.actuator)
+    return shapes_of(mode, output.dynamics, output.carried_hz, output.compensation, load, own)
 
 
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
@@ -200,7 +211,9 @@ def _hz(frequency_hz: float) -> str:
 def _compensation_warnings(name: str, material: Material, output: Output) -> Iterator[Problem]:
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
-        shape = None if shown is None else struck_shape(shown, output)
+        touched = (material.stiffness_n_per_m, material.damping_n_s_per_m) if use in ("tap", "second") else (0.0, 0.0)
+        shapes = None if shown is None else struck_shapes(shown, output, *touched)
+        shape = None if shapes is None else shapes[1 if touched[0] > 0.0 else 0]
         if shape is not None and shape.limited:
             keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
             key = keys.get(use, (use,))

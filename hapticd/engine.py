@@ -161,6 +161,7 @@ def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None)
         dynamics=device.dynamics,
         rearm_m=device.rearm_m,
         age_s=device.sim.age_s if device.kind == "sim" else 0.0,
+        actuator=device.lag,
     )
 
 

@@ -101,6 +101,17 @@ static void make_mode(struct torture *torture, double force, struct hd_mode *mod
         .force_per_unit = force * between(&torture->random, 0.1, 1.0),
         .gain_re = 1.0,
     };
+    if (one_in(&torture->random, 3)) { /* as one that is compensated for what it meets */
+        mode->free_gain_re = between(&torture->random, 0.5, 1.5);
+        mode->free_peak = mode->free_gain_re * mode->peak;
+        mode->touched_n_per_m = between(&torture->random, 50.0, 2000.0);
+        mode->kick_count = HD_KICKS;
+        for (uint32_t i = 0; i < 2 * HD_KICKS; i++) {
+            mode->kicks[i] = between(&torture->random, -0.2, 0.2);
+        }
+        mode->peak += 0.4;
+        mode->free_peak += 0.4;
+    }
 }
 
 static void make_material(struct torture *torture, struct hd_material *material) {

@@ -157,11 +157,15 @@ def struck(mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Compens
     record = mode_record(mode, 1.0, 1.0, output)
     decay, omega, end, per_unit = record[2], record[3], record[4], record[8]
     gain_re, gain_im, _, _, tail_decay, tail_omega, tail_end, tail_re, tail_im = record[9:18]
+    if record[18]:  # chosen for a surface, and free of one:
+        gain_re, gain_im, tail_re, tail_im = record[20:24]
     time = since_s + np.arange(int(0.25 * rate_hz)) / rate_hz
     one = complex(gain_re, gain_im) * np.exp(complex(-decay, omega) * time) * (time <= end)
     other = complex(tail_re, tail_im) * np.exp(complex(-tail_decay, tail_omega) * time) * (time <= tail_end)
-    force: Floats = per_unit * (one + other).imag
-    return force
+    force: Floats = (one + other).imag
+    kicks = np.reshape(record[24], (-1, 2))
+    force[: len(kicks)] += kicks @ [1.0, since_s * rate_hz]
+    return per_unit * force
 
 
 @pytest.mark.parametrize("grip", GRIPS)
@@ -184,7 +188,7 @@ def test_what_is_required(grip: str) -> None:
     for name, mode in library().items():
         error = displayed_error(mode, held(grip), RATE, "full")
         assert error <= 0.13, name
-        assert error <= 0.05 or mode.frequency_hz > 1000, name
+        assert error <= 0.05, name
         assert error < displayed_error(mode, held(grip), RATE, "off"), name
         assert shape_of(mode, held(grip), RATE, "full").peak <= LARGEST
 
@@ -260,7 +264,10 @@ def test_no_force_beyond_the_bound() -> None:
             highest = 0.0
             for since in np.linspace(0, 1 / rate_hz, 16):
                 time = np.arange(since, max(ends) + 1 / rate_hz, 1 / rate_hz)
-                highest = max(highest, float(np.abs(sounding(shape.mode, shape.tail, time)).max()))
+                force = sounding(shape.mode, shape.tail, time)
+                for tick, (c, d) in enumerate(shape.kicks):
+                    force[tick] += c + d * since * rate_hz
+                highest = max(highest, float(np.abs(force).max()))
             assert highest <= shape.peak <= LARGEST
     assert limited > 0  # it was put to the test
 
@@ -307,6 +314,8 @@ def test_a_strike_between_ticks_is_exact_and_ends(name: str, part: float) -> Non
             since = (tick + mpmath.mpf(part)) / mpmath.mpf(RATE)
             parts = [each for each in (shape.mode, shape.tail) if since <= each.end_s]
             wanted = sum(mpmath.im(mpmath.mpc(each.gain) * mpmath.exp(mpmath.mpc(each.pole) * since)) for each in parts)
+            if tick < len(shape.kicks):
+                wanted += shape.kicks[tick][0] + part * shape.kicks[tick][1]
             assert abs(force / coefficient - wanted) <= 1e-12 * shape.peak
             assert since <= last or force == 0.0
     assert heard[-1] == 0.0 and np.abs(heard).max() <= coefficient * shape.peak
@@ -369,7 +378,8 @@ def test_a_slow_link_is_the_hold(compensation: Literal["mass", "full"]) -> None:
     assert material.tap is not None and config.device.dynamics is not None
     record = mode_record(material.tap.mode, 1.0, 1.0, output_of(config, RATE))
     shape = shape_of(material.tap.mode, config.device.dynamics, 1000.0, compensation)
-    assert complex(*record[9:11]) == shape.mode.gain
+    free = record[9:11] if compensation == "mass" else record[20:22]
+    assert complex(*free) == shape.mode.gain  # type: ignore[arg-type]
     assert record[0:2] == pytest.approx(
         (cmath.exp(shape.mode.pole / RATE).real, cmath.exp(shape.mode.pole / RATE).imag), rel=1e-12
     )

@@ -1,0 +1,36 @@
+#include "hd_press.h"
+
+#include "hd_vector.h"
+
+/* Beyond that, straight lines are none any more. */
+#define HD_PRESS_MOST 2.0
+
+/* The slope of all forces that are displayed, along a unit vector, N/m: sum K_i (n_i . d)^2, and that of the fields,
+ * which is the same in every direction. Friction is left out: a probe that strokes slides. */
+HD_RT static double slope_along(const struct hd_state *state, const struct hd_table *table, const double direction[2]) {
+    if (table->display_force == 0) {
+        return 0.0;
+    }
+    double slope = state->field_active ? state->field.stiffness_n_per_m : 0.0;
+    for (uint32_t i = 0; i < state->active_count; i++) {
+        const struct hd_slot *slot = &state->slots[state->active[i]];
+        const double part = hd_dot(slot->last.normal, direction);
+        slope += slot->skin.stiffness_n_per_m * part * part;
+    }
+    return slope;
+}
+
+HD_RT double hd_press_peak(const struct hd_state *state, const struct hd_table *table, struct hd_strike *strike) {
+    const struct hd_mode *mode = strike->mode;
+    if (!(mode->touched_n_per_m > 0.0)) {
+        return mode->peak;
+    }
+    if (strike->bare) {
+        return 1.0;
+    }
+    const double share = slope_along(state, table, strike->direction) / mode->touched_n_per_m;
+    strike->touched = share < HD_PRESS_MOST ? share : HD_PRESS_MOST;
+    /* |s p + (1 - s) f| at most, in between and beyond. */
+    const double rest = 1.0 - strike->touched;
+    return strike->touched * mode->peak + (rest < 0.0 ? -rest : rest) * mode->free_peak;
+}
