@@ -87,9 +87,21 @@ demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s
 # pytest on every processor. What Python and pytest compile is kept, whatever the shell says: to do it anew costs seconds.
 PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
 
+# $(call beside_ctest,ARGUMENTS): pytest, and the C tests beside it, whose output comes last. Either may fail.
+define beside_ctest
+	@mkdir -p build
+	@$(MAKE) --no-print-directory ctest >build/ctest.log 2>&1 & beside=$$!; \
+		trap 'kill $$beside; exit 130' INT TERM; \
+		failed=; \
+		$(PYTEST) $(1) || failed=' pytest'; \
+		wait $$beside || failed="$$failed the C tests"; \
+		cat build/ctest.log; \
+		[ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
+endef
+
 .PHONY: test
-test: build ctest ## C tests and pytest without what is slow: two minutes and a half on two processors
-	@$(PYTEST) -m 'not slow'
+test: build ## C tests and pytest without what is slow: about two minutes on two processors
+	$(call beside_ctest,-m 'not slow')
 
 # Unit tests but for those of whole fields that take long, and the commands against a real daemon; C tests beside them.
 QUICK_NOT := fit_* cli_fit* bench_* *calibrat* verify* displayed* fuzz* hid_descriptor* velocity* noise* sandpaper* \
@@ -98,17 +110,11 @@ QUICK := tests/unit tests/integration/test_cli_live.py $(QUICK_NOT:%=--ignore-gl
 
 .PHONY: quick
 quick: build ## the tests that take a minute at most: C tests, most of the unit tests, the commands against a daemon
-	@mkdir -p build
-	@$(MAKE) --no-print-directory ctest >build/quick-c.log 2>&1 & beside=$$!; \
-		failed=0; \
-		$(PYTEST) -q -m 'not slow' $(QUICK) || failed=1; \
-		wait $$beside || failed=1; \
-		cat build/quick-c.log; \
-		exit $$failed
+	$(call beside_ctest,-q -m 'not slow' $(QUICK))
 
 .PHONY: test-all
-test-all: build ctest ## C tests and all of pytest, what is slow too
-	@$(PYTEST)
+test-all: build ## C tests and all of pytest, what is slow too
+	$(call beside_ctest)
 
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs
@@ -323,10 +329,10 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(BIN)/python -m tests.fuzz_recordings --runs $(RECORDINGS)
 
 .PHONY: torture
-torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000 offline, CHANGES=50000 live
+torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live (20 min)
 	@$(MAKE) --no-print-directory -j$(JOBS) $(C_DIR)/test_ramp
 	$(C_DIR)/test_ramp $(TICKS) $(CHANGES) 1
-	$(BIN)/python -m tests.torture_live --changes $(CHANGES)
+	$(BIN)/python -m tests.torture_live --ticks $(TICKS) --changes $(CHANGES)
 
 # $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes, from the first one on: what the
 # bytes do not say is zero, and a short input says nearly nothing.

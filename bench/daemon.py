@@ -31,6 +31,8 @@ class Running:
 
     pid: int
     paths: RuntimePaths
+    log: Path
+    """What it says."""
     ready_s: float
     """From the start of its process to the command socket."""
     answered_s: float
@@ -65,25 +67,26 @@ def daemon(**servo: object) -> Iterator[Running]:
         config = Path(folder, "bench.yaml")
         document = {"servo": servo, "device": dict(DEVICE), "scene": dict(SCENE)}
         config.write_text(yaml.safe_dump(document), encoding="utf-8")
+        log = Path(folder, "log")  # not a pipe: nobody reads it before the end
         begin = time.monotonic()
-        process = subprocess.Popen(
-            [sys.executable, "-m", "hapticd", "--runtime-dir", str(paths.directory), "run", "-c", str(config)],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        with log.open("wb") as stderr:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "hapticd", "--runtime-dir", str(paths.directory), "run", "-c", str(config)],
+                stdout=subprocess.DEVNULL,
+                stderr=stderr,
+            )
         try:
             while not paths.command.exists():
                 if process.poll() is not None or time.monotonic() > begin + 30:
                     process.kill()
-                    raise HapticdError(f"the daemon does not start: {process.communicate()[1].strip()}")
+                    raise HapticdError(f"the daemon does not start: {log.read_text().strip()}")
                 time.sleep(0.001)  # it is another process, and what it makes last is this file
             ready_s = time.monotonic() - begin
             with dealer(paths.command_endpoint) as socket:
                 call(socket, "get_status")
-                yield Running(process.pid, paths, ready_s, time.monotonic() - begin)
+                yield Running(process.pid, paths, log, ready_s, time.monotonic() - begin)
         finally:
             process.send_signal(signal.SIGTERM)
-            said = process.communicate(timeout=30)[1]
+            process.wait(timeout=30)
         if process.returncode != 0:
-            raise HapticdError(f"the daemon ended with {process.returncode}: {said.strip()}")
+            raise HapticdError(f"the daemon ended with {process.returncode}: {log.read_text()[-5000:].strip()}")

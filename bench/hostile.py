@@ -1,185 +1,61 @@
 """A daemon under attack by members of its group, everything at once: what do a subscriber and `force off` notice of it?
 
-python -m bench.hostile [--for 3600] [--rate 10000]
+python -m bench.hostile [--for 3600] [--rate 10000] [--connections 2000] [--out build/hostile.md]
 
-Attackers in processes of their own open 2,000 connections and open them anew when they are ended; send messages of
-parts without end, of empty parts and of 64 MiB; subscribe to 21 MB of what there is not; subscribe to everything and
-never read; ask and never read the answers; send garbage, and ZMTP that is nearly right. Beside them one client reads
-every sample, and another one turns the forces off, again and again.
+Attackers in processes of their own (`bench.attackers`)
 
-Asked: no sample lost, `force off` answered within 50 ms (p99.9), and memory afterwards within 32 MiB of its start. Exit
-code 1 if one of them is missed, or the daemon ends or fails. The attackers yield the processors to whoever else wants
-them (nice 19): what is measured is what the daemon makes of them, not how the kernel shares the processors.
+- hold 2,000 connections, a quarter of them subscribers that never read, a half without a handshake, and open them anew
+  when they are ended;
+- send messages of parts without end, of empty parts and of 64 MiB, and subscribe to 21 MB of what there is not;
+- ask and never read the answers, ask as fast as it goes, send garbage, and ZMTP that is nearly right;
+- send mutated requests of every method, and look at each answer;
+- change the scene with 400 autoregressive models of order 32 and 80,000 patches, and take them away.
 
-python -m bench.hostile --attack KIND DIRECTORY      one attacker, until it is killed
+Beside them one client reads every sample and event, and another one turns the forces off, again and again. Attackers
+yield the processors to whoever else wants them (nice 10), and daemon and clients come first if we have the right: what
+is measured is what the daemon makes of it, not how the kernel shares the processors.
+
+Asked: no fault, no sample lost, `force off` answered within 50 ms (p99.9), and memory afterwards within 32 MiB of its
+start, once scene and materials are as they were. Exit code 1 if one of them is missed. Says every ten seconds how it
+goes; what was found is a table on the terminal and in the file.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import itertools
 import os
-import random
 import re
-import resource
-import select
-import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
-from bench.daemon import daemon
-from bench.report import ROOT
-from hapticd import wire, zmtp
-from hapticd.client import connect
+from bench import attackers
+from bench.daemon import Running, daemon
+from bench.report import ROOT, Table
+from hapticd import wire
+from hapticd.client import Client, RemoteError, connect
+from hapticd.errors import HapticdError
 
-CONNECTIONS = 2000
-OFF_EVERY_S = 0.05
+OFF_EVERY_S = 0.02
+TELL_EVERY_S = 10.0
 ASKED_MS, ASKED_MIB = 50.0, 32.0
-SETTLE_S = 5.0
-
-
-def open_to(path: Path, kind: bytes | None) -> socket.socket:
-    """A connection, its handshake sent if a kind is given."""
-    made = socket.socket(socket.AF_UNIX)
-    made.settimeout(1)
-    made.connect(str(path))
-    if kind is not None:
-        made.sendall(zmtp.GREETING + zmtp.ready(kind))
-    return made
-
-
-def again_and_again(attack: Callable[[Path], None], path: Path) -> None:
-    """Whatever ends one attempt, the next follows."""
-    while True:
-        with contextlib.suppress(OSError):
-            attack(path)
-
-
-def connections(directory: Path) -> None:
-    """So many connections, half of them with a handshake, to both sockets; those that end are opened anew."""
-    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    paths = (directory / "hapticd.command", directory / "hapticd.telemetry")
-    kinds = itertools.cycle(((paths[0], b"DEALER"), (paths[1], b"SUB"), (paths[0], None), (paths[1], None)))
-    mine: dict[int, socket.socket] = {}
-    poll = select.poll()
-    while True:
-        while len(mine) < CONNECTIONS:
-            try:
-                made = open_to(*next(kinds))
-            except OSError:
-                time.sleep(0.001)  # the attacker's own pace
-                break
-            mine[made.fileno()] = made
-            poll.register(made, select.POLLIN)
-        for descriptor, _ in poll.poll(10):
-            try:
-                if mine[descriptor].recv(65536):
-                    continue
-            except OSError:
-                pass
-            poll.unregister(descriptor)
-            mine.pop(descriptor).close()
-
-
-def parts(path: Path) -> None:
-    """Messages without end."""
-    chosen = random.choice(
-        (zmtp.header(60_000, zmtp.MORE) + bytes(60_000), b"\x01\x00" * 30_000, b"\x01\x01x" * 20_000)
-    )
-    with open_to(path, b"DEALER") as made:
-        while True:
-            made.sendall(chosen)
-
-
-def huge(path: Path) -> None:
-    """Messages of 64 MiB."""
-    with open_to(path, b"DEALER") as made:
-        while True:
-            made.sendall(zmtp.header(2**26))
-            for _ in range(2**10):
-                made.sendall(bytes(2**16))
-
-
-def subscriptions(path: Path) -> None:
-    """21 MB of them."""
-    with open_to(path, b"SUB") as made:
-        for block in range(210):
-            made.sendall(b"".join(zmtp.message([b"\x01" + b"%090d" % (block * 1000 + n)]) for n in range(1000)))
-
-
-def deaf(path: Path) -> None:
-    """Subscribers that never read."""
-    made = []
-    for _ in range(100):
-        made.append(open_to(path, b"SUB"))
-        made[-1].sendall(zmtp.message([b"\x01"]))
-    time.sleep(3)
-    for each in made:
-        each.close()
-
-
-def unread(path: Path) -> None:
-    """Questions whose answers nobody reads."""
-    question = zmtp.message([wire.request(1, "get_materials")]) * 20
-    made = [open_to(path, b"DEALER") for _ in range(50)]
-    for each in made:
-        each.setblocking(False)
-    for _ in range(1000):
-        for each in made:
-            with contextlib.suppress(BlockingIOError):
-                each.send(question)
-        time.sleep(0.001)
-    for each in made:
-        each.close()
-
-
-def ask(path: Path) -> None:
-    """Questions as fast as they go, over many connections."""
-    question = zmtp.message([b"", wire.request(1, "get_scene")])
-    made = [open_to(path, b"REQ") for _ in range(20)]
-    for _ in range(500):
-        for each in made:
-            each.sendall(question)
-        for each in made:
-            each.recv(65536)
-    for each in made:
-        each.close()
-
-
-def garbage(path: Path) -> None:
-    """Bytes without sense, and right ones with a mistake."""
-    right = zmtp.GREETING + zmtp.ready(b"DEALER") + zmtp.message([b"", wire.request(1, "get_status")]) * 3
-    with open_to(path, None) as made:
-        if random.random() < 0.3:
-            made.sendall(random.randbytes(random.randrange(1, 5000)))
-        else:
-            wrong = bytearray(right + zmtp.command(b"PING", b"\0\0x") * 50)
-            for _ in range(random.randrange(1, 6)):
-                wrong[random.randrange(len(wrong))] = random.randrange(256)
-            made.sendall(wrong[: random.randrange(1, len(wrong))])
-        made.setblocking(False)
-        with contextlib.suppress(BlockingIOError):
-            made.recv(4096)
-
-
-ATTACKS: dict[str, tuple[Callable[[Path], None], str]] = {
-    "parts": (parts, "command"),
-    "huge": (huge, "command"),
-    "subscriptions": (subscriptions, "telemetry"),
-    "deaf": (deaf, "telemetry"),
-    "unread": (unread, "command"),
-    "ask": (ask, "command"),
-    "garbage": (garbage, "command"),
-    "noise": (garbage, "telemetry"),
-}
+SETTLE_S = 15.0
+"""Longer than the flight recorder remembers."""
+PATIENCE_S = 120.0
+BEGIN_S = 30.0
+NOT_BEGUN = "has not begun"
+PRIORITY, NICE = -10, 10
+"""Of daemon and clients, and of attackers."""
 
 
 def memory_mib(process: int) -> float:
@@ -188,17 +64,37 @@ def memory_mib(process: int) -> float:
     return sum(int(kb) for kb in re.findall(r"^Private_\w+: +(\d+) kB", told, re.M)) / 1024
 
 
+def scheduled_s(process: int) -> tuple[float, float]:
+    """How long its threads had a processor, and how long they waited for one."""
+    told = [each.read_text().split() for each in Path(f"/proc/{process}/task").glob("*/schedstat")]
+    return sum(int(each[0]) for each in told) / 1e9, sum(int(each[1]) for each in told) / 1e9
+
+
+def descriptors(process: int) -> int:
+    """How many it has."""
+    return len(os.listdir(f"/proc/{process}/fd"))
+
+
 class Watcher(threading.Thread):
-    """Reads every sample."""
+    """Reads every sample, and counts faults."""
 
     def __init__(self, directory: Path) -> None:
         super().__init__(daemon=True)
         self.directory, self.samples, self.missing = directory, 0, 0
+        self.faults: Counter[str] = Counter()
+        self.failed: Exception | None = None
         self.begun, self.stop = threading.Event(), threading.Event()
 
     def run(self) -> None:
+        try:
+            with connect(self.directory, timeout_s=PATIENCE_S) as client:
+                self._read(client)
+        except (HapticdError, OSError) as error:
+            self.failed = error
+
+    def _read(self, client: Client) -> None:
         following: int | None = None
-        with connect(self.directory, timeout_s=60) as client, client.samples(timeout_s=60) as stream:
+        with client.samples() as stream, client.events() as events:
             for batch in stream:
                 first, last = int(batch["tick"][0]), int(batch["tick"][-1])
                 if following is not None:
@@ -207,84 +103,233 @@ class Watcher(threading.Thread):
                 self.samples += len(batch)
                 following = last + 1
                 self.begun.set()
+                while (event := events.receive(0)) is not None:
+                    if event["event"] == "fault":
+                        self.faults.update(event["faults"])
                 if self.stop.is_set():
                     return
 
 
-def main(seconds: float, rate_hz: float) -> int:
-    """Attacks and prints; the exit code."""
+@dataclass(slots=True)
+class Attacker:
+    """A process, and the file that it writes to."""
+
+    kind: str
+    process: subprocess.Popen[bytes]
+    output: IO[bytes]
+    ended: bool = False
+
+    def told(self) -> str | None:
+        """The last line it said; None: it has not begun."""
+        size = os.fstat(self.output.fileno()).st_size
+        lines = os.pread(self.output.fileno(), 4096, max(0, size - 4096)).decode(errors="replace").splitlines()
+        return lines[-1] if lines else None
+
+
+@contextlib.contextmanager
+def attacked(directory: Path, connections: int, nice: int) -> Iterator[list[Attacker]]:
+    """All attackers, until the context ends; then they are killed."""
+    with contextlib.ExitStack() as stack:
+        found: list[Attacker] = []
+        kinds = ["connections"] * -(-connections // attackers.CONNECTIONS) + ["fuzz", "long", *attackers.ATTACKS]
+        for kind in kinds:
+            output = stack.enter_context(tempfile.TemporaryFile())
+            command = [sys.executable, "-m", "bench.attackers", kind, str(directory)]
+            process = subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=output)
+            with contextlib.suppress(PermissionError):
+                os.setpriority(os.PRIO_PROCESS, process.pid, nice)
+            found.append(Attacker(kind, process, output))
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+        yield found
+
+
+@dataclass(slots=True)
+class Found:
+    """What came of it."""
+
+    seconds: float = 0.0
+    samples: int = 0
+    missing: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+    took_ms: dict[str, list[float]] = field(default_factory=lambda: {"before": [], "under attack": []})
+    memory_mib: list[float] = field(default_factory=list)
+    """At the start, at most, afterwards."""
+    descriptors: int = 0
+    processor_s: tuple[float, float] = (0.0, 0.0)
+    """How long the daemon had one, and how long it waited for one."""
+    done: list[tuple[str, str]] = field(default_factory=list)
+    """What each attacker said last."""
+    problems: list[str] = field(default_factory=list)
+    """What else was not as it should be."""
+
+    def late_ms(self) -> float:
+        """How long `force off` took at most under attack, of 1000 times 999."""
+        return percentile(self.took_ms["under attack"], 99.9)
+
+    def kept(self) -> bool:
+        """Whether nothing failed, whatever the time it took."""
+        ran_s, waited_s = self.processor_s
+        # Where others hold the processors, nobody can serve commands.
+        bad = self.faults.keys() - ({"control"} if waited_s > ran_s else set())
+        return not bad and not self.missing and not self.problems and bool(self.took_ms["under attack"])
+
+    def held(self) -> bool:
+        """Whether all that is asked was found."""
+        start, _, after = self.memory_mib
+        begun = all(said != NOT_BEGUN for _, said in self.done)
+        return self.kept() and not self.faults and begun and self.late_ms() <= ASKED_MS and after - start <= ASKED_MIB
+
+    def table(self) -> Table:
+        """All of it."""
+        faults = ", ".join(f"{name} {count} times" for name, count in self.faults.items()) or "none"
+        rows = [
+            ["faults", "none", faults],
+            ["samples read", "", f"{self.samples:,}"],
+            ["samples lost", "0", f"{self.missing:,}"],
+        ]
+        for phase, times in self.took_ms.items():
+            p50, p99, p999 = (f"{percentile(times, each):.2f}" for each in (50, 99, 99.9))
+            largest = f"{max(times, default=np.nan):.2f}"
+            asked = f"p99.9 at most {ASKED_MS:g}" if phase == "under attack" else ""
+            said = f"{p50} / {p99} / {p999} / {largest}, {len(times):,} times"
+            rows.append([f"`force off` {phase}: p50 / p99 / p99.9 / largest, ms", asked, said])
+        start, most, after = (f"{each:.1f}" for each in self.memory_mib)
+        rows.append(["memory: start / most / afterwards, MiB", f"{ASKED_MIB:g} more", f"{start} / {most} / {after}"])
+        rows.append(["descriptors at most", "", f"{self.descriptors:,}"])
+        rows.append(["the daemon had a processor / waited for one, s", "", "{:.1f} / {:.1f}".format(*self.processor_s)])
+        rows += [[f"attacker: {kind}", "", said] for kind, said in self.done]
+        rows += [["problem", "none", problem] for problem in self.problems]
+        return Table(f"{self.seconds:.0f} s of attacks", ["what", "asked", "found"], rows)
+
+
+def percentile(times: list[float], share: float) -> float:
+    """Of what may be empty."""
+    return float(np.percentile(times, share)) if times else float("nan")
+
+
+class Measure:
+    """The client that turns the forces off, and looks at the daemon."""
+
+    def __init__(self, running: Running, watcher: Watcher, found: Found, tell: Callable[[str], None]) -> None:
+        self._pid, self._watcher, self._found, self._tell = running.pid, watcher, found, tell
+
+    def phase(self, client: Client, phase: str, seconds: float, those: list[Attacker]) -> None:
+        """For so long, and until all attackers have begun, but BEGIN_S longer at most.
+
+        Raises HapticdError where there is no answer, or the watcher ended.
+        """
+        times, found = self._found.took_ms[phase], self._found
+        begin = time.monotonic()
+        look, tell, told = begin, begin + TELL_EVERY_S, 0
+        begun = not those
+        while (now := time.monotonic()) < begin + seconds or (not begun and now < begin + seconds + BEGIN_S):
+            start = time.perf_counter()
+            client.set_forces(False)
+            times.append(1e3 * (time.perf_counter() - start))
+            with contextlib.suppress(RemoteError):  # the cause of a fault lasts; it is counted
+                client.set_forces(True)
+            if now >= look:
+                found.memory_mib[1] = max(found.memory_mib[1], memory := memory_mib(self._pid))
+                found.descriptors = max(found.descriptors, descriptors(self._pid))
+                if self._watcher.failed is not None:
+                    raise HapticdError(f"who reads the samples: {self._watcher.failed}")
+                begun = begun or all(each.told() is not None for each in those)
+                look = now + 1.0
+            if now >= tell:
+                last = times[told:]
+                self._tell(
+                    f"{phase}, {now - begin:.0f} s: {self._watcher.missing} samples lost, faults "
+                    f"{dict(self._watcher.faults) or 'none'}, force off p50 {percentile(last, 50):.1f}, p99 "
+                    f"{percentile(last, 99):.1f}, largest {max(last):.1f} ms; memory {memory:.1f} MiB, "
+                    f"{descriptors(self._pid)} descriptors"
+                )
+                for each in those:
+                    if each.process.poll() is not None and not each.ended:
+                        each.ended = True
+                        found.problems.append(f"{each.kind} ended: {each.told()}")
+                        self._tell(found.problems[-1])
+                tell, told = now + TELL_EVERY_S, len(times)
+            time.sleep(OFF_EVERY_S)
+
+
+def restore(client: Client, scene: object, materials: object) -> None:
+    """Scene and materials as they were, once what was under way is taken in."""
+    assert isinstance(materials, dict)
+    deadline = time.monotonic() + PATIENCE_S
+    while True:
+        try:
+            client.call("set_scene", {"scene": scene, "wait": True})
+            others = {name: None for name in client.get_materials()["materials"] if name not in materials}
+            client.call("update_materials", {"materials": others | materials})
+            return
+        except RemoteError as error:
+            if error.code != wire.Code.RING_FULL or time.monotonic() > deadline:
+                raise
+            time.sleep(0.5)
+
+
+def attack(
+    seconds: float,
+    rate_hz: float,
+    connections: int,
+    settle_s: float,
+    nice: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Found:
+    """Attacks a daemon of its own for so long."""
+    found = Found()
     with daemon(rate_hz=rate_hz) as running:
-        directory, began_s = running.paths.directory, time.monotonic()
+        directory, pid = running.paths.directory, running.pid
         watcher = Watcher(directory)
         watcher.start()
-        if not watcher.begun.wait(60):
-            raise SystemExit("there is no telemetry")
-        took: dict[str, list[float]] = {"before": [], "under attack": []}
-        attackers: list[subprocess.Popen[bytes]] = []
-        with connect(directory, timeout_s=60) as client:
-            client.set_forces(False)
-            time.sleep(SETTLE_S)
-            first = peak = memory_mib(running.pid)
-
-            def off(phase: str, seconds: float) -> None:
-                nonlocal peak
-                end = look = time.monotonic()
-                end += seconds
-                while time.monotonic() < end:
-                    start = time.perf_counter()
-                    client.set_forces(False)
-                    took[phase].append(1e3 * (time.perf_counter() - start))
-                    client.set_forces(True)
-                    if time.monotonic() >= look:
-                        peak = max(peak, memory_mib(running.pid))
-                        look = time.monotonic() + 1.0
-                    time.sleep(OFF_EVERY_S)
-
-            off("before", min(60.0, seconds / 4))
+        if not watcher.begun.wait(PATIENCE_S):
+            raise HapticdError("there is no telemetry")
+        with connect(directory, timeout_s=PATIENCE_S) as client:
+            scene, materials = client.get_scene()["scene"], client.get_materials()["materials"]
+            time.sleep(settle_s)
+            found.memory_mib = [memory_mib(pid)] * 3
+            measure = Measure(running, watcher, found, tell)
+            measure.phase(client, "before", min(60.0, seconds / 4), [])
+            begin = time.monotonic()
             try:
-                for kind in ("connections", *ATTACKS):
-                    command = [sys.executable, "-m", "bench.hostile", "--attack", kind, str(directory)]
-                    attackers.append(subprocess.Popen(command, cwd=ROOT))
-                off("under attack", seconds)
-            finally:
-                for each in attackers:
-                    each.kill()
-                    each.wait()
-            time.sleep(SETTLE_S)
-            last = memory_mib(running.pid)
-            status = client.get_status()
+                with attacked(directory, connections, nice) as those:
+                    try:
+                        measure.phase(client, "under attack", seconds, those)
+                    finally:
+                        found.done = [(each.kind, each.told() or NOT_BEGUN) for each in those]
+                        found.processor_s = scheduled_s(pid)
+                restore(client, scene, materials)
+                time.sleep(settle_s)
+                found.memory_mib[2] = memory_mib(pid)
+                client.set_forces(True)
+                found.problems += [f"the fault {name} is latched" for name in client.get_status()["faults"]]
+            except (HapticdError, OSError, KeyboardInterrupt) as error:
+                found.problems.append(f"{type(error).__name__}: {error}")
+            found.seconds = time.monotonic() - begin
             watcher.stop.set()
-            watcher.join()
-    faults = ", ".join(status["faults"]) or "none"
-    print(f"{seconds:g} s of attacks, {time.monotonic() - began_s:.0f} s in all; faults: {faults}")
-    print(f"samples: {watcher.samples:,} read, {watcher.missing:,} lost (asked 0)")
-    for phase, times in took.items():
-        late = float(np.percentile(times, 99.9))
-        print(
-            f"force off {phase}, {len(times):,} times: p50 {np.median(times):.2f} ms, "
-            f"p99 {np.percentile(times, 99):.2f}, "
-            f"p99.9 {late:.2f} (asked {ASKED_MS:g}), worst {max(times):.2f}"
-        )
-    print(
-        f"memory: {first:.1f} MiB at the start, {peak:.1f} at most, {last:.1f} afterwards "
-        f"(asked: {ASKED_MIB:g} more at most)"
-    )
-    held = watcher.missing == 0 and late <= ASKED_MS and last - first <= ASKED_MIB and not status["faults"]
-    return 0 if held else 1
+            watcher.join(PATIENCE_S)
+    found.samples, found.missing, found.faults = watcher.samples, watcher.missing, watcher.faults
+    return found
+
+
+def main(seconds: float, rate_hz: float, connections: int, out: Path) -> int:
+    """Attacks, prints and writes; the exit code."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
+    found = attack(seconds, rate_hz, connections, SETTLE_S, NICE, lambda line: print(line, flush=True))
+    text = found.table().markdown()
+    print(text)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(text + "\n", encoding="utf-8")
+    return 0 if found.held() else 1
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--for", dest="seconds", type=float, default=3600.0, metavar="SECONDS")
     parser.add_argument("--rate", type=float, default=10_000.0, metavar="HZ")
-    parser.add_argument("--attack", nargs=2, metavar=("KIND", "DIRECTORY"), help=argparse.SUPPRESS)
+    parser.add_argument("--connections", type=int, default=2000, metavar="COUNT")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "hostile.md", metavar="FILE")
     arguments = parser.parse_args()
-    if arguments.attack is None:
-        sys.exit(main(arguments.seconds, arguments.rate))
-    os.nice(19)
-    kind, directory = arguments.attack[0], Path(arguments.attack[1])
-    if kind == "connections":
-        connections(directory)
-    else:
-        attack, name = ATTACKS[kind]
-        again_and_again(attack, directory / f"hapticd.{name}")
+    sys.exit(main(arguments.seconds, arguments.rate, arguments.connections, arguments.out))

@@ -12,11 +12,11 @@ from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from bench.end_state import EndState, Fate, end_state
 from bench.report import ROOT, Advance, Floats, Options, Section, Table
 from hapticd.compile import Compiler
 from hapticd.config import Config, load_config
@@ -29,18 +29,10 @@ from hapticd.together import Sets
 
 SEED = 20
 TRIALS = 10_000
-FIRST_S = 1.0
-LONGEST_S = 128.0
-UNSAFE_S = 8.0
-"""How long those are looked at that nobody calls safe: what dies away more slowly counts as a limit cycle."""
-NOTHING_M_PER_S = 1e-7
-"""Slower than this everywhere is at rest."""
-DECAYS = 0.9
-"""A peak speed that falls below this part of what it was in the half of the time before is dying away."""
-FALLS = 0.999
-GROWS = 1.1
-
-Fate = Literal["stops", "cycles", "grows"]
+LONGEST_S = 640.0
+"""A motion that is called safe, and neither at rest nor in a regular cycle, is followed for so long."""
+UNSAFE_S = 160.0
+"""The same for a motion that nobody calls safe."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,35 +219,11 @@ class Simulation:
         return truth
 
 
-def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> tuple[Fate, float]:
-    """What becomes of the handle once the hand's wish rests, and its peak speed in the end, m/s.
-
-    The time since then is doubled until the peak speed of a half of it tells: nothing, or less than in the half before,
-    or more. What falls three times running, by more each time, dies away, however slowly: on its way to a limit cycle
-    it would fall by less each time. What is the same for `longest_s` is a limit cycle. A handle that slides along a
-    wall at a constant speed is at rest.
-    """
+def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> EndState:
+    """What becomes of the handle once the hand's wish rests."""
     simulation = Simulation(config, waypoints)
     simulation.go_on(waypoints[-1][0] + 0.2)
-    span_s = FIRST_S / 2.0
-    peaks: list[float] = []
-    while span_s < longest_s:
-        peaks.append(_peak(simulation.go_on(span_s)))
-        if _peak(simulation.go_on(0.02)) <= NOTHING_M_PER_S:
-            return "stops", 0.0
-        if span_s >= 2.0 and peaks[-1] < 0.7 * peaks[-2]:
-            return "stops", peaks[-1]
-        span_s *= 2.0
-    falls = [before - after for before, after in pairwise(peaks[-4:])]
-    dies = len(falls) == 3 and (1.0 - FALLS) * peaks[-1] < falls[0] < falls[1] < falls[2]
-    if peaks[-1] < DECAYS * peaks[-2] or dies:
-        return "stops", peaks[-1]
-    return ("grows" if peaks[-1] > GROWS * peaks[-2] else "cycles"), peaks[-1]
-
-
-def _peak(truth: Floats) -> float:
-    speeds = truth[:, 2:]
-    return float(np.abs(speeds - speeds.mean(axis=0)).max())
+    return end_state(simulation.go_on, longest_s)
 
 
 def linear_grows(trial: Trial) -> bool:
@@ -314,7 +282,7 @@ class Counts:
 
     fates: Counter[tuple[str, Fate]] = field(default_factory=Counter)
     broken: list[int] = field(default_factory=list)
-    """Trials that were called safe and did not stop."""
+    """Trials that were called safe and did not come to rest."""
     plain: Counter[Fate] = field(default_factory=Counter)
     """What became of those that the plain conditions call safe."""
     linear: int = 0
@@ -337,18 +305,18 @@ class Counts:
 SAFE, STABLE, GROWING = "safe", "not safe, stable in this hand", "not safe, spectral radius above 1.001"
 
 
-def counted(seed: int, indices: range) -> Counts:
+def counted(seed: int, indices: range, longest_s: float = LONGEST_S) -> Counts:
     """Draws trials and simulates them; the same on every run."""
     found = Counts()
     for index in indices:
         trial = draw(np.random.default_rng((seed, index)))
-        fate, _ = fate_of(trial.config, trial.waypoints, LONGEST_S if trial.safe else UNSAFE_S)
+        fate = fate_of(trial.config, trial.waypoints, longest_s if trial.safe else min(longest_s, UNSAFE_S)).fate
         radius = trial.radius
         found.fates[SAFE if trial.safe else GROWING if radius > 1.001 else STABLE, fate] += 1
-        if trial.safe and fate != "stops":
+        if trial.safe and fate != "rests":
             found.broken.append(index)
         if trial.plainly_safe:
-            found.plain[fate if fate == "stops" else fate_of(trial.config, trial.waypoints)[0]] += 1
+            found.plain[fate] += 1
         if radius > 1.001:
             grows = linear_grows(trial)
             found.linear += 1
@@ -376,9 +344,16 @@ WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "m"}
 HELD = {"mass_kg": 0.01, "stiffness_n_per_m": 300.0, "damping_n_s_per_m": 5.0}
 """The default hand."""
 LIGHT = {"mass_kg": 0.0, "stiffness_n_per_m": 0.0, "damping_n_s_per_m": 0.0}
-"""None: a constant force of PUSH_N lays the handle onto the wall."""
-PUSH_N = 0.5
+"""None: a constant force lays the handle onto the wall."""
 LOWEST, HIGHEST = 10.0, 1e5
+STEP = 1.005
+"""A map is searched upwards by this factor, from 0.9 of what is proved to rest."""
+FINE = 1.001
+"""The edge of the first unstable island is found to this factor."""
+ROUGH = 1.02
+"""The same where nothing is proved: from LOWEST."""
+ABOVE, COARSE = 2.0, 1.02
+"""How far beyond the first stiffness that does not rest others are tried, which may rest again, and by which factor."""
 AXES: dict[str, tuple[str, tuple[float, ...]]] = {
     "rate": ("rate, Hz", (1000.0, 1600.0, 2500.0, 4000.0, 6300.0, 10_000.0)),
     "delay": ("delay, ms", (0.1, 0.2, 0.5, 1.0, 2.0, 5.0)),
@@ -388,21 +363,38 @@ AXES: dict[str, tuple[str, tuple[float, ...]]] = {
 
 
 @dataclass(frozen=True, slots=True)
+class Start:
+    """How the handle comes to the wall."""
+
+    height_m: float
+    depth_m: float
+    """Where the hand wants to be in the end."""
+    push_n: float
+    """The force that lays a free handle onto the wall."""
+
+
+STARTS = (Start(0.005, 0.003, 0.5), Start(0.001, 0.001, 0.2), Start(0.02, 0.008, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
 class Point:
     """One place of a map: stiffnesses in N/m."""
 
     at: float
     passive: float
     quiet: float
+    free: float
     held: float
-    """Limits: of passivity, of quantisation, of the linear loop in the default hand."""
+    """Limits: of passivity, of quantisation, of the linear loop with the handle let go and in the default hand."""
     simulated_light: float
     simulated_held: float
     """The least stiffness at which the handle does not come to rest; HIGHEST: none found."""
+    again: float
+    """Part of the stiffnesses up to ABOVE times `simulated_light` at which the free handle comes to rest again."""
 
 
-def _configuration(axis: str, at: float, hand: dict[str, float], stiffness: float) -> Config:
-    sim: dict[str, Any] = {"hand": hand, "start_m": [0.0, 0.005], "force_step_n": 0.0, "max_force_n": 100.0}
+def _configuration(axis: str, at: float, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> Config:
+    sim: dict[str, Any] = {"hand": hand, "start_m": [0.0, start.height_m], "force_step_n": 0.0, "max_force_n": 100.0}
     # Without a step or friction of its own each map shows its own axis; friction without a step shows nothing.
     sim |= (
         {"encoder_step_m": 20e-6, "coulomb_friction_n": 0.05}
@@ -422,7 +414,7 @@ def _configuration(axis: str, at: float, hand: dict[str, float], stiffness: floa
     if axis in ("step", "friction"):
         # So heavy a damper that passivity does not come first.
         sim["handle_damping_n_s_per_m"] = 10.0
-    push = {} if hand is HELD else {"push": {"kind": "constant", "force_n": [0.0, -PUSH_N]}}
+    push = {} if hand is HELD else {"push": {"kind": "constant", "force_n": [0.0, -start.push_n]}}
     return load_config(
         {
             "servo": {"rate_hz": rate_hz},
@@ -433,41 +425,74 @@ def _configuration(axis: str, at: float, hand: dict[str, float], stiffness: floa
     )
 
 
-def _rests(axis: str, at: float, hand: dict[str, float], stiffness: float) -> bool:
-    config = _configuration(axis, at, hand, stiffness)
-    deep = -0.003 if hand is HELD else 0.005
-    # Just below the limit of passivity a free handle takes its time.
-    longest_s = LONGEST_S if hand is LIGHT else UNSAFE_S
-    return fate_of(config, [[0.0, 0.0, 0.005], [0.08, 0.0, deep]], longest_s)[0] == "stops"
+def map_fate(axis: str, at: float, hand: dict[str, float], stiffness: float, start: Start = STARTS[0]) -> EndState:
+    """What becomes of a handle on a wall of this stiffness, at one place of a map."""
+    config = _configuration(axis, at, hand, stiffness, start)
+    deep = -start.depth_m if hand is HELD else start.height_m
+    return fate_of(config, [[0.0, 0.0, start.height_m], [0.08, 0.0, deep]], UNSAFE_S)
 
 
-def simulated_limit(axis: str, at: float, hand: dict[str, float]) -> float:
-    """The least stiffness at which a handle on a wall does not come to rest: upwards by 1.5, then to 2 %."""
-    low, high = LOWEST, LOWEST
-    while _rests(axis, at, hand, high):
-        low, high = high, 1.5 * high
-        if high > HIGHEST:
-            return HIGHEST
-    while high / low > 1.02:
+def _stays(axis: str, at: float, hand: dict[str, float], stiffness: float) -> bool:
+    """Whether it goes on for ever from one of the starts. What falls steadily (just below a limit) does not."""
+    return any(map_fate(axis, at, hand, stiffness, start).fate in ("cycles", "grows") for start in STARTS)
+
+
+def simulated_limit(axis: str, at: float, hand: dict[str, float], proved: float, beyond: float) -> float:
+    """The least stiffness at which a handle on a wall does not come to rest, of a dense search upwards.
+
+    With an encoder the unstable stiffnesses are islands: each step from below what is `proved` to rest is tried, up to
+    well above the linear limit `beyond`.
+    """
+    stiffness, step = (0.9 * proved, STEP) if proved > LOWEST else (LOWEST, ROUGH)
+    top = min(HIGHEST, 1.5 * beyond)
+    while stiffness < top and not _stays(axis, at, hand, stiffness):
+        stiffness *= step
+    if stiffness >= top:
+        return HIGHEST
+    low = stiffness / step
+    while stiffness / low > FINE:
+        middle = math.sqrt(low * stiffness)
+        low, stiffness = (low, middle) if _stays(axis, at, hand, middle) else (middle, stiffness)
+    return stiffness
+
+
+def rests_again(axis: str, at: float, first: float) -> float:
+    """Part of the stiffnesses above the first unstable one at which a free handle comes to rest, from every start."""
+    if first >= HIGHEST:
+        return 0.0
+    tried = first * COARSE ** np.arange(1, round(math.log(ABOVE) / math.log(COARSE)) + 1)
+    return sum(not _stays(axis, at, LIGHT, float(stiffness)) for stiffness in tried) / len(tried)
+
+
+def linear_limit(loop: Loop) -> float:
+    """The stiffness, to 1e-6, at which the exact sampled loop of one axis has a spectral radius of 1."""
+    low, high = 1e-3, 1e7
+    while high / low > 1.0 + 1e-6:
         middle = math.sqrt(low * high)
-        low, high = (middle, high) if _rests(axis, at, hand, middle) else (low, middle)
-    return high
+        # Along both axes alike: a free handle's other axis would have an eigenvalue of 1.
+        grows = float(spectral_radius(middle * np.eye(2), np.zeros((2, 2)), loop)) > 1.0
+        low, high = (low, middle) if grows else (middle, high)
+    return low
 
 
 def mapped(axis: str, at: float) -> Point:
     """One place of a map."""
     stiffness = 100.0
     config = _configuration(axis, at, HELD, stiffness)
-    sets = judged(config)
-    factors = sets.factors(0)
-    (margin,) = sets.margins([(("wall",), 0)])
+    factors = judged(config).factors(0)
+    loop = _loop(config)
+    passive, quiet = stiffness * factors["passivity"], stiffness * factors["quantisation"]
+    free, held = linear_limit(loop.let_go()), linear_limit(loop)
+    light = simulated_limit(axis, at, LIGHT, min(passive, quiet), free)
     return Point(
         at=at,
-        passive=stiffness * factors["passivity"],
-        quiet=stiffness * factors["quantisation"],
-        held=margin.held_limit_n_per_m,
-        simulated_light=simulated_limit(axis, at, LIGHT),
-        simulated_held=simulated_limit(axis, at, HELD),
+        passive=passive,
+        quiet=quiet,
+        free=free,
+        held=held,
+        simulated_light=light,
+        simulated_held=simulated_limit(axis, at, HELD, min(passive, quiet), held),
+        again=rests_again(axis, at, light) if axis in ("step", "friction") else 0.0,
     )
 
 
@@ -494,9 +519,10 @@ def draw_maps(maps: dict[str, list[Point]]) -> None:
 
         line("passive", "-", "passive (any hand)")
         line("quiet", "--", "encoder's step held by friction")
+        line("free", "-.", "linear loop, free handle")
         line("held", ":", "linear loop, default hand")
-        line("simulated_light", "v", "simulated, free handle: first that does not rest")
-        line("simulated_held", "o", "simulated, default hand: first that does not rest")
+        line("simulated_light", "v", "simulated, free handle: first unstable island")
+        line("simulated_held", "o", "simulated, default hand: first unstable island")
         panel.set_xscale("log")
         panel.set_yscale("log")
         panel.set_ylim(LOWEST / 2.0, 1.6 * HIGHEST)
@@ -518,10 +544,14 @@ def draw_maps(maps: dict[str, list[Point]]) -> None:
 
 def _of(points: list[Point]) -> list[list[str]]:
     def cell(value: float) -> str:
-        return "any" if value >= HIGHEST else f"{value:.3g}"
+        return "any" if value >= HIGHEST else f"{value:.4g}"
 
     return [
-        [f"{p.at:g}", *(cell(v) for v in (p.passive, p.quiet, p.held, p.simulated_light, p.simulated_held))]
+        [
+            f"{p.at:g}",
+            *(cell(v) for v in (p.passive, p.quiet, p.free, p.simulated_light, p.held, p.simulated_held)),
+            f"{100 * p.again:.0f} %",
+        ]
         for p in points
     ]
 
@@ -530,7 +560,7 @@ def run(options: Options, advance: Advance) -> Section:
     """The counts of the trials, and the maps; draws docs/stability.png unless it is quick."""
     trials = options.few(TRIALS, 200)
     found = counts(trials, lambda part: advance(0.6 * part, f"{trials} trials"))
-    fates: tuple[Fate, ...] = ("stops", "cycles", "grows")
+    fates: tuple[Fate, ...] = ("rests", "cycles", "grows", "falls")
     rows = []
     for what in (SAFE, STABLE, GROWING):
         numbers = [found.fates[what, fate] for fate in fates]
@@ -545,7 +575,15 @@ def run(options: Options, advance: Advance) -> Section:
             advance(0.6 + 0.4 * done / len(jobs), f"map of {job[0]}")
     if not options.quick:
         draw_maps(maps)
-    heads = ["passive", "step held", "linear, default hand", "simulated, free", "simulated, default hand"]
+    heads = [
+        "passive",
+        "step held",
+        "linear, free",
+        "simulated, free",
+        "linear, held",
+        "simulated, held",
+        "rests again",
+    ]
     return Section(
         "Stability",
         [
@@ -554,8 +592,14 @@ def run(options: Options, advance: Advance) -> Section:
             "what becomes of them once the hand rests, "
             f"with the servo's tick and the simulated joystick. Called safe and not at rest: {len(found.broken)}. "
             f"Spectral radius above 1.001: {found.linear}, of which {found.grew} grow in the bilateral loop without "
-            "friction, rounding and limit.",
-            Table("Trials by what the margin says", ["", "trials", "stop", "cycle", "grow"], rows),
+            "friction, rounding and limit. A trial is at rest where its speed stays within 1e-7 m/s of its mean, and "
+            "cycles where the energy of half-second stretches no longer changes, or does not fall for "
+            f"{UNSAFE_S:.0f} s ({LONGEST_S:.0f} s where it is called safe).",
+            "Simulated: the least stiffness at which the handle does not come to rest, the first unstable island of "
+            f"a search upwards by {100 * (STEP - 1):.1f} % from 0.9 of what is proved, from {len(STARTS)} starts. "
+            f"Rests again: part of the stiffnesses up to {ABOVE:g} times as large at which a free handle rests. "
+            f"Any: none was found up to {HIGHEST:g} N/m.",
+            Table("Trials by what the margin says", ["", "trials", "rest", "cycle", "grow", "still fall"], rows),
             *(
                 Table(f"Stiffness over {label}, N/m", [label, *heads], _of(maps[axis]))
                 for axis, (label, _) in AXES.items()

@@ -403,6 +403,10 @@ struct hd_sim_config {
     double hand_stiffness_n_per_m;
     double hand_damping_n_s_per_m;
     double start_m[2];
+    double actuator_rate_per_s;    /* of its lag, 2 pi times its natural frequency */
+    double actuator_damping_ratio; /* of second order */
+    uint32_t actuator_order;       /* 0: the force acts at once; 1 or 2: it lags */
+    uint32_t reserved;
 };
 
 enum hd_interpolation { HD_LINEAR = 0, HD_MINIMUM_JERK = 1 };
@@ -759,6 +763,9 @@ int hd_servo_stop(struct hd_servo *servo);
 /* Joins a thread that ended by overload, and takes another rate: the next table is compiled for it. HD_ERR_INVALID: no
  * overload, or a rate that servo or simulated joystick refuse; all stays as it is. */
 int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_action action);
+/* After hd_servo_set_rate: a play that was sent under this number and was not taken yet strikes `mode`, which is
+ * compiled for the new rate. Nothing happens to one that was taken. */
+int hd_servo_retune(struct hd_servo *servo, uint64_t sequence, const struct hd_mode *mode);
 /* After hd_servo_set_rate and, where the rate changed, hd_servo_publish: the thread goes on where it ended, as after a
  * stall; what was touched is met anew and the force comes in over the ramp. `faults` are latched. As hd_servo_start;
  * memory was locked then, and is told as it was. */

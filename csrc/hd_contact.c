@@ -12,6 +12,7 @@
 #include "hd_contact.h"
 
 #include "hd_offload.h"
+#include "hd_seam.h"
 #include "hd_skin.h"
 #include "hd_voice.h"
 
@@ -102,6 +103,10 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         slot->ramp = pressed < slot->ramp ? pressed : slot->ramp;
     }
     slot->anchor_m = onset->place.along_m;
+    slot->seam = 0;
+    if (onset->slid && !onset->silent) {
+        hd_seam_cross(walk, slot, object);
+    }
     slot->normal_n = 0.0;
     slot->grooves = 0;
     slot->contacts++;

@@ -1,26 +1,38 @@
 /* Discs: round solids, touched at a bearing that turns with the probe.
  *
- * The bearing is the direction from the centre to the point of the surface that the probe pushes against. In ordinary
- * contact it points to the probe, so that F = K (R - r) along the radius. Nearer to the centre than half the radius,
- * where the direction to the probe turns by any angle within any distance, the bearing stays as it is; and where the
- * probe has come too far round from it meanwhile, it goes on to stay: a probe that is pressed through a disc is held on
- * the side that it came from. s is the arc length from the top, clockwise, in (-pi R, pi R]. */
+ * The bearing is the direction from the centre to the surface point that the probe is held by, F = K (R - q) along it,
+ * q the probe's way from the centre along the bearing. The surface point goes along the rim to the point of it that is
+ * nearest to the probe, the shorter way round, by at most HD_DISC_PACE of the way that the probe goes. So it is there
+ * in every tick unless the probe passes the centre within R / HD_DISC_PACE: then it comes round after it, and the force
+ * has no step. Wherever it goes, it goes to where K/2 (R - q)^2 is less, so that no closed way gives energy.
+ *
+ * s is the arc length from the top, clockwise, in (-pi R, pi R]. It goes by R/r of the probe's own way at r, without
+ * bound towards the centre; what depends on s (friction, geometry) fades there: see hd_disc_lever. */
 #include "hd_shape.h"
 
-/* Where the bearing follows, in radii. */
-#define HD_DISC_SHALLOW 0.5
-/* How far behind the probe it may be to follow, as a sine; and how fast it makes up for that, per way in radii. */
-#define HD_DISC_BEHIND (1.0 / 3.0)
-#define HD_DISC_PACE 4.0
+#define HD_DISC_PACE 24.0
+/* Where what depends on s is whole, and where there is nothing of it, in radii. A surface point that comes round after
+ * the probe is with it again before that is R HD_DISC_BARE away from the centre, whatever its way: that takes
+ * sqrt(u^2 - 1) - arcsec u >= pi for u = HD_DISC_PACE HD_DISC_BARE. */
+#define HD_DISC_WHOLE 0.5
+#define HD_DISC_BARE 0.2
 
-HD_RT static void turn_to(const double offset[2], double distance, double turn, struct hd_place *place) {
+/* Turns the bearing towards the offset, by an angle of `turn` at most. A probe that is out on the far side did not come
+ * there along the rim: it went through faster than that, or by the way along what is pressed as well. It is held by the
+ * side that was met. */
+HD_RT static void follow(const double offset[2], double radius_m, double turn, struct hd_place *place) {
     const double bearing[2] = {place->normal[0], place->normal[1]};
-    const double across = (bearing[0] * offset[1] - bearing[1] * offset[0]) / distance; /* sine of the angle */
-    if (hd_magnitude(across) <= turn) {
+    const double distance = hd_root(hd_dot(offset, offset));
+    const double across = bearing[0] * offset[1] - bearing[1] * offset[0];
+    const int ahead = hd_dot(offset, bearing) > 0.0;
+    if (ahead && hd_magnitude(across) <= turn * distance) {
         place->normal[0] = offset[0] / distance;
         place->normal[1] = offset[1] / distance;
-    } else if (hd_magnitude(across) <= HD_DISC_BEHIND) {
-        const double step = across > 0.0 ? turn : -turn;
+    } else if (turn > 0.0 && turn < HD_DISC_MOVED && distance > 0.0 && (ahead || distance < radius_m)) {
+        /* By the arc tangent of it, so that it never goes too far. Straight through the centre both ways are as long.
+         */
+        const double most = turn < 1.0 ? turn : 1.0;
+        const double step = across > 0.0 ? most : -most;
         const double length = hd_root(1.0 + step * step);
         place->normal[0] = (bearing[0] - step * bearing[1]) / length;
         place->normal[1] = (bearing[1] + step * bearing[0]) / length;
@@ -32,23 +44,30 @@ HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2]
     const double radius = object->half_m[0];
     double offset[2];
     hd_difference(position_m, object->point_m, offset);
-    const double distance = hd_root(hd_dot(offset, offset));
     place->normal[0] = bearing[0];
     place->normal[1] = bearing[1];
-    if (hd_dot(offset, bearing) > 0.0) {
-        const double pace = HD_DISC_PACE * travel_m / radius;
-        if (travel_m >= HD_DISC_MOVED) {
-            turn_to(offset, distance, 1.0, place);
-        } else if (distance >= HD_DISC_SHALLOW * radius) {
-            turn_to(offset, distance, pace < HD_DISC_BEHIND ? pace : HD_DISC_BEHIND, place);
-        }
-    }
+    follow(offset, radius, travel_m < HD_DISC_MOVED ? HD_DISC_PACE * travel_m / radius : HD_DISC_MOVED, place);
     place->depth_m = radius - hd_dot(offset, place->normal);
     place->along_m = 0.0;
     if (along) {
         HD_RT_FOREIGN_BEGIN
         place->along_m = radius * atan2(place->normal[0], place->normal[1]);
         HD_RT_FOREIGN_END
+    }
+}
+
+HD_RT void hd_disc_lever(double radius_m, double depth_m, struct hd_lever *lever) {
+    const double part = (radius_m - depth_m) / radius_m;
+    if (part <= HD_DISC_BARE) {
+        *lever = (struct hd_lever){.slide = 0.0};
+        return;
+    }
+    *lever = (struct hd_lever){.slide = 1.0 / part, .fade = 1.0};
+    if (part < HD_DISC_WHOLE) {
+        const double width = HD_DISC_WHOLE - HD_DISC_BARE;
+        const double x = (part - HD_DISC_BARE) / width;
+        lever->fade = x * x * (3.0 - 2.0 * x);
+        lever->fade_per_m = 6.0 * x * (1.0 - x) / (width * radius_m);
     }
 }
 
@@ -113,9 +132,7 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
         const double distance = hd_root(hd_dot(offset, offset));
         const double bearing[2] = {offset[0] / distance, offset[1] / distance};
         if (onset->slid) {
-            double way[2];
-            hd_difference(walk->input->position_m, walk->from_m, way);
-            hd_disc_place(object, bearing, hd_root(hd_dot(way, way)), 0, walk->input->position_m, &onset->place);
+            hd_disc_place(object, bearing, HD_DISC_MOVED, 0, walk->input->position_m, &onset->place);
             if (hd_disc_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
                 return 0; /* it lies behind, and the surface point is not on it */
             }

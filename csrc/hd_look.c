@@ -1,5 +1,6 @@
 /* One object in one tick: met, pressed, let go, healed. */
 #include "hd_contact.h"
+#include "hd_seam.h"
 
 /* Of a step of the encoder, as far as its positions are rounded. */
 #define HD_REARM_ROUNDING 1e-6
@@ -213,7 +214,6 @@ HD_RT static void meet_anew(struct hd_walk *walk, uint32_t index, const struct h
  * hold, and the two do not push at once. */
 HD_RT static int continues(const struct hd_walk *walk, const struct hd_object *object, const struct hd_onset *onset) {
     const struct hd_state *state = walk->state;
-    const double *normal = onset->place.normal;
     if (object->shape != HD_SHAPE_BOX && object->shape != HD_SHAPE_MEMBRANE) {
         return 0;
     }
@@ -228,10 +228,7 @@ HD_RT static int continues(const struct hd_walk *walk, const struct hd_object *o
         hd_membrane_place(object, onset->side, walk->input->position_m, &place);
     }
     for (uint32_t i = 0; i < state->active_count; i++) {
-        const struct hd_place *other = &state->slots[state->active[i]].last;
-        const double turn = normal[0] * other->normal[1] - normal[1] * other->normal[0];
-        if (hd_magnitude(place.depth_m - other->depth_m) <= HD_RIM_M && hd_magnitude(turn) <= HD_RIM_M &&
-            hd_dot(normal, other->normal) > 0.0) {
+        if (hd_flush(&place, &state->slots[state->active[i]].last)) {
             return 1;
         }
     }

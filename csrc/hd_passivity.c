@@ -22,6 +22,13 @@ HD_RT static void add_up(const struct hd_passivity *passivity, uint32_t ago, uin
     }
 }
 
+/* What the handle itself takes on the way to a new sample, by its damping and dry friction. */
+HD_RT static double handle_takes(const struct hd_table *table, const struct hd_input *input, const double way[2]) {
+    const double viscous_j = table->handle_damping_n_s_per_m * hd_dot(input->velocity_m_per_s, way);
+    return (viscous_j > 0.0 ? viscous_j : 0.0) +
+           table->handle_friction_n * (hd_magnitude(way[0]) + hd_magnitude(way[1]));
+}
+
 /* The periods that have passed, and if there is a new sample, the work of the way to it. */
 HD_RT static void settle(struct hd_passivity *passivity, const struct hd_state *state, const struct hd_table *table,
                          const struct hd_input *input) {
@@ -42,10 +49,8 @@ HD_RT static void settle(struct hd_passivity *passivity, const struct hd_state *
         double way[2];
         add_up(passivity, table->report_age, passivity->waited, &sum);
         hd_difference(input->position_m, state->position_m, way);
-        const double viscous_j = table->handle_damping_n_s_per_m * hd_dot(input->velocity_m_per_s, way);
         passivity->energy_j += hd_dot(sum.force_n, way) / (double)passivity->waited;
-        passivity->taken_j += (viscous_j > 0.0 ? viscous_j : 0.0) +
-                              table->handle_friction_n * (hd_magnitude(way[0]) + hd_magnitude(way[1]));
+        passivity->taken_j += handle_takes(table, input, way);
         passivity->largest_j = passivity->energy_j > passivity->largest_j ? passivity->energy_j : passivity->largest_j;
         passivity->waited = 0;
     }
@@ -139,6 +144,13 @@ HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *tabl
         passivity->contacts++;
         passivity->energy_j = 0.0;
         passivity->taken_j = 0.0;
+        if (state->located && !anew && input->interval_s > 0.0) {
+            /* The way in crossed the surface while no force was there yet: what the spring holds and nobody put in is
+             * the handle's due on that way, as on any other. */
+            double way[2];
+            hd_difference(input->position_m, state->position_m, way);
+            passivity->taken_j = handle_takes(table, input, way);
+        }
         passivity->interval = 1;
         passivity->hold = 1;
         passivity->pushed = 0;

@@ -950,6 +950,28 @@ int hd_servo_set_rate(struct hd_servo *servo, double rate_hz, enum hd_overrun_ac
     return HD_OK;
 }
 
+int hd_servo_retune(struct hd_servo *servo, uint64_t sequence, const struct hd_mode *mode) {
+    if (servo->started) {
+        return hd_invalid("servo: a play keeps its mode while the thread runs");
+    }
+    if (sequence > servo->sent) {
+        return hd_invalid("servo: no command has the number %llu yet", (unsigned long long)sequence);
+    }
+    if (hd_atomic_u64_load_acquire(&servo->taken) >= sequence) {
+        return HD_OK;
+    }
+    /* Nobody takes commands now, and the ring gives numbers from 0. */
+    struct hd_command *command = hd_ring_slot(&servo->commands, sequence - 1);
+    if (command->kind != HD_COMMAND_PLAY) {
+        return hd_invalid("servo: command %llu is no play", (unsigned long long)sequence);
+    }
+    const int status = hd_play_check(mode, command->direction, command->amplitude);
+    if (status == HD_OK) {
+        command->mode = *mode;
+    }
+    return status;
+}
+
 int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *grant) {
     *grant = (struct hd_grant){.memory = servo->memory_error, .memory_kind = servo->memory_kind};
     if (servo->started || !hd_atomic_u32_load_relaxed(&servo->overloaded)) {

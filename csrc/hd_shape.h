@@ -33,11 +33,20 @@ HD_RT void hd_membrane_place(const struct hd_object *object, int8_t side, const 
                              struct hd_place *place);
 HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const double position_m[2],
                         struct hd_place *place);
-/* `bearing` is the normal at the last tick, `travel_m` the way since then, or HD_DISC_MOVED; `along`: whether along_m
- * is asked for. */
-#define HD_DISC_MOVED 1e300 /* the disc itself was moved: it is followed at once */
+/* `bearing` is the normal at the last tick, `travel_m` the way since then; `along`: whether along_m is asked for.
+ * HD_DISC_MOVED: the disc is met, or was moved itself. The bearing follows at once, but not round the centre. */
+#define HD_DISC_MOVED 1e300
 HD_RT void hd_disc_place(const struct hd_object *object, const double bearing[2], double travel_m, int along,
                          const double position_m[2], struct hd_place *place);
+
+/* What the way along a surface is to the way of the probe. */
+struct hd_lever {
+    double slide;      /* of s, over the probe's way along the tangent */
+    double fade;       /* what there is of friction's spring and of geometry, 0 to 1, */
+    double fade_per_m; /* and by how much more it is farther out */
+};
+/* That of a disc, for a probe that is `depth_m` below its surface. */
+HD_RT void hd_disc_lever(double radius_m, double depth_m, struct hd_lever *lever);
 
 /* Whether a probe at `position_m`, which is `place`, has left the shape. */
 HD_RT int hd_membrane_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot,

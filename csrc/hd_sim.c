@@ -23,6 +23,10 @@
  * cut further for that), so that an event cannot hide between two looks. A jump of the wish moves the spring only; its
  * damper is not struck.
  *
+ * Where the actuator lags (hd_actuator.h) its force is not constant within a part, but goes to a constant; parts are at
+ * most half a time constant of it, and what it does in one is exact. Two turns of the handle within one such part may
+ * then go unseen, which takes a force that passes zero twice in half a time constant.
+ *
  * Behind a link a force acts at a later frame. That frame is known when the force is put, so that what is under way is
  * a short row of forces and their times, each another event; a put that comes before the frame of the last one leaves
  * takes its place.
@@ -36,6 +40,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "hd_actuator.h"
 #include "hd_operator.h"
 
 /* The longest step, as max(B/M, sqrt(k/M)) h, and the terms of the series that give 1e-17 there. */
@@ -66,11 +71,18 @@
 struct hd_kernel {
     double span_s;
     double j[7]; /* J_-1 to J_5 */
+    struct hd_actuator_step lag;
 };
 
 struct hd_axis {
     double x;
     double v;
+};
+
+/* What a lagging actuator exerts more than it was told, and its derivative: see hd_actuator.h. */
+struct hd_off {
+    double off_n;
+    double off_n_per_s;
 };
 
 struct hd_report {
@@ -102,12 +114,16 @@ struct hd_sim {
     uint64_t force_whole_periods; /* after a put, before it expires */
     double limit_s;               /* the longest step of this device */
     struct hd_kernel period;      /* one period, or its equal parts */
+    struct hd_kernel lagging;     /* the same while the actuator is under way */
     uint32_t stretch_periods;     /* several periods in one step */
     struct hd_kernel stretch;
     double series[2][HD_SERIES_TERMS]; /* of J_4 and J_5 */
+    struct hd_actuator actuator;
+    double lag_limit_s; /* the longest step while it is under way; 0: it never is */
 
     /* The motion. */
     struct hd_axis axes[2];
+    struct hd_off off[2];
     double force_n[2];
     uint64_t tick;     /* periods since the start */
     uint64_t put_tick; /* the force has acted since then, and as much later in that period: */
@@ -169,12 +185,54 @@ HD_RT static void kernel_at(const struct hd_sim *sim, double span_s, struct hd_k
     for (int order = 5; order >= 1; order--) {
         j[order - 2] = (power[order] - damping * j[order - 1] - sim->stiffness * j[order]) * per_mass;
     }
+    if (h <= sim->lag_limit_s * (1.0 + HD_SAME_TIME)) {
+        hd_actuator_step_at(&sim->actuator, h, &kernel->lag);
+    }
 }
 
 /* The force on the handle where it stands still, friction aside. */
 HD_RT static inline double still_force(const struct hd_sim *sim, double force_n, const double wish[HD_WISH_ORDERS],
                                        double x) {
     return force_n + sim->stiffness * (wish[0] - x) + sim->hand_damping * wish[1];
+}
+
+/* The actuator is told another force: its own goes on without a step, where it lags. */
+HD_RT static inline void tell(struct hd_sim *sim, double x_n, double y_n) {
+    const double told_n[2] = {x_n, y_n};
+    for (int which = 0; which < 2; which++) {
+        if (sim->actuator.order > 0) {
+            sim->off[which].off_n += sim->force_n[which] - told_n[which];
+        }
+        sim->force_n[which] = told_n[which];
+    }
+}
+
+HD_RT static inline bool is_under_way(const struct hd_off *off) {
+    return off->off_n != 0.0 || off->off_n_per_s != 0.0;
+}
+
+HD_RT static inline bool lags(const struct hd_sim *sim) {
+    return sim->actuator.order > 0 && (is_under_way(&sim->off[0]) || is_under_way(&sim->off[1]));
+}
+
+/* What the actuator is off by, a step later. */
+HD_RT static struct hd_off off_after(const struct hd_actuator_step *step, const struct hd_off *off) {
+    const struct hd_off after = {
+        step->off_n[0] * off->off_n + step->off_n[1] * off->off_n_per_s,
+        step->off_n_per_s[0] * off->off_n + step->off_n_per_s[1] * off->off_n_per_s,
+    };
+    const bool over = fabs(after.off_n) + fabs(after.off_n_per_s) < HD_NOTHING;
+    return over ? (struct hd_off){0.0, 0.0} : after;
+}
+
+/* The same of a handle that rests or is on its way, `after_s` later. */
+HD_RT static struct hd_off off_at(const struct hd_sim *sim, const struct hd_off *off, double after_s) {
+    if (!is_under_way(off)) {
+        return *off;
+    }
+    struct hd_actuator_step step;
+    hd_actuator_step_at(&sim->actuator, after_s, &step);
+    return off_after(&step, off);
 }
 
 HD_RT static inline double net_force(const struct hd_sim *sim, double push_n, const double wish[HD_WISH_ORDERS],
@@ -201,6 +259,13 @@ HD_RT static inline struct hd_axis carried(const struct hd_sim *sim, const struc
     return (struct hd_axis){axis.x + dx, axis.v + dv};
 }
 
+/* What the actuator's lag adds to that. */
+HD_RT static void add_off(const struct hd_kernel *kernel, const struct hd_off *off, struct hd_axis *axis) {
+    const struct hd_actuator_step *lag = &kernel->lag;
+    axis->x += lag->x_m[0] * off->off_n + lag->x_m[1] * off->off_n_per_s;
+    axis->v += lag->v_m_per_s[0] * off->off_n + lag->v_m_per_s[1] * off->off_n_per_s;
+}
+
 /* Whether an axis that began a step in one direction, with the force `net_before_n`, has surely gone on in it. */
 HD_RT static inline bool keeps_going(const struct hd_sim *sim, int which, double local_s, double direction,
                                      double push_n, double net_before_n, const struct hd_axis *after) {
@@ -216,8 +281,33 @@ HD_RT static inline bool keeps_going(const struct hd_sim *sim, int which, double
     return net_force(sim, push_n, wish, after) * direction <= 0.0;
 }
 
+/* axis_glide of an actuator that lags: only what moves. */
+HD_RT static bool lagging_glide(struct hd_sim *sim, int which, double local_s, const struct hd_kernel *kernel) {
+    struct hd_axis *const axis = &sim->axes[which];
+    const struct hd_off *off = &sim->off[which];
+    const struct hd_off off_end = off_after(&kernel->lag, off);
+    double wish[HD_WISH_ORDERS];
+    hd_segment_wish(&sim->segment, which, local_s, wish);
+    const double direction = axis->v > 0.0 ? 1.0 : -1.0;
+    const double push_n = sim->force_n[which] - direction * sim->coulomb_n;
+    struct hd_axis after = carried(sim, kernel, push_n, wish, *axis);
+    add_off(kernel, off, &after);
+    if (axis->v == 0.0 || !keeps_going(sim, which, local_s + kernel->span_s, direction, push_n + off_end.off_n,
+                                       net_force(sim, push_n + off->off_n, wish, axis), &after)) {
+        return false;
+    }
+    after.v = fabs(after.v) < HD_NOTHING ? 0.0 : after.v;
+    after.x = fabs(after.x) < HD_NOTHING ? 0.0 : after.x;
+    *axis = after;
+    sim->off[which] = off_end;
+    return true;
+}
+
 /* One step in which nothing happens. False, and nothing changed: something may. */
 HD_RT static inline bool axis_glide(struct hd_sim *sim, int which, double local_s, const struct hd_kernel *kernel) {
+    if (is_under_way(&sim->off[which])) {
+        return lagging_glide(sim, which, local_s, kernel);
+    }
     struct hd_axis *const axis = &sim->axes[which];
     const double force_n = sim->force_n[which];
     const double friction_n = sim->coulomb_n;
@@ -261,6 +351,7 @@ struct hd_flight {
     double local_s;   /* when it began, since the segment's start */
     double push_n;
     struct hd_axis axis;
+    struct hd_off off;
 };
 
 /* What is located: a value that is positive at first, then negative. */
@@ -276,20 +367,26 @@ HD_RT static struct hd_axis flight_at(const struct hd_sim *sim, const struct hd_
     double wish[HD_WISH_ORDERS];
     kernel_at(sim, after_s, &kernel);
     hd_segment_wish(&sim->segment, flight->which, flight->local_s, wish);
-    return carried(sim, &kernel, flight->push_n, wish, flight->axis);
+    struct hd_axis axis = carried(sim, &kernel, flight->push_n, wish, flight->axis);
+    if (is_under_way(&flight->off)) {
+        add_off(&kernel, &flight->off, &axis);
+    }
+    return axis;
 }
 
 HD_RT static void crossing_at(const struct hd_sim *sim, const struct hd_flight *flight, enum hd_crossing crossing,
                               double after_s, double *value, double *slope) {
     double wish[HD_WISH_ORDERS];
     hd_segment_wish(&sim->segment, flight->which, flight->local_s + after_s, wish);
+    const struct hd_off off = off_at(sim, &flight->off, after_s);
     if (crossing == HD_CROSSING_RELEASE) {
-        *value = sim->coulomb_n - flight->direction * still_force(sim, flight->push_n, wish, flight->axis.x);
-        *slope = -flight->direction * (sim->stiffness * wish[1] + sim->hand_damping * wish[2]);
+        *value =
+            sim->coulomb_n - flight->direction * still_force(sim, flight->push_n + off.off_n, wish, flight->axis.x);
+        *slope = -flight->direction * (sim->stiffness * wish[1] + sim->hand_damping * wish[2] + off.off_n_per_s);
         return;
     }
     const struct hd_axis axis = flight_at(sim, flight, after_s);
-    const double net = net_force(sim, flight->push_n, wish, &axis);
+    const double net = net_force(sim, flight->push_n + off.off_n, wish, &axis);
     if (crossing == HD_CROSSING_TURN) {
         *value = flight->direction * axis.v;
         *slope = flight->direction * net / sim->mass_kg;
@@ -297,7 +394,7 @@ HD_RT static void crossing_at(const struct hd_sim *sim, const struct hd_flight *
         const double acceleration = net / sim->mass_kg;
         *value = -flight->direction * net;
         *slope = -flight->direction * (sim->stiffness * (wish[1] - axis.v) + sim->hand_damping * wish[2] -
-                                       (sim->hand_damping + sim->damping) * acceleration);
+                                       (sim->hand_damping + sim->damping) * acceleration + off.off_n_per_s);
     } else {
         *value = sim->workspace_m - flight->direction * axis.x;
         *slope = -flight->direction * axis.v;
@@ -369,11 +466,12 @@ HD_RT static double extreme_force_s(const struct hd_sim *sim) {
 }
 
 /* Which way a resting handle is pushed beyond what friction and stops hold: 1, -1, or 0 for not at all. */
-HD_RT static double release_direction(const struct hd_sim *sim, int which, double local_s) {
+HD_RT static double release_direction(const struct hd_sim *sim, int which, double local_s, double after_s) {
     const struct hd_axis *axis = &sim->axes[which];
+    const double off_n = off_at(sim, &sim->off[which], after_s).off_n;
     double wish[HD_WISH_ORDERS];
-    hd_segment_wish(&sim->segment, which, local_s, wish);
-    const double force_n = still_force(sim, sim->force_n[which], wish, axis->x);
+    hd_segment_wish(&sim->segment, which, local_s + after_s, wish);
+    const double force_n = still_force(sim, sim->force_n[which] + off_n, wish, axis->x);
     if (force_n > sim->coulomb_n && axis->x < sim->workspace_m) {
         return 1.0;
     }
@@ -387,11 +485,11 @@ HD_RT static double release_direction(const struct hd_sim *sim, int which, doubl
 HD_RT static bool rest_ends(const struct hd_sim *sim, int which, double local_s, double left_s, double *rest_s,
                             double *direction) {
     *rest_s = 0.0;
-    *direction = release_direction(sim, which, local_s);
+    *direction = release_direction(sim, which, local_s, 0.0);
     if (*direction != 0.0) {
         return true;
     }
-    if (sim->segment.course == HD_COURSE_HOLD) {
+    if (sim->segment.course == HD_COURSE_HOLD && !is_under_way(&sim->off[which])) {
         return false;
     }
     double looks_s[2] = {left_s, left_s};
@@ -403,9 +501,10 @@ HD_RT static bool rest_ends(const struct hd_sim *sim, int which, double local_s,
     }
     double quiet_s = 0.0;
     for (int look = 0; look < 2; look++) {
-        *direction = release_direction(sim, which, local_s + looks_s[look]);
+        *direction = release_direction(sim, which, local_s, looks_s[look]);
         if (*direction != 0.0) {
-            const struct hd_flight rest = {which, *direction, local_s, sim->force_n[which], sim->axes[which]};
+            const struct hd_flight rest = {which,          *direction, local_s, sim->force_n[which], sim->axes[which],
+                                           sim->off[which]};
             *rest_s = locate(sim, &rest, HD_CROSSING_RELEASE, quiet_s, looks_s[look]);
             return true;
         }
@@ -417,20 +516,24 @@ HD_RT static bool rest_ends(const struct hd_sim *sim, int which, double local_s,
 /* One step in which something may happen. */
 HD_RT static void axis_walk(struct hd_sim *sim, int which, double local_s, double span_s) {
     struct hd_axis *const axis = &sim->axes[which];
+    struct hd_off *const off = &sim->off[which];
     double left_s = span_s;
     for (int events = 0; events < HD_AXIS_EVENTS_MAX && left_s > 0.0; events++) {
         struct hd_flight flight = {.which = which, .direction = axis->v > 0.0 ? 1.0 : -1.0};
         if (axis->v == 0.0) {
             double rest_s;
             if (!rest_ends(sim, which, local_s, left_s, &rest_s, &flight.direction)) {
+                *off = off_at(sim, off, left_s);
                 return;
             }
+            *off = off_at(sim, off, rest_s);
             local_s += rest_s;
             left_s -= rest_s;
         }
         flight.local_s = local_s;
         flight.push_n = sim->force_n[which] - flight.direction * sim->coulomb_n;
         flight.axis = *axis;
+        flight.off = *off;
 
         double end_s = left_s;
         const bool turns = turns_within(sim, &flight, &end_s);
@@ -444,6 +547,7 @@ HD_RT static void axis_walk(struct hd_sim *sim, int which, double local_s, doubl
             end = (struct hd_axis){flight.direction * sim->workspace_m, 0.0};
         }
         *axis = end;
+        *off = off_at(sim, off, end_s);
         local_s += end_s;
         left_s -= end_s;
         if (end.v != 0.0) {
@@ -451,6 +555,7 @@ HD_RT static void axis_walk(struct hd_sim *sim, int which, double local_s, doubl
         }
     }
     axis->v = 0.0;
+    *off = off_at(sim, off, left_s);
 }
 
 /* ---- Time ------------------------------------------------------------------------------------------------------ */
@@ -461,7 +566,11 @@ HD_RT static double path_time_s(const struct hd_sim *sim) {
 
 /* Both axes go on within the segment, under a constant force. */
 HD_RT static void span(struct hd_sim *sim, double local_s, double span_s) {
-    const double wanted = span_s / sim->segment_limit_s;
+    double limit_s = sim->segment_limit_s;
+    if (lags(sim) && sim->lag_limit_s < limit_s) {
+        limit_s = sim->lag_limit_s;
+    }
+    const double wanted = span_s / limit_s;
     uint32_t parts = (uint32_t)wanted;
     parts += (double)parts < wanted;
     const double part_s = span_s / (double)parts;
@@ -471,6 +580,8 @@ HD_RT static void span(struct hd_sim *sim, double local_s, double span_s) {
         kernel = &sim->period;
     } else if (part_s == sim->stretch.span_s) {
         kernel = &sim->stretch;
+    } else if (part_s == sim->lagging.span_s) {
+        kernel = &sim->lagging;
     } else {
         kernel_at(sim, part_s, &made);
     }
@@ -543,8 +654,7 @@ HD_RT static void report(struct hd_sim *sim) {
 /* The first of the forces under way begins to act, `late_s` after the present tick. */
 HD_RT static void arrive(struct hd_sim *sim, double late_s) {
     const struct hd_sent *const first = &sim->sent[sim->sent_first];
-    sim->force_n[0] = first->force_n[0];
-    sim->force_n[1] = first->force_n[1];
+    tell(sim, first->force_n[0], first->force_n[1]);
     sim->put_tick = sim->tick;
     sim->put_late_s = late_s;
     sim->sent_first = (sim->sent_first + 1u) % HD_SIM_FORCES;
@@ -583,8 +693,7 @@ HD_RT static void busy_period(struct hd_sim *sim) {
         }
         const double expiry_s = force_left_s(sim);
         if (expiry_s <= done_s) {
-            sim->force_n[0] = 0.0;
-            sim->force_n[1] = 0.0;
+            tell(sim, 0.0, 0.0);
         } else if (expiry_s < next_s - HD_SAME_TIME * sim->period_s) {
             next_s = expiry_s;
         }
@@ -620,7 +729,7 @@ HD_RT static void busy_period(struct hd_sim *sim) {
 
 HD_RT static inline void one_period(struct hd_sim *sim) {
     const uint64_t end = (sim->tick + 1u - sim->report_tick) << HD_REPORT_SHIFT;
-    if (sim->tick >= sim->calm_tick || !force_lasts(sim) || sim->report_at < end || sim->arrive_at < end) {
+    if (sim->tick >= sim->calm_tick || !force_lasts(sim) || sim->report_at < end || sim->arrive_at < end || lags(sim)) {
         busy_period(sim);
         return;
     }
@@ -637,7 +746,7 @@ HD_RT static inline void one_period(struct hd_sim *sim) {
 /* How many periods from now on can be one step: nothing falls into them, and at most a report and a force at
  * their end. */
 HD_RT static uint64_t free_periods(const struct hd_sim *sim, uint64_t end_tick) {
-    if (sim->tick >= sim->calm_tick || !force_lasts(sim)) {
+    if (sim->tick >= sim->calm_tick || !force_lasts(sim) || lags(sim)) {
         return 0;
     }
     uint64_t count = end_tick - sim->tick;
@@ -726,8 +835,7 @@ HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]) {
         send_force(sim, shown_n);
         return;
     }
-    sim->force_n[0] = shown_n[0];
-    sim->force_n[1] = shown_n[1];
+    tell(sim, shown_n[0], shown_n[1]);
     sim->put_tick = sim->tick;
 }
 
@@ -786,11 +894,12 @@ HD_RT void hd_sim_step_read(struct hd_sim *sim, struct hd_reading *reading) {
 }
 
 HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]) {
-    const bool expired = force_left_s(sim) == 0.0;
+    /* A lagging one begins to fall then. */
+    const bool expired = force_left_s(sim) == 0.0 && sim->actuator.order == 0;
     for (int which = 0; which < 2; which++) {
         position[which] = sim->axes[which].x;
         velocity[which] = sim->axes[which].v;
-        force[which] = expired ? 0.0 : sim->force_n[which];
+        force[which] = (expired ? 0.0 : sim->force_n[which]) + sim->off[which].off_n;
     }
 }
 
@@ -838,6 +947,8 @@ static int check_config(const struct hd_sim_config *config, double period_s) {
         {"hand_mass_kg", config->hand_mass_kg, 0.0, 1e6},
         {"hand_stiffness_n_per_m", config->hand_stiffness_n_per_m, 0.0, 1e9},
         {"hand_damping_n_s_per_m", config->hand_damping_n_s_per_m, 0.0, 1e9},
+        {"actuator_rate_per_s", config->actuator_rate_per_s, 0.0, 1e7},
+        {"actuator_damping_ratio", config->actuator_damping_ratio, 0.0, 10.0},
         {"start_m[0]", config->start_m[0], -config->workspace_m, config->workspace_m},
         {"start_m[1]", config->start_m[1], -config->workspace_m, config->workspace_m},
     };
@@ -867,6 +978,14 @@ static int check_config(const struct hd_sim_config *config, double period_s) {
         if (config->force_intervals < 1 || config->force_intervals > HD_SIM_FORCES) {
             return hd_invalid("force_intervals: %u is not between 1 and %d", config->force_intervals, HD_SIM_FORCES);
         }
+    }
+    if (config->actuator_order > 2 || (config->actuator_order > 0 && config->actuator_rate_per_s == 0.0)) {
+        return hd_invalid("actuator_order: %u with a rate of %g 1/s is none of 0, 1 and 2 with a rate",
+                          config->actuator_order, config->actuator_rate_per_s);
+    }
+    if (hd_actuator_fastest(config) * period_s > HD_STEP_MAX * HD_PARTS_MAX) {
+        return hd_invalid("actuator_rate_per_s: %g is too fast for a period of %g s", config->actuator_rate_per_s,
+                          period_s);
     }
     if (fastest_rate_per_s(config) * period_s > HD_STEP_MAX * HD_PARTS_MAX) {
         return hd_invalid("handle_mass_kg: %g is too light for its damping, the hand and a period of %g s",
@@ -911,6 +1030,11 @@ static void count_in(struct hd_sim *sim, const struct hd_sim_config *config, dou
     sim->force_whole_periods = (uint64_t)(config->force_timeout_s / period_s + HD_SAME_TIME);
     const double longest_s = HD_STRETCH_MAX * period_s;
     sim->limit_s = HD_STEP_MAX / fmax(fastest_rate_per_s(config), HD_STEP_MAX / longest_s);
+    sim->lag_limit_s = 0.0;
+    if (sim->actuator.order > 0) {
+        sim->lag_limit_s = fmin(sim->limit_s, HD_STEP_MAX / sim->actuator.fastest_per_s);
+        kernel_at(sim, period_s / fmax(1.0, ceil(period_s / sim->lag_limit_s)), &sim->lagging);
+    }
     kernel_at(sim, period_s / fmax(1.0, ceil(period_s / sim->limit_s)), &sim->period);
     sim->stretch_periods = (uint32_t)fmax(1.0, floor(sim->limit_s / period_s));
     kernel_at(sim, sim->stretch_periods * period_s, &sim->stretch);
@@ -947,6 +1071,8 @@ struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s) {
                                                 : config->max_force_n;
     sim->force_timeout_s = config->force_timeout_s;
     make_series(sim);
+    hd_actuator_make(&sim->actuator, config, sim->mass_kg, (sim->damping + sim->hand_damping) / sim->mass_kg,
+                     sim->stiffness / sim->mass_kg);
     count_in(sim, config, period_s);
 
     sim->axes[0].x = config->start_m[0];
@@ -970,7 +1096,7 @@ int hd_sim_set_period(struct hd_sim *sim, const struct hd_sim_config *config, do
         return HD_ERR_INVALID;
     }
     const double path_s = path_time_s(sim);
-    sim->force_n[0] = sim->force_n[1] = 0.0;
+    tell(sim, 0.0, 0.0);
     count_in(sim, config, period_s);
     sim->put_tick = sim->tick;
     sim->put_late_s = 0.0;
@@ -997,6 +1123,7 @@ void hd_sim_settle(struct hd_sim *sim) {
     for (int which = 0; which < 2; which++) {
         sim->axes[which].x = fmax(-sim->workspace_m, fmin(sim->workspace_m, wish_m[which]));
         sim->axes[which].v = 0.0;
+        sim->off[which] = (struct hd_off){0.0, 0.0};
     }
     restart_reports(sim);
 }

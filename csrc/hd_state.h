@@ -98,6 +98,7 @@ struct hd_slot {
     uint8_t resume;              /* its contact was cleared while it was pressed */
     uint8_t changed;             /* what it presses with at the end of this tick is a command's doing */
     uint8_t held;                /* the groove at `groove_m` was struck and the probe has not been away from it since */
+    uint16_t seam;               /* ticks in which friction goes over from what was left to this material */
     double ramp;                 /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
     double anchor_m;             /* friction: where the probe sticks, along the surface */
     double normal_n;             /* the normal force at the last tick, without ramp */

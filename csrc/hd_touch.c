@@ -2,15 +2,20 @@
  *
  * F = F_n n + F_t t, with e = d - H(s) the depth below the surface as geometry has it,
  *     F_n = max(0, K e + D v_n) while e > 0, else 0
- *     F_t = K e H' - K'/2 e^2 (while e > 0)  - drag v_t  + friction,
- * v_n = -v.n, v_t = v.t; see hd_skin.h for K, H and their slopes. Vibration (grooves, noise) is added to that and never
- * gated by it. On a disc of radius R the probe at r goes r/R of the way that s goes, so there the first two terms of
- * F_t are R/r as large. */
+ *     F_t = K e H' - K'/2 e^2 (while e > 0) + friction - drag v_t,
+ * v_n = -v.n, v_t = v.t; see hd_skin.h for K, H and their slopes, hd_friction.h for friction. Vibration (grooves,
+ * noise) is added to that and never gated by it.
+ *
+ * On a disc of radius R the probe at r goes r/R of the way that s goes, so there the first three terms of F_t are R/r
+ * as large. Deep in it geometry and friction fade with g(r), from 1 to 0 (hd_disc_lever): what is stored is U = K/2 (d
+ * - g H)^2 + g k/2 (s - anchor)^2 and the force is its slope, so that n has g' (K e H - k/2 (s - anchor)^2) besides
+ * F_n. */
 #include <math.h>
 
 #include "hd_contact.h"
 #include "hd_friction.h"
 #include "hd_groove.h"
+#include "hd_seam.h"
 #include "hd_skin.h"
 
 #define HD_PI 3.14159265358979323846
@@ -31,8 +36,9 @@ HD_RT static int needs_along(const struct hd_table *table, const struct hd_objec
     return material->friction_coefficient > 0.0 || material->texture != HD_TEXTURE_NONE;
 }
 
+/* `met`: in this tick. */
 HD_RT static void find_place(const struct hd_walk *walk, const struct hd_slot *slot, const struct hd_object *object,
-                             struct hd_place *place) {
+                             int met, struct hd_place *place) {
     const double *position = walk->input->position_m;
     switch (object->shape) {
     case HD_SHAPE_WALL:
@@ -47,8 +53,8 @@ HD_RT static void find_place(const struct hd_walk *walk, const struct hd_slot *s
     default: {
         double way[2];
         hd_difference(position, walk->from_m, way);
-        hd_disc_place(object, slot->last.normal, hd_root(hd_dot(way, way)), needs_along(walk->table, object), position,
-                      place);
+        hd_disc_place(object, slot->last.normal, met ? HD_DISC_MOVED : hd_root(hd_dot(way, way)),
+                      needs_along(walk->table, object), position, place);
         break;
     }
     }
@@ -73,21 +79,34 @@ HD_RT static void find_last(const struct hd_walk *walk, const struct hd_slot *sl
     }
 }
 
-/* The force of a skin at a place: along the normal, and along the tangent. `slide`: of s, over the probe's way along
- * the tangent. Moves the anchor. */
-HD_RT static inline void press(const struct hd_skin *skin, const struct hd_place *place, const double velocity[2],
-                               const double tangent[2], double slide, double *anchor_m, double force_n[2]) {
+/* The force of a skin at a place: along the normal, and along the tangent. `lever`: NULL on what is flat. Moves the
+ * anchor. Returns F_n. */
+HD_RT static inline double press(const struct hd_skin *skin, const struct hd_place *place, const double velocity[2],
+                                 const double tangent[2], const struct hd_lever *lever, double *anchor_m,
+                                 double force_n[2]) {
     const double depth = place->depth_m - skin->lowering_m;
     double normal_n = 0.0;
-    double tangent_n = -skin->drag_n_s_per_m * hd_dot(velocity, tangent);
+    double elastic = 0.0;
+    double slope_n = 0.0;
     if (depth > 0.0) {
-        const double elastic = skin->stiffness_n_per_m * depth;
+        elastic = skin->stiffness_n_per_m * depth;
         const double whole = elastic - skin->damping_n_s_per_m * hd_dot(velocity, place->normal);
         normal_n = whole > 0.0 ? whole : 0.0;
-        tangent_n += slide * (elastic * skin->lowering_slope - 0.5 * skin->stiffness_slope * depth * depth);
+        slope_n = elastic * skin->lowering_slope - 0.5 * skin->stiffness_slope * depth * depth;
     }
+    const double drag_n = -skin->drag_n_s_per_m * hd_dot(velocity, tangent);
+    double spring_n = hd_friction(skin, normal_n, place->along_m, anchor_m);
     force_n[0] = normal_n;
-    force_n[1] = tangent_n + hd_friction(skin, normal_n, place->along_m, anchor_m);
+    if (lever != NULL) {
+        if (lever->fade_per_m > 0.0) {
+            const double stored = 0.5 * spring_n * (place->along_m - *anchor_m); /* below 0 */
+            force_n[0] += lever->fade_per_m * (elastic * skin->lowering_m / lever->fade + stored);
+        }
+        slope_n *= lever->slide;
+        spring_n *= lever->slide * lever->fade;
+    }
+    force_n[1] = drag_n + slope_n + spring_n;
+    return normal_n;
 }
 
 /* What the surface as it was would press with where the probe is now: the force of the last tick, and what the way
@@ -107,13 +126,13 @@ HD_RT static void press_as_it_was(const struct hd_walk *walk, const struct hd_sl
     double after[2];
     double anchor_m = slot->anchor_m;
     tangent_of(slot, place.normal, tangent);
-    press(&skin, &place, walk->input->velocity_m_per_s, tangent, 1.0, &anchor_m, before);
+    press(&skin, &place, walk->input->velocity_m_per_s, tangent, NULL, &anchor_m, before);
     const double slid_m = hd_dot(way, tangent);
     place.depth_m -= hd_dot(way, place.normal);
     place.along_m += slid_m;
     skin.stiffness_n_per_m += slid_m * skin.stiffness_slope;
     skin.lowering_m += slid_m * skin.lowering_slope;
-    press(&skin, &place, walk->input->velocity_m_per_s, tangent, 1.0, &anchor_m, after);
+    press(&skin, &place, walk->input->velocity_m_per_s, tangent, NULL, &anchor_m, after);
     for (int axis = 0; axis < 2; axis++) {
         const double more = (after[0] - before[0]) * place.normal[axis] + (after[1] - before[1]) * tangent[axis];
         force_n[axis] += slot->ramp * more;
@@ -385,31 +404,56 @@ HD_RT static void let_go(struct hd_walk *walk, uint32_t index, const struct hd_o
     hd_contact_end(walk->state, index, walk->input->time_ns);
 }
 
+/* Of a slot whose friction is still on its way over a seam. */
+HD_RT static struct hd_under skin_past_seam(const struct hd_table *table, const struct hd_object *object,
+                                            double along_m, double half_length_m, struct hd_slot *slot) {
+    const double coefficient = slot->skin.friction_coefficient;
+    const double stiffness = slot->skin.friction_stiffness_n_per_m;
+    const struct hd_under under = hd_skin_at(table, object, along_m, half_length_m, &slot->skin);
+    hd_seam_ease(slot, along_m, coefficient, stiffness);
+    return under;
+}
+
+/* What depends on s, as far as it is there at all. */
+HD_RT static void fade(struct hd_slot *slot, double along_m, double part) {
+    slot->skin.lowering_m *= part;
+    slot->skin.lowering_slope *= part;
+    if (!(part > 0.0)) {
+        slot->anchor_m = along_m;
+    }
+}
+
 HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction) {
     struct hd_state *state = walk->state;
     struct hd_slot *slot = &state->slots[index];
     struct hd_place place;
-    find_place(walk, slot, object, &place);
+    find_place(walk, slot, object, fraction > 0.0, &place);
     if (object->shape == HD_SHAPE_MEMBRANE && ruptures(walk, index, object, &place, fraction)) {
         return;
     }
     double tangent[2];
     tangent_of(slot, place.normal, tangent);
     double half_length = HD_UNBOUNDED;
-    double jump = 0.0;  /* of s over the bottom of a disc, where it starts again */
-    double slide = 1.0; /* of s, over the probe's way along the tangent */
+    double jump = 0.0; /* of s over the bottom of a disc, where it starts again */
+    struct hd_lever round;
+    const struct hd_lever *lever = NULL;
     if (object->shape == HD_SHAPE_DISC) {
         const double radius = object->half_m[0];
         half_length = HD_PI * radius;
         const double step = place.along_m - slot->last.along_m;
         jump = step > half_length ? -2.0 * half_length : step < -half_length ? 2.0 * half_length : 0.0;
         slot->anchor_m -= jump;
-        slide = place.depth_m < 0.5 * radius ? radius / (radius - place.depth_m) : 2.0;
+        hd_disc_lever(radius, place.depth_m, &round);
+        lever = &round;
     }
     const int strikes = has_strikes(walk->table, object);
     /* In place: a skin on the stack that is copied as a whole right after it was written costs a third of a touch. */
     struct hd_skin *skin = &slot->skin;
-    const struct hd_under under = hd_skin_at(walk->table, object, place.along_m, half_length, skin);
+    const struct hd_under under = slot->seam > 0 ? skin_past_seam(walk->table, object, place.along_m, half_length, slot)
+                                                 : hd_skin_at(walk->table, object, place.along_m, half_length, skin);
+    if (lever != NULL && lever->fade < 1.0) {
+        fade(slot, place.along_m, lever->fade);
+    }
     if (left(walk, index, object, walk->input->position_m, &place)) {
         if (strikes) {
             pass_grooves(walk, index, object, &place, skin, tangent, fraction, until_left(slot, object, &place), jump,
@@ -420,13 +464,14 @@ HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object
     }
 
     double pressed[2];
-    press(skin, &place, walk->input->velocity_m_per_s, tangent, slide, &slot->anchor_m, pressed);
+    const double normal_n =
+        press(skin, &place, walk->input->velocity_m_per_s, tangent, lever, &slot->anchor_m, pressed);
     if (strikes) {
         pass_grooves(walk, index, object, &place, skin, tangent, fraction, 1.0, jump, half_length);
     } else if (slot->held) {
         hd_grooves_arm(slot, place.along_m, half_length);
     }
-    slot->normal_n = pressed[0]; /* amplitudes follow the force without its ramp */
+    slot->normal_n = normal_n; /* amplitudes follow the force without its ramp */
     if (slot->ramp < 1.0) {
         pressed[0] *= slot->ramp;
         pressed[1] *= slot->ramp;

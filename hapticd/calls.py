@@ -14,6 +14,7 @@ import socket
 import stat
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import (
     TYPE_CHECKING,
     Final,
@@ -360,18 +361,27 @@ def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> 
     if isinstance(paths, Remote):
         _knock(paths, timeout_s, command)
         return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+    try:
         try:
-            trial.connect(os.fspath(paths.command))
-        except OSError as error:
-            if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
-                other = ""
-                if paths.directory != SYSTEM_DIRECTORY and SYSTEM_DIRECTORY.is_dir():
-                    other = f", or take the service's with: --runtime-dir {SYSTEM_DIRECTORY}"
-                raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run{other}") from None
-            if error.errno == errno.EACCES:
-                raise HapticdError(_not_ours(paths)) from None
-            raise HapticdError(f"{paths.command}: {error.strerror}") from None
+            _try(paths.command)
+        except ConnectionRefusedError:
+            # Nobody listens any more, or not yet: a daemon binds its socket first.
+            time.sleep(_TRY_EVERY_MS * 1e-3)
+            _try(paths.command)
+    except OSError as error:
+        if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
+            other = ""
+            if paths.directory != SYSTEM_DIRECTORY and SYSTEM_DIRECTORY.is_dir():
+                other = f", or take the service's with: --runtime-dir {SYSTEM_DIRECTORY}"
+            raise DaemonNotRunning(f"no daemon at {paths.directory}; start one with: hapticd run{other}") from None
+        if error.errno == errno.EACCES:
+            raise HapticdError(_not_ours(paths)) from None
+        raise HapticdError(f"{paths.command}: {error.strerror}") from None
+
+
+def _try(path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
+        trial.connect(os.fspath(path))
 
 
 def _not_ours(paths: RuntimePaths) -> str:
@@ -443,12 +453,11 @@ def _knock(
     refused = place.knock(timeout_s, command, patient, given_up)
     if refused is None:
         return
-    there, why = refused
-    if not there:
-        raise DaemonNotRunning(why)
-    if command and place.knock(timeout_s, command=False) is None:
-        raise KeyRefused(f"{why} for commands: it may only watch")
-    raise KeyRefused(why)
+    if refused.by in ("nobody", "busy"):
+        raise DaemonNotRunning(refused.why)
+    if refused.by == "key" and command and place.knock(timeout_s, command=False) is None:
+        raise KeyRefused(f"{refused.why} for commands: it may only watch")
+    raise KeyRefused(refused.why)
 
 
 def unanswered(paths: Place, timeout_s: float) -> DaemonNotRunning:

@@ -7,15 +7,19 @@ sends them.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from itertools import chain
 from typing import Final, NamedTuple, TypeAlias
 
 from hapticd.materials import Material, Materials
 from hapticd.mode import Attack, Mode
 from hapticd.model import Model
-from hapticd.scene import Scene, SceneObject
+from hapticd.scene import Scene, SceneObject, Wall
+from hapticd.texture import Autoregressive
 
 MOST_CHANGED: Final = 1000
 """Objects, or materials, that a change tells of one by one. Of more, whoever wants to know asks for the scene."""
+MOST_PIECES: Final = 4000
+"""The same of objects and materials with their patches and models, `pieces` of each."""
 
 
 _SHOWN: Final = tuple(name for name in Scene.model_fields if name != "objects")
@@ -88,6 +92,17 @@ def _plain(value: object) -> object:
     return value.to_dict() if isinstance(value, Model) else value
 
 
+def pieces(item: Model | None) -> int:
+    """How much an object or a material is to put into words: itself, its patches, the models of its texture."""
+    match item:
+        case Wall():
+            return 1 + len(item.patches)
+        case Material(texture=Autoregressive() as texture):
+            return 1 + len(texture.models)
+        case _:
+            return 1
+
+
 def revised(
     revision: int, before: Scene, after: Scene, ids: Collection[str], old: Materials, new: Materials
 ) -> Revised:
@@ -99,7 +114,7 @@ def revised(
     if old is not new:
         names = [name for name, item in new.items() if old.get(name) is not item and old.get(name) != item]
         names += [name for name in old if name not in new]
-    if max(len(ids), len(names)) > MOST_CHANGED:
+    if max(len(ids), len(names)) > MOST_CHANGED or _too_long(after, ids, new, names):
         return Revised(revision, {}, {}, {}, (after, new))
     return Revised(
         revision,
@@ -108,3 +123,8 @@ def revised(
         {name: new.get(name) for name in names},
         None,
     )
+
+
+def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: Collection[str]) -> bool:
+    changed = chain(map(scene.objects.get, ids), map(materials.get, names))
+    return sum(map(pieces, changed)) > MOST_PIECES

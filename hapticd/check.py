@@ -6,6 +6,7 @@ connected the report descriptor and the endpoint's interval are read, which the 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Final
 
@@ -23,16 +24,17 @@ from hapticd.displayable import (
     warnings,
 )
 from hapticd.displayed import displayed_error
+from hapticd.driven import driven
 from hapticd.engine import UNKNOWN_HANDLE, loop_of, output_of
 from hapticd.errors import HapticdError, Problem
 from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
 from hapticd.hid.sources import expected_plan
+from hapticd.judged import Stability, judge
 from hapticd.materials import Material
 from hapticd.scene import field_ids
 from hapticd.stability import Loop
 from hapticd.texture import Stochastic
-from hapticd.together import Stability, judge
 
 _UNPLUGGED: Final = "the encoder's step is not known"
 
@@ -104,6 +106,7 @@ def check(config: Config) -> Report:
     output = output_of(config, rate_hz, link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
+    told = () if refused else (*warnings(scene.objects, materials, output), *_driven(config, loop, shown))
     return Report(
         output=output,
         device=device,
@@ -111,8 +114,12 @@ def check(config: Config) -> Report:
         stability=Stability(unknown, None) if loop is None else _stability(config, output, loop),
         refused=tuple(refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
-        warnings=() if refused else tuple(warnings(scene.objects, materials, output)),
+        warnings=told,
     )
+
+
+def _driven(config: Config, loop: Loop | None, shown: Iterable[str]) -> list[Problem]:
+    return [] if loop is None else driven(config, loop, {name: config.materials[name] for name in shown})
 
 
 def _stability(config: Config, output: Output, loop: Loop) -> Stability:

@@ -233,15 +233,23 @@ _SILENCE: Final = _Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
 
 
 _Noise: TypeAlias = Stochastic | Autoregressive
-_KEPT: Final = 32 * 2**20
-"""Bytes of designs that are kept after their use, of all outputs."""
+_KEPT: Final = 16 * 2**20
+"""Bytes of designs that are kept after their use, of all outputs, and of what they were made of."""
+
+
+def _bytes_of(texture: _Noise) -> int:
+    """About: a number of Python's and the reference to it have 32 bytes."""
+    if isinstance(texture, Stochastic):
+        return 512
+    return sum(512 + 32 * len(model.coefficients) for model in texture.models)
 
 
 class _Designs:
     """Designs by what they are made of: materials come and go with the objects. For any thread."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple[_Noise, Output], _Design] = OrderedDict()
+        self._kept: OrderedDict[tuple[_Noise, Output], tuple[_Design, int]] = OrderedDict()
+        """Each with its bytes."""
         self._bytes = 0
         self._lock = threading.Lock()
 
@@ -250,16 +258,17 @@ class _Designs:
             found = self._kept.get((texture, output))
             if found is not None:
                 self._kept.move_to_end((texture, output))
-            return found
+            return None if found is None else found[0]
 
     def keep(self, texture: _Noise, output: Output, design: _Design) -> None:
         """Keeps a design, and gives up those that were not asked for longest."""
         with self._lock:
             if (texture, output) not in self._kept:
-                self._kept[texture, output] = design
-                self._bytes += design.nodes.nbytes
+                size = design.nodes.nbytes + _bytes_of(texture)
+                self._kept[texture, output] = design, size
+                self._bytes += size
             while self._bytes > _KEPT:
-                self._bytes -= self._kept.popitem(last=False)[1].nodes.nbytes
+                self._bytes -= self._kept.popitem(last=False)[1][1]
 
 
 _designs: Final = _Designs()
@@ -298,7 +307,7 @@ def _new_design(texture: _Noise, output: Output, working: Callable[[], None]) ->
     return _Design(order, False, grid.speeds, grid.forces, grid.nodes, False)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: float) -> noise.Model:
     given = noise.reflection_of(model.coefficients)
     other = noise.resampled(given, from_rate_hz, to_rate_hz)
@@ -403,6 +412,10 @@ class _Materials:
         for index in used:
             self._compile(index)
         return used
+
+    def names(self) -> tuple[str, ...]:
+        """By index."""
+        return tuple(self._names)
 
     def use(self, name: str) -> int:
         """The index of a material that one thing more is made of."""
@@ -705,6 +718,7 @@ class Compiler:
             self._pieces.copy(),
             float(self._table.field.stiffness_n_per_m),
             float(self._table.field.damping_n_s_per_m),
+            self._materials.names(),
         )
 
     def missing(self, names: Set[str], materials: Mapping[str, Material]) -> int:

@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import Field, ValidationError, model_validator
 
+from hapticd.actuator import Actuator
 from hapticd.compensation import Compensation
 from hapticd.config_files import Chosen, check_named, choose
 from hapticd.core import SIM_FORCES
@@ -85,6 +86,7 @@ class Sim(Model):
     encoder_step_m: float = Field(default=20e-6, ge=0, le=0.01, description="Step of positions; 0: exact.")
     max_force_n: ActuatorForce = Field(default=8.9, description="What the actuator gives at most, per axis.")
     force_step_n: float = Field(default=0.0043, ge=0, le=1, description="Resolution of it; 0: exact.")
+    actuator: Actuator | None = Field(default=None, description="How fast the actuator follows; null: at once.")
     report_interval_s: float = Field(
         default=0.0, ge=0, le=0.1, description="Time between position reports; 0: one at every tick."
     )
@@ -202,6 +204,9 @@ class Device(Model):
         default=None, description="The handle, of a real joystick; by default the simulated one's."
     )
     grip: Grip | None = Field(default=None, description="The hand on it; by default the simulated one's, or none.")
+    actuator: Actuator | None = Field(
+        default=None, description="How fast the actuator follows; by default as the simulated one's, or at once."
+    )
     compensation: Compensation = Field(
         default="off",
         description="Whether a strike makes up for what handle and hand do to it: not, for their mass and the hold of "
@@ -219,6 +224,11 @@ class Device(Model):
     def dynamics(self) -> Dynamics | None:
         """The device as a force sees it; None of a real joystick whose `handle` is not given."""
         return _dynamics(self.kind, self.sim, self.handle, self.grip)
+
+    @property
+    def lag(self) -> Actuator | None:
+        """The actuator's lag as far as it is known; None: it follows at once."""
+        return self.sim.actuator if self.actuator is None and self.kind == "sim" else self.actuator
 
     @model_validator(mode="after")
     def _recording_named(self) -> Self:

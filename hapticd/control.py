@@ -39,23 +39,20 @@ from hapticd.intake import GivenUpError, Intake, Work
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
 from hapticd.marks import Mark, MarkParams, checked_data
-from hapticd.materials import MAX_MATERIALS, Material, Materials, shipped_materials, validate_materials
-from hapticd.merge_patch import merge_patch
+from hapticd.materials import Materials
 from hapticd.mode import ModeKeys
 from hapticd.model import MAX_FAULTS, Model, Name, Position, problems_of
 from hapticd.operator import Target, parse_operator
 from hapticd.repeats import SHORTEST_S, Repeats
 from hapticd.scene import (
-    MAX_OBJECTS,
-    Patch,
     SceneObject,
     material_names,
     materials_of,
     reference_problems,
     used_materials,
-    validate_object,
     validate_scene,
 )
+from hapticd.sent import faults_beside, patched_materials, patched_objects, whole_materials
 from hapticd.sent_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.texture import Autoregressive
 from hapticd.wire import PROTOCOL, Code
@@ -176,15 +173,6 @@ def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[s
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
 
 
-def _kept_patches(before: SceneObject | None, patch: object) -> tuple[Patch, ...] | None:
-    """The patches of a wall that a merge patch says nothing of; None where there are none, or it does."""
-    if before is None or before.kind != "wall" or not isinstance(patch, dict):
-        return None
-    if "patches" in patch or patch.get("kind", "wall") != "wall":
-        return None
-    return before.patches or None
-
-
 def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
     """What was granted, and what has been refused since."""
     told = granted.to_dict()
@@ -294,7 +282,9 @@ class Control:
         try:
             return handler(self, params if model is None else model.parsed(params))
         except ValidationError as error:
-            raise _faulty(problems_of(error)) from None
+            engine = self._engine
+            more = faults_beside(method, params, engine.scene, engine.materials, engine.working)
+            raise _faulty([*problems_of(error), *more]) from None
         except InvalidError as error:
             raise _faulty(error.problems) from None
         except StaleRevisionError:
@@ -415,36 +405,9 @@ class Control:
     def _update_scene(self, params: _UpdateScene) -> Changed:
         self._expect(params)
         engine = self._engine
-        changes: dict[str, SceneObject | None] = {}
-        problems: list[Problem] = []
-        if len(params.objects) > MAX_OBJECTS:
-            raise _faulty([Problem("objects", f"must hold at most {MAX_OBJECTS} entries, holds {len(params.objects)}")])
-        for id, patch in params.objects.items():
-            if len(problems) > MAX_FAULTS:
-                problems.append(Problem("objects", "the rest was not looked at"))
-                break
-            before = engine.scene.objects.get(id)
-            if patch is None:
-                if before is not None:
-                    changes[id] = None
-                continue
-            # Thousands of patches are not written out and validated again where nothing is said of them.
-            kept = _kept_patches(before, patch)
-            old = None if before is None else before.to_dict() if kept is None else before.to_dict({"patches"})
-            merged = merge_patch(old, cast(Any, patch))
-            if before is None and isinstance(merged, dict) and "kind" not in merged:
-                told = known_names(id, engine.scene.objects) if engine.scene.objects else "the scene has none"
-                where = path_text(("objects", id))
-                problems.append(Problem(where, f"there is no object of this id, and a new one needs a kind; {told}"))
-                continue
-            try:
-                item = validate_object(id, merged)
-                changes[id] = item if kept is None else item.model_copy(update={"patches": kept})
-            except InvalidError as error:
-                problems += error.problems
+        changes = patched_objects(params.objects, engine.scene)
         present = {id: item for id, item in changes.items() if item is not None}
-        if not problems:
-            problems = self._problems_of(present)
+        problems = self._problems_of(present)
         if problems:
             raise _faulty(problems)
         self._weigh(present, engine.materials)
@@ -491,7 +454,7 @@ class Control:
     def _set_materials(self, params: _SetMaterials) -> Changed:
         self._expect(params)
         engine = self._engine
-        materials = self._materials_with(params.materials)
+        materials = whole_materials(params.materials, engine.materials, engine.working)
         refused = rate_faults(engine.scene.objects, materials, engine.output)
         if refused:
             raise _faulty(refused)
@@ -509,7 +472,7 @@ class Control:
             raise _faulty([Problem("", "needs materials, scene or both")])
         if params.materials is not None:
             try:
-                materials = self._materials_with(params.materials)
+                materials = whole_materials(params.materials, engine.materials, engine.working)
             except InvalidError as error:
                 problems += error.problems
         if "scene" in params.model_fields_set:
@@ -531,35 +494,10 @@ class Control:
         warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
         return Changed(revision, params.wait, warnings)
 
-    def _materials_with(self, given: Mapping[str, object]) -> dict[str, Material]:
-        """All materials once those given took their places, whole. Raises InvalidError."""
-        gone = [name for name, material in given.items() if material is None]
-        if gone:
-            problem = "must be a mapping, is null; update_materials removes a material"
-            raise InvalidError([Problem(path_text(("materials", name)), problem) for name in gone])
-        materials = dict(self._engine.materials)
-        materials.update(validate_materials(given, working=self._engine.working))
-        if len(materials) > MAX_MATERIALS:
-            problem = f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}"
-            raise InvalidError([Problem("materials", problem)])
-        return materials
-
     def _update_materials(self, params: _UpdateMaterials) -> Changed:
         self._expect(params)
-        engine, shipped = self._engine, shipped_materials()
-        materials: dict[str, Material] = dict(engine.materials)
-        patched: dict[str, object] = {}
-        for name, patch in params.materials.items():
-            if patch is None:
-                materials.pop(name, None)
-                if name in shipped:
-                    materials[name] = shipped[name]
-            else:
-                before = engine.materials.get(name)
-                patched[name] = merge_patch(None if before is None else before.to_dict(), cast(Any, patch))
-        materials.update(validate_materials(patched, working=engine.working))
-        if len(materials) > MAX_MATERIALS:
-            raise _faulty([Problem("materials", f"must hold at most {MAX_MATERIALS} entries, holds {len(materials)}")])
+        engine = self._engine
+        materials, patched = patched_materials(params.materials, engine.materials, engine.working)
         missing = [
             Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
             for id, item in engine.scene.objects.items()
@@ -676,8 +614,9 @@ class Control:
     def _play(self, params: _Play) -> dict[str, object]:
         if (params.mode is None) == (params.material is None):
             raise _faulty([Problem("", "needs exactly one of mode and material")])
+        problems = []
         if math.hypot(*params.direction) < 1e-9:
-            raise _faulty([Problem("direction", "must have a direction: a length of at least 1e-9")])
+            problems.append(Problem("direction", "must have a direction: a length of at least 1e-9"))
         attack = "coefficient"
         if params.mode is not None:
             mode = params.mode.mode
@@ -685,15 +624,16 @@ class Control:
             material = self._engine.materials.get(params.material or "")
             if material is None:
                 names = known_names(params.material or "", self._engine.materials)
-                raise _faulty([Problem("material", f"unknown material {quoted(params.material or '')}; {names}")])
-            if material.tap is not None:
+                problems.append(Problem("material", f"unknown material {quoted(params.material or '')}; {names}"))
+            elif material.tap is not None:
                 mode, attack = material.tap.mode, material.tap.attack
             elif material.rupture is not None:
                 mode = material.rupture.mode
             else:
-                raise _faulty(
-                    [Problem("material", f"{quoted(params.material or '')} has neither a tap nor a rupture to play")]
-                )
+                told = f"{quoted(params.material or '')} has neither a tap nor a rupture to play"
+                problems.append(Problem("material", told))
+        if problems:
+            raise _faulty(problems)
         self._need_forces()
         tick, shown_hz = self._engine.play(mode, cast(Any, attack), params.direction, params.amplitude_m_per_s2)
         wanted_hz = mode.frequency_hz

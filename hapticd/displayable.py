@@ -258,7 +258,7 @@ _Worst: TypeAlias = tuple[float, int]
 """The largest of a figure over the models of a texture, and the index of the model, negated: of equals the first."""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _losses(texture: Autoregressive, rate_hz: float, carried_hz: float) -> tuple[_Worst, _Worst, _Worst]:
     """What models lose when they are shown at a rate: the largest fraction of power that is cut off, the largest error
     of a spectrum in dB, and the largest fraction of power above what the link carries, if that is the lower rate."""

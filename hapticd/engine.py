@@ -21,8 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.awake import Awake
-from hapticd.changes import Change, Played, Reset, Revised, revised
-from hapticd.compile import Compiler, mode_record
+from hapticd.changes import Change, Reset, Revised, revised
+from hapticd.compile import Compiler
 from hapticd.config import Config
 from hapticd.core import (
     EVENT_DTYPE,
@@ -58,13 +58,14 @@ from hapticd.hid.connection import Connection, Link
 from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim, set_rate
+from hapticd.judged import Stability, judge
 from hapticd.marks import Mark, Marks, MarksFullError
 from hapticd.materials import Material, Materials
 from hapticd.mode import Attack, Mode
+from hapticd.plays import Play, Plays
 from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
 from hapticd.stability import Loop, timing
 from hapticd.stopper import StopFile
-from hapticd.together import Stability, judge
 from hapticd.wire import GESTURE_ENDS
 
 SAMPLE_CAPACITY: Final = 16384
@@ -342,6 +343,7 @@ class Engine:
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
         self._marks = Marks()
+        self._plays = Plays()
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._dropped = ffi.new("uint64_t *")
         self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
@@ -506,6 +508,7 @@ class Engine:
         if now_ns < self._look_ns:
             return
         self._look_ns = now_ns + LOOK_EVERY_NS
+        self._changes.extend(self._plays.taken(self._servo))
         counters = self.counters()
         if counters.suspends != self._suspends:
             self._suspends = counters.suspends
@@ -547,6 +550,7 @@ class Engine:
         if self._offload is not None:
             self._offload.judge_by(output.carried_hz)
         self._compiler.turn_to(output)
+        self._plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
         self._publish(self.scene, (), self.materials, revision)
         self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
@@ -695,20 +699,28 @@ class Engine:
     def play(
         self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
     ) -> tuple[int, float | None]:
-        """Strikes a mode; the tick that took it, and the frequency displayed (None: the rate cannot carry it)."""
+        """Strikes a mode; the tick that took it, and the frequency displayed (None: the rate cannot carry it).
+
+        What WaitTimeoutError is raised for may still be struck, at the rate that the servo has then.
+        """
         command = self._command(CommandKind.PLAY)
         effect = None
         if self._offload is not None:
             effect = self._offload.take(mode)
             self._offload.give(mode)
             self._offload.settle()
-        command.mode = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self.output, effect)
         length = math.hypot(*direction)
         command.direction = (direction[0] / length, direction[1] / length)
         command.amplitude = amplitude_m_per_s2
         command.slot = PLAY_SLOT
-        tick = self._send_and_wait([command])
-        self._changes.append(Played(tick, mode, attack, direction, amplitude_m_per_s2))
+        play = Play(mode, attack, direction, amplitude_m_per_s2, effect)
+        output = None
+        # A servo that ended meanwhile takes it in its first tick again, before any force: it is struck once more.
+        while output is not self.output:
+            output = self.output
+            command.mode = play.record(output)
+            tick = self._send_and_wait([command], play=play)
+        self._changes.extend(self._plays.taken(self._servo))
         played_hz = None if self._offload is None else self._offload.shown_hz(mode)
         if played_hz is not None:
             return tick, played_hz
@@ -796,7 +808,7 @@ class Engine:
         command.revision = self.revision
         return command
 
-    def _send_and_wait(self, commands: list[CData], keep: CData | None = None) -> int:
+    def _send_and_wait(self, commands: list[CData], keep: CData | None = None, play: Play | None = None) -> int:
         if not commands:
             return self.counters().ticks
         batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
@@ -808,6 +820,8 @@ class Engine:
         sequence = self._sequence[0]
         if keep is not None:
             self._operators.append((sequence, keep))
+        if play is not None:
+            self._plays.sent(sequence, play)
         return self._wait(
             lambda timeout_ns, tick: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, tick),
             "the servo did not take the command",

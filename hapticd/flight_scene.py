@@ -9,9 +9,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import Final, NamedTuple, TypeVar
 
-from hapticd.changes import Change, Played, Reset, Revised, change_map
+from hapticd.changes import Change, Played, Reset, Revised, change_map, pieces
 from hapticd.materials import Material, Materials
 from hapticd.model import Model
 from hapticd.scene import Scene, SceneObject
@@ -20,8 +21,10 @@ T = TypeVar("T")
 
 MOST_OBJECTS: Final = 2000
 """A larger scene stays out of the files: putting it into words would hold up commands."""
+MOST_PIECES: Final = 20_000
+"""One of more `pieces` does, too: its words would take hundreds of megabytes."""
 MOST_CHANGED: Final = 4000
-"""Changes that are kept, each counted once and for each object and material in it."""
+"""Changes that are kept, each counted once and for each of the `pieces` in it."""
 
 
 class _Base(NamedTuple):
@@ -30,6 +33,11 @@ class _Base(NamedTuple):
     shown: dict[str, object]
     objects: dict[str, SceneObject]
     materials: dict[str, Material]
+
+    def is_too_large(self) -> bool:
+        """For a file."""
+        everything = chain(self.objects.values(), self.materials.values())
+        return len(self.objects) > MOST_OBJECTS or sum(map(pieces, everything)) > MOST_PIECES
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +120,7 @@ class FlightScene:
 
     def stretch(self) -> Stretch:
         """What there is now."""
-        known = not self._lost and len(self._base.objects) <= MOST_OBJECTS
+        known = not self._lost and not self._base.is_too_large()
         base = _Base(*map(dict, self._base)) if known else None  # type: ignore[arg-type]
         return Stretch(self._revision, self._rate_hz, base, tuple(self._changes), self._complete_from)
 
@@ -143,7 +151,7 @@ def _weight(change: Change) -> int:
         case Reset(_, objects):
             return 1 + len(objects or ())
         case Revised():
-            return 1 + len(change.objects) + len(change.materials)
+            return 1 + sum(map(pieces, chain(change.objects.values(), change.materials.values())))
 
 
 def _is_over(change: Change, tick: int, revision: int) -> bool:

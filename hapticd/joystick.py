@@ -55,6 +55,10 @@ def _sim_config(sim: Sim) -> CData:
     config.hand_stiffness_n_per_m = hand.stiffness_n_per_m
     config.hand_damping_n_s_per_m = hand.damping_n_s_per_m
     config.start_m = sim.start_m
+    if sim.actuator is not None:
+        config.actuator_order = sim.actuator.order
+        config.actuator_rate_per_s = sim.actuator.rate_per_s
+        config.actuator_damping_ratio = sim.actuator.damping_ratio
     return config
 
 

@@ -252,7 +252,7 @@ def reflection_of(coefficients: Sequence[float]) -> Reflection:
     return _reflection_of(tuple(float(a) for a in coefficients))
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _reflection_of(coefficients: tuple[float, ...]) -> Reflection:
     with localcontext(_EXACT):
         stages, _ = _step_down([Decimal(1), *map(Decimal, coefficients)])
@@ -529,7 +529,7 @@ def resampled(reflection: Sequence[float], from_rate_hz: float, to_rate_hz: floa
     )
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=1024)
 def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
     # Angles of the new rate, as far as the band goes; poles are where the model has them.
     poles = _poles(model)

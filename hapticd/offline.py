@@ -34,12 +34,12 @@ from hapticd.displayable import Output, Undisplayable, materials_in, rate_faults
 from hapticd.engine import loop_of, output_of
 from hapticd.errors import HapticdError, InvalidError, Problem, shown
 from hapticd.joystick import grip_of, new_operator, new_sim, target_of
+from hapticd.judged import Stability, judge
 from hapticd.materials import Materials
 from hapticd.mode import Attack, Mode
 from hapticd.model import problems_of
 from hapticd.operator import Operator, load_operator, parse_operator
 from hapticd.scene import Scene, field_ids
-from hapticd.together import Stability, judge
 
 Samples: TypeAlias = npt.NDArray[np.void]
 """Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""

@@ -26,8 +26,6 @@ HANDSHAKE_S: Final = 5.0
 """From a connection's first moment until its handshake is over."""
 UNSENT_BYTES: Final = 256 * 1024
 """A peer that leaves more than this unread is not read from."""
-MESSAGES_WAITING: Final = 400
-"""Messages of telemetry kept for a subscriber that does not read: about three seconds of them."""
 READ_BYTES: Final = 64 * 1024
 """What is read from a peer in one turn."""
 
@@ -61,7 +59,6 @@ class Peer:
     """A connection; what was answered to a peer that has gone is dropped."""
 
     __slots__ = (
-        "backlog",
         "began_s",
         "closed",
         "held",
@@ -89,8 +86,6 @@ class Peer:
         self.held = 0
         # Of a subscriber:
         self.subscriptions: dict[bytes, int] = {}
-        self.backlog: deque[tuple[bytes, bytes]] = deque(maxlen=MESSAGES_WAITING)
-        """Topics and messages that wait until `out` is sent."""
         self.useless = 0
         self.lost = 0
 

@@ -12,7 +12,7 @@ from typing import IO, Any, Final
 import numpy as np
 
 from hapticd.core import SAMPLE_DTYPE
-from hapticd.event_columns import event_of_cells
+from hapticd.event_columns import FromCells
 from hapticd.reading import BadRecordingError, Memory, Recorded, Rows, Samples, regular, samples_of
 
 _BLOCK: Final = 1 << 18
@@ -118,21 +118,31 @@ def _events(path: Path, memory: Memory) -> Iterator[dict[str, Any]]:
         names = next(rows, [])
         if len(names) > _MOST_COLUMNS or "event" not in names:
             raise BadRecordingError(f"{path.name}: has no line of the names of events")
+        cells = FromCells(names)
         for row in rows:
             if len(row) != len(names):
                 raise BadRecordingError(f"{path.name}: line {rows.line_num} has {len(row)} columns, not {len(names)}")
             try:
-                event = event_of_cells(dict(zip(names, row, strict=True)))
+                event = cells.event(row)
             except (ValueError, RecursionError):
                 raise BadRecordingError(f"{path.name}: line {rows.line_num} is no event") from None
             yield memory.event(event)
 
 
 def _lines(file: IO[bytes], name: str) -> Iterator[str]:
-    while line := file.readline(_LONGEST_EVENT):
-        if len(line) == _LONGEST_EVENT:
+    rest = b""
+    while data := file.read(_BLOCK):
+        whole, found, rest = (rest + data).rpartition(b"\n")
+        if found:
+            yield from (f"{line}\n" for line in _unicode(whole, name).split("\n"))
+        if len(rest) >= _LONGEST_EVENT:
             raise BadRecordingError(f"{name}: a line is too long")
-        try:
-            yield line.decode()
-        except UnicodeDecodeError:
-            raise BadRecordingError(f"{name}: is no Unicode") from None
+    if rest:
+        yield _unicode(rest, name)
+
+
+def _unicode(data: bytes, name: str) -> str:
+    try:
+        return data.decode()
+    except UnicodeDecodeError:
+        raise BadRecordingError(f"{name}: is no Unicode") from None

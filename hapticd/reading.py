@@ -112,7 +112,7 @@ class Memory:
         size = 240 + 56 * len(event)
         for value in event.values():
             if type(value) is str:
-                size += 4 * len(value)
+                size += 56 + (len(value) if value.isascii() else 4 * len(value))
             elif type(value) is list or type(value) is dict:
                 size += size_of(value)
         self.take(size, "its events")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import socket as network
@@ -9,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import zmq
 
@@ -26,6 +27,8 @@ _RECONNECT_MS: Final = 100
 _RECONNECT_MOST_MS: Final = 2000
 _LOOK_EVERY_S: Final = 0.1
 _LOOK_S: Final = 1.0
+HANDSHAKE_S: Final = 5.0
+"""So long a bridge waits for a key. Whoever it refuses, it lets go long before that."""
 _FAILED: Final = (
     zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
     | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
@@ -33,6 +36,14 @@ _FAILED: Final = (
     | zmq.EVENT_DISCONNECTED
     | zmq.EVENT_CLOSED
 )
+
+
+class Refusal(NamedTuple):
+    """Why a bridge did not let us in."""
+
+    by: Literal["nobody", "busy", "handshake", "key"]
+    """Nobody is there; a bridge that has no time or no room; whoever ended the handshake; one that refuses our key."""
+    why: str
 
 
 def is_remote(place: object) -> bool:
@@ -102,28 +113,31 @@ class Remote:
 
     def knock(
         self, timeout_s: float, command: bool, patient: bool = False, given_up: Callable[[], bool] = lambda: False
-    ) -> tuple[bool, str] | None:
-        """None where the command (or the telemetry) socket lets us in; else whether it is there at all, and
-        why not. Who is `patient` takes one that is not there for one that may come within the time."""
+    ) -> Refusal | None:
+        """None where the command (or the telemetry) socket lets us in. Who is `patient` takes one that is not there, or
+        busy, for one that may let us in within the time."""
         try:
             network.getaddrinfo(self.host, self.port, type=network.SOCK_STREAM)
         except (OSError, UnicodeError) as error:
-            return False, f"{self}: {getattr(error, 'strerror', None) or error}"
+            return Refusal("nobody", f"{self}: {getattr(error, 'strerror', None) or error}")
         kind, endpoint = (zmq.DEALER, self.command_endpoint) if command else (zmq.SUB, self.telemetry_endpoint)
         trial: zmq.Socket[bytes]
         with zmq.Context.instance().socket(kind) as trial:
             trial.setsockopt(zmq.LINGER, 0)
             self.secure(trial)
-            monitor: zmq.Socket[Any] = trial.get_monitor_socket(_FAILED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
+            monitor: zmq.Socket[Any] = trial.get_monitor_socket(
+                _FAILED | zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED
+            )
             try:
                 trial.connect(endpoint)
                 heard = self._heard(monitor, timeout_s, patient, given_up)
             finally:
                 trial.disable_monitor()
                 monitor.close()
-        if heard is None or heard[0] or command or not self._takes_commands():
+        if heard is None or heard.by != "nobody" or command or not self._takes_commands():
             return heard
-        return False, f"the bridge at {self} is there, but not its port {self.port + 1} for telemetry: a firewall?"
+        told = f"the bridge at {self} is there, but not its port {self.port + 1} for telemetry: a firewall?"
+        return Refusal("nobody", told)
 
     def _takes_commands(self) -> bool:
         """Whether anybody takes connections at the port that the bridge is known by; no key is shown."""
@@ -135,35 +149,59 @@ class Remote:
 
     def _heard(
         self, monitor: zmq.Socket[Any], timeout_s: float, patient: bool, given_up: Callable[[], bool]
-    ) -> tuple[bool, str] | None:
-        for event in monitored(monitor, timeout_s, given_up):
-            match event:
-                case zmq.EVENT_HANDSHAKE_SUCCEEDED:
-                    return None
-                case zmq.EVENT_HANDSHAKE_FAILED_AUTH:
-                    return True, f"the bridge at {self} refuses our key {self.certificate.public_key[:8]}..."
-                case zmq.EVENT_CLOSED if patient:
-                    continue
-                case zmq.EVENT_CLOSED:
-                    return False, f"no bridge at {self}: nobody takes connections there"
-                case _:
-                    return True, (
-                        f"the bridge at {self} ended the handshake: its key is not the server_key that we were "
-                        "given, or it has all the connections that it takes"
-                    )
-        return False, f"no bridge at {self}: no answer within {timeout_s:g} s"
+    ) -> Refusal | None:
+        refusal = Refusal("nobody", f"no bridge at {self}: no answer within {timeout_s:g} s")
+        taken_s = time.monotonic()
+        for event, value in monitored(monitor, timeout_s, given_up):
+            if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+                return None
+            if event == zmq.EVENT_CONNECTED:
+                taken_s = time.monotonic()
+                refusal = Refusal(
+                    "busy",
+                    f"no answer from the bridge at {self} within {timeout_s:g} s, though the connection was taken: "
+                    "it is too busy, or something else than a bridge listens there",
+                )
+                continue
+            refusal = self._refusal(event, value, time.monotonic() - taken_s)
+            if not (patient and refusal.by in ("nobody", "busy")):
+                return refusal
+        return refusal
+
+    def _refusal(self, event: int, value: int, after_s: float) -> Refusal:
+        """What the end of a connection says, so long after it was taken; `value` is the event's."""
+        if event == zmq.EVENT_CLOSED:
+            return Refusal("nobody", f"no bridge at {self}: nobody takes connections there")
+        if event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+            return Refusal("key", f"the bridge at {self} refuses our key {self.certificate.public_key[:8]}...")
+        if event == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
+            return Refusal("nobody", f"no bridge at {self}: what answers there speaks another protocol")
+        if value == errno.ECONNRESET:
+            why = "too many of its connections have not shown a key yet, or it has just ended"
+            return Refusal("busy", f"the bridge at {self} took the connection and ended it at once: {why}")
+        if after_s >= HANDSHAKE_S:
+            why = "the bridge, this machine or the network between them is too slow"
+            return Refusal(
+                "busy", f"the handshake with the bridge at {self} was not complete after {after_s:.0f} s: {why}"
+            )
+        return Refusal(
+            "handshake",
+            f"the bridge at {self} ended the handshake: its key is not the server_key that we were "
+            "given, or it has all the connections that it takes",
+        )
 
 
 def monitored(
     monitor: zmq.Socket[Any], timeout_s: float, given_up: Callable[[], bool] = lambda: False
-) -> Iterator[int]:
-    """What befalls a socket, as it does, for so long or until nobody waits for it any more."""
+) -> Iterator[tuple[int, int]]:
+    """What happens to a socket, events and their values, as it does, for so long or until nobody waits any more."""
     from zmq.utils.monitor import recv_monitor_message
 
     deadline = time.monotonic() + timeout_s
     while (left_s := deadline - time.monotonic()) > 0 and not given_up():
         if monitor.poll(int(min(left_s, _LOOK_EVERY_S) * 1e3 + 0.999)):
-            yield recv_monitor_message(monitor)["event"]
+            message = recv_monitor_message(monitor)
+            yield int(message["event"]), int(message["value"])
 
 
 class Named(NamedTuple):

@@ -31,7 +31,7 @@ from hapticd.core import SAMPLE_DTYPE, Flag
 from hapticd.engine import output_of
 from hapticd.errors import HapticdError
 from hapticd.events import event_map
-from hapticd.flight_scene import MOST_OBJECTS
+from hapticd.flight_scene import MOST_OBJECTS, MOST_PIECES
 from hapticd.materials import Material, validate_materials
 from hapticd.mode import Mode
 from hapticd.offline import Rerun
@@ -169,7 +169,7 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
             f"{os.fspath(path)}: cannot be rendered again: its scene is not in it, as of all scenes of more than "
-            f"{MOST_OBJECTS:,} objects in files of the flight recorder"
+            f"{MOST_OBJECTS:,} objects, or {MOST_PIECES:,} patches and models, in files of the flight recorder"
         )
     if missing:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")

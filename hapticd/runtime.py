@@ -1,8 +1,9 @@
 """The runtime directory while a daemon owns it: its lock, and the sockets that are bound in it.
 
 The directory and the file `hapticd.lock` are locked with flock(2). systemd-tmpfiles leaves a locked directory alone,
-with all that is in it. A socket gets its name once it listens. At its end a daemon removes only those files that are
-still the ones that it made.
+with all that is in it, and elsewhere a socket of a name that /proc/net/unix has. So sockets are bound under their own
+names: between bind(2) and listen(2) a client is refused, and tries again. At its end a daemon removes only those files
+that are still the ones that it made.
 """
 
 from __future__ import annotations
@@ -45,17 +46,15 @@ class Owned:
     def listen(self, path: Path) -> socket.socket:
         """A socket that listens at `path`, in place of what a killed daemon left there. Raises HapticdError."""
         try:
-            unnamed = path.with_name(".new")
-            unnamed.unlink(missing_ok=True)
+            path.unlink(missing_ok=True)
             with ExitStack() as stack:
                 own = stack.enter_context(
                     socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_CLOEXEC | socket.SOCK_NONBLOCK)
                 )
-                own.bind(os.fspath(unnamed))
-                unnamed.chmod(0o660)
+                os.fchmod(own.fileno(), 0o660)  # the file's mode, from its first moment
+                own.bind(os.fspath(path))
                 own.listen(_BACKLOG)
-                self._files[path] = _identity(unnamed)  # before others see it, who may put theirs in its place
-                unnamed.replace(path)  # its existence means that it can be connected to
+                self.note(path)
                 stack.pop_all()
                 return own
         except OSError as error:
@@ -109,9 +108,11 @@ def owned(paths: RuntimePaths) -> Iterator[Owned]:
         os.pwrite(lock, f"{os.getpid()}\n".encode(), 0)
         mine = Owned(paths)
         mine.note(paths.lock)
-        yield mine
-        for path in (paths.command, paths.telemetry):
-            mine.remove(path)
+        try:
+            yield mine
+        finally:
+            for path in (paths.command, paths.telemetry):
+                mine.remove(path)
 
 
 def _lock(descriptor: int) -> bool:

@@ -231,17 +231,20 @@ class Margin:
     """Largest eigenvalue of the sum of their stiffnesses, friction springs and spring fields among them."""
     damping_n_s_per_m: float
     limit_n_per_m: float
-    """The largest stiffness that is safe in any hand, all stiffnesses scaled alike and damping left as it is."""
+    """`margin` times the stiffness."""
     held_limit_n_per_m: float
     """The largest stiffness that does not grow in the hand that is assumed; infinite: all up to 1e7 N/m."""
     margin: float
-    """Limit over stiffness; infinite where there is no stiffness and nothing wrong."""
+    """The set is safe in any hand with all its stiffnesses so many times as large, and damping as it is; infinite where
+    there is no stiffness and nothing wrong, 0 where no factor would do."""
     limited_by: Limit
     verdict: Verdict
     spectral_radius: float
     """In the hand that is assumed."""
     free_radius: float
     """With the handle let go."""
+    remedy: str = ""
+    """Which keys to lower, and to what, so that it is safe; empty: `limit_n_per_m` says it, or nothing would do."""
 
     @property
     def safe(self) -> bool:
@@ -262,6 +265,7 @@ class Margin:
             "verdict": self.verdict,
             "spectral_radius": self.spectral_radius,
             "free_radius": self.free_radius,
+            "remedy": self.remedy,
         }
 
     def __str__(self) -> str:
@@ -269,6 +273,8 @@ class Margin:
         if self.damping_n_s_per_m > 0.0:
             told += f" and {self.damping_n_s_per_m:.3g} N s/m"
         most = f"up to {self.limit_n_per_m:.4g} N/m would be safe" if self.limit_n_per_m > 0.0 else ""
+        if self.remedy:
+            most = f"safe with {self.remedy}"
         if not self.safe and not most:
             most = "no stiffness would be safe" + (" with that damping" if self.damping_n_s_per_m > 0.0 else "")
         if self.safe:

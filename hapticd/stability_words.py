@@ -45,7 +45,10 @@ def _one(margin: Mapping[str, Any], told: Mapping[str, Any]) -> str:
     names, limit, damping = margin["objects"], margin["limit_n_per_m"], margin["damping_n_s_per_m"]
     more = f" and {len(names) - _SHOWN_OBJECTS} more" if len(names) > _SHOWN_OBJECTS else ""
     which = ", ".join(names[:_SHOWN_OBJECTS]) + more
-    if limit > 0.0:
+    remedy = margin.get("remedy", "")
+    if remedy:
+        text = f"{which}: {margin['stiffness_n_per_m']:.4g} N/m are not proved to be stable in any hand"
+    elif limit > 0.0:
         stiffness = margin["stiffness_n_per_m"]
         text = (
             f"{which}: {stiffness:.4g} N/m are not below the {limit:.4g} N/m "
@@ -64,7 +67,7 @@ def _one(margin: Mapping[str, Any], told: Mapping[str, Any]) -> str:
         text = f"{which}: on this handle no stiffness is proved to be stable in any hand"
         remedy = "a handle with more damping and friction"
     if margin["verdict"] == "unproved":
-        return f"{text}. {remedy.capitalize()} would have a proof"
+        return f"{text}. {remedy[0].upper()}{remedy[1:]} would have a proof"
     if margin["limited_by"] == "eigenvalues":
         return f"{text}, and in the hand that is configured it oscillates. Needed: {remedy}"
     return f"{text}; it may oscillate, with the handle let go at the latest. Needed: {remedy}"

@@ -174,7 +174,8 @@ class Telemetry:
 
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
-            self._send("change", change_map(change))
+            if self._publisher.wants("change"):  # one of thousands of patches takes long to put into words
+                self._send("change", change_map(change))
             if self._flight is not None:
                 self._flight.keep_change(change)
 
@@ -186,7 +187,7 @@ class Telemetry:
                 self._asked.popleft().set_result(state)
 
     def _send_state(self) -> None:
-        if self._newest is not None:
+        if self._newest is not None and self._publisher.wants("state"):
             self._send("state", self._state(self._newest[0]))
 
     def _state(self, sample: np.void) -> dict[str, object]:

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from hapticd.core import Shape, Texture
-from hapticd.errors import Problem, path_text
+from hapticd.round_skins import round_skins
 from hapticd.stability import (
     CORNER,
     GROWS,
@@ -60,6 +59,22 @@ class Parts(NamedTuple):
     """PIECE_DTYPE."""
     field_stiffness_n_per_m: float
     field_damping_n_s_per_m: float
+    names: Sequence[str] = ()
+    """Of the materials, by index."""
+
+    def of(self, slots: Ints) -> Parts:
+        """Only these surfaces, in this order."""
+        objects = self.objects[slots]
+        count, first = objects["piece_count"].astype(np.int64), objects["piece_first"].astype(np.int64)
+        begin = np.cumsum(count) - count
+        pieces = self.pieces[np.repeat(first - begin, count) + np.arange(int(count.sum()))]
+        objects["piece_first"] = begin
+        return self._replace(objects=objects, pieces=pieces)
+
+    def materials_of(self, slots: Ints) -> Ints:
+        """The indices of all materials that these surfaces are made of, each once."""
+        some = self.of(slots)
+        return np.unique(np.concatenate((some.objects["material"], some.pieces["material"]))).astype(np.int64)
 
 
 class _Skins(NamedTuple):
@@ -114,10 +129,25 @@ def _material_skins(materials: npt.NDArray[np.void]) -> _Skins:
     )
 
 
+def _round(parts: Parts, skins: _Skins) -> None:
+    """Puts in what discs are where they have friction or shaped grooves."""
+    materials = parts.materials[parts.objects["material"]]
+    depends = (materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY)
+    discs = np.flatnonzero((parts.objects["shape"] == Shape.DISC) & depends)
+    if len(discs) == 0:
+        return
+    found = round_skins(parts.objects["half_m"][discs, 0], materials[discs], PRESS_N)
+    skins.normal[discs] = skins.normal_noise[discs] = found.normal
+    skins.tangent[discs] = found.tangent
+    skins.rubbed[discs] = found.rubbed
+    skins.tangent_noise[discs] = found.tangent + found.spring + found.rubbed
+
+
 def _skins(parts: Parts) -> _Skins:
     """Of each object: its material's, or the largest of its pieces' and of the ramps between them."""
     materials = _material_skins(parts.materials)
     skins = _Skins(*(values.copy() for values in materials.of(parts.objects["material"])))
+    _round(parts, skins)
     patched = np.flatnonzero(parts.objects["piece_count"] > 0)
     if len(patched) == 0:
         return skins
@@ -433,6 +463,10 @@ class Sets:
     def __len__(self) -> int:
         return len(self._sums)
 
+    def members(self, place: int) -> tuple[int, ...]:
+        """The slots of a set, in rising order."""
+        return self._members(place)
+
     def matrices(self, place: int) -> tuple[Floats, Floats]:
         """Stiffness and damping of a set, as spectral_radius takes them: (2, 2) each."""
         row = self._sums[place : place + 1]
@@ -495,68 +529,20 @@ class Sets:
         return found
 
 
+def safe_around(parts: Parts, loop: Loop, slots: Sequence[int]) -> bool:
+    """Whether every set that has one of these surfaces is safe; without any, whether the fields alone are."""
+    if not slots:
+        return bool(Sets(parts.of(np.zeros(0, np.int64)), loop).safe.all())
+    own = np.array(slots)
+    every = np.flatnonzero(parts.objects["shape"] != Shape.NONE)
+    if len(own) * len(every) <= MOST_LOOKS:
+        a, b = np.repeat(own, len(every)), np.tile(every, len(own))
+        every = np.union1d(own, b[_meet(_regions(parts, _skins(parts), loop), a, b)])
+    sets = Sets(parts.of(every), loop)
+    wanted = set(np.searchsorted(every, own).tolist())
+    return all(wanted.isdisjoint(sets.members(place)) for place in np.flatnonzero(~sets.safe).tolist())
+
+
 def _matrices(rows: Floats) -> Floats:
     """xx, xy, yy to symmetric matrices: (n, 3) to (n, 2, 2)."""
     return np.asarray(rows[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
-
-
-@dataclass(frozen=True, slots=True)
-class Stability:
-    """How the sets of a scene stand, or why nobody knows."""
-
-    unknown: str | None
-    """One line; None: it is known."""
-    assumed: Loop | None
-    sets: int = 0
-    unsafe: int = 0
-    """How many are not safe."""
-    worst: tuple[Margin, ...] = ()
-    """Up to MOST_TOLD, the least margin first: those that are not safe, or any where that was asked for."""
-
-    @property
-    def harmful(self) -> tuple[Margin, ...]:
-        """Those that are more than unproved."""
-        return tuple(margin for margin in self.worst if margin.verdict == "unsafe")
-
-    def to_dict(self) -> dict[str, object]:
-        """As get_status has it."""
-        return {
-            "unknown": self.unknown,
-            "assumed": None if self.assumed is None else self.assumed.to_dict(),
-            "sets": self.sets,
-            "unsafe": self.unsafe,
-            "worst": [margin.to_dict() for margin in self.worst],
-        }
-
-    def problems(self) -> list[Problem]:
-        """A line for each set that is unsafe, and one for the rest of those that are told."""
-        harmful = self.harmful
-        found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MOST_LINES]]
-        if len(harmful) > MOST_LINES:
-            more = f"{self.unsafe - MOST_LINES} more sets of objects are not safe, see `hapticd check`"
-            found.append(Problem("scene.objects", more))
-        return found
-
-
-def place_of(objects: Sequence[str]) -> str:
-    """Where a set stands in a configuration, and what acts with it."""
-    first, others = objects[0], objects[1:]
-    place = path_text(("scene", "objects", first))
-    if not others:
-        return place
-    more = f" and {len(others) - 2} more" if len(others) > 3 else ""
-    return f"{place} with {', '.join(others[: 2 if more else 3])}{more}"
-
-
-def judge(
-    parts: Parts, name_of: Callable[[int], str], fields: Callable[[], Sequence[str]], loop: Loop, unsafe: bool = True
-) -> Stability:
-    """The sets of a scene; `name_of` a slot is an object's id, `fields` are the ids of those that push everywhere.
-
-    `unsafe`: tell only of sets that are not safe.
-    """
-    sets = Sets(parts, loop)
-    found = sets.worst(MOST_TOLD, unsafe=unsafe)
-    everywhere = tuple(fields()) if found and sets.fields else ()
-    named = [((*map(name_of, slots), *everywhere), place) for slots, place in found]
-    return Stability(None, loop, len(sets), int((~sets.safe).sum()), tuple(sets.margins(named)))

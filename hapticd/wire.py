@@ -28,6 +28,9 @@ MAX_BODY: Final = 2 * 1024 * 1024
 MAX_DEPTH: Final = 32
 """Deepest nesting of a body; a request whose params hold only scalars has depth 2."""
 
+MAX_MEMBERS: Final = 65_536
+"""Largest map of a body: building one is a single call, in which no other thread runs."""
+
 # Up to this size a header can claim at most this many elements, which is cheap enough to try.
 _SMALL: Final = 4096
 # The bytes that can open a map or an array, and those that can open an extension. They also occur inside
@@ -127,7 +130,8 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
     """The object that `body` encodes; maps become dicts, arrays lists, bin bytes.
 
     Raises WireError(-32700) for a body over `limit` bytes, truncated, with trailing bytes, nested deeper
-    than 32, with duplicate or non-string keys, extension types (timestamps too) or invalid UTF-8.
+    than 32, with a map of more than 65,536 members, with duplicate or non-string keys, extension types (timestamps too)
+    or invalid UTF-8.
     """
     size = len(body)
     if size > limit:
@@ -145,7 +149,14 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
             scanner.skip()
             if scanner.tell() != size:
                 raise _bad(f"{size - scanner.tell()} trailing bytes")
-        result = msgpack.unpackb(body, raw=False, strict_map_key=False, object_pairs_hook=_map, ext_hook=_extension)
+        result = msgpack.unpackb(
+            body,
+            raw=False,
+            strict_map_key=False,
+            max_map_len=MAX_MEMBERS if size > MAX_MEMBERS else size,
+            object_pairs_hook=_map,
+            ext_hook=_extension,
+        )
     except WireError:
         raise
     except (msgpack.StackError, RecursionError):
@@ -156,7 +167,9 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
         raise _bad("the body is not msgpack") from None
     except UnicodeDecodeError:
         raise _bad("a string is not UTF-8") from None
-    except (ValueError, msgpack.UnpackException, OverflowError):
+    except (ValueError, msgpack.UnpackException, OverflowError) as error:
+        if size > MAX_MEMBERS and "max_map_len" in str(error):
+            raise _bad(f"a map has more than {MAX_MEMBERS} members") from None
         raise _bad("the body is empty" if size == 0 else "the body is truncated") from None
     if not plain:
         _check_tree(result)

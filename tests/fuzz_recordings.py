@@ -25,7 +25,7 @@ import zipfile
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Final
@@ -451,6 +451,26 @@ def bounded_memory() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
+class Peak:
+    """The most memory that the process held since `begin`, beyond what it held then."""
+
+    def begin(self) -> None:
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5")
+        self._before, _ = _resident()
+
+    def taken(self) -> int:
+        """Bytes."""
+        return max(0, _resident()[1] - self._before)
+
+
+def _resident() -> tuple[int, int]:
+    """Bytes that are held now, and the most that were."""
+    told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    now, most = (int(told[name].split()[0]) << 10 for name in ("VmRSS", "VmHWM"))
+    return now, most
+
+
 def check_refusal(error: HapticdError, path: Path) -> None:
     """One line that names a file of the recording."""
     told = str(error)
@@ -501,10 +521,13 @@ def _write(folder: str, files: Mapping[str, bytes]) -> None:
         (Path(folder) / (name if hidden else f"f{name}")).write_bytes(content)
 
 
-def run(source: random.Random, runs: int, forms: tuple[str, ...] = tuple(FORMS)) -> tuple[Counter[str], float]:
-    """So many recordings: what came of them, and the longest time. Raises Failure with the one that failed."""
+def run(source: random.Random, runs: int, forms: tuple[str, ...] = tuple(FORMS)) -> tuple[Counter[str], float, int]:
+    """So many recordings: what came of them, the longest time (s) and the most memory (bytes) that one took.
+
+    Raises Failure with the one that failed.
+    """
     outcomes: Counter[str] = Counter()
-    worst_s = 0.0
+    worst_s, most, peak = 0.0, 0, Peak()
     for form in forms:
         whole(form)
     with tempfile.TemporaryDirectory(prefix="hapticd-test-") as folder, fuzzing.hangs_after(HANGS_S) as begin:
@@ -517,6 +540,7 @@ def run(source: random.Random, runs: int, forms: tuple[str, ...] = tuple(FORMS))
                 old.unlink()
             _write(folder, FORMS[form](source))
             begin()
+            peak.begin()
             started = time.process_time()
             try:
                 with bounded_memory():
@@ -525,8 +549,8 @@ def run(source: random.Random, runs: int, forms: tuple[str, ...] = tuple(FORMS))
                 kept = tempfile.mkdtemp(prefix="hapticd-fuzz-")
                 shutil.copytree(folder, kept, dirs_exist_ok=True)
                 raise Failure(f"{number}: {type(error).__name__}: {error}: {kept}/f{form}") from error
-            worst_s = max(worst_s, time.process_time() - started)
-    return outcomes, worst_s
+            worst_s, most = max(worst_s, time.process_time() - started), max(most, peak.taken())
+    return outcomes, worst_s, most
 
 
 def main() -> None:
@@ -534,9 +558,10 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    outcomes, worst_s = run(random.Random(arguments.seed), arguments.runs)
+    outcomes, worst_s, most = run(random.Random(arguments.seed), arguments.runs)
     told = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
-    print(f"fuzz_recordings: ok, {arguments.runs} recordings: {told}; the slowest {1e3 * worst_s:.0f} ms")
+    ends = f"the slowest {1e3 * worst_s:.0f} ms, the largest {most / 2**20:.1f} MiB"
+    print(f"fuzz_recordings: ok, {arguments.runs} recordings: {told}; {ends}")
 
 
 if __name__ == "__main__":

@@ -533,6 +533,17 @@ static uint32_t increments(void) {
     return crowd.table.revision;
 }
 
+/* A play that waits for the thread takes the mode of another rate; nothing else does. The one after it is a reset. */
+static void retunes(struct hd_servo *servo, uint64_t sent, const struct hd_mode *mode) {
+    struct hd_mode broken = *mode;
+
+    broken.rotor_re = (double)NAN;
+    CHECK(hd_servo_retune(servo, sent + 1, mode) == HD_ERR_INVALID);
+    CHECK(hd_servo_retune(servo, sent, mode) == HD_ERR_INVALID);
+    CHECK(hd_servo_retune(servo, sent - 1, &broken) == HD_ERR_INVALID);
+    CHECK(hd_servo_retune(servo, sent - 1, mode) == HD_OK);
+}
+
 /* A rate that no machine keeps: the servo ends by itself, and goes on at another one over the same state. */
 static uint32_t steps_down(void) {
     struct hd_servo_config fast = config;
@@ -544,10 +555,13 @@ static uint32_t steps_down(void) {
     struct hd_counters counters;
     struct hd_histograms histograms;
     pthread_t drainer;
+    struct hd_command waiting[3];
     uint64_t ended;
+    uint64_t sent;
     uint64_t tick;
     uint64_t counted = 0;
 
+    make_commands(waiting, 2);
     fast.rate_hz = 100000.0;
     fast.overrun_action = HD_OVERRUN_STEP_DOWN;
     sim = hd_sim_new(&joystick, 1.0 / fast.rate_hz);
@@ -569,7 +583,10 @@ static uint32_t steps_down(void) {
     } while (counters.running);
     CHECK(counters.overloaded && counters.overloads == 1 && counters.missed_share > 0.0);
     ended = counters.ticks;
+    CHECK(hd_servo_send(servo, waiting, 2, &sent) == HD_OK);
+    CHECK(hd_servo_retune(servo, sent, &waiting[0].mode) == HD_ERR_INVALID); /* before the rate */
     CHECK(hd_servo_set_rate(servo, RATE_HZ, HD_OVERRUN_WARN) == HD_OK);
+    retunes(servo, sent, &waiting[0].mode);
     CHECK(hd_servo_publish(servo, &scene.table) == HD_ERR_INVALID); /* of the former rate */
     CHECK(hd_sim_set_period(sim, &joystick, 1.0 / RATE_HZ) == HD_OK);
     make_scene(&scene, 2);

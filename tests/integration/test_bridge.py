@@ -516,7 +516,7 @@ def let_in(bridge: Bridge, name: str) -> Client:
     while True:
         try:
             return connect(bridge.address, **bridge.as_client(name))
-        except KeyRefused:
+        except HapticdError:
             assert time.monotonic() < deadline
             pause.wait(0.1)
 

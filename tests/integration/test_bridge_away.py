@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import hapticd.aio
-from hapticd.calls import DaemonNotRunning
+from hapticd.calls import DaemonNotRunning, probe
 from hapticd.client import Client
 from hapticd.record import RecordSummary, record
 from tests.bridge_process import Bridge, running_bridge
@@ -49,6 +49,13 @@ def test_the_bridge_is_named_and_its_daemon_blamed(lonely: Bridge, tmp_path: Pat
             record(client, tmp_path / "a.npz")
         with pytest.raises(DaemonNotRunning, match=told_by(lonely)):
             client.states()
+
+
+def test_a_bridge_that_stands_still_does_not_refuse(lonely: Bridge) -> None:
+    """The kernel takes the connection for it; of keys and handshakes nothing is known."""
+    told = "^no answer from the bridge at .* within 0.1 s, though the connection was taken: it is too busy"
+    with lonely.held(), pytest.raises(DaemonNotRunning, match=told):
+        probe(lonely.at("alice"), 0.1)
 
 
 @pytest.mark.slow

@@ -119,7 +119,7 @@ class Terminal:
         os.close(self._master)
 
 
-@pytest.fixture(params=STARTS)
+@pytest.fixture(params=["bash", "zsh", pytest.param("zsh as installed", marks=pytest.mark.slow)])
 def terminal(request: pytest.FixtureRequest, folder: Path) -> Iterator[Terminal]:
     shell = request.param.split()[0]
     if shutil.which(shell) is None:

@@ -24,6 +24,7 @@ from hapticd.config import load_config
 from hapticd.core import SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.engine import Engine
 from tests.daemon_process import PATIENCE_S, Daemon, Wire, connect, running_daemon, until, wired
+from tests.marks import rest_slow
 
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 
@@ -118,17 +119,19 @@ def test_directory_that_is_a_link_or_open_to_others_is_refused(tmp_path: Path) -
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [
-        ("servo: {rate_hz: 1}\n", ["c.yaml:1", "rate_hz", "1000"]),
-        ("servo: {rate_hz: 20000}\n", ["c.yaml:1", "rate_hz", "10000"]),
-        ("servo:\n  rate_hz: 8000\n  rat: 1\n", ["c.yaml:3", "rat"]),
-        (
-            "scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wod}\n",
-            ["c.yaml:3", "wood"],
-        ),
-        ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
-        ("servo: [\n", ["c.yaml:1:8", "not closed"]),
-    ],
+    rest_slow(
+        [
+            ("servo: {rate_hz: 1}\n", ["c.yaml:1", "rate_hz", "1000"]),
+            ("servo: {rate_hz: 20000}\n", ["c.yaml:1", "rate_hz", "10000"]),
+            ("servo:\n  rate_hz: 8000\n  rat: 1\n", ["c.yaml:3", "rat"]),
+            (
+                "scene:\n  objects:\n    a: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wod}\n",
+                ["c.yaml:3", "wood"],
+            ),
+            ("a: 1\na: 2\n", ["c.yaml:2", "duplicate"]),
+            ("servo: [\n", ["c.yaml:1:8", "not closed"]),
+        ]
+    ),
 )
 def test_bad_configuration_is_one_line(tmp_path: Path, text: str, words: list[str]) -> None:
     file = tmp_path / "c.yaml"
@@ -364,6 +367,7 @@ def test_client_that_does_not_read_its_answers_stops_nobody() -> None:
         context.destroy(0)
 
 
+@pytest.mark.slow
 def test_a_daemon_whose_lock_was_removed_keeps_its_directory() -> None:
     with running_daemon() as daemon:
         (daemon.directory / "hapticd.lock").unlink()

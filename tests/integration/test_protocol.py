@@ -432,7 +432,7 @@ def check_answered(wire: Wire, body: bytes) -> None:
         assert "\n" not in error["message"]
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(body=st.binary(max_size=200))
 def test_fuzz_bytes(beaten: Daemon, body: bytes) -> None:
     with wired(beaten) as wire:

@@ -35,6 +35,7 @@ from hapticd.recovery import recover
 from hapticd.replayed import replay
 from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 from tests.fake_daemon import FakeDaemon, fake_daemon, result
+from tests.marks import rest_slow
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 DISC = {"kind": "disc", "center_m": [0.01, 0.0], "radius_m": 0.004, "material": "steel"}
@@ -556,11 +557,12 @@ def test_a_block_of_asyncio_is_recorded(daemon: Daemon, tmp_path: Path) -> None:
 # ---- The flight recorder -------------------------------------------------------------------------------------------
 
 
-def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("ending", rest_slow(["npz", "csv", "mcap"]))
+def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path, ending: str) -> None:
     """The scene changes within the seconds that are kept, under the hand; the file has what was there before."""
     config = tmp_path / "quiet.yaml"
     config.write_text(QUIET)
-    targets = [tmp_path / f"flight.{ending}" for ending in ("npz", "csv", "mcap")]
+    target = tmp_path / f"flight.{ending}"
     with running_daemon("-c", str(config)) as daemon, connect(daemon.directory) as client:
         client.set_scene({"objects": {"floor": FLOOR}})
         before = client.reset()["tick"]
@@ -576,23 +578,21 @@ def test_a_file_of_the_flight_recorder_is_rendered_again(tmp_path: Path) -> None
             command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(daemon.directory), "flight", *arguments]
             return subprocess.run(command, capture_output=True, text=True, check=False)
 
-        for target in targets:
-            told = flight(str(target)).stdout
-            held = hapticd.load(target)
-            assert told.startswith(f"{target}: {len(held.samples):,} ticks in ")
-            assert told.endswith(f" missed, {len(held.events):,} events\n") or " %), " in told
-        again = flight(str(targets[0]))
+        told = flight(str(target)).stdout
+        held = hapticd.load(target)
+        assert told.startswith(f"{target}: {len(held.samples):,} ticks in ")
+        assert told.endswith(f" missed, {len(held.events):,} events\n") or " %), " in told
+        again = flight(str(target))
         assert again.returncode == 1 and "is there already; give another name, or --overwrite" in again.stderr
-        assert flight(str(targets[0]), "--overwrite").returncode == 0
+        assert flight(str(target), "--overwrite").returncode == 0
         refused = flight("f.txt")
         assert refused.stderr == "hapticd: f.txt: must end in .npz, .csv or .mcap\n" and refused.returncode == 1
-    for target in targets:
-        recording = hapticd.load(target)
-        assert [mark["text"] for mark in recording.marks] == ["here"]
-        assert recording.started is not None and recording.ended is not None
-        assert recording.started.monotonic_ns < recording.ended.monotonic_ns
-        rendered = replay(target)
-        assert rendered.missing_revisions == () and rendered.settled
-        assert rendered.identical == len(rendered.samples) > 0.9 * rendered.ticks, rendered.summary()
-        assert rendered.samples["tick"][0] < before, "also what was rendered with the scene of before"
-        assert len(set(rendered.samples["revision"].tolist())) >= 6
+    recording = hapticd.load(target)
+    assert [mark["text"] for mark in recording.marks] == ["here"]
+    assert recording.started is not None and recording.ended is not None
+    assert recording.started.monotonic_ns < recording.ended.monotonic_ns
+    rendered = replay(target)
+    assert rendered.missing_revisions == () and rendered.settled
+    assert rendered.identical == len(rendered.samples) > 0.9 * rendered.ticks, rendered.summary()
+    assert rendered.samples["tick"][0] < before, "also what was rendered with the scene of before"
+    assert len(set(rendered.samples["revision"].tolist())) >= 6

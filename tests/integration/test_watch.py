@@ -373,6 +373,7 @@ def test_a_daemon_that_goes_away_is_waited_for(daemon: Daemon, quiet_config: str
         assert terminal.end(signal.SIGINT) == (130, b"")
 
 
+@pytest.mark.slow
 def test_through_a_bridge_who_may_only_watch_asks_nothing(daemon: Daemon, tmp_path: Path) -> None:
     """A refusal would be logged and counted; who may command sees the scene, too."""
     with running_bridge(tmp_path, daemon.directory, {"alice": "command", "bob": "watch"}) as bridge:

@@ -52,6 +52,7 @@ def test_a_minute_of_strikes_never_lets_a_mode_end() -> None:
         assert struck.at[-1] < 3 * modes.RATE_HZ
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "least", "most"),
     [
@@ -76,6 +77,7 @@ def test_every_way_makes_the_same_sound_but_for_its_error(peers: Peers, name: st
     assert least <= modes.minute_error(peers, way, WOOD, struck, 80, modes.sum_of(WOOD, struck, 80, 80)) <= most
 
 
+@pytest.mark.slow
 def test_a_mode_ends_after_five_decay_times(peers: Peers) -> None:
     for name, way in modes.ways(peers).items():
         if name == modes.FLOOR:

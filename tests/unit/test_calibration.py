@@ -200,18 +200,17 @@ SOFT = {"mass_kg": 0.01, "stiffness_n_per_m": 100, "damping_n_s_per_m": 1.0}
 DEFAULT = {"mass_kg": 0.01, "stiffness_n_per_m": 300, "damping_n_s_per_m": 5.0}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate_hz", "mass_kg", "hand", "more"),
     [
         (1000, 0.04, DEFAULT, {}),
-        pytest.param(10000, 0.04, DEFAULT, {}, marks=pytest.mark.slow),
-        pytest.param(1000, 0.03, SOFT, {}, marks=pytest.mark.slow),
-        pytest.param(2000, 0.1, FIRM, {}, marks=pytest.mark.slow),
-        pytest.param(1000, 0.3, FIRM | {"mass_kg": 0.06}, {}, marks=pytest.mark.slow),
-        pytest.param(1000, 0.04, DEFAULT, {"link": {"rate_hz": 250, "delay_frames": 2}}, marks=pytest.mark.slow),
-        pytest.param(
-            4000, 0.04, DEFAULT, {"report_interval_s": 0.001, "report_delay_s": 0.0007}, marks=pytest.mark.slow
-        ),
+        (10000, 0.04, DEFAULT, {}),
+        (1000, 0.03, SOFT, {}),
+        (2000, 0.1, FIRM, {}),
+        (1000, 0.3, FIRM | {"mass_kg": 0.06}, {}),
+        (1000, 0.04, DEFAULT, {"link": {"rate_hz": 250, "delay_frames": 2}}),
+        (4000, 0.04, DEFAULT, {"report_interval_s": 0.001, "report_delay_s": 0.0007}),
     ],
 )
 def test_it_recovers_the_simulated_joystick(

@@ -27,6 +27,7 @@ from hapticd.cli.common import duration, print_yaml
 from hapticd.materials import shipped_materials
 from hapticd.yaml_source import load_text
 from tests.cli import said
+from tests.marks import rest_slow
 
 ROOT = Path(__file__).parents[2]
 SCENE = "objects:\n  floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}\n"
@@ -306,11 +307,11 @@ def nowhere(kind: str) -> Iterator[int]:
         os.close(descriptor)
 
 
-PRINTING = ["--help", "--version", "check --help", "schema", "check", "check --json"]
+PRINTING = ["--help", "check --json", "check", "check --help", "--version", "schema"]
 """A command for each way in which something is printed: by click, by rich, as JSON."""
 
 
-@pytest.mark.parametrize("command", PRINTING)
+@pytest.mark.parametrize("command", rest_slow(PRINTING, fast=2))
 @pytest.mark.parametrize(("kind", "why"), [("pipe", "Broken pipe"), ("full", "No space left on device")])
 def test_output_that_nobody_takes_is_one_line(command: str, kind: str, why: str) -> None:
     words = [sys.executable, "-m", "hapticd", *command.split()]

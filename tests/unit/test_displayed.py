@@ -26,6 +26,7 @@ from hapticd.joystick import new_sim
 from hapticd.materials import Material, shipped_materials
 from hapticd.mode import Mode
 from hapticd.offline import simulate_run
+from tests.marks import rest_slow
 from tests.rig import FLOOR, Rig
 
 Floats = npt.NDArray[np.float64]
@@ -191,7 +192,7 @@ def test_what_is_required(grip: str) -> None:
 # ---- The complex amplitude ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", library())
+@pytest.mark.parametrize("name", rest_slow(library()))
 def test_the_pole_is_displayed_exactly_once_it_moves(name: str) -> None:
     """Driven by F_k = C exp(p k T) since ever, the acceleration is exp(p t) and what lies multiples of the rate away.
 
@@ -490,7 +491,7 @@ def replace_start(config: dict[str, Any]) -> Any:
 
 
 @pytest.mark.parametrize("grip", GRIPS)
-@pytest.mark.parametrize("name", ["wood", "delrin", "steel"])
+@pytest.mark.parametrize("name", rest_slow(["wood", "delrin", "steel"]))
 def test_the_simulated_handle_feels_it(name: str, grip: str) -> None:
     mode = library()[name]
     compensations: tuple[Compensation, ...] = ("off", "mass", "full")

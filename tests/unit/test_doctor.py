@@ -443,7 +443,9 @@ def test_the_command_on_this_machine(
 ) -> None:
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
     code = main(["doctor", "--json"])
+    assert list(tmp_path.rglob("*")) == [], "it changes nothing"
     captured = capsys.readouterr()
     found = json.loads(captured.out)
     failed = [item for item in found if item["verdict"] == "fail"]

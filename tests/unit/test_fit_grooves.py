@@ -109,6 +109,7 @@ def test_knocks_do_not_pull_the_gains() -> None:
     assert any("do not count" in warning for warning in fit.warnings)
 
 
+@pytest.mark.slow
 def test_strikes_are_looked_for_again_with_the_mode_that_was_found() -> None:
     """Of this stroke the first mode makes 185 of 75 strikes."""
     one = grooves(
@@ -178,6 +179,7 @@ def test_refusals_say_why(changed: Callable[[Recording], dict[str, object]], rea
     assert "\n" not in str(told.value)
 
 
+@pytest.mark.slow
 def test_one_speed_and_one_force_cannot_be_told_apart() -> None:
     hand = Hand(speed_swing=0.0, force_swing=0.0)
     with pytest.raises(FitError, match="told apart"):

@@ -11,6 +11,7 @@ import pytest
 
 from hapticd.cli import main
 from hapticd.fit.regression import Floats
+from tests.marks import rest_slow
 from tests.unit.test_cli import said
 
 Columns: TypeAlias = "dict[str, Floats]"
@@ -247,7 +248,7 @@ DAMAGED: Final[list[tuple[str, str, Damage, str]]] = [
 ]
 
 
-@pytest.mark.parametrize("kind", list(GOOD))
+@pytest.mark.parametrize("kind", ["tap", "puncture", *rest_slow(["grooves", "texture"], fast=0)])
 def test_what_is_damaged_here_is_fitted_when_it_is_whole(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -257,8 +258,17 @@ def test_what_is_damaged_here_is_fitted_when_it_is_whole(
     capsys.readouterr()
 
 
-@pytest.mark.parametrize(("kind", "damage", "told"), [(kind, damage, told) for kind, _, damage, told in DAMAGED],
-                         ids=[f"{kind}: {what}" for kind, what, _, _ in DAMAGED])  # fmt: skip
+LONG: Final = {("grooves", "acceleration in mm/s^2"), ("grooves", "acceleration in km/s^2")}
+"""Fitted to the end before they are refused: a second each. Those of the other kinds show the same."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "damage", "told"),
+    [
+        pytest.param(kind, damage, told, id=f"{kind}: {what}", marks=[pytest.mark.slow] if (kind, what) in LONG else [])
+        for kind, what, damage, told in DAMAGED
+    ],
+)
 def test_refusals(kind: str, damage: Damage, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = written(tmp_path, [damage(columns) for columns in GOOD[kind]])
     line = said(capsys, 1, "fit", kind, *files, "-o", str(tmp_path / "found.yaml"))

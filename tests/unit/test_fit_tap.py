@@ -30,6 +30,7 @@ from hapticd.fit.synthesize import Stylus, TapTruth, taps
 from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.materials import Tap, shipped_materials
 from hapticd.mode import Mode
+from tests.marks import rest_slow
 
 SEVEN = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel")
 SPEEDS = np.linspace(0.1, 0.4, 10)
@@ -418,7 +419,7 @@ def test_an_amplitude_that_is_no_line_is_told_and_a_table_offered(bent: object, 
     assert amplitudes == pytest.approx(truth.slope_per_s * np.interp(speeds, SPEEDS, as_if), rel=0.05)
 
 
-@pytest.mark.parametrize("name", SEVEN)
+@pytest.mark.parametrize("name", rest_slow(SEVEN, fast=2))
 def test_what_is_fitted_rendered_and_fitted_again_is_the_same(name: str) -> None:
     recording, _ = made(name)
     fit = fit_tap([recording])
@@ -621,7 +622,9 @@ def events(shape: Floats, rate_hz: float = 25_000.0) -> list[Recording]:
     ("shape", "told"),
     [
         (np.ones(1), "a glitch|too weak for its noise|less than 2.5 times"),
-        (np.random.default_rng(7).normal(0, 1, 1000), "a decaying sinusoid explains"),
+        pytest.param(
+            np.random.default_rng(7).normal(0, 1, 1000), "a decaying sinusoid explains", marks=pytest.mark.slow
+        ),
         pytest.param(np.sin(2 * np.pi * 50 * np.arange(12_500) / 25_000), "does not decay", marks=pytest.mark.slow),
         (1e6 * np.ones(30), "is none of a stylus|units|off by a thousand"),
         pytest.param(np.sin(2 * np.pi * 5 * np.arange(5000) / 25_000), "a hand's motion", marks=pytest.mark.slow),

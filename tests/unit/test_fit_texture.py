@@ -52,6 +52,7 @@ def test_the_truth_is_found(peak_hz: float, mean_hz: float) -> None:
     assert not any("moves" in warning for fit in fits for warning in fit.warnings)
 
 
+@pytest.mark.slow
 def test_a_frequency_that_moves_with_speed_is_told() -> None:
     slow, fast = sandpaper(140.0, 190.0), sandpaper(180.0, 230.0)
     recordings = [
@@ -110,6 +111,7 @@ def test_hum_is_told(mains_hz: float) -> None:
     assert not any("hum" in warning for warning in fit_texture(clean).warnings)
 
 
+@pytest.mark.slow
 def test_two_textures_in_one_file_are_refused() -> None:
     one, other = strokes(sandpaper(120.0, 170.0), 1, 4.0), strokes(sandpaper(250.0, 280.0), 2, 4.0)
     both = dataclasses.replace(

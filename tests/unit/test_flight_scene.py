@@ -7,7 +7,7 @@ import pytest
 from hapticd.changes import MOST_CHANGED as MOST_TOLD
 from hapticd.changes import Change, Played, Reset, Revised, revised
 from hapticd.config import default_config
-from hapticd.flight_scene import MOST_CHANGED, MOST_OBJECTS, FlightScene
+from hapticd.flight_scene import MOST_CHANGED, MOST_OBJECTS, MOST_PIECES, FlightScene
 from hapticd.mode import Mode
 from hapticd.scene import Scene, SceneObject, validate_object, validate_scene
 
@@ -106,6 +106,29 @@ def test_a_scene_that_is_too_large_is_not_written() -> None:
     scene.take(Revised(2, {}, {"disc0": None}, {}, None))
     scene.forget(9, 2)
     assert len(told(scene)[1]) == MOST_OBJECTS
+
+
+def patched(count: int) -> SceneObject:
+    each = [{"from_m": 4e-4 * n, "to_m": 4e-4 * n + 3e-4, "material": "wood"} for n in range(count)]
+    return validate_object("wall", {**FLOOR, "patches": each})
+
+
+def test_patches_count_as_objects_do() -> None:
+    """Each takes as many words: twenty moves of a wall of 40,000 made a file of the recorder take a gigabyte."""
+    before = validate_scene({"objects": {"floor": FLOOR}})
+    scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
+    many = before.with_objects({"wall": patched(MOST_PIECES)})
+    change = revised(2, before, many, ["wall"], MATERIALS, MATERIALS)
+    assert change.whole is not None and change.objects == {}
+    scene.take(change)
+    assert scene.stretch().texts() == {"scene": None, "materials": None}
+    some = before.with_objects({"wall": patched(1000)})
+    scene.take(revised(3, many, before, ["wall"], MATERIALS, MATERIALS))
+    for revision in range(4, 10):
+        change = revised(revision, before, some, ["wall"], MATERIALS, MATERIALS)
+        assert change.whole is None
+        scene.take(change)
+    assert told(scene)[0] == [6, 7, 8, 9], "1002 pieces each"
 
 
 def test_after_a_change_that_never_came_nothing_is_known_until_all_of_it_is_told(scene: FlightScene) -> None:

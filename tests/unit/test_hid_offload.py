@@ -29,6 +29,7 @@ from hapticd.materials import Material, shipped_materials
 from hapticd.mode import Mode
 from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid, Strike
+from tests.marks import rest_slow
 from tests.unit.test_hid_connection import FULL_N, World, pressed
 from tests.unit.test_hid_connection import world as world
 
@@ -84,7 +85,7 @@ def played(found: Fit, unit_s: float, time_s: Floats) -> Floats:
 # ---- The fit ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", SOFT)
+@pytest.mark.parametrize("name", rest_slow(reversed(SOFT)))
 def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
     """Every effect there is, with scipy's non-negative least squares."""
     mode = mode_of(name)
@@ -145,6 +146,7 @@ def test_no_effect_is_longer_than_a_tenth_of_a_second() -> None:
     assert slow.error >= math.exp(-0.1) - 0.01
 
 
+@pytest.mark.slow
 def test_extreme_modes_and_devices() -> None:
     for decay in (0.1, 1.0, 1e3, 1e6):
         for angular in (0.05, 1e3, 1e6):

@@ -62,6 +62,46 @@ def test_a_second_name_of_a_file_is_no_part_of_ours(tmp_path: Path) -> None:
     folder.close()
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_a_new_part_is_never_what_has_its_name_already(tmp_path: Path, there: bool) -> None:
+    secret = tmp_path / "secret"
+    if there:
+        secret.write_text(SECRET)
+    (tmp_path / ".link.part").symlink_to(secret)
+    (tmp_path / ".file.part").write_text(SECRET)
+    folder = Folder(tmp_path)
+    for name in (".link.part", ".file.part"):
+        with pytest.raises(FileExistsError):
+            Part(folder, name)
+    folder.close()
+    assert secret.exists() == there and (tmp_path / ".file.part").read_text() == SECRET
+
+
+def test_a_part_that_was_left_is_not_opened_through_a_link(tmp_path: Path) -> None:
+    """Though it leads to a file of ours."""
+    ours = tmp_path / "ours"
+    ours.write_text(SECRET)
+    (tmp_path / ".tap.npz.1.0123456789abcdef.part").symlink_to(ours)
+    folder = Folder(tmp_path)
+    with pytest.raises(OSError) as caught:
+        Part(folder, ".tap.npz.1.0123456789abcdef.part", resume=True)
+    folder.close()
+    assert caught.value.errno == errno.ELOOP
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make another user's file")
+def test_a_part_of_another_user_is_named_and_left(tmp_path: Path) -> None:
+    part = tmp_path / ".tap.npz.1.0123456789abcdef.part"
+    part.write_text(SECRET)
+    os.chown(part, 12345, 12345)
+    (told,) = recover(tmp_path / "tap.npz").told
+    assert "is no part of ours" in told and part.read_text() == SECRET
+    folder = Folder(tmp_path)
+    with pytest.raises(PermissionError):
+        Part(folder, part.name, resume=True)
+    folder.close()
+
+
 def test_nobody_can_guess_the_name_of_a_part(tmp_path: Path) -> None:
     target = tmp_path / "tap.npz"
     assert len({new_stem(target) for _ in range(100)}) == 100

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bench.passivity import GROUPS, Group, draw, simulated, work
+from bench.stability import judged
 from hapticd.config import default_config, load_config
 from hapticd.control import Control
 from hapticd.core import Flag, ffi, lib
@@ -319,3 +320,44 @@ def test_the_running_servo_tells_what_was_given() -> None:
     # After a stall longer than the ramp it is met anew.
     assert 1 <= found.contacts <= 1 + engine.counters().overruns
     assert found.energy_j != 0
+
+
+GRAZED = {
+    "disc": {"top": {"kind": "disc", "center_m": [0, -0.004], "radius_m": 0.004, "material": "plain"}},
+    "corner": {
+        side: {"kind": "wall", "point_m": [0, 0], "normal": [x, 0.6], "material": "plain"}
+        for side, x in (("left", 0.8), ("right", -0.8))
+    },
+}
+
+
+@pytest.mark.parametrize("shape", GRAZED)
+def test_what_is_grazed_within_the_margins_is_not_changed(shape: str) -> None:
+    """A surface that is crossed within one step of the encoder holds K d^2/2 before any force was felt: on the way in
+    the handle took more than that. Met while moving on, the force goes along with the motion from its first tick."""
+    device = {
+        "sim": {
+            "encoder_step_m": 8e-5,
+            "coulomb_friction_n": 0.05,
+            "handle_damping_n_s_per_m": 0.3,
+            "hand": {"stiffness_n_per_m": 800, "damping_n_s_per_m": 4, "mass_kg": 0.05},
+        }
+    }
+    source = {
+        "servo": {"rate_hz": 1700.0},
+        "device": device,
+        "materials": {"plain": {"stiffness_n_per_m": 340.0}},
+        "scene": {"objects": GRAZED[shape]},
+    }
+    assert judged(load_config(source)).safe.all()
+    touched = 0
+    for along in (0.03, 0.08, 0.2):
+        for deep in np.linspace(5e-5, 4e-4, 5):
+            path = [[0, -0.003, 0.003], [0.05, -0.001, -deep], [0.05 + 0.004 / along, 0.003, -deep]]
+            off, control = (
+                simulate_run({**source, "scene": {"objects": GRAZED[shape], "passivity": mode}}, path, None, 1700.0)
+                for mode in ("off", "control")
+            )
+            touched += int((off.samples["flags"] & Flag.CONTACT != 0).sum())
+            assert np.array_equal(control.samples["force_n"], off.samples["force_n"]), (along, deep)
+    assert touched > 50

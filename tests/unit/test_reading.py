@@ -19,6 +19,8 @@ from hapticd import reading
 from hapticd.cli import main
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.errors import HapticdError
+from hapticd.event_columns import FromCells, _members_of, _UnknownCells, members_of
+from hapticd.read_csv import _BLOCK
 from hapticd.reading import LEAST_LIMIT, TIMES_SIZE, default_limit, size_of
 from hapticd.recorded import load_recorded
 from hapticd.replayed import replay
@@ -194,6 +196,55 @@ def test_events_take_what_they_may(tmp_path: Path) -> None:
     assert "a.events.csv: line 2 is no event" in refusal(path)
 
 
+CELLS = ["1", "-0", "007", "1.5", "1e3", "1_0", "true", "null", "NaN", "-Infinity", "[1, 2]", '{"a": []}', '"x"', "x"]
+SLIPS = ["\t[]\n", " 1 ", " x ", "[x]", "[1", "1x", "nul", "\ufeff1", "9" * 5000, " ", '"']
+
+
+@pytest.mark.parametrize("cell", CELLS + SLIPS)
+def test_a_cell_that_nobody_knows_is_json_or_text(cell: str) -> None:
+    try:
+        wanted = json.loads(cell)
+    except ValueError:
+        wanted = cell
+    found = FromCells(["event", "later"]).event(["a", cell])["later"]
+    assert type(found) is type(wanted) and repr(found) == repr(wanted)
+
+
+def test_a_column_whose_cells_are_no_json_is_not_tried_for_ever() -> None:
+    cells = FromCells(["event", "later", "other"])
+    for number in range(_UnknownCells.MOST_TEXTS):
+        assert cells.event(["a", f"[{number}x]", "1"])["later"] == f"[{number}x]"
+    assert cells.event(["a", "[1]", "[1]"]) == {"event": "a", "later": "[1]", "other": [1]}
+
+
+def test_kinds_that_nobody_knows_are_not_remembered(tmp_path: Path) -> None:
+    before = _members_of.cache_info().currsize
+    path = csv(tmp_path, events_csv=b"event,tick,time_ns\n" + b"".join(b"a%d,1,1\n" % at for at in range(100)))
+    assert [event["event"] for event in load_recorded(path).events] == [f"a{at}" for at in range(100)]
+    assert members_of("a1") is None and _members_of.cache_info().currsize == before
+
+
+def test_of_columns_of_one_name_the_last_counts(tmp_path: Path) -> None:
+    path = csv(tmp_path, events_csv=b"event,tick,x,x\na,1,2,3\na,1,2,\n")
+    assert load_recorded(path).events == [{"event": "a", "tick": 1, "x": 3}, {"event": "a", "tick": 1}]
+
+
+def test_lines_of_events_are_whole_wherever_a_block_ends(tmp_path: Path) -> None:
+    texts = [f"{at}\u2028\x85\U0001f600" * 7 + '\n",' * (at % 3) for at in range(9000)]
+    rows = "".join(f'a,{at},"{text.replace(chr(34), chr(34) * 2)}"\n' for at, text in enumerate(texts))
+    path = csv(tmp_path, events_csv=("event,tick,text\n" + rows.rstrip("\n")).encode())
+    assert len(rows.encode()) > 2 * _BLOCK
+    assert [event["text"] for event in load_recorded(path).events] == texts
+
+
+def test_short_texts_of_events_are_counted_as_what_they_take(tmp_path: Path) -> None:
+    """A text of three letters takes 52 bytes, and its place in a map."""
+    names = b"event" + b"".join(b",c%d" % at for at in range(500)) + b"\n"
+    row = b"a" + b"".join(b",x%02d" % (at % 100) for at in range(500)) + b"\n"
+    path = csv(tmp_path, events_csv=names + row * 600)
+    assert "of memory with its events" in refusal(path)
+
+
 # ---- .mcap -------------------------------------------------------------------------------------------------------
 
 
@@ -248,6 +299,7 @@ def test_attachments_that_are_there_twice(tmp_path: Path) -> None:
     assert refusal(path) == "a.mcap: is no recording of hapticd: config is there twice"
 
 
+@pytest.mark.slow
 def test_a_long_simulation_is_written_in_chunks(tmp_path: Path) -> None:
     samples = np.concatenate([noisy(250_000, 0), noisy(250_000, 250_000)])
     with open_sink(tmp_path / "a.mcap") as sink:

@@ -549,6 +549,7 @@ def test_text_and_data_of_marks_are_columns(tmp_path: Path) -> None:
     assert array["completed"].tolist() == [-1, -1, -1, -1, 0, -1, -1, -1, -1] and array["started_tick"].dtype == "<i8"
 
 
+@pytest.mark.slow
 def test_one_long_mark_does_not_make_a_file_large(tmp_path: Path) -> None:
     long = {"event": "mark", "tick": 0, "time_ns": 0, "text": "x" * 1000, "data": "y" * 8000}
     with open_sink(tmp_path / "run.npz") as sink:

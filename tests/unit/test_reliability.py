@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 import time
@@ -13,12 +14,13 @@ import numpy as np
 import pytest
 
 from hapticd import control as control_module
-from hapticd.changes import Revised
+from hapticd.changes import Played, Revised
 from hapticd.config import Config, load_config
 from hapticd.control import Control, MethodError
 from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.engine import Engine, monotonic_ns
 from hapticd.events import event_map
+from hapticd.mode import Mode
 from tests.unit.test_hid_connection import World
 
 ROOT = Path(__file__).parents[2]
@@ -407,6 +409,43 @@ def test_a_command_is_not_in_vain_while_the_servo_steps_down() -> None:
         assert engine.counters().revision >= int(str(changed["revision"]))
     finally:
         engine.stop()
+
+
+@pytest.mark.slow
+def test_a_play_under_way_is_struck_at_the_rate_that_the_servo_goes_on_at() -> None:
+    """Sent when the servo had ended, for 10 kHz. The sign of what rings is that of the sine at the samples' times.
+
+    The first tick after that has no force yet, and strikes nothing: the mode is struck again.
+    """
+    engine = overloaded("step_down", heavy(HEAVY))
+    engine.start()
+    try:
+        ended = threading.Event()
+        while engine.counters().running:
+            engine.beat()
+            ended.wait(0.002)
+        tick, _ = engine.play(Mode(1.0, 100 * math.pi), "coefficient", (1.0, 0.0), 1.0)
+        assert engine.rate_hz == 5000
+        assert [change.tick for change in engine.read_changes() if isinstance(change, Played)][-1] == tick
+        room = np.empty(16384, SAMPLE_DTYPE)
+        found: list[tuple[float, float]] = []
+        struck_ns = None
+        while len(found) < 50 and engine.counters().running:
+            engine.beat()
+            count, _ = engine.read_samples(room)
+            for sample in room[:count]:
+                if sample["tick"] == tick:
+                    struck_ns = int(sample["time_ns"])
+                if struck_ns is not None:
+                    found.append((1e-9 * (int(sample["time_ns"]) - struck_ns), float(sample["vibration_force_n"][0])))
+            ended.wait(0.002)
+    finally:
+        engine.stop()
+    # Within the first second, which knows only this rate, and clear of the zeros.
+    compared = [(math.sin(100 * math.pi * s), n) for s, n in found[:50] if abs(math.sin(100 * math.pi * s)) > 0.2]
+    assert len(compared) > 10
+    assert all(sine * force > 0 for sine, force in compared if force != 0), compared
+    assert sum(force != 0 for _, force in compared) > 10
 
 
 @pytest.mark.slow

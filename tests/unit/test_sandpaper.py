@@ -24,6 +24,7 @@ from hapticd.displayable import warnings
 from hapticd.engine import output_of
 from hapticd.noise import CLOSE_DB
 from hapticd.offline import render_run
+from tests.marks import rest_slow
 from tests.rig import FLOOR, Rig, still
 
 Array = npt.NDArray[np.float64]
@@ -271,7 +272,7 @@ def law_of_models(speed: float, force: float, rate_hz: float) -> float:
     return float(grid([min(max(speed, 0.05), 0.2), min(max(force, 0.5), 2.0)])[0])
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", rest_slow(RATES))
 @pytest.mark.parametrize("kind", ["stochastic", "autoregressive"])
 def test_a_minute_of_a_stroke_has_the_power_of_the_law(kind: str, rate: float) -> None:
     """Force per acceleration is the effective mass; the sense of the motion does not matter."""
@@ -347,7 +348,7 @@ PAIRS = [
 ]
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", rest_slow(RATES))
 def test_peak_and_mean_of_the_filter_in_the_table(rate: float) -> None:
     """What was asked for, or what the warning says instead; the latter only where 0.4 of the rate cannot hold 99 % of
     the power, or the mean is within 8 % of a peak at a quarter of the rate, where every mean needs a zero."""

@@ -339,41 +339,13 @@ def test_pressed_through_it_pushes_back_to_the_side_it_came_from(kind: str, degr
         assert abs(int(release["tick"]) - len(path) - first_out) <= 1  # a sample on the surface may be on either side
 
 
-@pytest.mark.parametrize("offset", [0.0, 1e-9, 0.05, 0.2, 0.3, 0.4, 0.45, 0.49])
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("degrees", [0, 90, 200])
-def test_pressed_through_a_disc_it_never_pushes_along_the_motion(offset: float, sign: int, degrees: float) -> None:
-    radius, center, angle = 0.005, (-0.01, 0.02), np.radians(degrees)
-    for step in (1e-5, 1e-4, 1e-3, 3e-3):
-        rig = Rig({"it": disc(center, radius)}, rate_hz=1000, materials=MATERIALS)
-        path = down(sign * offset * radius, 0.0063, -0.02, step)
-        pushes = turned(force(rig.render(turned(path, angle, center))), -angle)
-        assert np.all(pushes[:, 1] >= 0)
-        assert np.all(sign * pushes[:, 0] >= -1e-12)
-        inside = np.hypot(*path.T) < radius * (1 - 1e-9)
-        assert np.all(pushes[inside, 1] > 0)
-        assert rig.kinds().count(EventKind.CONTACT) == 1
-        if offset == 0.0:  # held for good, as by a plane, and released where it was met
-            depth = radius - path[:, 1]
-            np.testing.assert_allclose(pushes[:, 1], K * np.maximum(depth, 0), rtol=0, atol=1e-11)
-            back = turned(force(rig.render(turned(path[::-1], angle, center))), -angle)
-            assert rig.kinds() == [EventKind.RELEASE]
-            np.testing.assert_allclose(back[:, 1], K * np.maximum(depth[::-1], 0), rtol=0, atol=1e-11)
-
-
 def polar(radius: npt.ArrayLike, angle: npt.ArrayLike) -> Points:
     """Points at angles clockwise from the top."""
     return np.column_stack(np.broadcast_arrays(radius * np.sin(angle), radius * np.cos(angle)))
 
 
-def turns(directions: Points) -> Points:
-    """Angles between neighbouring directions."""
-    a, b = directions[:-1], directions[1:]
-    return np.abs(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], np.sum(a * b, axis=1)))
-
-
 @pytest.mark.parametrize("rate_hz", [1000.0, 10_000.0])
-@pytest.mark.parametrize("depth", [0.05, 0.2, 0.45])
+@pytest.mark.parametrize("depth", [0.05, 0.2, 0.45, 0.7, 0.9])
 def test_circling_a_disc_the_force_is_radial_all_around(rate_hz: float, depth: float) -> None:
     radius, center = 0.005, np.array([0.01, -0.03])
     rig = Rig({"peg": disc(center, radius)}, rate_hz=rate_hz, materials=MATERIALS)
@@ -386,27 +358,6 @@ def test_circling_a_disc_the_force_is_radial_all_around(rate_hz: float, depth: f
     expected = K * np.maximum(radius - r, 0)[:, None] * polar(1.0, angle)
     np.testing.assert_allclose(force(samples), expected, rtol=0, atol=1e-12)
     assert rig.kinds() == [EventKind.CONTACT]
-
-
-@pytest.mark.parametrize("close", [0.6, 0.49, 0.4, 0.2, 0.05, 0.001])
-def test_close_to_the_centre_of_a_disc_the_direction_turns_by_little_at_a_time(close: float) -> None:
-    """No step of the direction beyond four times what the way would turn it by on the rim, wherever the probe is."""
-    radius, speed, rate = 0.005, 0.1, 1000.0
-    travel = speed / rate
-    way_in = down(0.0, 1.2 * radius, close * radius, travel)
-    angle = np.arange(0, 20, travel / (close * radius)) if close > 0.01 else np.arange(0, 200, 1.7)
-    spiral = np.linspace(close, 1.3, round(6 * np.pi * radius / travel))
-    out = polar(spiral * radius, angle[-1] + np.cumsum(travel / (spiral * radius)))
-    path = np.concatenate([way_in, polar(close * radius, angle), out])
-    rig = Rig({"peg": disc((0, 0), radius)}, rate_hz=rate, materials=MATERIALS)
-    pushes = force(rig.render(path))
-    strength = np.hypot(*pushes.T)
-    touched = (strength[:-1] > 0) & (strength[1:] > 0)
-    longest = np.hypot(*np.diff(path, axis=0).T).max()
-    assert turns(pushes)[touched].max() <= 4.0 * longest / radius * 1.01
-    assert strength.max() <= K * 2.3 * radius
-    if close > 0.5:
-        np.testing.assert_allclose(strength[40:80], K * (radius - np.hypot(*path.T))[40:80], rtol=0, atol=1e-12)
 
 
 # ---- Corners and seams -------------------------------------------------------------------------------------------
@@ -727,11 +678,11 @@ def test_a_thin_box_is_held_by_the_same_face_after_a_stall() -> None:
     assert rig.kinds() == [EventKind.RELEASE]
 
 
-def test_a_disc_that_is_pressed_beyond_its_middle_is_held_from_the_same_side_after_a_stall() -> None:
-    rig = Rig({"it": disc((0, 0), 0.001)}, materials=MATERIALS)
-    rig.render(down(0.0001, 0.0012, -0.0005, 1e-5))
+def test_a_disc_that_was_gone_through_in_a_tick_is_held_from_the_same_side_after_a_stall() -> None:
+    rig = Rig({"it": disc((0, 0), 0.001)}, rate_hz=1000, materials=MATERIALS)
+    rig.render([[0.0001, 0.0012], [0.0001, -0.0005]])
     before = rig.render(still(0.0001, -0.0005, 10))
-    samples = rig.render(still(0.0001, -0.0005, 400), periods=[5000] + [1] * 399)
+    samples = rig.render(still(0.0001, -0.0005, 400), periods=[500] + [1] * 399)
     np.testing.assert_allclose(force(samples)[-1], force(before)[-1], rtol=0, atol=1e-12)
     assert force(samples)[-1, 1] > 0.5
 

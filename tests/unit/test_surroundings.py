@@ -29,6 +29,7 @@ def test_a_process_that_is_interrupted_ends(number: int) -> None:
     assert done.returncode == -number
 
 
+@pytest.mark.slow
 def test_started_from_a_script_or_by_nohup() -> None:
     """A job in the background of a script has interrupts ignored, and so does what it starts."""
     tests = [f"{HERE}::{name}" for name in PARTS]

@@ -120,6 +120,9 @@ class Heard:
     def __init__(self) -> None:
         self.last: dict[str, dict[str, Any]] = {}
 
+    def wants(self, topic: str) -> bool:
+        return True
+
     def publish(self, topic: str, body: bytes) -> None:
         self.last[topic] = cast(dict[str, Any], wire.decode_trusted(body))
 

@@ -18,6 +18,7 @@ import pytest
 from hapticd import threads
 from hapticd.errors import HapticdError
 from hapticd.keys import new_certificate, write_certificate
+from tests.marks import rest_slow
 
 NOBODY = 64321
 """A user that has no other processes. Root itself has no such limit."""
@@ -54,7 +55,7 @@ def folder() -> Iterator[Path]:
         yield Path(made)
 
 
-@pytest.mark.parametrize("most", [1, 2, 3, 4, 6, 9])
+@pytest.mark.parametrize("most", rest_slow([1, 4, 2, 3, 6, 9], fast=2))
 def test_a_daemon_without_threads_does_not_start_and_says_so(folder: Path, most: int) -> None:
     done = limited(most, folder, "run")
     line = done.stderr.splitlines()[-1]

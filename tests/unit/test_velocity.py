@@ -98,6 +98,7 @@ def test_true_speed_of_a_line_lies_within_the_half_width(
     assert np.all(np.abs(velocity - speed)[1:] <= width[1:] + slack)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=30)
 @given(speed=st.floats(0.15, 0.9), offset=st.floats(0, 1), jitter=st.floats(0, 0.3), seed=st.integers(0, 99))
 def test_estimate_is_the_middle_of_the_exact_set_of_a_window(

@@ -213,6 +213,13 @@ def test_errors_say_what_is_wrong(body: bytes, told: str) -> None:
         wire.decode(body)
 
 
+def test_a_map_that_would_hold_everybody_up_is_refused_before_it_is_built() -> None:
+    most = {str(i): 0 for i in range(wire.MAX_MEMBERS)}
+    assert wire.decode(msgpack.packb({"params": most})) == {"params": most}
+    with pytest.raises(wire.WireError, match="a map has more than 65536 members"):
+        wire.decode(msgpack.packb({"params": {**most, "one": 0}}))
+
+
 def test_what_cannot_be_encoded_is_an_error() -> None:
     for value in (object(), {"a": {1, 2}}, 2**64, [print]):
         with pytest.raises(WireError) as caught:

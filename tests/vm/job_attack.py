@@ -6,6 +6,7 @@ Each time the service goes on as the same process, NRestarts stays 0, and `set_f
 from __future__ import annotations
 
 import contextlib
+import functools
 import grp
 import json
 import os
@@ -20,6 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import numpy as np
 import rig
 import yaml
 import zmq
@@ -28,13 +30,21 @@ from rig import check, scenario, until
 
 import hapticd
 import hapticd.cli
+from hapticd import zmtp
+from hapticd.descriptors import MOST_CONNECTIONS
 from hapticd.errors import HapticdError
 
 COMMAND = rig.RUNTIME / "hapticd.command"
 TELEMETRY = rig.RUNTIME / "hapticd.telemetry"
-MANY = 1100
-"""Connections; the daemon's soft limit of descriptors is 1024 where nothing raises it."""
-MODELS = 400
+BOARD = Path("/run/attack")
+"""Where attackers leave what they saw, and find what they wait for."""
+ATTACKERS = 5
+EACH = 300
+"""Connections of an attacker to each of the two sockets; without bounds the daemon's descriptors would not do."""
+OF_A_PROCESS = MOST_CONNECTIONS // 4
+MODELS = 60
+WATCHDOG_S = 1
+"""Of the unit meanwhile; the models take longer."""
 FLOOD = 5000
 SOON_S = 0.5
 """Of this machine's time, whose processor does an instruction in a nanosecond."""
@@ -44,8 +54,8 @@ SETUP: dict[str, Any] = {
 }
 
 
-def as_a_member(attack: Callable[[], object]) -> int | None:
-    """A process of another user who is in the group; its exit code."""
+def member(attack: Callable[[], object]) -> rig.Child:
+    """A process of another user who is in the group."""
 
     def do() -> object:
         group, user = grp.getgrnam("hapticd").gr_gid, pwd.getpwnam("nobody")
@@ -55,7 +65,12 @@ def as_a_member(attack: Callable[[], object]) -> int | None:
         os.setuid(user.pw_uid)
         return attack()
 
-    return rig.Child(do).wait(240)
+    return rig.Child(do)
+
+
+def as_a_member(attack: Callable[[], object]) -> int | None:
+    """The same, to its end; its exit code."""
+    return member(attack).wait(240)
 
 
 @contextlib.contextmanager
@@ -85,6 +100,11 @@ def obeys() -> None:
         check(False, "it answers", error)
 
 
+def status() -> Any:
+    with connected() as client:
+        return client.get_status()
+
+
 def request(method: str, id: int | None, **params: object) -> bytes:
     message = {"jsonrpc": "2.0", "method": method, "params": params}
     return msgpack.packb(message if id is None else message | {"id": id})
@@ -102,55 +122,136 @@ def dealer(context: zmq.Context[zmq.Socket[bytes]]) -> zmq.Socket[bytes]:
 # ---- Attacks ---------------------------------------------------------------------------------------------------------
 
 
-def connections() -> None:
-    """Both sockets, more connections than there are descriptors, until no more are accepted."""
-    held: list[socket.socket] = []
+class Connection:
+    """Of a peer that greets, shakes hands, and then says nothing."""
 
-    def another() -> bool:
-        each = socket.socket(socket.AF_UNIX)
-        each.setblocking(False)
+    def __init__(self, path: Path, kind: bytes) -> None:
+        self.sock = socket.socket(socket.AF_UNIX)
+        self.sock.setblocking(False)
+        self.path, self.hello = path, zmtp.GREETING + zmtp.ready(kind)
+        self.came = 0
+        self.ended = False
+
+    def connected(self) -> bool:
         try:
-            each.connect(os.fspath(TELEMETRY if len(held) % 4 == 0 else COMMAND))
-        except OSError:
-            each.close()
+            self.sock.connect(os.fspath(self.path))
+        except BlockingIOError:  # as many wait for the daemon as may
             return False
-        held.append(each)
+        try:
+            self.sock.sendall(self.hello)
+        except OSError:
+            self.ended = True
         return True
 
-    while len(held) < MANY and until(another, 3, 0.01):
-        pass
-    print(f"    {len(held)} connections")
-    time.sleep(1)  # what waits is accepted, as much as it will
-    sys.exit(0 if held else 1)
+    def settled(self) -> bool:
+        """Whether the daemon shook hands, or ended it."""
+        with contextlib.suppress(BlockingIOError):
+            try:
+                data = self.sock.recv(4096)
+            except ConnectionError:
+                data = b""
+            self.came += len(data)
+            self.ended = self.ended or not data
+        return self.ended or self.came > len(zmtp.GREETING)
+
+
+def connections(number: int) -> None:
+    """As many as EACH to both sockets; says how many are open once all are settled, holds them till it is told."""
+    held = [Connection(*where) for where in ((COMMAND, b"DEALER"), (TELEMETRY, b"SUB")) for _ in range(EACH)]
+    refused = [each for each in held if not until(each.connected, 30)]
+    silent = [each for each in held if not until(each.settled, 30)]
+    (BOARD / f"{number}.all").write_text(f"{len(refused)} {len(silent)}")
+    until((BOARD / "count").exists, 120, 0.05)
+    for each in held:
+        each.settled()
+    open_ones = [sum(not each.ended for each in held if each.path == path) for path in (COMMAND, TELEMETRY)]
+    (BOARD / f"{number}.count").write_text(json.dumps(open_ones))
+    until((BOARD / "over").exists, 120, 0.05)
+
+
+def told(ending: str) -> list[Any]:
+    """What each attacker says; fewer where one does not."""
+    paths = [BOARD / f"{number}.{ending}" for number in range(ATTACKERS)]
+    until(lambda: all(path.exists() and path.read_text() for path in paths), 120, 0.05)
+    return [path.read_text() for path in paths if path.exists()]
+
+
+def many_connections() -> None:
+    """More than there may be, of one process and of all, held while others are served."""
+    BOARD.mkdir(mode=0o777)
+    BOARD.chmod(0o777)
+    attackers = [member(functools.partial(connections, number)) for number in range(ATTACKERS)]
+    check(told("all") == ["0 0"] * ATTACKERS, "each is accepted or ended, none waits", *told("all"))
+    (BOARD / "count").touch()
+    counts = [json.loads(text) for text in told("count")]
+    command, telemetry = ([count[at] for count in counts] for at in (0, 1))
+    for name, found in (("command", command), ("telemetry", telemetry)):
+        check(
+            len(found) == ATTACKERS and max(found) <= OF_A_PROCESS and 0.9 < sum(found) / MOST_CONNECTIONS <= 1.0,
+            f"{OF_A_PROCESS} of a process at most and {MOST_CONNECTIONS:,} in all, hardly fewer, {name}",
+            found,
+        )
+    obeys()
+    check(as_a_member(obeys_another) == 0, "another process of the attackers' user is served meanwhile")
+    (BOARD / "over").touch()
+    check([each.wait(120) for each in attackers] == [0] * ATTACKERS, "the attackers ran to their end")
+    ended = [line["MESSAGE"] for line in journal() if "was disconnected" in str(line["MESSAGE"])]
+    check(bool(ended), "the log names them", *ended[:1])
+    check(as_a_member(obeys_another) == 0, "and when they are gone")
+
+
+def obeys_another() -> None:
+    """Commands are answered, and samples come."""
+    with connected() as client:
+        client.set_forces(False)
+        assert next(iter(client.samples())) is not None
+
+
+def heavy(scale: float = 1.0) -> dict[str, Any]:
+    """A material of autoregressive models of order 32, at another rate than the servo's: each takes a filter."""
+    models = []
+    for number in range(MODELS):
+        angles = 0.1 + 0.18 * np.arange(16) + 1e-4 * number
+        poles = 0.9 * np.exp(1j * angles)
+        models.append(
+            {
+                "speed_m_per_s": 0.001 * (1 + number % 20),
+                "force_n": 0.1 * (1 + number // 20),
+                "coefficients": [round(float(each), 6) for each in np.poly([*poles, *poles.conj()]).real[1:] * scale],
+                "rms_m_per_s2": 1.0,
+            }
+        )
+    texture = {"kind": "autoregressive", "rate_hz": 200, "models": models}
+    return {"stiffness_n_per_m": 100, "texture": texture}
 
 
 def many_models() -> None:
-    """400 autoregressive models of order 32, all valid, and `force off` while they are taken in."""
-    models = [
-        {
-            "speed_m_per_s": 0.001 * (1 + number % 20),
-            "force_n": 0.1 * (1 + number // 20),
-            "coefficients": [-0.9 + 1e-4 * number, *[0.0] * 30, 1e-3],
-            "rms_m_per_s2": 1.0,
-        }
-        for number in range(MODELS)
-    ]
-    texture = {"kind": "autoregressive", "rate_hz": 1000, "models": models}
-    material = {"stiffness_n_per_m": 100, "texture": texture}
+    """So many models, all valid, and `force off` and `get_status` by turns while they are taken in."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     long, short = dealer(context), dealer(context)
-    long.send(request("update_materials", 1, materials={"noise": material}))
+    long.send(request("update_materials", 1, materials={"noise": heavy()}))
     begin = time.monotonic()
-    short.send(request("set_forces", 2, enabled=False))
-    answer = msgpack.unpackb(short.recv())
-    off_s = time.monotonic() - begin
-    print(f"    force off answered after {off_s:.3g} s: {answer.get('error', 'taken')}")
+    waits: list[float] = []
+    wrong: list[object] = []
+    while not long.poll(0) and time.monotonic() < begin + 200:
+        asked = time.monotonic()
+        off = len(waits) % 2 == 0
+        short.send(request("set_forces", 2, enabled=False) if off else request("get_status", 2))
+        answer = msgpack.unpackb(short.recv())
+        waits.append(time.monotonic() - asked)
+        wrong += [answer["error"]] if "error" in answer else []
+        time.sleep(0.01)
     answer = msgpack.unpackb(long.recv())
     took = time.monotonic() - begin
-    print(f"    the models after {took:.3g} s: {str(answer.get('error', 'taken'))[:300]}")
     context.destroy(0)
-    if "error" in answer or off_s > SOON_S:
-        sys.exit(1)
+    waits.sort()
+    held = [
+        check("error" not in answer, "the models are taken; s", took, str(answer.get("error", ""))[:300]),
+        check(took > 2 * WATCHDOG_S, f"which takes longer than twice the watchdog's {WATCHDOG_S} s"),
+        check(not wrong and len(waits) > 1, "no answer meanwhile is an error", len(waits), *wrong[:1]),
+        check(waits[-1] < SOON_S, "force off and status: p50, largest, s", waits[len(waits) // 2], waits[-1]),
+    ]
+    sys.exit(0 if all(held) else 1)
 
 
 def bad_notifications() -> None:
@@ -191,6 +292,7 @@ def in_tmp() -> None:
     shared.chmod(0o1777)
     (shared / "old").touch()
     os.utime(shared / "old", (1, 1))
+    CONFIG.write_text(yaml.safe_dump(SETUP))
     words = ["--runtime-dir", str(folder), "run", "-c", str(CONFIG)]
     daemon = rig.Child(lambda: hapticd.cli.main(words), ["hapticd", *words])
     check(bool(until(lambda: identities(folder), 60, 0.1)), "a daemon")
@@ -204,9 +306,47 @@ def in_tmp() -> None:
     check(daemon.wait(30) == 0 and identities(folder) == [], "and ends well")
 
 
+def objects() -> list[str]:
+    with connected() as client:
+        answer: Any = client.get_scene()
+        return sorted(answer["scene"]["objects"])
+
+
+def written(name: str, scale: float) -> None:
+    """A configuration that takes seconds to be read, with one object of that name."""
+    wall = {"kind": "wall", "point_m": [0, -1], "normal": [0, 1], "material": "noise"}
+    text = json.dumps(SETUP | {"materials": {"noise": heavy(scale)}, "scene": {"objects": {name: wall}}})
+    CONFIG.write_text(text)
+
+
+def reloads() -> int:
+    """How many were done so far."""
+    return sum(str(line["MESSAGE"]).startswith("reloaded: revision") for line in journal())
+
+
+def reload_waits() -> None:
+    """`hapticd reload` comes back when it is done, and says what came of it."""
+    written("far", 0.999)
+    begin = time.monotonic()
+    said = succeeds("hapticd reload", HAPTICD, "--runtime-dir", str(rig.RUNTIME), "reload")
+    took = time.monotonic() - begin
+    check("revision" in said, "its result", said.strip())
+    check(objects() == ["far"], "it was done by then; s", took)
+    CONFIG.write_text("scene: {objects: {far: {kind: constant, force_n: [none, 0]}}}\n")
+    done = run(HAPTICD, "--runtime-dir", str(rig.RUNTIME), "reload")
+    check(done.returncode == 1 and "force_n" in done.stderr, "a bad one is refused", done.stderr.strip()[:300])
+    check(objects() == ["far"], "and nothing has changed")
+
+
 def reloads_and_stop() -> None:
-    scenario("40 SIGHUPs, then systemctl stop")
+    scenario("40 SIGHUPs, each for a configuration that takes seconds, then systemctl stop")
     pid = int(shown("hapticd", "MainPID"))
+    written("near", 0.998)
+    before = reloads()
+    for _ in range(40):
+        os.kill(pid, signal.SIGHUP)
+    working = until(lambda: status()["intake"] is not None, 30)
+    check(bool(working), "it reads them", working)
     for _ in range(40):
         os.kill(pid, signal.SIGHUP)
     begin = time.monotonic()
@@ -215,6 +355,19 @@ def reloads_and_stop() -> None:
     check(took < 10, "before the time-out of 15 s; s", took)
     ended = shown("hapticd", "Result"), shown("hapticd", "ExecMainStatus")
     check(ended == ("success", "0"), "exit code 0", *ended)
+    check(reloads() == before, "none of the reloads was waited for")
+
+
+def started(watchdog_s: int | None) -> None:
+    """The service, anew, with another watchdog; None: with its own. How long its start takes is the host's matter."""
+    file = Path("/etc/systemd/system/hapticd.service.d/attack.conf")
+    file.parent.mkdir(exist_ok=True)
+    lines = ["[Service]", "TimeoutStartSec=600", *([] if watchdog_s is None else [f"WatchdogSec={watchdog_s}"])]
+    file.write_text("\n".join([*lines, ""]))
+    systemctl("daemon-reload")
+    succeeds("start", "systemctl", "restart", "hapticd")
+    wanted = "30s" if watchdog_s is None else f"{watchdog_s}s"
+    check(shown("hapticd", "WatchdogUSec") == wanted, "its watchdog", shown("hapticd", "WatchdogUSec"))
 
 
 def main() -> None:
@@ -223,18 +376,20 @@ def main() -> None:
     succeeds("install-service", HAPTICD, "install-service")
     CONFIG.write_text(yaml.safe_dump(SETUP))
     for_everybody()
-    succeeds("start", "systemctl", "start", "hapticd")
+    started(WATCHDOG_S)
     obeys()
-    with the_same_goes_on(f"{MANY} connections by a member of the group"):
-        check(as_a_member(connections) == 0, "the attack ran")
-    with the_same_goes_on(f"{MODELS} autoregressive models by a member of the group"):
-        check(as_a_member(many_models) == 0, "taken, and force off at once")
+    with the_same_goes_on(f"{2 * EACH * ATTACKERS:,} connections by {ATTACKERS} processes of a member of the group"):
+        many_connections()
+    with the_same_goes_on(f"{MODELS} autoregressive models by a member of the group, before a short watchdog"):
+        check(as_a_member(many_models) == 0, "taken, and commands at once")
     with the_same_goes_on(f"{FLOOD} bad notifications by a member of the group"):
         before = len(journal())
         begin = time.monotonic()
         check(as_a_member(bad_notifications) == 0, "the attack ran")
         lines = len(journal()) - before
         check(lines <= time.monotonic() - begin + 5, "a line a second in the journal", lines)
+    with the_same_goes_on("hapticd reload, of a configuration that takes seconds"):
+        reload_waits()
     with the_same_goes_on("systemd-tmpfiles"):
         cleaned(rig.RUNTIME, f"d {rig.RUNTIME} 0750 hapticd hapticd 1s", f"e {rig.RUNTIME} - - - 1s")
     in_tmp()
@@ -245,6 +400,8 @@ def main() -> None:
         check(done.returncode == 1 and "another daemon" in done.stderr, "is refused", done.stderr.strip())
         check(identities() == before, "the first keeps its sockets")
     scenario("hapticd doctor, of a stopped daemon")
+    CONFIG.write_text(yaml.safe_dump(SETUP))
+    started(None)
     pid = int(shown("hapticd", "MainPID"))
     os.kill(pid, signal.SIGSTOP)
     until(lambda: "T" in Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0], 5)

@@ -1,0 +1,101 @@
+"""Whether a texture's own strikes drive a light hand over its grooves, after the hand has stopped.
+
+A strike acts along the motion and grows with speed and force, so that each groove gives energy. A hand that takes less
+than that goes on from groove to groove by itself. Spring, damper, friction, grooves and the force limit have no closed
+form together: it is found with the servo's own tick and the simulated joystick, in a few milliseconds a run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Final
+
+from hapticd.config import Config
+from hapticd.core import EventKind
+from hapticd.errors import Problem
+from hapticd.materials import Material
+from hapticd.offline import simulate_run
+from hapticd.stability import Loop
+from hapticd.texture import Grooves
+
+SPEEDS_M_PER_S: Final = (0.05, 0.1, 0.2)
+PRESSES_N: Final = (0.3, 1.0)
+LIGHTER: Final = 0.8
+"""A hand is looked at with this part of its damping: where it just stands another way of moving may set it off."""
+_WAY_M: Final = 0.02
+_LONGEST_S: Final = 20.0
+_LOOKED_AT_S: Final = 1.0
+
+
+def driven(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
+    """A line for each of the materials whose grooves drive the hand of `loop`, pressed and moved as people do.
+
+    A handle without a hand has nothing that presses it, and is not looked at; nor is anything where vibrations are off.
+    """
+    hand = loop.dynamics
+    if hand.grip_stiffness_n_per_m <= 0.0 or not config.scene.display.vibration:
+        return []
+    found = []
+    for name in struck(shown):
+        most = max(_strikes(config, loop, name, speed, press) for speed in SPEEDS_M_PER_S for press in PRESSES_N)
+        if most > 0:
+            found.append(
+                Problem(
+                    f"materials.{name}.texture",
+                    f"its strikes drive this hand over the grooves after it has stopped, {most} strikes a second; "
+                    "a firmer grip (more damping), dry friction, or less velocity_gain_per_s stops it",
+                )
+            )
+    return found
+
+
+def struck(shown: Mapping[str, Material]) -> Iterable[str]:
+    """The materials that have grooves which strike."""
+    for name, material in shown.items():
+        if isinstance(material.texture, Grooves) and material.texture.display == "vibration":
+            yield name
+
+
+def _strikes(config: Config, loop: Loop, name: str, speed: float, press: float) -> int:
+    """Strikes in the last second of a run: the hand presses, moves along, stops, and has time to come to rest."""
+    hand = loop.dynamics
+    stiffness = hand.grip_stiffness_n_per_m
+    deep = press / stiffness + press / max(config.materials[name].stiffness_n_per_m, 1e-3)
+    moved = [[0.0, 0.0, 0.001], [0.3, 0.0, -deep], [0.3 + _WAY_M / speed, _WAY_M, -deep]]
+    # By itself a swing falls to 1/1000 within 14 m / b.
+    rest_s = 14.0 * hand.mass_kg / max(hand.damping_n_s_per_m, 1e-9)
+    lasting_s = moved[-1][0] + min(_LONGEST_S, 1.0 + rest_s) + _LOOKED_AT_S
+    run = simulate_run(_alone(config, loop, name, 2.0 * deep + 0.1), moved, lasting_s)
+    late = run.events[run.events["kind"] == EventKind.GROOVE]["time_ns"] * 1e-9 > lasting_s - _LOOKED_AT_S
+    return int(late.sum())
+
+
+def _alone(config: Config, loop: Loop, name: str, workspace_m: float) -> dict[str, object]:
+    """The material as a floor, with the device and hand of the loop."""
+    hand = loop.dynamics
+    sim: dict[str, object] = {
+        "handle_mass_kg": hand.handle_mass_kg,
+        "handle_damping_n_s_per_m": hand.handle_damping_n_s_per_m,
+        "coulomb_friction_n": hand.friction_n,
+        "encoder_step_m": loop.encoder_step_m,
+        "force_step_n": loop.force_step_n,
+        "max_force_n": loop.max_force_n,
+        "report_delay_s": loop.timing.delay_s,
+        "workspace_m": min(1.0, workspace_m),
+        "start_m": (0.0, 0.001),
+        "hand": {
+            "mass_kg": hand.grip_mass_kg,
+            "stiffness_n_per_m": hand.grip_stiffness_n_per_m,
+            "damping_n_s_per_m": LIGHTER * hand.grip_damping_n_s_per_m,
+        },
+    }
+    device = config.device.model_dump(exclude={"kind", "sim", "hid", "replay"}, exclude_unset=True)
+    return {
+        "servo": {"rate_hz": config.servo.rate_hz},
+        "device": device | {"kind": "sim", "sim": sim},
+        "materials": {name: config.materials[name].model_dump(exclude_unset=True)},
+        "scene": {
+            "display": config.scene.display.model_dump(exclude_unset=True),
+            "objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": name}},
+        },
+    }
