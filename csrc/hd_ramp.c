@@ -202,7 +202,8 @@ HD_RT void hd_ramp_command(struct hd_walk *walk, struct hd_ramped *ramped, const
     const double limit = hd_limit_of(state, table);
     double still[2];
     if (ramped->any) {
-        hd_limit_within_whole(limit, hd_limit_keep(state, table), ramped->still_n, ramped->still_whole_n, still_n, still);
+        hd_limit_within_whole(limit, hd_limit_keep(state, table), ramped->still_n, ramped->still_whole_n, still_n,
+                              still);
         hd_limit_ramped(state, table, contact_n, ramped->whole_n, vibration_n, time_ns, force_n, flags);
     } else {
         hd_limit_within(limit, hd_limit_keep(state, table), ramped->still_n, still_n, still);

@@ -208,7 +208,8 @@ static void check_same(const struct hd_world *world, const struct hd_world *othe
           a->piece_count == b->piece_count && a->noise_count == b->noise_count && a->number_count == b->number_count);
     CHECK(a->period_s == b->period_s && a->ramp_s == b->ramp_s && a->ramp_step == b->ramp_step &&
           a->max_force_n == b->max_force_n && a->max_speed_m_per_s == b->max_speed_m_per_s &&
-          a->rearm_m == b->rearm_m && a->display_force == b->display_force && a->display_vibration == b->display_vibration);
+          a->rearm_m == b->rearm_m && a->display_force == b->display_force &&
+          a->display_vibration == b->display_vibration);
     CHECK(memcmp(&a->field, &b->field, sizeof a->field) == 0);
     CHECK(same_records(a->objects, b->objects, a->object_count, sizeof *a->objects));
     CHECK(same_records(a->materials, b->materials, a->material_count, sizeof *a->materials));
