@@ -28,7 +28,7 @@ class Play(NamedTuple):
     effect: EffectUse | None
     """What the device plays in its place."""
 
-    def record(self, output: Output) -> tuple[float, ...]:
+    def record(self, output: Output) -> tuple[float | list[float], ...]:
         """The numbers of its `struct hd_mode` at the output's rate."""
         return mode_record(self.mode, 1.0, self.mode.coefficient(1.0, self.attack), output, self.effect)
 
