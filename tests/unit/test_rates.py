@@ -28,7 +28,16 @@ SCENE = {
 def rows(pointed: object, count: int, dtype: np.dtype[np.void]) -> list[dict[str, object]]:
     array = np.frombuffer(ffi.buffer(pointed, count * dtype.itemsize), dtype)
     versions = ("place_version", "skin_version", "version", "generation")
-    return [{name: row[name].tolist() for name in dtype.names or () if name not in versions} for row in array]
+    return [{name: plain(row[name]) for name in dtype.names or () if name not in versions} for row in array]
+
+
+def plain(value: object) -> object:
+    """A record's value without numpy: a structure as a map, an array as a list."""
+    if isinstance(value, np.void):
+        return {name: plain(value[name]) for name in value.dtype.names or ()}
+    if isinstance(value, np.ndarray):
+        return [plain(entry) for entry in value]
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def test_a_table_turned_to_another_rate_is_the_one_that_is_made_for_it() -> None:

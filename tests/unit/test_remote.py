@@ -22,7 +22,8 @@ Treat = Callable[[socket.socket], None]
 
 
 def reset(connection: socket.socket) -> None:
-    """What a bridge does to whom it has no room for."""
+    """What a bridge does to whom it has no room for; here once the connection is known to be there on both sides."""
+    connection.recv(1)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     connection.close()
 
