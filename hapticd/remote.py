@@ -152,6 +152,7 @@ class Remote:
     ) -> Refusal | None:
         refusal = Refusal("nobody", f"no bridge at {self}: no answer within {timeout_s:g} s")
         taken_s = time.monotonic()
+        ended = 0
         for event, value in monitored(monitor, timeout_s, given_up):
             if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 return None
@@ -163,7 +164,11 @@ class Remote:
                     "it is too busy, or something else than a bridge listens there",
                 )
                 continue
-            refusal = self._refusal(event, value, time.monotonic() - taken_s)
+            found = self._refusal(event, value, time.monotonic() - taken_s)
+            ended += found.by == "handshake"
+            if ended == 1 and found.by == "handshake":
+                continue  # a connection that was reset can look just so; libzmq tries once more
+            refusal = found
             if not (patient and refusal.by in ("nobody", "busy")):
                 return refusal
         return refusal
