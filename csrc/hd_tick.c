@@ -104,8 +104,9 @@ HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_tabl
     return any ? (uint32_t)HD_FLAG_RAMPING : 0u;
 }
 
-/* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. */
-HD_RT static void watch_energy(struct hd_walk *walk, double controlled, double object_n[2], double contact_n[2],
+/* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. Returns
+ * whether it changed the latter. */
+HD_RT static int watch_energy(struct hd_walk *walk, double controlled, double object_n[2], double contact_n[2],
                                struct hd_ramped *ramped, uint32_t *flags) {
     struct hd_state *state = walk->state;
     const double before[2] = {contact_n[0], contact_n[1]};
@@ -117,6 +118,7 @@ HD_RT static void watch_energy(struct hd_walk *walk, double controlled, double o
         ramped->whole_n[axis] += contact_n[axis] - before[axis];
         ramped->still_whole_n[axis] += ramped->still_n[axis] - still[axis];
     }
+    return ramped->still_n[0] != still[0] || ramped->still_n[1] != still[1];
 }
 
 HD_RT static void nothing_ramped(const double object_n[2], const double contact_n[2], struct hd_ramped *ramped) {
@@ -232,6 +234,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     struct hd_ramped ramped;
     ramped.any = 0;
     int watches = 0;
+    int restrained = 0;
     int eases = 0;
     const int steady = state->steady && !walk.new_table && !state->change.any && !state->change.eases;
     if (!steady) {
@@ -253,7 +256,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
             nothing_ramped(object, contact, &ramped);
         }
         if (watches) {
-            watch_energy(&walk, controlled, object, contact, &ramped, &flags);
+            restrained = watch_energy(&walk, controlled, object, contact, &ramped, &flags);
         }
     }
     if (state->strike_count > 0) {
@@ -291,6 +294,9 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
             ramped.held_n[axis] = 0.0;
         }
         hd_ramp_command(&walk, &ramped, contact, vibration, still, gain - state->gain, force, &flags);
+        if (restrained && (ramped.held_n[0] != 0.0 || ramped.held_n[1] != 0.0)) {
+            flags |= HD_FLAG_RESTRAINED; /* the command is held at what the controller left */
+        }
     } else {
         hd_limit_apply(state, table, contact, vibration, input->time_ns, force, &flags);
     }
