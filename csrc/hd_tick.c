@@ -107,7 +107,7 @@ HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_tabl
 /* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. Returns
  * whether it changed the latter. */
 HD_RT static int watch_energy(struct hd_walk *walk, double controlled, double object_n[2], double contact_n[2],
-                               struct hd_ramped *ramped, uint32_t *flags) {
+                              struct hd_ramped *ramped, uint32_t *flags) {
     struct hd_state *state = walk->state;
     const double before[2] = {contact_n[0], contact_n[1]};
     const double still[2] = {ramped->still_n[0], ramped->still_n[1]};
