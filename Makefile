@@ -84,8 +84,9 @@ prerequisites:
 demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, with the first set-up 150 s
 	@$(BIN)/python -m hapticd.demo
 
-# pytest on every processor. What Python and pytest compile is kept, whatever the shell says: to do it anew costs seconds.
-PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS) --dist worksteal
+# pytest in a process more than there are processors, as many tests wait for a daemon. What Python and pytest compile is
+# kept, whatever the shell says: to do it anew costs seconds.
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $(JOBS) + 1) --dist worksteal
 
 # $(call beside_ctest,ARGUMENTS): pytest, and the C tests beside it, whose output comes last. Either may fail.
 define beside_ctest

@@ -40,6 +40,7 @@ def told_by(bridge: Bridge, more: str = "") -> str:
     return f"^the bridge at {bridge.address}: the daemon behind it does not answer{more}$"
 
 
+@pytest.mark.slow
 def test_the_bridge_is_named_and_its_daemon_blamed(lonely: Bridge, tmp_path: Path) -> None:
     with connect(lonely.address, **lonely.as_client("alice")) as client:
         nothing_done = told_by(lonely, "; nothing was carried out")

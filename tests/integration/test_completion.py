@@ -19,6 +19,7 @@ from click.shell_completion import BashComplete
 from hapticd.cli import cli, main, names
 from hapticd.cli.completion import SHELLS, script
 from tests.daemon_process import PATIENCE_S, running_daemon
+from tests.marks import rest_slow
 
 PROMPT = "ready> "
 # What is typed before the key is pressed, and the arguments of the command that results.
@@ -119,7 +120,7 @@ class Terminal:
         os.close(self._master)
 
 
-@pytest.fixture(params=["bash", "zsh", pytest.param("zsh as installed", marks=pytest.mark.slow)])
+@pytest.fixture(params=rest_slow(["bash", "zsh", "zsh as installed"]))
 def terminal(request: pytest.FixtureRequest, folder: Path) -> Iterator[Terminal]:
     shell = request.param.split()[0]
     if shutil.which(shell) is None:
@@ -162,6 +163,7 @@ def fish(line: str) -> list[str]:
     return done.stdout.splitlines()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("fish") is None, reason="no fish is installed")
 def test_fish_offers_the_same(folder: Path) -> None:
     (folder / "script").write_text(script("fish"))

@@ -11,6 +11,8 @@ from bench import modes
 from bench.peers import Peers, compiled
 from hapticd.mode import Mode
 
+pytestmark = pytest.mark.slow  # the peers are compiled first
+
 WOOD = Mode(1 / 0.00648, 2 * math.pi * 67)
 
 

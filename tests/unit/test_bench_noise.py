@@ -11,6 +11,8 @@ from scipy.signal import lfilter
 from bench import noise
 from bench.peers import Peers, compiled
 
+pytestmark = pytest.mark.slow  # the peers are compiled first
+
 COUNT = 20_000
 
 

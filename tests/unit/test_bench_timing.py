@@ -8,6 +8,8 @@ import pytest
 from bench import timing
 from bench.peers import Peers, compiled
 
+pytestmark = pytest.mark.slow  # the peers are compiled first
+
 
 @pytest.fixture(scope="module")
 def peers() -> Peers:

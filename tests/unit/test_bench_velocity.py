@@ -10,6 +10,8 @@ from bench import velocity
 from bench.peers import Peers, compiled
 from bench.report import Floats
 
+pytestmark = pytest.mark.slow  # the peers are compiled first
+
 STEP, RATE = 20e-6, 10_000.0
 
 

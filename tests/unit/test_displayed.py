@@ -168,9 +168,9 @@ def struck(mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Compens
     return per_unit * force
 
 
-@pytest.mark.parametrize("grip", GRIPS)
+@pytest.mark.parametrize("grip", rest_slow(GRIPS))
 @pytest.mark.parametrize("compensation", ["off", "mass", "full"])
-@pytest.mark.parametrize("rate_hz", [2000.0, 10_000.0])
+@pytest.mark.parametrize("rate_hz", rest_slow([10_000.0, 2000.0]))
 def test_spectra_agree_with_the_motion(grip: str, compensation: Compensation, rate_hz: float) -> None:
     """The error from closed spectra is that of the motion, sampled finely."""
     for name, mode in library().items():
@@ -293,8 +293,8 @@ def tapped(name: str, since_s: float, ticks: int, **device: object) -> tuple[Rig
     return rig, rig.render(path, velocity=np.full((ticks + 1, 2), [0.0, -1 / 64]))[1:]
 
 
-@pytest.mark.parametrize("name", SEVEN)
-@pytest.mark.parametrize("part", [0.25, 0.75])
+@pytest.mark.parametrize("name", rest_slow(SEVEN, 3))
+@pytest.mark.parametrize("part", rest_slow([0.25, 0.75]))
 def test_a_strike_between_ticks_is_exact_and_ends(name: str, part: float) -> None:
     """Against 30 digits, at its own time within the tick; after its last end, exactly zero."""
     material = shipped_materials()[name]

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from hapticd.core import ffi, invalid_reason, lib, pointer
+from tests.marks import rest_slow
 
 Array = npt.NDArray[np.float64]
 
@@ -123,7 +124,7 @@ def test_estimate_is_the_middle_of_the_exact_set_of_a_window(
         assert width[newest, 0] <= (least[1] - least[0]) / 2 + 1e-6 * speed
 
 
-@pytest.mark.parametrize("speed", [0.001, 0.004, 0.02, 0.05])
+@pytest.mark.parametrize("speed", rest_slow([0.004, 0.001, 0.02, 0.05]))
 def test_runs_of_equal_positions_lose_nothing(speed: float) -> None:
     # Of a run only the ends are kept, and a run may be cut within: so the set must lie between those of two
     # windows of all samples, one sample apart.
@@ -157,7 +158,7 @@ def test_error_at_constant_speed() -> None:
     assert np.max(errors) < 0.10
 
 
-@pytest.mark.parametrize("deceleration", [1.0, 3.0, 10.0])
+@pytest.mark.parametrize("deceleration", rest_slow([3.0, 1.0, 10.0]))
 def test_deceleration_biases_little(deceleration: float) -> None:
     rng = np.random.default_rng(3)
     time, interval = regular(900)
