@@ -239,7 +239,8 @@ enum hd_flag {
  * ringing modes (taps, grooves displayed as vibration, ruptures, play) and the noise of textures; not what the device
  * plays by itself. Both are weighed by the ramps of the display flags, and the contact force is as the passivity
  * controller left it; neither is cut by the force limit yet, nor weighed by the gain that set_forces and faults fade. A
- * strike was scaled when it was struck, and modes that the limit lowered go on lowered in the next tick. */
+ * strike was scaled when it was struck, noise by what the limit leaves it, and modes that the limit lowered go on
+ * lowered in the next tick. */
 struct hd_sample {
     uint64_t tick;
     int64_t time_ns; /* the deadline of this tick */

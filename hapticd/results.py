@@ -137,7 +137,8 @@ class State(TypedDict):
     """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words.
 
     `contact_force_n`: touched objects and fields, after the passivity controller. `vibration_force_n`: ringing modes
-    and the noise of textures. Both are before the force limit and the fade of set_forces; `force_n` is after them.
+    and the noise of textures. Both are before the force limit and the fade of set_forces, but for a strike or
+    a noise, which has the amplitude that the limit left it; `force_n` is after them.
     """
 
     tick: int
