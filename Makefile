@@ -86,7 +86,9 @@ demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s
 
 # pytest in a process more than there are processors, as many tests wait for a daemon. What Python and pytest compile is
 # kept, whatever the shell says: to do it anew costs seconds.
-PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(shell expr $(JOBS) + 1) --dist worksteal
+WORKERS = $(shell expr $(JOBS) + 1)
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
+PYTEST_ALL = $(PYTEST) -n $(WORKERS) --dist worksteal
 
 # $(call beside_ctest,ARGUMENTS): pytest, and the C tests beside it, whose output comes last. Either may fail.
 define beside_ctest
@@ -94,7 +96,7 @@ define beside_ctest
 	@$(MAKE) --no-print-directory ctest >build/ctest.log 2>&1 & beside=$$!; \
 		trap 'kill $$beside; exit 130' INT TERM; \
 		failed=; \
-		$(PYTEST) $(1) || failed=' pytest'; \
+		$(PYTEST_ALL) $(1) || failed=' pytest'; \
 		wait $$beside || failed="$$failed the C tests"; \
 		cat build/ctest.log; \
 		[ -z "$$failed" ] || { echo "failed:$$failed" >&2; exit 1; }
@@ -113,9 +115,12 @@ QUICK := tests/unit tests/integration/test_cli_live.py $(QUICK_NOT:%=--ignore-gl
 quick: build ## the tests that take a minute at most: C tests, most of the unit tests, the commands against a daemon
 	$(call beside_ctest,-q -m 'not slow' $(QUICK))
 
+# What takes all processors runs alone, after the others.
 .PHONY: test-all
-test-all: build ## C tests and all of pytest, what is slow too
-	$(call beside_ctest)
+test-all: WORKERS = $(JOBS)
+test-all: build ctest ## C tests and all of pytest, what is slow too
+	@$(PYTEST_ALL) -m 'not alone'
+	@$(PYTEST) -m alone tests/integration/test_hostile.py
 
 .PHONY: test-vm
 test-vm: build ## virtual HID joysticks in a virtual machine's kernel: needs QEMU, which root's first call installs

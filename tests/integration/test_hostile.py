@@ -15,6 +15,7 @@ from hapticd.scene import validate_object
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 def test_everything_at_once_is_borne() -> None:
     found = hostile.attack(seconds=10.0, rate_hz=2000.0, connections=500, settle_s=0.0, nice=19)
     assert found.kept(), found.table().markdown()
