@@ -335,7 +335,7 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(BIN)/python -m tests.fuzz_recordings --runs $(RECORDINGS)
 
 .PHONY: torture
-torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live (20 min)
+torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live
 	@$(MAKE) --no-print-directory -j$(JOBS) $(C_DIR)/test_ramp
 	$(C_DIR)/test_ramp $(TICKS) $(CHANGES) 1
 	$(BIN)/python -m tests.torture_live --ticks $(TICKS) --changes $(CHANGES)

@@ -60,9 +60,8 @@ struct hd_mode {
     double free_gain_im;
     double free_tail_re;
     double free_tail_im;
-    double
-        kicks[2 * HD_KICKS]; /* added to the first samples: c, d of each, c + d x for an onset x T before the first */
-    uint32_t kick_count;     /* 0 or HD_KICKS */
+    double kicks[2 * HD_KICKS]; /* c, d of each of the first samples: plus c + d x, the onset x T before the first */
+    uint32_t kick_count;        /* 0 or HD_KICKS */
     uint32_t reserved;
     uint32_t effect; /* id of the hd_hid_offer that a device may play instead; 0: none */
     uint32_t unused;

@@ -5,12 +5,15 @@
  *   near[]    what a probe can reach before it has moved by near_radius_m; see hd_near.h
  *   resumed[] slots whose contact was cleared under the hand, looked at once by the next tick
  *   healing[] punctured membranes that close again
- *   voices[]  the modes that ring now, dense, in no order; a slot knows its own, which are chained by voice_ends[];
- * behind them, to the end of a tick, those that ended since the last one noises[]  the noises that sound now; a slot
- * knows its own, free ones are stacked in free_noises[] offloads[] strikes of this tick that the device plays by
- * itself; taken by whoever called it reserves[] what those that were struck may still add to the command strikes[]
- * filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit leaves for
- * vibration) is known events[]  filled by a tick, taken by whoever called it
+ *   voices[]  the modes that ring now, dense, in no order; behind them, to the end of a tick, those that ended since
+ *             the last one; a slot knows the first of its own
+ *   voice_ends[] what of a voice only strikes and ends need; chains the voices of a slot
+ *   noises[]  the noises that sound now; a slot knows its own, free ones are stacked in free_noises[]
+ *   offloads[] strikes of this tick that the device plays by itself; taken by whoever called it
+ *   reserves[] what those that were struck may still add to the command
+ *   strikes[] filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit
+ *             leaves for vibration) is known
+ *   events[]  filled by a tick, taken by whoever called it
  *
  * Owned by one thread: the servo's, or the caller's of an offline run. hd_state_new reserves address space for every
  * slot there can be; hd_state_reserve touches the pages of those that a table is about to use, so that the servo never
@@ -161,7 +164,7 @@ struct hd_state {
     uint64_t gesture_tick; /* that took the path which the simulated hand follows */
     uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
     uint32_t voice_count;
-    uint32_t ended_count;
+    uint32_t ended_count; /* of voices, behind those that ring */
     uint32_t active_count;
     uint32_t near_count;
     uint32_t resumed_count;

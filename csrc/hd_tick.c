@@ -138,18 +138,17 @@ HD_RT static void hear_noise(const struct hd_walk *walk, const struct hd_ramped 
     const struct hd_change *change = &state->change;
     const struct hd_noisy is = {{walk->noise_n[0], walk->noise_n[1]}, walk->noise_rms_n};
     double most_n;
-    double gain = state->noise_gain;
     if (ramped->any || change->eases || shown != state->show_vibration) {
         struct hd_noisy was = {{0.0, 0.0}, walk->noise_rms_n + change->noise_rms_n};
         for (int axis = 0; axis < 2; axis++) {
             was.noise_n[axis] = walk->noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
         }
-        gain = hd_limit_noise(state, table, ramped->still_whole_n, &was, shown, &most_n);
-        still_n[0] = gain * was.noise_n[0];
-        still_n[1] = gain * was.noise_n[1];
+        const double still = hd_limit_noise(state, table, ramped->still_whole_n, &was, shown, &most_n);
+        still_n[0] = still * was.noise_n[0];
+        still_n[1] = still * was.noise_n[1];
     }
     const double *whole = ramped->any ? ramped->whole_n : contact_n;
-    gain = hd_limit_noise(state, table, whole, &is, state->show_vibration, &most_n);
+    const double gain = hd_limit_noise(state, table, whole, &is, state->show_vibration, &most_n);
     noise_n[0] = gain * is.noise_n[0];
     noise_n[1] = gain * is.noise_n[1];
     if (gain < 1.0) {

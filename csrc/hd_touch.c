@@ -7,9 +7,9 @@
  * noise) is added to that and never gated by it.
  *
  * On a disc of radius R the probe at r goes r/R of the way that s goes, so there the first three terms of F_t are R/r
- * as large. Deep in it geometry and friction fade with g(r), from 1 to 0 (hd_disc_lever): what is stored is U = K/2 (d
- * - g H)^2 + g k/2 (s - anchor)^2 and the force is its slope, so that n has g' (K e H - k/2 (s - anchor)^2) besides
- * F_n. */
+ * as large. Deep in it geometry and friction fade with g(r), from 1 to 0 (hd_disc_lever). What is stored is
+ *     U = K/2 (d - g H)^2 + g k/2 (s - anchor)^2
+ * and the force is its slope, so that n has g' (K e H - k/2 (s - anchor)^2) besides F_n. */
 #include <math.h>
 
 #include "hd_contact.h"

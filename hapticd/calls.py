@@ -363,11 +363,11 @@ def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> 
         return
     try:
         try:
-            _try(paths.command)
+            _connect(paths.command)
         except ConnectionRefusedError:
             # Nobody listens any more, or not yet: a daemon binds its socket first.
             time.sleep(_TRY_EVERY_MS * 1e-3)
-            _try(paths.command)
+            _connect(paths.command)
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ECONNREFUSED, errno.ENOTDIR):
             other = ""
@@ -379,7 +379,8 @@ def probe(paths: Place, timeout_s: float = TIMEOUT_S, command: bool = False) -> 
         raise HapticdError(f"{paths.command}: {error.strerror}") from None
 
 
-def _try(path: Path) -> None:
+def _connect(path: Path) -> None:
+    """To a socket, and lets go of it. Raises OSError."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as trial:
         trial.connect(os.fspath(path))
 

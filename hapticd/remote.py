@@ -152,7 +152,7 @@ class Remote:
     ) -> Refusal | None:
         refusal = Refusal("nobody", f"no bridge at {self}: no answer within {timeout_s:g} s")
         taken_s = time.monotonic()
-        ended = 0
+        doubted = False
         for event, value in monitored(monitor, timeout_s, given_up):
             if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
                 return None
@@ -165,8 +165,8 @@ class Remote:
                 )
                 continue
             found = self._refusal(event, value, time.monotonic() - taken_s)
-            ended += found.by == "handshake"
-            if ended == 1 and found.by == "handshake":
+            if found.by == "handshake" and not doubted:
+                doubted = True
                 continue  # a connection that was reset can look just so; libzmq tries once more
             refusal = found
             if not (patient and refusal.by in ("nobody", "busy")):
