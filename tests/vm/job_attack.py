@@ -339,7 +339,7 @@ def reload_waits() -> None:
 
 
 def reloads_and_stop() -> None:
-    scenario("40 SIGHUPs, each for a configuration that takes seconds, then systemctl stop")
+    scenario("80 SIGHUPs, each for a configuration that takes seconds, then systemctl stop")
     pid = int(shown("hapticd", "MainPID"))
     written("near", 0.998)
     before = reloads()
