@@ -24,6 +24,8 @@ SPEED_M_PER_S = 0.06
 WAY_M = 0.03
 STIFFNESS = usb.FULL_SCALE_N / usb.TRAVEL_M / 2
 HARDWARE = 95
+INTERRUPTS = 50
+"""What a kernel with PREEMPT_RT gives the threads of a host controller's interrupts."""
 
 
 def sweep(t_s: float) -> tuple[float, float]:
@@ -85,7 +87,7 @@ def measure_floor(joystick: usb.Joystick, node: str) -> tuple[float, float]:
     return told("a bare loop of C", values)
 
 
-def measure_daemon(joystick: usb.Joystick, clock: str, rate_hz: int) -> tuple[float, float]:
+def measure_daemon(joystick: usb.Joystick, plug: usb.Plug, clock: str, rate_hz: int) -> tuple[float, float]:
     name = f"{clock}-{rate_hz}"
     with rig.daemon(config(clock, rate_hz), name) as daemon:
         daemon.client.set_forces(True)
@@ -96,7 +98,10 @@ def measure_daemon(joystick: usb.Joystick, clock: str, rate_hz: int) -> tuple[fl
         check(len(values) > 100 * SECONDS, f"the daemon ran, {name}", len(values), daemon.faults())
         result = told(f"the daemon, {name} Hz", values)
         if clock == "timer":
+            # The joystick is a process here, and would take the servo's only processor for 0.2 ms of each frame.
+            plug.set_priority(INTERRUPTS)
             lateness(joystick, daemon)
+            plug.set_priority(HARDWARE)
         daemon.stop()
     return result
 
@@ -108,10 +113,11 @@ def lateness(joystick: usb.Joystick, daemon: rig.Daemon) -> None:
         seen: list[int] = []
         with daemon.client.samples(timeout_s=10) as samples:
             joystick.deaf = deaf
-            end = time.monotonic() + 0.5
-            while time.monotonic() < end:
+            begin = time.monotonic()
+            while time.monotonic() < begin + 0.5:
                 batch = samples.receive(0.1)
-                seen += [] if batch is None else [int(value) for value in batch["lateness_ns"]]
+                if batch is not None:  # the first one may hold what was before
+                    seen += batch["lateness_ns"][batch["time_ns"] > begin * 1e9].tolist()
         joystick.deaf = False
         seen.sort()
         worst[name] = seen[-1] * 1e-3
@@ -128,7 +134,7 @@ def main() -> None:
         scenario("position report to force report, endpoints held to frames of 1 ms")
         floor = measure_floor(joystick, plug.node)
         for clock, rate_hz in (("device", 1000), ("timer", 1000)):
-            median, worst = measure_daemon(joystick, clock, rate_hz)
+            median, worst = measure_daemon(joystick, plug, clock, rate_hz)
             print(f"    {median / floor[0]:.2f} of the bare loop's median, {worst / floor[1]:.2f} of its worst")
             if clock == "device":
                 check(median <= 1.2 * floor[0], "the median is within 1.2 of the bare loop", median / floor[0])

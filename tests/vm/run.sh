@@ -9,7 +9,7 @@
 #
 # What the host has to translate is what takes time, so: no random addresses, which would have every process translated
 # anew; no instructions that QEMU carries out byte by byte (rep movs, rep stos) or that end a translated block (stac).
-# And no AVX2: on QEMU 7.2's numpy's argsort returns wrong places, or crashes.
+# And no AVX2: with that of QEMU 7.2, numpy's argsort returns wrong places, or crashes.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd) tree=$(cd "$(dirname "$0")/../.." && pwd)
 lab=${HAPTICD_VM:-$HOME/.cache/hapticd-vm}

@@ -403,12 +403,6 @@ def _direction(flags: int, x: int, y: int) -> tuple[float, float]:
     return float(flags & 1), -float(flags >> 1 & 1)
 
 
-def _hardware(joystick: Joystick) -> None:
-    """What would be hardware goes before everything else."""
-    if joystick.priority:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(joystick.priority))
-
-
 class _Bus(USBDevice):  # type: ignore[misc]
     """A device whose endpoints are served once in a frame."""
 
@@ -422,6 +416,8 @@ class _Bus(USBDevice):  # type: ignore[misc]
         self._waiting: dict[int, deque[tuple[Any, Callable[[Any], None]]]] = {0: deque(), 1: deque()}
         self._guard = threading.Lock()
         self.gone = threading.Event()
+        self.threads: list[int] = []
+        """The threads that would be hardware."""
 
     def handle_urb(self, urb: Any, respond: Any = None) -> Any:
         """Control transfers at once; the others wait for their frame."""
@@ -442,7 +438,7 @@ class _Bus(USBDevice):  # type: ignore[misc]
 
     def frames(self) -> None:
         """One transfer each way in every interval, until the device is gone."""
-        _hardware(self._joystick)
+        self.threads.append(threading.get_native_id())
         due = time.monotonic()
         while not self.gone.is_set():
             due = max(due + self._interval_s, time.monotonic() - self._interval_s)
@@ -508,13 +504,21 @@ class Plug:
             time.sleep(0.002)
         self.node = node
         if joystick.priority:
-            for path in glob.glob("/proc/[0-9]*/comm"):
-                if Path(path).read_text().startswith(("vhci_rx", "vhci_tx")):
-                    os.sched_setscheduler(int(path.split("/")[2]), os.SCHED_FIFO, os.sched_param(joystick.priority))
+            self.set_priority(joystick.priority)
         time.sleep(settle_s)
 
+    def set_priority(self, priority: int) -> None:
+        """The SCHED_FIFO priority of what would be hardware, and of the kernel's threads that carry its transfers."""
+        kernels = [
+            int(path.split("/")[2])
+            for path in glob.glob("/proc/[0-9]*/comm")
+            if Path(path).read_text().startswith(("vhci_rx", "vhci_tx"))
+        ]
+        for thread in (*self._bus.threads, *kernels):
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+
     def _serve(self, connection: socket.socket) -> None:
-        _hardware(self.joystick)
+        self._bus.threads.append(threading.get_native_id())
         protocol.serve_connection(connection, [self._bus])
 
     def pull(self) -> None:
