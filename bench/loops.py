@@ -5,8 +5,9 @@
 A loop is a device, a hand that presses and slides and then holds still, and a scene: a wall, plain, of patches or
 with textures, a corner, flush boxes with seams, a disc pressed to its centre, or several of these on one another.
 Stiffnesses are 0.3 to 1 of what its margin says is safe; a scene whose margin is not safe, or of which `hapticd check`
-warns of anything, is drawn anew. Each loop runs with the passivity controller off and with it, for at most ten simulated minutes; `bench.end_state` says whether it
-rests. One that goes on is run again without vibration: what rests then was driven by its own texture.
+warns of anything, is drawn anew. Each loop runs with the passivity controller off and with it, for at most ten
+simulated minutes; `bench.end_state` says whether it rests. One that goes on is run again without vibration: what rests
+then was driven by its own texture.
 
 The energy given to the hand is summed from samples and from the handle's own positions, here and not by the servo.
 """
