@@ -290,6 +290,21 @@ def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, lo
     return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
 
 
+def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NOTHING) -> complex:
+    """How much of the waveform the handle's acceleration contains, in the band: 1 where it is all of it. `shape` begins
+    at a tick."""
+    band = _Band(mode, dynamics, rate_hz, load)
+    shown = np.zeros_like(band.wanted)
+    for ringing in (shape.mode, shape.tail):
+        if ringing is not None:
+            one, other = band.columns(ringing.pole)
+            shown = shown + ringing.gain.real * one + ringing.gain.imag * other
+    if shape.kicks:
+        shown = shown + np.stack(band.kicks(0.0), 1) @ np.array(shape.kicks).ravel()
+    spectrum, wanted = (each[: len(each) // 2] + 1j * each[len(each) // 2 :] for each in (shown, band.wanted))
+    return complex(np.vdot(wanted, spectrum)) / band.wanted_norm**2
+
+
 @lru_cache(maxsize=4096)
 def shape_of(
     mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load = NOTHING

@@ -160,6 +160,12 @@ def modes_of(material: Material) -> list[tuple[Use, Mode]]:
     return [(use, mode) for use, mode in modes if mode is not None]
 
 
+def mode_path(use: Use) -> Path:
+    """Where a mode stands in its material."""
+    keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
+    return keys.get(use, (use,))
+
+
 def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
     """The modes and textures of these materials that the rate cannot carry."""
     found: list[Undisplayable] = []
@@ -242,13 +248,11 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
         shapes = None if shown is None else struck_shapes(shown, output, touched)
         shape = None if shapes is None else shapes[touched.own]
         if shape is not None and shape.limited:
-            keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
-            key = keys.get(use, (use,))
             problem = (
                 f"needs more than {LARGEST:g} times the force that its amplitude is worth on this device, and is given "
                 f"that; its acceleration is off by {100 * shape.error:.2g} %"
             )
-            yield Problem(path_text(("materials", name, *key)), problem)
+            yield Problem(path_text(("materials", name, *mode_path(use))), problem)
 
 
 def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:
