@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final, Literal, TypeAlias
@@ -366,3 +367,44 @@ def shapes_of(
     else:
         other = _tailed(band, mode, chosen.tail.pole)
     return (other, chosen) if own else (chosen, other)
+
+
+def tuned_shapes(
+    modes: Sequence[Mode], dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load
+) -> list[tuple[Shape, Shape]]:
+    """As shapes_of, of modes that differ in nothing but their frequency: where nothing is touched, and against `load`.
+
+    All have the poles of the same tail, or none has one, and none has kicks: so gains change steadily from one
+    frequency to the next.
+    """
+    period_s = 1 / rate_hz
+    if compensation == "mass":
+        plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
+        return [(shape, shape) for shape in plain]
+    free, touched = ([_Band(mode, dynamics, rate_hz, each) for mode in modes] for each in (load.free, load))
+
+    def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
+        if way < 2:
+            return _tailed(band, mode, _tails(mode, rate_hz)[way])
+        p = pole_of(mode)
+        lag = complex(met.lag(np.array([p], np.complex128))[0])
+        gain = hold_gain(p, period_s) / lag if way == 2 else pole_gain(mode, dynamics, period_s, met)
+        return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
+
+    ways = [[designed(*pair, way, load.free) for pair in zip(free, modes, strict=True)] for way in range(4)]
+    errors = [sum(shape.error for shape in way) / len(modes) for way in ways]
+    plain_way = min((2, 3), key=lambda way: errors[way])
+    tailed_way = min((0, 1), key=lambda way: errors[way])
+    best = tailed_way if errors[tailed_way] < errors[plain_way] - WORTH else plain_way
+    others = [designed(*pair, best, load) for pair in zip(touched, modes, strict=True)]
+    return list(zip(ways[best], others, strict=True))
+
+
+def peak_between(one: Shape, other: Shape, pole: complex) -> float:
+    """The peak of what lies half way between two shapes, at the pole half way between theirs, over that of the straight
+    line between their peaks."""
+    mode = Ringing(pole, (one.mode.gain + other.mode.gain) / 2)
+    tail = None
+    if one.tail is not None and other.tail is not None:
+        tail = Ringing(one.tail.pole, (one.tail.gain + other.tail.gain) / 2)
+    return _peak(mode, tail)[0] / ((one.peak + other.peak) / 2)

@@ -92,7 +92,7 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M
             found.append(Strike(name, "tap", mode, coefficient))
             if tap.second is not None and tap.second.ratio != 0:
                 found.append(Strike(name, "second", tap.second.mode, abs(tap.second.ratio) * coefficient))
-        if isinstance(texture, Grooves) and (groove := material.groove_mode) is not None:
+        if isinstance(texture, Grooves) and (groove := material.groove_mode_at(speed_m_per_s, PRESS_N)) is not None:
             amplitude = texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * PRESS_N
             found.append(Strike(name, "groove", groove, amplitude))
         if rupture is not None and rupture.amplitude_m_per_s2 > 0:
