@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -383,7 +384,7 @@ def test_at_the_limit_control_changes_no_bit_where_it_does_not_act(material: dic
         "disc": {"kind": "disc", "center_m": [0.006, -0.0035], "radius_m": 0.004, "material": "it"},
     }
     ways = [[0, 0.001], [0, -0.0012], [-0.004, -0.0009], [0.0004, -0.0012], [0.0058, -0.0003], [0.0058, 0.0012]]
-    path = np.concatenate([np.linspace(a, b, 300) for a, b in zip(ways[:-1], ways[1:], strict=True)])
+    path = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(ways)])
     found = {}
     for mode in ("off", "control"):
         rig = Rig(objects, materials={"it": material}, device={"max_force_n": limit_n}, passivity=mode)
