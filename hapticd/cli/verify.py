@@ -43,11 +43,12 @@ def verify_command(
     """Strike each material's tap (at the speed), groove (there with 1 N) and rupture, and say how far the handle's
     acceleration is from the library: RMS of the difference over RMS, from 30 Hz to 0.4 of the rate.
 
-    The simulated handle is known as it is. On a real one an accelerometer must record while they are struck, half a
-    second apart, the handle held as it will be used.
+    The simulated handle is known as it is, and each tap is told on a wall of its material, too. On a real one an
+    accelerometer must record while they are struck, half a second apart, the handle held as it will be used.
     """
     from hapticd.calibration import verify
     from hapticd.calibration.accelerometer import load_recording
+    from hapticd.calibration.walls import verdicts_on_walls
     from hapticd.config import config_of
 
     config = config_of(configs)
@@ -64,7 +65,7 @@ def verify_command(
         note("interrupted; the force is zero")
         raise
     if recording is None:
-        verdicts = verify.from_simulation(config, played)
+        verdicts = [*verify.from_simulation(config, played), *verdicts_on_walls(config, speed, axis)]
     else:
         if not simulated and not yes:
             click.confirm(f"Stop the accelerometer. Is its recording in {recording}?", abort=True, err=True)
