@@ -86,7 +86,7 @@ def unknown(names: Sequence[str]) -> str | None:
     """What is wrong with these names, as one line."""
     for name in names:
         if name not in MEASUREMENTS:
-            return f"there is no {name}: choose from {', '.join(MEASUREMENTS)}"
+            return f"unknown benchmark {name}; known: {', '.join(MEASUREMENTS)}"
     return None
 
 

@@ -54,6 +54,8 @@ SETTLE_S = 15.0
 PATIENCE_S = 120.0
 BEGIN_S = 30.0
 NOT_BEGUN = "has not begun"
+COUNTED = re.compile(r"([\d,]+) (.+)")
+"""How an attacker says what it did."""
 PRIORITY, NICE = -10, 10
 """Of daemon and clients, and of attackers."""
 
@@ -110,6 +112,19 @@ class Watcher(threading.Thread):
                     return
 
 
+@dataclass(frozen=True, slots=True)
+class Done:
+    """How often attackers of one kind did what they do, of so many processes."""
+
+    count: int
+    what: str
+    processes: int = 1
+
+    def __str__(self) -> str:
+        by = f", by {self.processes} processes" if self.processes > 1 else ""
+        return f"{self.count:,} {self.what}{by}"
+
+
 @dataclass(slots=True)
 class Attacker:
     """A process, and the file that it writes to."""
@@ -119,11 +134,16 @@ class Attacker:
     output: IO[bytes]
     ended: bool = False
 
-    def told(self) -> str | None:
-        """The last line it said; None: it has not begun."""
+    def told(self) -> str:
+        """The last line it said."""
         size = os.fstat(self.output.fileno()).st_size
         lines = os.pread(self.output.fileno(), 4096, max(0, size - 4096)).decode(errors="replace").splitlines()
-        return lines[-1] if lines else None
+        return lines[-1] if lines else NOT_BEGUN
+
+    def done(self) -> Done:
+        """What it did so far."""
+        counted = COUNTED.match(told := self.told())
+        return Done(int(counted[1].replace(",", "")), counted[2]) if counted else Done(0, f"({told})")
 
 
 @contextlib.contextmanager
@@ -158,8 +178,8 @@ class Found:
     descriptors: int = 0
     processor_s: tuple[float, float] = (0.0, 0.0)
     """How long the daemon had one, and how long it waited for one."""
-    done: list[tuple[str, str]] = field(default_factory=list)
-    """What each attacker said last."""
+    done: dict[str, Done] = field(default_factory=dict)
+    """What the attackers of each kind did."""
     problems: list[str] = field(default_factory=list)
     """What else was not as it should be."""
 
@@ -177,8 +197,20 @@ class Found:
     def held(self) -> bool:
         """Whether all that is asked was found."""
         start, _, after = self.memory_mib
-        begun = all(said != NOT_BEGUN for _, said in self.done)
-        return self.kept() and not self.faults and begun and self.late_ms() <= ASKED_MS and after - start <= ASKED_MIB
+        return self.kept() and not self.faults and self.late_ms() <= ASKED_MS and after - start <= ASKED_MIB
+
+    def count(self, those: list[Attacker]) -> None:
+        """Adds up what attackers did. One that did nothing is a problem: whatever it tries was not tried."""
+        for each in those:
+            done, before = each.done(), self.done.get(each.kind)
+            if each.process.poll() is not None:
+                self.problems.append(f"{each.kind} ended: {each.told()}")
+            elif not done.count:
+                self.problems.append(f"{each.kind} did nothing: {done}")
+            if before is not None:
+                what = done.what if done.count else before.what
+                done = Done(before.count + done.count, what, before.processes + 1)
+            self.done[each.kind] = done
 
     def table(self) -> Table:
         """All of it."""
@@ -198,7 +230,7 @@ class Found:
         rows.append(["memory: start / most / afterwards, MiB", f"{ASKED_MIB:g} more", f"{start} / {most} / {after}"])
         rows.append(["descriptors at most", "", f"{self.descriptors:,}"])
         rows.append(["the daemon had a processor / waited for one, s", "", "{:.1f} / {:.1f}".format(*self.processor_s)])
-        rows += [[f"attacker: {kind}", "", said] for kind, said in self.done]
+        rows += [[f"attacker: {kind}", "some", str(done)] for kind, done in self.done.items()]
         rows += [["problem", "none", problem] for problem in self.problems]
         return Table(f"{self.seconds:.0f} s of attacks", ["what", "asked", "found"], rows)
 
@@ -215,7 +247,7 @@ class Measure:
         self._pid, self._watcher, self._found, self._tell = running.pid, watcher, found, tell
 
     def phase(self, client: Client, phase: str, seconds: float, those: list[Attacker]) -> None:
-        """For so long, and until all attackers have begun, but BEGIN_S longer at most.
+        """For so long, and until all attackers have done something, but BEGIN_S longer at most.
 
         Raises HapticdError where there is no answer, or the watcher ended.
         """
@@ -234,7 +266,7 @@ class Measure:
                 found.descriptors = max(found.descriptors, descriptors(self._pid))
                 if self._watcher.failed is not None:
                     raise HapticdError(f"who reads the samples: {self._watcher.failed}")
-                begun = begun or all(each.told() is not None for each in those)
+                begun = begun or all(each.done().count for each in those)
                 look = now + 1.0
             if now >= tell:
                 last = times[told:]
@@ -247,8 +279,7 @@ class Measure:
                 for each in those:
                     if each.process.poll() is not None and not each.ended:
                         each.ended = True
-                        found.problems.append(f"{each.kind} ended: {each.told()}")
-                        self._tell(found.problems[-1])
+                        self._tell(f"{each.kind} ended: {each.told()}")
                 tell, told = now + TELL_EVERY_S, len(times)
             time.sleep(OFF_EVERY_S)
 
@@ -297,7 +328,7 @@ def attack(
                     try:
                         measure.phase(client, "under attack", seconds, those)
                     finally:
-                        found.done = [(each.kind, each.told() or NOT_BEGUN) for each in those]
+                        found.count(those)
                         found.processor_s = scheduled_s(pid)
                 restore(client, scene, materials)
                 time.sleep(settle_s)

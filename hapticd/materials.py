@@ -24,6 +24,7 @@ from pydantic import (
     field_validator,
 )
 
+from hapticd.direction import ONE_DIRECTION, AimedKeys
 from hapticd.errors import InvalidError, Path, Problem, quoted
 from hapticd.mode import Attack as Attack
 from hapticd.mode import Mode as Mode
@@ -77,7 +78,7 @@ class SecondMode(ModeKeys):
     ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
 
 
-class Tap(ModeKeys):
+class Tap(AimedKeys):
     """The ringing that begins when the surface is touched: its amplitude A follows the approach speed."""
 
     model_config = ConfigDict(
@@ -86,6 +87,7 @@ class Tap(ModeKeys):
                 one_of("frequency_hz", "angular_frequency_rad_per_s"),
                 one_of("decay_time_s", "decay_rate_per_s"),
                 one_of("attack_slope_per_s", "amplitudes"),
+                ONE_DIRECTION,
             ]
         }
     )
@@ -128,7 +130,7 @@ class Tap(ModeKeys):
         return max(0.0, low + (high - low) * (speed_m_per_s - from_speed) / (to_speed - from_speed))
 
 
-class Rupture(ModeKeys):
+class Rupture(AimedKeys):
     """How a membrane breaks, and the ringing when it does. Means something for membranes only."""
 
     model_config = ConfigDict(
@@ -137,6 +139,7 @@ class Rupture(ModeKeys):
                 one_of("frequency_hz", "angular_frequency_rad_per_s"),
                 one_of("decay_time_s", "decay_rate_per_s"),
                 one_of("depth_m", "max_strain radius_m"),
+                ONE_DIRECTION,
             ]
         }
     )

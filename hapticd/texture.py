@@ -21,6 +21,7 @@ from pydantic import (
 )
 from pydantic.config import JsonDict
 
+from hapticd.direction import Direction
 from hapticd.mode import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
 from hapticd.model import Damping, Model
 
@@ -32,7 +33,6 @@ MAX_SEED: Final = 2**53
 MAX_RMS_M_PER_S2: Final = 1e6
 
 Display: TypeAlias = Literal["vibration", "geometry", "damping"]
-Direction: TypeAlias = Literal["tangent", "normal"]
 Gain: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
 Threshold: TypeAlias = Annotated[float, Field(ge=1e-5, le=1)]
 Seed: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SEED)]

@@ -243,6 +243,8 @@ class Connection(asyncio.Protocol):
         self._task: asyncio.Task[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._topics: set[bytes] = set()
+        self._untold = False
+        """What the bridge tells had no room in the client's queue."""
         self._watching = Bucket(_WATCHER_BYTES_PER_S, _WATCHER_BYTES_PER_S)
         self._closed = False
 
@@ -429,11 +431,14 @@ class Connection(asyncio.Protocol):
         """What a client may, and whether the daemon is there, to one who asked for the topic."""
         if b"\x01" + BRIDGE in self._topics and self._front is not None and self.account is not None:
             told = {"may": self.account.may, "daemon": self._gate.link.status is not None}
-            with suppress(zmq.Again):
+            try:
                 self._front.send_multipart([BRIDGE, wire.encode(told)], zmq.NOBLOCK)
+                self._untold = False
+            except zmq.Again:
+                self._untold = True
 
     def take_subscriptions(self) -> None:
-        """Looks at what a watcher has subscribed to."""
+        """Looks at what a watcher has subscribed to, and tells what had no room when it was to be told."""
         if self.kind != "telemetry" or self._front is None or self.account is None:
             return
         while not self._closed and int(self._front.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
@@ -447,6 +452,8 @@ class Connection(asyncio.Protocol):
             if len(self._topics) > _SUBSCRIPTIONS:
                 self._gate.refuse(self, "garbage", f"{quoted(self.account.name)} subscribes without end")
                 self.close()
+        if self._untold and not self._closed:
+            self.tell_of_bridge()
 
     # ---- the end -----------------------------------------------------------------------------------------------------
 

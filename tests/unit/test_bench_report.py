@@ -122,7 +122,7 @@ def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> 
     said = capsys.readouterr().out
     assert all(name in said for name in bench.MEASUREMENTS)
     assert cli.main(["bench", "nothing"]) == 2
-    assert "there is no nothing: choose from rendered," in capsys.readouterr().err
+    assert "unknown benchmark nothing; known: rendered," in capsys.readouterr().err
 
 
 def test_an_installed_hapticd_says_where_the_benchmarks_are(

@@ -7,6 +7,7 @@ import contextlib
 import math
 import os
 import re
+import struct
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,13 +15,15 @@ from typing import Any, cast
 
 import msgpack
 import pytest
+import zmq
+import zmq.asyncio
 from hypothesis import given
 from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 
 from hapticd import wire
 from hapticd.bridge import gate, http, relay
-from hapticd.bridge.accounts import Accounts
+from hapticd.bridge.accounts import Account, Accounts
 from hapticd.bridge.config import MOST_CONNECTIONS, BridgeClient, BridgeConfig, BridgeLimits, load_bridge
 from hapticd.bridge.daemon_link import DaemonLink
 from hapticd.bridge.gate import Gate
@@ -32,6 +35,7 @@ from hapticd.control import Control
 from hapticd.engine import Engine
 from hapticd.errors import HapticdError, InvalidError
 from hapticd.keys import new_certificate
+from hapticd.paths import RuntimePaths
 from hapticd.repeats import MOST_KINDS, SHORTEST_S
 
 KEYS = {name: new_certificate().public_key for name in ("alice", "bob", "carol")}
@@ -253,6 +257,81 @@ def _whole(body: bytes) -> bool:
 @pytest.mark.parametrize("body", [b"", b"\x81", b"\xdf\xff\xff\xff\xff", b"\x81\xa2id" + b"\x91" * 100_000, b"\x90"])
 def test_a_look_at_what_claims_too_much(body: bytes) -> None:
     assert peek(body) == (True, None)
+
+
+# ---- whether there is a daemon ---------------------------------------------------------------------------------------
+
+
+def test_a_watcher_whose_queue_is_full_is_told_later() -> None:
+    """That its daemon has gone: nothing comes after it that could make up for it."""
+    account = SimpleNamespace(name="bob", may="watch", telemetry_dropped=0)
+    connection = gate.Connection(cast(Gate, SimpleNamespace(link=SimpleNamespace(status=None))), "telemetry")
+    with zmq.Context() as context, context.socket(zmq.XPUB) as front, context.socket(zmq.SUB) as watcher:
+        for socket in (front, watcher):
+            socket.linger = 0
+        front.setsockopt(zmq.SNDHWM, 2)
+        front.setsockopt(zmq.XPUB_NODROP, 1)
+        watcher.setsockopt(zmq.RCVHWM, 2)
+        watcher.setsockopt(zmq.RCVTIMEO, 10_000)
+        front.bind("inproc://front")
+        watcher.connect("inproc://front")
+        for topic in (b"samples", gate.BRIDGE):
+            watcher.setsockopt(zmq.SUBSCRIBE, topic)
+        connection._front, connection.account = cast("zmq.Socket[bytes]", front), cast(Account, account)
+        while not watcher.poll(1):  # it subscribes in a thread of libzmq's
+            connection.take_subscriptions()
+        assert watcher.recv_multipart()[0] == gate.BRIDGE
+        while not account.telemetry_dropped:
+            connection.publish([b"samples", b""])
+        connection.tell_of_bridge()
+        while watcher.poll(0):
+            assert watcher.recv_multipart()[0] == b"samples"
+        connection.take_subscriptions()
+        assert [gate.BRIDGE, msgpack.packb({"may": "watch", "daemon": False})] == watcher.recv_multipart()
+
+
+def test_what_was_on_its_way_shows_no_daemon(tmp_path: Path) -> None:
+    """A status that is read after its connection has ended; the next connection's does."""
+    lost: list[None] = []
+
+    class Socket:
+        """Gives what is put into it."""
+
+        def __init__(self) -> None:
+            self.frames: asyncio.Queue[list[bytes]] = asyncio.Queue()
+
+        async def recv_multipart(self, flags: int = 0) -> list[bytes]:
+            return await self.frames.get()
+
+    def event(number: int) -> list[bytes]:
+        return [struct.pack("=hi", number, 0), b""]
+
+    async def main() -> None:
+        link = DaemonLink(zmq.asyncio.Context.instance(), RuntimePaths(tmp_path), lambda: lost.append(None), print)
+        monitor, socket = Socket(), Socket()
+        tasks = [
+            asyncio.create_task(link._read_monitor(cast(zmq.asyncio.Socket, monitor))),
+            asyncio.create_task(link._read_status(cast(zmq.asyncio.Socket, socket))),
+        ]
+
+        async def read(which: Socket, frames: list[bytes]) -> bool:
+            which.frames.put_nowait(frames)
+            for _ in range(3):
+                await asyncio.sleep(0)
+            assert which.frames.empty()
+            return link.status is not None
+
+        status = [b"status", msgpack.packb({"tick": 1})]
+        assert await read(socket, status)
+        assert not await read(monitor, event(zmq.EVENT_DISCONNECTED))
+        assert not await read(socket, status)
+        assert not await read(monitor, event(zmq.EVENT_HANDSHAKE_SUCCEEDED))
+        assert await read(socket, status)
+        for task in tasks:
+            task.cancel()
+
+    asyncio.run(main())
+    assert len(lost) == 1
 
 
 # ---- metrics ---------------------------------------------------------------------------------------------------------

@@ -131,6 +131,11 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
         (["version"], "No such command 'version': hapticd --version"),
         (["play", "wood", "--amplitude", "x"], '"x" is not a number'),
         (["check", "s.yaml"], "Got unexpected extra argument (s.yaml): a file is given with -c"),
+        (
+            ["simulate", "s.yaml", "tap.yaml"],
+            "Got unexpected extra argument (tap.yaml): what the hand does is given with --operator",
+        ),
+        (["--connect", "tcp://a", "status"], "or the variables HAPTICD_KEY and HAPTICD_SERVER_KEY"),
         (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
         (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
         (["play", "--mode", "frequency_hz", "--amplitude", "1"], "write it as frequency_hz=200"),
