@@ -110,5 +110,11 @@ def _on_wall(config: Config, output: Output, strikes: list[Strike], speed_m_per_
     onset = arrival(config.device.sim.link, 0, rate_hz)
     count = len(moved) - onset
     reference = sum(each.coefficient_m_per_s2 * waveform(each.mode, count, rate_hz * FINER) for each in strikes)
-    error, strength = compared(moved[onset:, 0 if axis == "x" else 1], np.asarray(reference), rate_hz * FINER, output)
+    tap = config.materials[first.material].tap
+    assert tap is not None
+    # A tap pushes along the wall's normal n, its tangent (n_y, -n_x), or between.
+    across, along = tap.aim
+    towards = (across, -along) if axis == "x" else (along, across)
+    shown_as = moved[onset:] @ np.array(towards)
+    error, strength = compared(shown_as, np.asarray(reference), rate_hz * FINER, output)
     return Verdict(first, shown.frequency_hz, float(np.hypot(*force.T).max()), error, strength)

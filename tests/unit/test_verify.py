@@ -10,7 +10,7 @@ from scipy import signal
 
 from hapticd.calibration import verify, walls
 from hapticd.calibration.accelerometer import Recording
-from hapticd.calibration.sweep import Floats
+from hapticd.calibration.sweep import Axis, Floats
 from hapticd.calibration.verify import Played, Strike, Verdict
 from hapticd.config import Config, load_config
 from hapticd.core import lib, pointer
@@ -106,10 +106,22 @@ def test_a_tap_on_a_wall(name: str, compensation: str) -> None:
     assert verdict.error < 0.07 or compensation == "off"
 
 
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_tap_along_the_wall_does_not_meet_it(axis: Axis) -> None:
+    """Along the tangent nothing pushes: as with nothing touched, along either axis."""
+    tap = {"attack_slope_per_s": 300, "frequency_hz": 93, "decay_time_s": 0.0064, "direction": "tangent"}
+    it = load_config({"materials": {"it": {"stiffness_n_per_m": 800, "tap": tap}}}).materials["it"]
+    config = config_of().model_copy(update={"materials": {"it": it}})
+    _, (free,) = displayed(config, *verify.strikes_of(config.materials))
+    (walled,) = walls.verdicts_on_walls(config, axis=axis)
+    assert walled.error == pytest.approx(free.error, rel=1e-4)
+
+
 def test_taps_on_walls_are_told_of_what_pushes_and_is_carried() -> None:
     tap = {"attack_slope_per_s": 10, "frequency_hz": 100, "decay_time_s": 0.002}
-    materials = {"firm": {"stiffness_n_per_m": 500, "tap": tap}, "soft": {"stiffness_n_per_m": 0, "tap": tap}}
-    config = config_of(2000).model_copy(update={"materials": load_config({"materials": materials}).materials})
+    given = {"firm": {"stiffness_n_per_m": 500, "tap": tap}, "soft": {"stiffness_n_per_m": 0, "tap": tap}}
+    known = load_config({"materials": given}).materials
+    config = config_of(2000).model_copy(update={"materials": {name: known[name] for name in (*given, "steel")}})
     told = {each.strike.material: each for each in walls.verdicts_on_walls(config)}
     assert "soft" not in told and told["firm"].strike.use == "wall"
     assert (told["steel"].displayed_hz, told["steel"].error) == (None, 1.0)
