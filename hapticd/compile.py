@@ -62,6 +62,7 @@ from hapticd.mode import Mode
 from hapticd.scene import Patch, Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
+from hapticd.tuning import Tuning, shapes_needed, tuning_of
 
 _RECORD = struct.Struct("=8I6d")
 if _RECORD.size != OBJECT_DTYPE.itemsize:
@@ -243,7 +244,10 @@ def material_record(
             record.texture = Texture.STRIKES
             record.velocity_gain_per_s = texture.velocity_gain_per_s
             record.force_gain_m_per_s2_per_n = texture.force_gain_m_per_s2_per_n
-            record.groove = mode_record(material.groove_mode, 1.0, 1.0, output)
+            tuning = tuning_of(material, output)
+            record.groove = mode_record(material.groove_mode if tuning is None else tuning.base, 1.0, 1.0, output)
+            if tuning is not None:
+                tuning.complete(record, 1.0 / output.rate_hz)
         elif texture.display == "geometry":
             record.texture = Texture.GEOMETRY
             record.depth_m = texture.depth_m
@@ -422,6 +426,8 @@ class _Materials:
         """Material to what its noise is made of, the version of that, and its filters."""
         self._points: dict[int, tuple[TapPoint, ...]] = {}
         """Material to the amplitudes of its tap over speed, where they are given so."""
+        self._tunings: dict[int, Tuning] = {}
+        """Material to the frequencies of its grooves, where they follow speed and force."""
         self.prepared: Mapping[_Noise, _Design] = {}
         """Designed for what is taken in now."""
         self._versions = 0
@@ -502,6 +508,10 @@ class _Materials:
         if material.tap is not None and material.tap.amplitudes is not None:
             self._points[index] = material.tap.amplitudes
             self._numbers_changed = True
+        tuning = tuning_of(material, self.output)
+        if tuning is not None:
+            self._tunings[index] = tuning
+            self._numbers_changed = True
         self.working()
         effects = {mode: self._effects.take(mode) for mode in _struck(material)}
         self._struck[index] = tuple(effects)
@@ -510,6 +520,7 @@ class _Materials:
 
     def _let_go(self, index: int) -> None:
         self._numbers_changed |= self._points.pop(index, None) is not None
+        self._numbers_changed |= self._tunings.pop(index, None) is not None
         for mode in self._struck.pop(index, ()):
             self._effects.give(mode)
 
@@ -539,7 +550,7 @@ class _Materials:
         new = isinstance(texture, Stochastic | Autoregressive) and (known is None or known.texture != texture)
         if not new or _designs.find(cast(_Noise, texture), self.output) is not None:
             texture = None
-        shapes = 0 if self.output.compensation == "off" else len(modes_of(material))
+        shapes = 0 if self.output.compensation == "off" else len(modes_of(material)) + shapes_needed(material)
         noise = cast("_Noise | None", texture)
         return noise, shapes + (0 if noise is None else _filters(noise))
 
@@ -592,6 +603,10 @@ class _Materials:
             material = self._rows.pointer[index]
             material.tap_count, material.tap_first = len(points), first
             numbers.append(np.array(points).T.ravel())
+            first += len(numbers[-1])
+        for index, tuning in self._tunings.items():
+            self._rows.pointer[index].tune_first = first
+            numbers.append(tuning.numbers())
             first += len(numbers[-1])
         self._numbers = np.concatenate(numbers) if numbers else np.zeros(0)
 

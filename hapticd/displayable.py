@@ -155,7 +155,7 @@ def modes_of(material: Material) -> list[tuple[Use, Mode]]:
         ("tap", None if material.tap is None else material.tap.mode),
         ("second", None if material.tap is None or material.tap.second is None else material.tap.second.mode),
         ("rupture", None if material.rupture is None else material.rupture.mode),
-        ("groove", material.groove_mode),
+        *(("groove", mode) for mode in material.groove_modes),
     )
     return [(use, mode) for use, mode in modes if mode is not None]
 
