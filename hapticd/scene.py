@@ -16,6 +16,7 @@ from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, 
 from hapticd.model import (
     AT_ONCE,
     MAX_FAULTS,
+    MOST_MEMBERS,
     Damping,
     Model,
     Name,
@@ -23,6 +24,7 @@ from hapticd.model import (
     Stiffness,
     faults_of,
     in_parts,
+    members,
     plain,
     problems_of,
     refuse_many_keys,
@@ -276,13 +278,27 @@ def validate_scene(data: object, root: Path = (), working: Callable[[], None] = 
         if isinstance(given, dict) and len(given) <= MAX_OBJECTS:
             for id, item in given.items():
                 refuse_many_keys(item, (*root, "objects", id))
-            if len(given) > AT_ONCE:
-                scene = Scene.parsed(rest)
-                objects = in_parts(given, _objects, root, "objects", working)
-                return scene.with_objects(dict(objects))
+            if len(given) > AT_ONCE or members(given) > MOST_MEMBERS:
+                return _large(rest, given, root, working)
         return Scene.parsed(data)
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
+
+
+def _large(rest: dict[str, object], given: Mapping[str, object], root: Path, working: Callable[[], None]) -> Scene:
+    problems: list[Problem] = []
+    scene, objects = Scene(), dict[str, SceneObject]()
+    try:
+        scene = Scene.parsed(rest)
+    except ValidationError as error:
+        problems += problems_of(error, root)
+    try:
+        objects = in_parts(given, _objects, root, "objects", working)
+    except InvalidError as error:
+        problems += error.problems
+    if problems:
+        raise InvalidError(problems)
+    return scene.with_objects(objects)
 
 
 def _objects(part: dict[str, object]) -> dict[str, SceneObject]:
