@@ -109,7 +109,11 @@ class Disc(Model):
 
     kind: Literal["disc"]
     center_m: Position = Field(description="Its middle, [x, y].")
-    radius_m: float = Field(ge=1e-4, le=10, description="Its radius.")
+    radius_m: float = Field(
+        ge=1e-4,
+        le=10,
+        description="Its radius R. A hand that presses harder than stiffness times R comes out on the other side.",
+    )
     material: Name = Field(description="Name of a material.")
 
 
