@@ -170,16 +170,6 @@ class _Grid:
         self._pairs: dict[tuple[complex, int], tuple[_Complex, _Complex]] = {}
         self._below: dict[complex, _Complex] = {}
 
-    def response(self, dynamics: Dynamics, load: Load) -> _Complex:
-        """Weighted acceleration over held samples of force, these in units of (m + m_h)."""
-        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
-        device = (dynamics.mass_kg * self.s + damping) * self.s + stiffness
-        hold = (1 - np.exp(-self.s * self.period_s)) / self.s
-        if load != NOTHING:
-            device = device + load.surface(self.s, self.period_s)
-            hold = hold * load.lag(self.s)
-        return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
-
     @cached_property
     def late(self) -> list[_Complex]:
         """exp(-s k T) of the first samples."""
@@ -189,6 +179,16 @@ class _Grid:
     def early(self) -> list[_Complex]:
         """What is wanted, for each of the onsets, as seen from the first tick."""
         return [self.wanted * np.exp(self.s * part * self.period_s) for part in _ONSETS]
+
+    def response(self, dynamics: Dynamics, load: Load) -> _Complex:
+        """The acceleration of the device for what is struck, weighted."""
+        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
+        device = (dynamics.mass_kg * self.s + damping) * self.s + stiffness
+        hold = (1 - np.exp(-self.s * self.period_s)) / self.s
+        if load != NOTHING:
+            device = device + load.surface(self.s, self.period_s)
+            hold = hold * load.lag(self.s)
+        return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
 
     def count(self, pole: complex, part: float) -> int:
         """Of the ticks up to five time constants, the first of them `part` of a period after the onset."""
@@ -369,14 +369,14 @@ def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, loa
     """How much of the waveform the handle's acceleration contains, in the band: 1 where it is all of it. `shape` begins
     at a tick."""
     grid = _grid(mode, rate_hz)
-    shown = np.zeros_like(grid.s)
+    struck = np.zeros_like(grid.wanted)
     for ringing in (shape.mode, shape.tail):
         if ringing is not None:
-            sine, cosine = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
-            shown += ringing.gain.real * sine + ringing.gain.imag * cosine
-    for (kick, _), late in zip(shape.kicks, grid.late, strict=False):
-        shown += kick * late
-    return complex(np.vdot(grid.wanted, grid.response(dynamics, load) * shown)) / grid.wanted_norm**2
+            one, other = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
+            struck = struck + ringing.gain.real * one + ringing.gain.imag * other
+    for late, (kick, _) in zip(grid.late, shape.kicks, strict=False):
+        struck = struck + kick * late
+    return complex(np.vdot(grid.wanted, grid.response(dynamics, load) * struck)) / grid.wanted_norm**2
 
 
 @lru_cache(maxsize=4096)
@@ -459,8 +459,8 @@ def tuned_shapes(
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
         return [(shape, shape) for shape in plain]
     free, touched = (
-        [_Band(mode, dynamics, rate_hz, met, [pole_of(mode), *_tails(mode, rate_hz)]) for mode in modes]
-        for met in (load.free, load)
+        [_Band(mode, dynamics, rate_hz, each, [pole_of(mode), *_tails(mode, rate_hz)]) for mode in modes]
+        for each in (load.free, load)
     )
 
     def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
