@@ -176,7 +176,7 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
         ) from None
 
 
-def _place(mark: "yaml.Mark | None") -> tuple[int, int] | None:
+def _place(mark: "yaml.Mark | yaml._yaml.Mark | None") -> tuple[int, int] | None:
     return None if mark is None else (mark.line, mark.column)
 
 

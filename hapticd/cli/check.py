@@ -95,7 +95,7 @@ def _print(report: Report, console: Console) -> None:
         if what == "unsafe":  # among the problems below
             continue
         console.print(f"{what}: {text}", markup=False)
-    for problem in (*report.refused, *report.undisplayable, *report.warnings, *stability.problems()):
+    for problem in (*report.refused, *report.undisplayable, *report.warnings, *stability.problems(), *report.notes):
         console.print(str(problem), markup=False)
     if report.faults == 0:
         console.print("all of the scene can be shown", markup=False)

@@ -52,11 +52,12 @@ def verify_command(
     A tap is struck as at --speed, a groove as at that speed under 1 N. The error is the RMS of the difference over the
     RMS of the library's, from 30 Hz to 0.4 of the rate.
 
-    The simulated handle is known as it is. On a real one an accelerometer must record while they are struck, half a
-    second apart, the handle held as it will be used.
+    The simulated handle is known as it is, and each tap is told on a wall of its material, too. On a real one an
+    accelerometer must record while they are struck, half a second apart, the handle held as it will be used.
     """
     from hapticd.calibration import verify
     from hapticd.calibration.accelerometer import load_recording
+    from hapticd.calibration.walls import verdicts_on_walls
     from hapticd.config import config_of
 
     config = config_of(configs)
@@ -73,7 +74,7 @@ def verify_command(
         note("interrupted; the force is zero")
         raise
     if recording is None:
-        verdicts = verify.from_simulation(config, played)
+        verdicts = [*verify.from_simulation(config, played), *verdicts_on_walls(config, speed, axis)]
     else:
         if not simulated and not yes:
             click.confirm(f"Stop the accelerometer. Is its recording in {recording}?", abort=True, err=True)
