@@ -15,6 +15,7 @@ from hapticd.calibration.plot import Curve
 from hapticd.calibration.rig import rig_of
 from hapticd.calibration.sweep import HIGHEST_HZ, Axis, Record, Sweep, sweep_config, travel_m
 from hapticd.config import Config
+from hapticd.rearm import Resting, at_rest
 
 PAUSE_S: Final = 5.0
 UNLIKE: Final = 0.05
@@ -45,6 +46,13 @@ class Calibration:
         mass, damping = (difference(self.held, self.free, which) for which in (_MASS, _DAMPING))
         return (mass, damping, self.held.estimate(_STIFFNESS))
 
+    @property
+    def resting(self) -> Resting:
+        """The positions before the first burst, where nobody holds the handle."""
+        free = self.records[0]
+        begin = min((burst.begin for burst in free.bursts), default=0)
+        return at_rest(free.position_m[:begin], free.step_m, free.rate_hz)
+
     def section(self) -> dict[str, object]:
         """What a configuration file takes, four figures of each."""
         mass, damping, friction = (_shown(each) for each in self.handle)
@@ -57,6 +65,7 @@ class Calibration:
                     "damping_n_s_per_m": grip_damping,
                     "stiffness_n_per_m": stiffness,
                 },
+                "rearm_m": self.resting.rearm_m,
             }
         }
 
@@ -94,6 +103,7 @@ class Calibration:
                     last = beyond[-1].frequency_hz
                     text += f"; beyond the encoder, up to {last:.0f} Hz, {100 * off:.2g} % RMS from the fit"
                 lines.append(text)
+        lines.append(str(self.resting))
         return lines
 
     def curves(self) -> list[Curve]:
@@ -108,6 +118,7 @@ class Calibration:
             "estimates": {name.replace(" ", "_"): {**each.to_dict(), "unit": unit} for name, each, unit in self.rows()},
             "response": {curve.name: _response(curve) for curve in self.curves()},
             "accelerometer_scale": None if self.heard is None else [each.scale for each in self.heard],
+            "positions": self.resting.to_dict(),
             "notes": self.notes(),
         }
 

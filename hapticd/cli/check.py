@@ -46,6 +46,8 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _print(report: Report, console: Console) -> None:
+    from hapticd.rearm import words as rearm_words
+
     output, stability = report.output, report.stability
     link = "" if output.link_rate_hz is None else f", forces carried at {output.link_rate_hz:g} Hz"
     console.print(f"device: {report.device}; servo at {output.rate_hz:g} Hz{link}", markup=False)
@@ -78,10 +80,9 @@ def _print(report: Report, console: Console) -> None:
             "felt wrong by: the handle's acceleration against the library's, 30 Hz to 0.4 of the rate, with "
             f"compensation: {output.compensation}"
         )
-    if output.rearm_m > 0.0:
-        console.print(
-            f"a surface is tapped again after the probe was {1e6 * output.rearm_m:g} um from it (device.rearm_m)"
-        )
+    again = rearm_words(output.rearm_m, report.encoder_step_m, output.rate_hz)
+    if again is not None:
+        console.print(again, markup=False)
     if stability.sets:
         console.print(_sets(report))
         left = stability.sets - len(stability.worst)
