@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 import time
 import traceback
@@ -85,7 +86,7 @@ def unknown(names: Sequence[str]) -> str | None:
     """What is wrong with these names, as one line."""
     for name in names:
         if name not in MEASUREMENTS:
-            return f"there is no {name}: choose from {', '.join(MEASUREMENTS)}"
+            return f"unknown benchmark {name}; known: {', '.join(MEASUREMENTS)}"
     return None
 
 
@@ -106,7 +107,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure [default: everything]")
     parser.add_argument("--quick", action="store_true", help="a minute or two: shows that it runs, not how fast")
     parser.add_argument("--out", type=Path, metavar="DIR", help="where the pages go [default: docs, of a whole run]")
-    parser.add_argument("--overwrite", action="store_true", help="replace the pages and figures that are there")
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace the pages and figures that are there; of a part, its sections of them",
+    )
     parser.add_argument("--pairs", type=int, default=defaults.pairs, help="paired runs beside cyclictest at each rate")
     parser.add_argument("--seconds", type=float, default=defaults.seconds, help="length of each of them")
     parser.add_argument("--minute", type=float, default=defaults.minute_s, help="seconds of the telemetry run")
@@ -124,8 +129,13 @@ class Found:
     took_s: float = 0.0
 
 
-def _measure(console: Console, names: Sequence[str], options: Options, folder: Path | None) -> Found:
-    """Everything, shown as it comes, its figures into the folder. What fails says so in its place; the rest goes on."""
+def _measure(
+    console: Console, names: Sequence[str], options: Options, folder: Path | None, on: str | None = None
+) -> Found:
+    """Everything, shown as it comes, its figures into the folder. What fails says so in its place; the rest goes on.
+
+    Each section ends with its command; `on` is added to it, the machine that a part was measured on.
+    """
     found = Found({}, [], [])
     begin = time.monotonic()
     columns = (TextColumn("{task.description:44}"), BarColumn(), TimeElapsedColumn())
@@ -151,7 +161,11 @@ def _measure(console: Console, names: Sequence[str], options: Options, folder: P
                 found.failed.append(name)
                 told = " ".join(str(error).split()) or type(error).__name__
                 sections = [Section(name, [f"**Not measured:** {told}"])]
+        told = (
+            f"`python -m bench {name}`, {time.monotonic() - started:.0f} s{'' if on is None else f', by itself: {on}'}"
+        )
         for index, section in enumerate(sections):
+            section.parts.append(told)
             found.pages.setdefault(each.pages[min(index, len(each.pages) - 1)], []).append(section)
             section.show(console)
         console.print(f"({name}: {time.monotonic() - started:.0f} s)", highlight=False)
@@ -159,8 +173,16 @@ def _measure(console: Console, names: Sequence[str], options: Options, folder: P
     return found
 
 
-def _write(found: Found, folder: Path, on: str) -> list[Path]:
-    """The pages, into a folder; their files."""
+def replaced(page: str, sections: Sequence[Section]) -> str:
+    """A page in which these sections stand instead of those of the same title; after the others where there is none."""
+    head, *others = re.split(r"^(?=## )", page, flags=re.MULTILINE)
+    parts = {other.partition("\n")[0]: other for other in others}
+    parts |= {f"## {section.title}": section.markdown() for section in sections}
+    return "\n\n".join(part.strip() for part in (head, *parts.values())) + "\n"
+
+
+def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
+    """The pages, into a folder; their files. What is not all of a page goes into the one that is there."""
     took = f"The whole run took {found.took_s / 60:.0f} minutes ({found.took_s:.0f} s)."
     heads = {
         ACCURACY: (
@@ -169,9 +191,10 @@ def _write(found: Found, folder: Path, on: str) -> list[Path]:
             f"precision or a closed form. Written by `make bench` (`hapticd bench`). {on} {took} Ways are measured in "
             "turns in one process, and ratios are of one run, round by round; a cost is the median over the rounds, "
             "and in brackets the tenth to the ninetieth percentile of them. In the figures the way that hapticd takes "
-            "is ringed. What a wake-up, a command and a scene cost is in [benchmarks.md](benchmarks.md). Errors are "
-            "asserted, with margins, in `tests/unit` (`test_bench_*.py`, `test_modes.py`, `test_contacts.py`, "
-            "`test_sim.py`, `test_velocity.py`, `test_closed_loop.py`).",
+            "is ringed. What a wake-up, a command and a scene cost is in [benchmarks.md](benchmarks.md). All that a "
+            "section claims is shown by the command at its end; errors are asserted, with margins, in `tests/unit` "
+            "(`test_bench_*.py`, `test_modes.py`, `test_contacts.py`, `test_sim.py`, `test_velocity.py`, "
+            "`test_closed_loop.py`).",
         ),
         SPEED: (
             "Benchmarks",
@@ -190,6 +213,12 @@ def _write(found: Found, folder: Path, on: str) -> list[Path]:
                 written.append(DOCS / DEVICES)
             continue
         title, about = heads[page]
+        if not whole and (folder / page).exists():
+            (folder / page).write_text(
+                replaced((folder / page).read_text(encoding="utf-8"), sections), encoding="utf-8"
+            )
+            written.append(folder / page)
+            continue
         text = "\n\n".join([f"# {title}", about, *(section.markdown() for section in sections)])
         (folder / page).write_text(text + "\n", encoding="utf-8")
         written.append(folder / page)
@@ -217,10 +246,10 @@ def perform(names: Sequence[str], options: Options, out: Path | None, overwrite:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise HapticdError(f"{folder}: cannot be made: {error.strerror}") from None
-    found = _measure(console, chosen, options, folder)
+    found = _measure(console, chosen, options, folder, None if chosen == list(MEASUREMENTS) else on)
     console.print(f"\n{len(chosen)} measurements in {found.took_s:.0f} s", highlight=False)
     if folder is not None:
-        for path in (*_write(found, folder, on), *found.drawn):
+        for path in (*_write(found, folder, on, chosen == list(MEASUREMENTS)), *found.drawn):
             console.print(f"written: {path}", highlight=False)
     if found.failed:
         print(f"bench: not measured: {', '.join(found.failed)}", file=sys.stderr)

@@ -1,6 +1,8 @@
 """What members of the daemon's group may do to it: one attacker, until it is killed; for `bench.hostile`.
 
 python -m bench.attackers KIND DIRECTORY      prints once a second what it has done so far
+
+Each attack yields whenever it has done something; only that counts.
 """
 
 from __future__ import annotations
@@ -36,8 +38,9 @@ class Tally:
         self.add(0)
 
     def add(self, count: int = 1) -> None:
+        first = not self._count and count
         self._count += count
-        if time.monotonic() >= self._due_s:
+        if first or time.monotonic() >= self._due_s:
             print(f"{self._count:,} {self._what}", flush=True)
             self._due_s = time.monotonic() + 1.0
 
@@ -53,6 +56,19 @@ def open_to(path: Path, kind: bytes | None) -> socket.socket:
     except OSError:
         made.close()
         raise
+    return made
+
+
+def several(stack: contextlib.ExitStack, path: Path, kind: bytes, count: int) -> list[socket.socket]:
+    """So many connections, or fewer where the daemon takes no more; raises OSError where it takes none."""
+    made: list[socket.socket] = []
+    while len(made) < count:
+        try:
+            made.append(stack.enter_context(open_to(path, kind)))
+        except OSError:
+            if not made:
+                raise
+            break
     return made
 
 
@@ -87,7 +103,7 @@ def connections(directory: Path) -> None:
             mine.pop(descriptor).close()
 
 
-def garbage(path: Path) -> None:
+def garbage(path: Path) -> Iterator[None]:
     """Bytes without sense, and right ones with a mistake."""
     right = zmtp.GREETING + zmtp.ready(b"DEALER") + zmtp.message([b"", wire.request(1, "get_status")]) * 3
     with open_to(path, None) as made:
@@ -98,6 +114,7 @@ def garbage(path: Path) -> None:
             for _ in range(random.randrange(1, 6)):
                 wrong[random.randrange(len(wrong))] = random.randrange(256)
             made.sendall(wrong[: random.randrange(1, len(wrong))])
+        yield
         made.setblocking(False)
         with contextlib.suppress(BlockingIOError):
             made.recv(4096)
@@ -106,7 +123,7 @@ def garbage(path: Path) -> None:
 # ---- Messages --------------------------------------------------------------------------------------------------------
 
 
-def parts(path: Path) -> None:
+def parts(path: Path) -> Iterator[None]:
     """Messages without end."""
     chosen = random.choice(
         (zmtp.header(60_000, zmtp.MORE) + bytes(60_000), b"\x01\x00" * 30_000, b"\x01\x01x" * 20_000)
@@ -114,57 +131,63 @@ def parts(path: Path) -> None:
     with open_to(path, b"DEALER") as made:
         while True:
             made.sendall(chosen)
+            yield
 
 
-def huge(path: Path) -> None:
-    """Messages of 64 MiB."""
+def huge(path: Path) -> Iterator[None]:
+    """Messages of 64 MiB, the longest that are not ended."""
     with open_to(path, b"DEALER") as made:
         while True:
             made.sendall(zmtp.header(2**26))
-            for _ in range(2**10):
-                made.sendall(bytes(2**16))
+            for _ in range(2**6):
+                made.sendall(bytes(2**20))
+                yield
 
 
-def subscriptions(path: Path) -> None:
+def subscriptions(path: Path) -> Iterator[None]:
     """21 MB of them."""
     with open_to(path, b"SUB") as made:
         for block in range(210):
             made.sendall(b"".join(zmtp.message([b"\x01" + b"%090d" % (block * 1000 + n)]) for n in range(1000)))
+            yield
 
 
-def deaf(path: Path) -> None:
+def deaf(path: Path) -> Iterator[None]:
     """Subscribers that never read, and come and go."""
     with contextlib.ExitStack() as stack:
         for _ in range(100):
             made = stack.enter_context(open_to(path, b"SUB"))
             made.sendall(zmtp.message([b"\x01"]))
+            yield
         time.sleep(3)
 
 
-def unread(path: Path) -> None:
+def unread(path: Path) -> Iterator[None]:
     """Questions whose answers nobody reads."""
     question = zmtp.message([wire.request(1, "get_materials")]) * 20
     with contextlib.ExitStack() as stack:
-        made = [stack.enter_context(open_to(path, b"DEALER")) for _ in range(50)]
+        made = several(stack, path, b"DEALER", 50)
         for each in made:
             each.setblocking(False)
         for _ in range(1000):
             for each in made:
                 with contextlib.suppress(BlockingIOError):
                     each.send(question)
+                    yield
             time.sleep(0.001)
 
 
-def ask(path: Path) -> None:
+def ask(path: Path) -> Iterator[None]:
     """Questions as fast as they go, over many connections."""
     question = zmtp.message([b"", wire.request(1, "get_scene")])
     with contextlib.ExitStack() as stack:
-        made = [stack.enter_context(open_to(path, b"REQ")) for _ in range(20)]
+        made = several(stack, path, b"REQ", 20)
         for _ in range(500):
             for each in made:
                 each.sendall(question)
             for each in made:
                 each.recv(65536)
+                yield
 
 
 def fuzz(directory: Path) -> None:
@@ -242,17 +265,17 @@ def long(directory: Path) -> None:
 
 # ---- One attacker ----------------------------------------------------------------------------------------------------
 
-ATTACKS: dict[str, tuple[Callable[[Path], None], str]] = {
-    "parts": (parts, "command"),
-    "huge": (huge, "command"),
-    "subscriptions": (subscriptions, "telemetry"),
-    "deaf": (deaf, "telemetry"),
-    "unread": (unread, "command"),
-    "ask": (ask, "command"),
-    "garbage": (garbage, "command"),
-    "nonsense": (garbage, "telemetry"),
+ATTACKS: dict[str, tuple[Callable[[Path], Iterator[None]], str, str]] = {
+    "parts": (parts, "command", "blocks of 60 kB of parts"),
+    "huge": (huge, "command", "MiB of messages of 64 MiB"),
+    "subscriptions": (subscriptions, "telemetry", "blocks of 1000 subscriptions"),
+    "deaf": (deaf, "telemetry", "subscribers that never read"),
+    "unread": (unread, "command", "blocks of 20 questions"),
+    "ask": (ask, "command", "answers"),
+    "garbage": (garbage, "command", "connections of garbage"),
+    "nonsense": (garbage, "telemetry", "connections of garbage"),
 }
-"""Attempts at one of the sockets; whatever ends one, the next follows."""
+"""At one of the sockets, and what is counted; whatever ends an attack, the next follows."""
 OTHERS: dict[str, Callable[[Path], None]] = {"connections": connections, "fuzz": fuzz, "long": long}
 """Which go on by themselves, and are over where something is not as it should be."""
 
@@ -262,12 +285,12 @@ def main(kind: str, directory: Path) -> None:
     if kind in OTHERS:
         OTHERS[kind](directory)
         return
-    attack, name = ATTACKS[kind]
-    tally = Tally("attempts")
+    attack, name, what = ATTACKS[kind]
+    tally = Tally(what)
     while True:
         with contextlib.suppress(OSError):
-            attack(directory / f"hapticd.{name}")
-        tally.add()
+            for _ in attack(directory / f"hapticd.{name}"):
+                tally.add()
 
 
 if __name__ == "__main__":

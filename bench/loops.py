@@ -4,9 +4,10 @@
 
 A loop is a device, a hand that presses and slides and then holds still, and a scene: a wall, plain, of patches or
 with textures, a corner, flush boxes with seams, a disc pressed to its centre, or several of these on one another.
-Stiffnesses are 0.3 to 1 of what its margin says is safe; what the margin does not call safe is drawn anew. Each loop
-runs with the passivity controller off and with it, for at most ten simulated minutes; `bench.end_state` says whether it
-rests. One that goes on is run again without vibration: what rests then was driven by its own texture.
+Stiffnesses are 0.3 to 1 of what its margin says is safe; a scene whose margin is not safe, or of which `hapticd check`
+warns of anything, is drawn anew. Each loop runs with the passivity controller off and with it, for at most ten
+simulated minutes; `bench.end_state` says whether it rests. One that goes on is run again without vibration: what rests
+then was driven by its own texture.
 
 The energy given to the hand is summed from samples and from the handle's own positions, here and not by the servo.
 """
@@ -26,6 +27,7 @@ from bench.end_state import EndState, end_state
 from bench.passivity import work
 from bench.report import Floats
 from bench.stability import judged
+from hapticd.check import check
 from hapticd.compile import Compiler
 from hapticd.config import Config, load_config
 from hapticd.core import SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
@@ -207,7 +209,7 @@ def _scaled(source: Tree, factor: float) -> Tree:
 
 
 def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
-    """A loop that is called safe; None where no scene of TRIES is."""
+    """A loop of which `check` says nothing; None where no scene of TRIES is such."""
     drawer = Drawer(np.random.default_rng(seed))
     kind = kinds[seed % len(kinds)]
     for _ in range(TRIES):
@@ -233,8 +235,9 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
             if not 1e-6 < factor < 1e6 or (bool(sets.safe.all()) and factor < 1.1 / part):
                 break
             source = _scaled(source, 0.999 * part * factor)
-        sets = judged(load_config(source))
-        if bool(sets.safe.all()) and float(sets.factor.min()) > 0.0:
+        config = load_config(source)
+        sets = judged(config)
+        if bool(sets.safe.all()) and float(sets.factor.min()) > 0.0 and check(config).faults == 0:
             return Case(seed, kind, source, waypoints, float(sets.factor.min()))
     return None
 

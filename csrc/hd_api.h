@@ -109,6 +109,8 @@ struct hd_material {
     double velocity_gain_per_s;       /* HD_TEXTURE_STRIKES: A = velocity gain |v_t| + force gain F_n */
     double force_gain_m_per_s2_per_n; /* the same */
     double tune_highest_rad_per_s;
+    double tap_aim[2];      /* where a tap pushes first: along n and along t, of length 1; 0, 0: along n */
+    double rupture_aim[2];  /* the same of a rupture, n on the side entered */
     struct hd_mode tap;     /* per m/s of approach; per m/s^2 of A where tap_count is not 0 */
     struct hd_mode second;  /* struck together with the tap, in its unit; none with a force per unit of 0 */
     struct hd_mode rupture; /* per rupture */

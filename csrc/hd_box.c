@@ -82,6 +82,26 @@ HD_RT static int stood(const struct hd_object *object, const double surface_m[2]
     return enters(object, surface, was, &cut, &entered) && entered == face;
 }
 
+/* Where solids overlap, the surface point may be in the box before the probe is. The probe that comes after it is held
+ * at once; what pushes it out does so from where it came in. */
+HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *object, const double from[2],
+                         const double to[2], struct hd_onset *onset) {
+    if (!enters(object, from, to, &onset->fraction, &onset->face)) {
+        return 0;
+    }
+    double hit[2];
+    onset->silent = 0;
+    onset->slid = 1;
+    hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
+    if (hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place)) {
+        return 0;
+    }
+    hd_between(walk->from_m, walk->input->position_m, onset->fraction, hit);
+    hd_box_place(object, onset->face, hit, &onset->place);
+    onset->place.depth_m = 0.0;
+    return 1;
+}
+
 HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     double from[2];
     double to[2];
@@ -132,7 +152,7 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
             return 1;
         }
     }
-    return 0;
+    return path->legs > 1 && follows(walk, object, from, to, onset);
 }
 
 HD_RT int hd_box_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot, uint8_t face,

@@ -11,6 +11,7 @@
  * (hd_ramp.h). But a surface that is moved far along itself takes the hand along, with mu F_n at most. */
 #include "hd_contact.h"
 
+#include "hd_aim.h"
 #include "hd_offload.h"
 #include "hd_press.h"
 #include "hd_seam.h"
@@ -112,9 +113,9 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     slot->normal_n = 0.0;
     slot->grooves = 0;
     slot->contacts++;
-    const double *direction = onset->place.normal;
+    const double *normal = onset->place.normal;
     const double before = onset->silent ? 0.0 : hd_before_tick(walk, onset->fraction);
-    const double approach = -hd_dot(walk->input->velocity_m_per_s, direction);
+    const double approach = -hd_dot(walk->input->velocity_m_per_s, normal);
     const uint32_t event = hd_state_event(state, HD_EVENT_CONTACT, walk->input->time_ns);
     struct hd_event *report = event < HD_EVENT_CAPACITY ? &state->events[event] : NULL;
     if (report != NULL) {
@@ -123,7 +124,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         report->code = onset->silent ? HD_CONTACT_SILENT : 0;
         report->before_tick_s = before;
         report->speed_m_per_s = approach;
-        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, direction);
+        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, normal);
     }
     if (onset->silent || onset->slid || !(approach > 0.0) || (slot->disarmed && walk->table->rearm_m > 0.0)) {
         return;
@@ -147,9 +148,8 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         .units = units,
         .before_s = before,
         .growth_n = material->stiffness_n_per_m * approach * peak_s,
-        .direction = {direction[0], direction[1]},
     };
-    hd_strike_add(state, &strike);
+    hd_aim_strike(state, slot, material->tap_aim, normal, &strike);
     if (material->second.force_per_unit > 0.0) {
         /* The force grows once, to the later of the peaks. Of a first mode that is silent it was not counted. */
         const double counted_s = state->strike_count > struck ? peak_s : 0.0;
@@ -157,7 +157,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         strike.mode = &material->second;
         strike.use = HD_MODE_SECOND;
         strike.growth_n = material->stiffness_n_per_m * approach * at_least_0(longer_s);
-        hd_strike_add(state, &strike);
+        hd_aim_strike(state, slot, material->tap_aim, normal, &strike);
     }
 }
 

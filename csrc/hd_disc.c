@@ -87,6 +87,29 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
     return *fraction < 1.0;
 }
 
+/* Where solids overlap, the surface point may be in the disc before the probe is. The probe that comes after it is held
+ * at once. */
+HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *object, struct hd_onset *onset) {
+    double hit[2];
+    double offset[2];
+    if (!enters(object, walk->from_m, walk->input->position_m, &onset->fraction)) {
+        return 0;
+    }
+    hd_between(walk->from_m, walk->input->position_m, onset->fraction, hit);
+    hd_difference(hit, object->point_m, offset);
+    const double distance = hd_root(hd_dot(offset, offset));
+    const double bearing[2] = {offset[0] / distance, offset[1] / distance};
+    onset->silent = 0;
+    onset->slid = 1;
+    hd_disc_place(object, bearing, HD_DISC_MOVED, 0, walk->input->position_m, &onset->place);
+    if (hd_disc_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
+        return 0;
+    }
+    hd_disc_place(object, bearing, 0.0, 1, hit, &onset->place);
+    onset->place.depth_m = 0.0;
+    return 1;
+}
+
 HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     const double radius = object->half_m[0];
     double from[2];
@@ -141,7 +164,7 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
         onset->place.depth_m = 0.0;
         return 1;
     }
-    return 0;
+    return path->legs > 1 && follows(walk, object, onset);
 }
 
 HD_RT int hd_disc_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot,

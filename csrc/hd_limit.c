@@ -59,6 +59,13 @@ HD_RT double hd_limit_within(double limit_n, double keep, const double contact_n
 HD_RT double hd_limit_within_whole(double limit_n, double keep, const double contact_n[2], const double whole_n[2],
                                    const double vibration_n[2], double force_n[2]) {
     const double factor = hd_limit_within(limit_n, keep, whole_n, vibration_n, force_n);
+    /* Where the limit alone lies between the two, that was it, to the last bit. Beside vibration, a contact force that
+     * is beyond the limit is cut by itself first. */
+    const double cut = hd_limit_cut(whole_n, limit_n);
+    const int bare = vibration_n[0] == 0.0 && vibration_n[1] == 0.0;
+    if ((bare || cut == 1.0) && contact_n[0] == cut * whole_n[0] && contact_n[1] == cut * whole_n[1]) {
+        return factor;
+    }
     const double vibration[2] = {factor * vibration_n[0], factor * vibration_n[1]};
     return factor * hd_limit_within(limit_n, 1.0, contact_n, vibration, force_n);
 }

@@ -4,6 +4,7 @@
 
 #include "hd_rt.h"
 #include "hd_state.h"
+#include "hd_vector.h"
 
 /* Below one by a few rounding errors, so that a command at the limit never rounds above it. */
 #define HD_JUST_BELOW 0.9999999999999990
@@ -27,6 +28,12 @@ HD_RT double hd_limit_noise(const struct hd_state *state, const struct hd_table 
 
 /* Sets the flag, and reports the first tick of a stretch. */
 HD_RT void hd_limit_report(struct hd_state *state, double wanted_n, int64_t time_ns, uint32_t *flags);
+
+/* What the limit leaves of a force, 0 to 1. */
+HD_RT static inline double hd_limit_cut(const double force_n[2], double limit_n) {
+    const double square = hd_dot(force_n, force_n);
+    return square > limit_n * limit_n ? limit_n / hd_root(square) : 1.0;
+}
 
 /* Contact and vibration within `limit_n`: the force, and the part of the vibration that there is room for; beside a
  * contact force beyond the limit it is `keep`, and the sum is cut along its own direction. */

@@ -7,12 +7,6 @@
 /* Below that a ramp is over a tick later than its length says, because it is rounded. */
 #define HD_RAMP_ROUNDING 1e-9
 
-/* What the limit leaves of a force. */
-HD_RT static double cut_of(const double force_n[2], double limit_n) {
-    const double square = hd_dot(force_n, force_n);
-    return square > limit_n * limit_n ? limit_n / hd_root(square) : 1.0;
-}
-
 HD_RT static void scale(double factor, double vector[2]) {
     vector[0] *= factor;
     vector[1] *= factor;
@@ -110,8 +104,8 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
         was_object[axis] = shown * (walk->object_n[axis] + change->object_n[axis]);
     }
     const double limit = hd_limit_of(state, table);
-    const double was_cut = cut_of(was, limit);
-    const double cut = cut_of(contact_n, limit);
+    const double was_cut = hd_limit_cut(was, limit);
+    const double cut = hd_limit_cut(contact_n, limit);
     /* Without a residual the limit is left to hd_limit.c, which looks at contact and vibration together. */
     const double still_cut = residual->left > 0 || ramped->cuts ? was_cut : 1.0;
     double is[2];
@@ -136,7 +130,7 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
     }
     if (ramped->changed) {
         double felt[2] = {still_cut * was[0] + residual->force_n[0], still_cut * was[1] + residual->force_n[1]};
-        const double felt_cut = cut_of(felt, limit);
+        const double felt_cut = hd_limit_cut(felt, limit);
         for (int axis = 0; axis < 2; axis++) {
             const double felt_object = still_cut * was_object[axis] + residual->object_n[axis];
             const double whole = was[axis] + residual->force_n[axis] + residual->beyond_n[axis];
@@ -153,7 +147,7 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
     const int within = residual->left > 0 || ramped->cuts;
     /* What the limit keeps from being felt is no part of it. */
     const double sum[2] = {is[0] + residual->force_n[0], is[1] + residual->force_n[1]};
-    const double over = residual->left > 0 ? 1.0 - cut_of(sum, limit) : 0.0;
+    const double over = residual->left > 0 ? 1.0 - hd_limit_cut(sum, limit) : 0.0;
     for (int axis = 0; axis < 2; axis++) {
         residual->force_n[axis] -= over * sum[axis];
         residual->beyond_n[axis] += over * sum[axis];

@@ -12,6 +12,7 @@
  * and the force is its slope, so that n has g' (K e H - k/2 (s - anchor)^2) besides F_n. */
 #include <math.h>
 
+#include "hd_aim.h"
 #include "hd_contact.h"
 #include "hd_friction.h"
 #include "hd_groove.h"
@@ -20,15 +21,6 @@
 
 #define HD_PI 3.14159265358979323846
 #define HD_UNBOUNDED 1e300
-
-/* The tangent of a surface; of a membrane that was entered from below it stays that of its own normal. */
-HD_RT static void tangent_of(const struct hd_slot *slot, const double normal[2], double tangent[2]) {
-    hd_tangent(normal, tangent);
-    if (slot->side < 0) {
-        tangent[0] = -tangent[0];
-        tangent[1] = -tangent[1];
-    }
-}
 
 /* Of a disc: whether anything depends on s. */
 HD_RT static int needs_along(const struct hd_table *table, const struct hd_object *object) {
@@ -125,7 +117,7 @@ HD_RT static void press_as_it_was(const struct hd_walk *walk, const struct hd_sl
     double before[2];
     double after[2];
     double anchor_m = slot->anchor_m;
-    tangent_of(slot, place.normal, tangent);
+    hd_tangent_of(slot, place.normal, tangent);
     press(&skin, &place, walk->input->velocity_m_per_s, tangent, NULL, &anchor_m, before);
     const double slid_m = hd_dot(way, tangent);
     place.depth_m -= hd_dot(way, place.normal);
@@ -208,9 +200,9 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
     }
     /* One that is beyond it by a command ruptures at the end of the tick, so that nothing is heard of it before. */
     const double part = from < limit ? (limit - from) / (place->depth_m - from) : slot->changed ? 1.0 : 0.0;
-    const double *direction = place->normal;
+    const double *normal = place->normal;
     const uint32_t event = hd_state_event(state, HD_EVENT_PUNCTURE, walk->input->time_ns);
-    const struct hd_strike strike = {
+    struct hd_strike strike = {
         .mode = &material->rupture,
         .slot = index,
         .generation = slot->generation,
@@ -219,19 +211,18 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
         .units = 1.0,
         .before_s = hd_before_tick(walk, fraction + (1.0 - fraction) * part),
         .bare = slot->changed,
-        .direction = {direction[0], direction[1]},
     };
     if (event < HD_EVENT_CAPACITY) {
         struct hd_event *report = &state->events[event];
         report->slot = index;
         report->generation = slot->generation;
         report->before_tick_s = strike.before_s;
-        report->speed_m_per_s = -hd_dot(walk->input->velocity_m_per_s, direction);
-        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, direction);
+        report->speed_m_per_s = -hd_dot(walk->input->velocity_m_per_s, normal);
+        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, normal);
         report->amplitude_m_per_s2 = material->rupture.amplitude_per_unit;
         report->value = limit;
     }
-    hd_strike_add(state, &strike);
+    hd_aim_strike(state, slot, material->rupture_aim, normal, &strike);
     if (slot->changed) {
         hd_contact_hush(state, slot);
         slot->changed = 0;
@@ -433,7 +424,7 @@ HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object
         return;
     }
     double tangent[2];
-    tangent_of(slot, place.normal, tangent);
+    hd_tangent_of(slot, place.normal, tangent);
     double half_length = HD_UNBOUNDED;
     double jump = 0.0; /* of s over the bottom of a disc, where it starts again */
     struct hd_lever round;

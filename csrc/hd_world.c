@@ -186,6 +186,11 @@ static int tap_check(const struct hd_material *material, const struct hd_table *
     return HD_OK;
 }
 
+static int aim_is_sound(const double aim[2]) {
+    const double square = aim[0] * aim[0] + aim[1] * aim[1];
+    return (aim[0] == 0.0 && aim[1] == 0.0) || between(square, 1.0 - 1e-6, 1.0 + 1e-6);
+}
+
 static int material_check(const struct hd_material *material, uint32_t noise_count, uint32_t index) {
     const struct {
         const char *name;
@@ -211,6 +216,9 @@ static int material_check(const struct hd_material *material, uint32_t noise_cou
     }
     if (material->heals > 1) {
         return hd_invalid("material %u: heals is 0 or 1", index);
+    }
+    if (!aim_is_sound(material->tap_aim) || !aim_is_sound(material->rupture_aim)) {
+        return hd_invalid("material %u: the aim of a tap or a rupture has length 1, or is 0, 0", index);
     }
     if (material->friction_coefficient > 0.0 && !(material->friction_stiffness_n_per_m > 0.0)) {
         return hd_invalid("material %u: friction needs a stiffness of more than 0", index);

@@ -6,7 +6,7 @@ connected the report descriptor and the endpoint's interval are read, which the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Final
 
@@ -26,13 +26,14 @@ from hapticd.displayable import (
 from hapticd.displayed import displayed_error
 from hapticd.driven import driven
 from hapticd.engine import UNKNOWN_HANDLE, loop_of, output_of
-from hapticd.errors import HapticdError, Problem
+from hapticd.errors import HapticdError, Problem, path_text
 from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
 from hapticd.hid.sources import expected_plan
 from hapticd.judged import Stability, judge
+from hapticd.lagging import lag_warnings
 from hapticd.materials import Material
-from hapticd.scene import field_ids
+from hapticd.scene import Disc, field_ids
 from hapticd.stability import Loop
 from hapticd.texture import Stochastic
 
@@ -75,6 +76,8 @@ class Report:
     """What the daemon would not start with."""
     undisplayable: tuple[Problem, ...]
     warnings: tuple[Problem, ...]
+    notes: tuple[Problem, ...]
+    """What may surprise, and is as it is meant."""
 
     @property
     def encoder_step_m(self) -> float | None:
@@ -99,6 +102,7 @@ class Report:
             "refused": [asdict(problem) for problem in self.refused],
             "undisplayable": [asdict(problem) for problem in self.undisplayable],
             "warnings": [asdict(problem) for problem in self.warnings],
+            "notes": [asdict(problem) for problem in self.notes],
             "materials": [asdict(material) for material in self.materials],
             "stability": self.stability.to_dict(),
         }
@@ -112,7 +116,11 @@ def check(config: Config) -> Report:
     output = output_of(config, rate_hz, link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
-    told = () if refused else (*warnings(scene.objects, materials, output), *_driven(config, loop, shown))
+    slow = () if refused else lag_warnings(shown, output)
+    # What the actuator is the cause of is told once.
+    slowed = {problem.where for problem in slow}
+    others = () if refused else (*warnings(scene.objects, materials, output), *_driven(config, loop, shown))
+    told = (*slow, *(problem for problem in others if problem.where not in slowed))
     return Report(
         output=output,
         device=device,
@@ -121,7 +129,25 @@ def check(config: Config) -> Report:
         refused=tuple(refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
         warnings=told,
+        notes=tuple(_gone_through(config)),
     )
+
+
+def _gone_through(config: Config) -> Iterator[Problem]:
+    """The discs that hold less than the device could: no more than K R, at their centre."""
+    most_n = config.device.max_force_n
+    for id, item in config.scene.objects.items():
+        if not isinstance(item, Disc):
+            continue
+        stiffness = config.materials[item.material].stiffness_n_per_m
+        held_n = stiffness * item.radius_m
+        if held_n < most_n * (1.0 - 1e-9):
+            yield Problem(
+                path_text(("scene", "objects", id)),
+                f"holds {held_n:.3g} N, its stiffness times its radius; a hand that presses harder comes out on the "
+                f"other side; with radius_m {most_n / stiffness:.3g} or {most_n / item.radius_m:.4g} N/m it holds "
+                f"device.max_force_n, {most_n:g} N",
+            )
 
 
 def _driven(config: Config, loop: Loop | None, shown: Iterable[str]) -> list[Problem]:
@@ -177,7 +203,12 @@ def _checked(name: str, material: Material, used: bool, output: Output) -> Check
         error = None
         if shown is mode and output.dynamics is not None:
             error = displayed_error(
-                mode, output.dynamics, output.carried_hz, output.compensation, output.effective_mass_kg
+                mode,
+                output.dynamics,
+                output.carried_hz,
+                output.compensation,
+                output.effective_mass_kg,
+                output.actuator,
             )
         sounds.append(Sound(use, mode.frequency_hz, None if shown is None else shown.frequency_hz, error))
     if isinstance(material.texture, Stochastic):

@@ -22,7 +22,7 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
@@ -145,10 +145,10 @@ def pole_gain(mode: Mode, dynamics: Dynamics, period_s: float, load: Load = NOTH
     return device * hold_gain(p, period_s) / complex(load.lag(at)[0])
 
 
-class _Band:
-    """Spectra of one mode on one device, sampled over the band; `weight` is the square root of the quadrature's."""
+class _Grid:
+    """The band of one mode, sampled; `weight` is the square root of the quadrature's. Sums of ticks are kept."""
 
-    def __init__(self, mode: Mode, dynamics: Dynamics, rate_hz: float, load: Load = NOTHING) -> None:
+    def __init__(self, mode: Mode, rate_hz: float) -> None:
         high = HIGH * rate_hz
         low = min(LOW_HZ, mode.frequency_hz / 2, high / 2)
         # Even steps see the ends of what was cut, even ratios the device, and the rest a mode that hardly decays.
@@ -162,46 +162,118 @@ class _Band:
         quadrature[:-1] += step / 2
         quadrature[1:] += step / 2
         self.weight: _Floats = np.sqrt(quadrature)
-        self._s: _Complex = np.asarray(2j * np.pi * frequency, np.complex128)
-        self._period_s = 1 / rate_hz
-        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
-        device = (dynamics.mass_kg * self._s + damping) * self._s + stiffness
-        hold = (1 - np.exp(-self._s * self._period_s)) / self._s
-        if load != NOTHING:
-            device = device + load.surface(self._s, self._period_s)
-            hold = hold * load.lag(self._s)
-        self._response: _Complex = dynamics.mass_kg * self._s**2 / device * hold
+        self.s: _Complex = np.asarray(2j * np.pi * frequency, np.complex128)
+        self.period_s = 1 / rate_hz
         p = pole_of(mode)
-        self.wanted = self._real(p.imag / ((self._s - p) * (self._s - p.conjugate())))
+        self.wanted: _Complex = self.weight * p.imag / ((self.s - p) * (self.s - p.conjugate()))
         self.wanted_norm = float(np.linalg.norm(self.wanted))
+        self._pairs: dict[tuple[complex, int], tuple[_Complex, _Complex]] = {}
+        self._below: dict[complex, _Complex] = {}
 
-    def _real(self, spectrum: _Complex) -> _Floats:
-        """Weighted, real parts before imaginary ones: what least squares takes."""
-        weighted = self.weight * spectrum
-        return np.concatenate((weighted.real, weighted.imag))
+    @cached_property
+    def late(self) -> list[_Complex]:
+        """exp(-s k T) of the first samples."""
+        return [np.exp(-self.s * k * self.period_s) for k in range(KICKS)]
+
+    @cached_property
+    def early(self) -> list[_Complex]:
+        """What is wanted, for each of the onsets, as seen from the first tick."""
+        return [self.wanted * np.exp(self.s * part * self.period_s) for part in _ONSETS]
+
+    def response(self, dynamics: Dynamics, load: Load) -> _Complex:
+        """The acceleration of the device for what is struck, weighted."""
+        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
+        device = (dynamics.mass_kg * self.s + damping) * self.s + stiffness
+        hold = (1 - np.exp(-self.s * self.period_s)) / self.s
+        if load != NOTHING:
+            device = device + load.surface(self.s, self.period_s)
+            hold = hold * load.lag(self.s)
+        return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
+
+    def count(self, pole: complex, part: float) -> int:
+        """Of the ticks up to five time constants, the first of them `part` of a period after the onset."""
+        late_s = part * self.period_s
+        return math.floor((_TIME_CONSTANTS / -pole.real - late_s) / self.period_s + 1e-9) + 1
+
+    def pair(self, pole: complex, count: int) -> tuple[_Complex, _Complex]:
+        """The spectra of Im(exp(p t)) and of Re(exp(p t)) at so many ticks."""
+        found = self._pairs.get((pole, count))
+        if found is None:
+            one, other = self._sum(pole, count), self._sum(pole.conjugate(), count)
+            found = self._pairs[pole, count] = (one - other) / 2j, (one + other) / 2
+        return found
+
+    def _sum(self, pole: complex, count: int) -> _Complex:
+        """Of exp((p - s) k T) over k < count."""
+        step = (pole - self.s) * self.period_s
+        below = self._below.get(pole)
+        if below is None:
+            below = self._below[pole] = np.asarray(np.expm1(step), np.complex128)
+        return np.asarray(np.expm1(count * step) / below, np.complex128)
+
+
+@lru_cache(maxsize=4)
+def _grid(mode: Mode, rate_hz: float) -> _Grid:
+    """A mode is looked at on several loads, one after the other."""
+    return _Grid(mode, rate_hz)
+
+
+class _Band:
+    """What strikes of some poles accelerate one device by, seen from their first tick.
+
+    All of it, weighted, lies in a space of few dimensions: vectors are coordinates in an orthonormal base of it, in
+    which least squares and norms are what they are over the whole band. From the first tick all onsets see the same
+    but for the place of what is wanted and for how many ticks there are.
+    """
+
+    def __init__(
+        self,
+        mode: Mode,
+        dynamics: Dynamics,
+        rate_hz: float,
+        load: Load,
+        poles: Sequence[complex],
+        attacked: bool = False,
+    ) -> None:
+        """`attacked`: onsets are looked at anywhere between two ticks, and kicks too."""
+        grid = self._grid = _grid(mode, rate_hz)
+        self.wanted_norm = grid.wanted_norm
+        response = grid.response(dynamics, load)
+        self._parts = _ONSETS if attacked else _ONSETS[:1]
+        self._rung: dict[tuple[complex, int], int] = {}
+        spectra: list[_Complex] = []
+        for pole in poles:
+            for count in sorted({grid.count(pole, part) for part in self._parts}):
+                self._rung[pole, count] = len(spectra)
+                spectra += [response * each for each in grid.pair(pole, count)]
+        self._kicks = len(spectra)
+        if attacked:
+            spectra += [response * each for each in grid.late]
+        self._wanted = len(spectra)
+        spectra += [grid.wanted] if not attacked else grid.early
+        whole = np.array(spectra)
+        stacked = np.concatenate((whole.real, whole.imag), axis=1).T
+        self._base: _Floats = np.asarray(np.linalg.qr(stacked, mode="r"), np.float64)
+
+    def wanted(self, part: float = 0.0) -> _Floats:
+        """The acceleration of the mode, for an onset `part` of a period before the first tick."""
+        return np.asarray(self._base[:, self._wanted + self._parts.index(part)], np.float64)
 
     def columns(self, pole: complex, part: float = 0.0) -> list[_Floats]:
         """The acceleration for Im(exp(p t)) and for Re(exp(p t)), of the ticks up to five time constants, the first of
         them `part` of a period after the onset."""
-        late_s = part * self._period_s
-        count = math.floor((_TIME_CONSTANTS / -pole.real - late_s) / self._period_s + 1e-9) + 1
-        one, other = (cmath.exp(each * late_s) * self._sum(each, count) for each in (pole, pole.conjugate()))
-        shown = self._response if part == 0.0 else self._response * np.exp(-self._s * late_s)
-        return [self._real(shown * (one - other) / 2j), self._real(shown * (one + other) / 2)]
+        at = self._rung[pole, self._grid.count(pole, part)]
+        begun = cmath.exp(pole * part * self._grid.period_s)
+        sine, cosine = self._base[:, at], self._base[:, at + 1]
+        return [begun.real * sine + begun.imag * cosine, begun.real * cosine - begun.imag * sine]
 
     def kicks(self, part: float) -> list[_Floats]:
-        """The acceleration for 1 and for `part` in each of the first samples alone, the first as late as that."""
-        late = [self._real(self._response * np.exp(-self._s * (part + k) * self._period_s)) for k in range(KICKS)]
-        return [scale * each for each in late for scale in (1.0, part)]
+        """The acceleration for 1 and for `part` in each of the first samples alone."""
+        return [scale * self._base[:, self._kicks + k] for k in range(KICKS) for scale in (1.0, part)]
 
-    def _sum(self, pole: complex, count: int) -> _Complex:
-        """Of exp((p - s) k T) over k < count."""
-        step = (pole - self._s) * self._period_s
-        return np.asarray(np.expm1(count * step) / np.expm1(step), np.complex128)
-
-    def error(self, columns: list[_Floats], gains: _Floats) -> float:
+    def error(self, columns: list[_Floats], gains: _Floats, part: float = 0.0) -> float:
         """Of these gains, Re and Im of each pole in turn."""
-        return float(np.linalg.norm(np.stack(columns, 1) @ gains - self.wanted)) / self.wanted_norm
+        return float(np.linalg.norm(gains @ np.array(columns) - self.wanted(part))) / self.wanted_norm
 
 
 def _at(ringing: Ringing, time_s: _Floats) -> _Floats:
@@ -255,9 +327,9 @@ def _attacked(band: _Band, mode: Mode, tail: complex, kicks: _Floats | None = No
     """Gain, tail and kicks together, by least squares over onsets anywhere between two ticks, and the displayed error
     over them, RMS. With `kicks` given, only gain and tail."""
     p = pole_of(mode)
-    rung = [np.stack(band.columns(p, part) + band.columns(tail, part), 1) for part in _ONSETS]
-    kicked = [np.stack(band.kicks(part), 1) for part in _ONSETS]
-    wanted = np.tile(band.wanted, len(_ONSETS))
+    rung = [np.array(band.columns(p, part) + band.columns(tail, part)).T for part in _ONSETS]
+    kicked = [np.array(band.kicks(part)).T for part in _ONSETS]
+    wanted = np.concatenate([band.wanted(part) for part in _ONSETS])
     if kicks is None:
         whole = np.vstack([np.hstack(pair) for pair in zip(rung, kicked, strict=True)])
         found: _Floats = np.asarray(np.linalg.lstsq(whole, wanted, rcond=None)[0], np.float64)
@@ -268,8 +340,8 @@ def _attacked(band: _Band, mode: Mode, tail: complex, kicks: _Floats | None = No
     shape = _shape(band, [p, tail], band.columns(p) + band.columns(tail), found[:4])
     pairs = found[4:].reshape(-1, 2)
     peak = shape.peak + float(max(np.abs(pairs[:, 0]).max(), np.abs(pairs.sum(1)).max()))
-    missing = [np.hstack(pair) @ found - band.wanted for pair in zip(rung, kicked, strict=True)]
-    errors = [float(np.linalg.norm(each)) / band.wanted_norm for each in missing]
+    columns = [list(np.hstack(pair).T) for pair in zip(rung, kicked, strict=True)]
+    errors = [band.error(each, found, part) for each, part in zip(columns, _ONSETS, strict=True)]
     anywhere = math.sqrt(sum(error**2 for error in errors) / len(errors))
     told = tuple((float(c), float(d)) for c, d in pairs)
     return replace(shape, peak=peak, error=errors[0], limited=peak > LARGEST, kicks=told), anywhere
@@ -281,14 +353,30 @@ def _anywhere(band: _Band, shape: Shape) -> float:
     errors = []
     for part in _ONSETS:
         columns = [column for each in sounding for column in band.columns(each.pole, part)]
-        errors.append(band.error(columns, np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])))
+        gains = np.array([x for each in sounding for x in (each.gain.real, each.gain.imag)])
+        errors.append(band.error(columns, gains, part))
     return math.sqrt(sum(error**2 for error in errors) / len(errors))
 
 
 def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, load: Load = NOTHING) -> Shape:
     """The mode's pole alone, with this gain in units of (m + m_h)."""
-    band, p = _Band(mode, dynamics, rate_hz, load), pole_of(mode)
+    p = pole_of(mode)
+    band = _Band(mode, dynamics, rate_hz, load, [p])
     return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
+
+
+def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NOTHING) -> complex:
+    """How much of the waveform the handle's acceleration contains, in the band: 1 where it is all of it. `shape` begins
+    at a tick."""
+    grid = _grid(mode, rate_hz)
+    struck = np.zeros_like(grid.wanted)
+    for ringing in (shape.mode, shape.tail):
+        if ringing is not None:
+            one, other = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
+            struck = struck + ringing.gain.real * one + ringing.gain.imag * other
+    for late, (kick, _) in zip(grid.late, shape.kicks, strict=False):
+        struck = struck + kick * late
+    return complex(np.vdot(grid.wanted, grid.response(dynamics, load) * struck)) / grid.wanted_norm**2
 
 
 @lru_cache(maxsize=4096)
@@ -299,14 +387,17 @@ def shape_of(
 
     Deterministic. `full` takes a few milliseconds, once.
     """
-    band = _Band(mode, dynamics, rate_hz, load)
-    mass, plain = _plain(band, mode, dynamics, 1 / rate_hz, load)
+    p = pole_of(mode)
     if compensation == "mass":
-        return mass
+        return _plain(_Band(mode, dynamics, rate_hz, load, [p]), mode, dynamics, 1 / rate_hz, load)[0]
     tails = _tails(mode, rate_hz)
+    long = 1 / mode.decay_rate_per_s >= 2 * KICKS / rate_hz / _TIME_CONSTANTS
+    attacked = long and mode.frequency_hz >= KICKED * rate_hz
+    band = _Band(mode, dynamics, rate_hz, load, [p, *tails], attacked)
+    plain = _plain(band, mode, dynamics, 1 / rate_hz, load)[1]
     best = min((_tailed(band, mode, pole) for pole in tails), key=lambda shape: shape.error)
     best = best if best.error < plain.error - WORTH else plain
-    if mode.frequency_hz < KICKED * rate_hz or 1 / mode.decay_rate_per_s < 2 * KICKS / rate_hz / _TIME_CONSTANTS:
+    if not attacked:
         return best
     kicked, anywhere = _attacked(band, mode, tails[0])
     return kicked if not kicked.limited and anywhere < _anywhere(band, best) - KICKS_WORTH else best
@@ -326,7 +417,7 @@ def _tailed(band: _Band, mode: Mode, tail: complex) -> Shape:
     """Gain and tail together, by least squares."""
     p = pole_of(mode)
     columns = band.columns(p) + band.columns(tail)
-    gains: _Floats = np.asarray(np.linalg.lstsq(np.stack(columns, 1), band.wanted, rcond=None)[0], np.float64)
+    gains: _Floats = np.asarray(np.linalg.lstsq(np.array(columns).T, band.wanted(), rcond=None)[0], np.float64)
     return _shape(band, [p, tail], columns, gains)
 
 
@@ -344,7 +435,8 @@ def shapes_of(
         return chosen, chosen
     first, second = (load, load.free) if own else (load.free, load)
     chosen = shape_of(mode, dynamics, rate_hz, compensation, first)
-    band = _Band(mode, dynamics, rate_hz, second)
+    poles = [pole_of(mode)] if chosen.tail is None else [pole_of(mode), chosen.tail.pole]
+    band = _Band(mode, dynamics, rate_hz, second, poles, bool(chosen.kicks))
     if chosen.tail is None:
         other = _plain(band, mode, dynamics, 1 / rate_hz, second)[1]
     elif chosen.kicks:
@@ -366,7 +458,10 @@ def tuned_shapes(
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
         return [(shape, shape) for shape in plain]
-    free, touched = ([_Band(mode, dynamics, rate_hz, each) for mode in modes] for each in (load.free, load))
+    free, touched = (
+        [_Band(mode, dynamics, rate_hz, each, [pole_of(mode), *_tails(mode, rate_hz)]) for mode in modes]
+        for each in (load.free, load)
+    )
 
     def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
         if way < 2:

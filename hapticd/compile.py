@@ -19,7 +19,7 @@ import math
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
@@ -45,11 +45,22 @@ from hapticd.core import (
     pointer,
     records,
 )
-from hapticd.displayable import TOUCHED_N_PER_M, Output, displayed_mode, displayed_pair, modes_of, struck_shapes
+from hapticd.displayable import (
+    TOUCHED_N_PER_M,
+    UNTOUCHED,
+    Output,
+    Touched,
+    displayed_mode,
+    displayed_pair,
+    modes_of,
+    struck_shapes,
+    touched_by,
+)
 from hapticd.gone import Gone
 from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
-from hapticd.scene import Patch, Scene, SceneObject, Surface, Wall
+from hapticd.patches import Patch
+from hapticd.scene import Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
 from hapticd.tuning import Tuning, shapes_needed, tuning_of
@@ -110,10 +121,10 @@ def mode_record(
     coefficient_per_unit: float,
     output: Output,
     effect: Effect | None = None,
-    touched: tuple[float, float] = (0.0, 0.0),
+    touched: Touched = UNTOUCHED,
 ) -> tuple[float | list[float], ...]:
-    """The numbers of a `struct hd_mode`, in its order. `touched`: stiffness and damping of the surface that its
-    compensation is chosen for; what presses in fact is known when it is struck.
+    """The numbers of a `struct hd_mode`, in its order. `touched`: the surface that its compensation is chosen
+    for; what presses in fact is known when it is struck.
 
     `amplitude_per_unit` (m/s^2 per unit of what excites the mode) is reported, `coefficient_per_unit` is struck.
     """
@@ -125,7 +136,7 @@ def mode_record(
     if shown is not None:
         omega = shown.angular_frequency_rad_per_s
         force = whole_force * factor
-        shapes = struck_shapes(shown, output, *touched)
+        shapes = struck_shapes(shown, output, touched)
     period = 1.0 / output.rate_hz
     rotor = cmath.exp(complex(-decay * period, omega * period))
     heard = mode if shown is None else shown
@@ -140,7 +151,8 @@ def mode_record(
         other, its_tail = untouched.mode.gain, 0j if untouched.tail is None else untouched.tail.gain
         if shape.kicks:
             kicks = ([number for pair in shape.kicks for number in pair], len(shape.kicks), 0)
-        free = (touched[0] or TOUCHED_N_PER_M, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
+        met_n_per_m = touched.stiffness_n_per_m or TOUCHED_N_PER_M
+        free = (met_n_per_m, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
     return (
         rotor.real,
         rotor.imag,
@@ -162,6 +174,8 @@ def mode_record(
 
 _NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
 _NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
+_ACROSS: Final = (1.0, 0.0)
+"""A tap's and a rupture's aim unless another is given, which the core takes for granted."""
 _NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * KICKS), 0, 0)
 
 
@@ -193,12 +207,14 @@ def material_record(
     record = ffi.new("struct hd_material *")
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m
-    touched = (material.stiffness_n_per_m, material.damping_n_s_per_m)
+    touched = touched_by(material, "tap")
     if material.tap is not None:
         mode, slope = material.tap.mode, material.tap.attack_slope_per_s
         if slope is None:  # the points give A itself
             slope = 1.0
         coefficient = mode.coefficient(slope, material.tap.attack)
+        if material.tap.aim != _ACROSS:
+            record.tap_aim = material.tap.aim
         record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode), touched)
         if material.tap.second is not None:
             ratio = material.tap.second.ratio
@@ -215,6 +231,8 @@ def material_record(
         record.rupture = mode_record(mode, amplitude, amplitude, output, effects.get(mode))
         record.rupture_depth_m = material.rupture.rupture_depth_m
         record.heals = material.rupture.heals
+        if material.rupture.aim != _ACROSS:
+            record.rupture_aim = material.rupture.aim
     if material.friction is not None:
         record.friction_coefficient = material.friction.coefficient
         record.friction_stiffness_n_per_m = material.friction.stiffness_n_per_m
@@ -258,6 +276,7 @@ class _Design(NamedTuple):
         return np.concatenate((self.speeds, self.forces, self.nodes.ravel()))
 
 
+_NO_MATERIAL: Final = Material(stiffness_n_per_m=0.0)
 _SILENCE: Final = _Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
 
 
@@ -469,6 +488,7 @@ class _Materials:
         self._uses[index] -= 1
         if self._uses[index] == 0:
             del self._index[self._names[index]]
+            self._known[index] = _NO_MATERIAL  # one of 400 models would be kept
             self._places.give(index)
             self._silence(index)
             self._let_go(index)
@@ -664,7 +684,7 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 class _Pieces(NamedTuple):
     """What a wall with patches is made of."""
 
-    patches: tuple[Patch, ...]
+    patches: Sequence[Patch]
     of: tuple[str, float]
     """The material between them, and the ramp."""
     rows: npt.NDArray[np.void]

@@ -20,13 +20,16 @@ from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.model import MAX_FAULTS
 from hapticd.noise import power_above, reflection_of, resampled, stochastic_filter
-from hapticd.scene import TOUCHING_M, Patches, SceneObject, Wall, patches_of, used_materials
+from hapticd.patches import TOUCHING_M, Patches, patches_of
+from hapticd.scene import SceneObject, Wall, used_materials
 from hapticd.texture import Autoregressive, Grooves, Stochastic
 
 DISPLAYABLE: Final = 0.4
 """What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""
 TOUCHED_N_PER_M: Final = 800.0
 """The surface that a mode without one of its own may meet: that of the shipped materials."""
+MOSTLY_ACROSS: Final = 0.5
+"""A strike that meets this part of the surface's stiffness or more is compensated best where it is touched."""
 STROKE_M_PER_S: Final = 0.5
 """A fast stroke: a groove's shape that it passes in less than two ticks is hardly displayed."""
 MAX_LOSS: Final = 0.01
@@ -95,18 +98,43 @@ def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:
     return lowered, mode.peak / lowered.peak
 
 
-def struck_shapes(
-    mode: Mode, output: Output, stiffness_n_per_m: float = 0.0, damping_n_s_per_m: float = 0.0
-) -> tuple[Shape, Shape] | None:
-    """The forces by which a mode that the rate can carry is struck: where nothing is touched, and against a surface of
-    this stiffness and damping (of TOUCHED_N_PER_M where it has none of its own). None where nothing is compensated."""
+@dataclass(frozen=True, slots=True)
+class Touched:
+    """The surface that a strike meets, and how the strike is directed to it."""
+
+    stiffness_n_per_m: float = 0.0
+    damping_n_s_per_m: float = 0.0
+    across: float = 1.0
+    """What of them acts along the strike: (n . d)^2 of the surface's normal n and the strike's direction d."""
+
+    @property
+    def own(self) -> bool:
+        """Whether a mode is compensated best where it is touched; else where nothing is."""
+        return self.stiffness_n_per_m > 0.0 and self.across >= MOSTLY_ACROSS
+
+
+UNTOUCHED: Final = Touched()
+
+
+def touched_by(material: Material, use: Use) -> Touched:
+    """What a strike of this material meets: its tap itself, all others nothing of their own."""
+    if use not in ("tap", "second") or material.tap is None:
+        return UNTOUCHED
+    return Touched(material.stiffness_n_per_m, material.damping_n_s_per_m, material.tap.aim[0] ** 2)
+
+
+def struck_shapes(mode: Mode, output: Output, touched: Touched = UNTOUCHED) -> tuple[Shape, Shape] | None:
+    """The forces by which a mode that the rate can carry is struck: where nothing is touched, and against this surface
+    straight from the front (one of TOUCHED_N_PER_M where there is none). None where nothing is compensated.
+
+    The core goes on a straight line from one to the other by the stiffness that acts along the strike.
+    """
     if output.compensation == "off":
         return None
     assert output.dynamics is not None
-    own = stiffness_n_per_m > 0.0
-    touched = (stiffness_n_per_m, damping_n_s_per_m) if own else (TOUCHED_N_PER_M, 0.0)
-    load = Load(*touched, output.age_s, output.actuator)
-    return shapes_of(mode, output.dynamics, output.carried_hz, output.compensation, load, own)
+    met = (touched.stiffness_n_per_m or TOUCHED_N_PER_M, touched.damping_n_s_per_m)
+    load = Load(*met, output.age_s, output.actuator)
+    return shapes_of(mode, output.dynamics, output.carried_hz, output.compensation, load, touched.own)
 
 
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
@@ -131,6 +159,12 @@ def modes_of(material: Material) -> list[tuple[Use, Mode]]:
         *(("groove", mode) for mode in material.groove_modes),
     )
     return [(use, mode) for use, mode in modes if mode is not None]
+
+
+def mode_path(use: Use) -> Path:
+    """Where a mode stands in its material."""
+    keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
+    return keys.get(use, (use,))
 
 
 def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
@@ -211,17 +245,15 @@ def _hz(frequency_hz: float) -> str:
 def _compensation_warnings(name: str, material: Material, output: Output) -> Iterator[Problem]:
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
-        touched = (material.stiffness_n_per_m, material.damping_n_s_per_m) if use in ("tap", "second") else (0.0, 0.0)
-        shapes = None if shown is None else struck_shapes(shown, output, *touched)
-        shape = None if shapes is None else shapes[1 if touched[0] > 0.0 else 0]
+        touched = touched_by(material, use)
+        shapes = None if shown is None else struck_shapes(shown, output, touched)
+        shape = None if shapes is None else shapes[touched.own]
         if shape is not None and shape.limited:
-            keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
-            key = keys.get(use, (use,))
             problem = (
                 f"needs more than {LARGEST:g} times the force that its amplitude is worth on this device, and is given "
                 f"that; its acceleration is off by {100 * shape.error:.2g} %"
             )
-            yield Problem(path_text(("materials", name, *key)), problem)
+            yield Problem(path_text(("materials", name, *mode_path(use))), problem)
 
 
 def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:
@@ -316,11 +348,11 @@ def _narrow(patches: Patches, ramp_m: float) -> Iterator[tuple[int, str]]:
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None
     for index in patches.order:
-        patch = patches[index]
+        from_m, to_m = patches.begins_m[index], patches.ends_m[index]
         if before is not None:
-            gap = patch.from_m - patches[before].to_m
+            gap = from_m - patches.ends_m[before]
             if TOUCHING_M < gap < ramp_m - TOUCHING_M:
                 yield index, f"is {gap:.4g} from patches[{before}], nearer than {narrow}"
-        if patch.to_m - patch.from_m < ramp_m - TOUCHING_M:
-            yield index, f"is {patch.to_m - patch.from_m:.4g} wide, narrower than {narrow}"
+        if to_m - from_m < ramp_m - TOUCHING_M:
+            yield index, f"is {to_m - from_m:.4g} wide, narrower than {narrow}"
         before = index

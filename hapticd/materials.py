@@ -24,12 +24,25 @@ from pydantic import (
     field_validator,
 )
 
+from hapticd.direction import ONE_DIRECTION, AimedKeys
 from hapticd.errors import InvalidError, Path, Problem, quoted
 from hapticd.mode import Attack as Attack
 from hapticd.mode import Mode as Mode
 from hapticd.mode import ModeKeys as ModeKeys
 from hapticd.mode import one_of
-from hapticd.model import AT_ONCE, Damping, Model, Name, Stiffness, faults_of, in_parts, problems_of, refuse_many_keys
+from hapticd.model import (
+    AT_ONCE,
+    MOST_MEMBERS,
+    Damping,
+    Model,
+    Name,
+    Stiffness,
+    faults_of,
+    in_parts,
+    members,
+    problems_of,
+    refuse_many_keys,
+)
 from hapticd.texture import Grooves, Texture
 from hapticd.yaml_source import Document, load_bytes
 
@@ -77,7 +90,7 @@ class SecondMode(ModeKeys):
     ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
 
 
-class Tap(ModeKeys):
+class Tap(AimedKeys):
     """The ringing that begins when the surface is touched: its amplitude A follows the approach speed."""
 
     model_config = ConfigDict(
@@ -86,6 +99,7 @@ class Tap(ModeKeys):
                 one_of("frequency_hz", "angular_frequency_rad_per_s"),
                 one_of("decay_time_s", "decay_rate_per_s"),
                 one_of("attack_slope_per_s", "amplitudes"),
+                ONE_DIRECTION,
             ]
         }
     )
@@ -128,7 +142,7 @@ class Tap(ModeKeys):
         return max(0.0, low + (high - low) * (speed_m_per_s - from_speed) / (to_speed - from_speed))
 
 
-class Rupture(ModeKeys):
+class Rupture(AimedKeys):
     """How a membrane breaks, and the ringing when it does. Means something for membranes only."""
 
     model_config = ConfigDict(
@@ -137,6 +151,7 @@ class Rupture(ModeKeys):
                 one_of("frequency_hz", "angular_frequency_rad_per_s"),
                 one_of("decay_time_s", "decay_rate_per_s"),
                 one_of("depth_m", "max_strain radius_m"),
+                ONE_DIRECTION,
             ]
         }
     )
@@ -274,7 +289,7 @@ def validate_materials(data: object, root: Path = (), working: Callable[[], None
             return parse({"materials": data}).materials
         for name, material in data.items():
             refuse_many_keys(material, (*root, "materials", name))
-        if len(data) <= AT_ONCE:
+        if len(data) <= AT_ONCE and members(data) <= MOST_MEMBERS:
             return parse({"materials": data}).materials
         return in_parts(
             data, lambda part: parse({"materials": part}).materials, root, "materials", working or (lambda: None)

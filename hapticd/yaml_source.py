@@ -39,6 +39,7 @@ _TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
 _MOST_TAG_DIRECTIVES = 16
 """Looking for one more takes libyaml as long as there are many."""
 _ARCHIVES = (b"PK\x03\x04", b"\x89MCAP0\r\n", b"tick,time_ns,")
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -140,7 +141,8 @@ def load_bytes(content: bytes, name: str) -> Document:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         before = error.object[: error.start].decode("utf-8-sig")
-        raise _refusal(name, *_line_column(before), "not UTF-8") from None
+        told = "not UTF-8, but UTF-16: save it as UTF-8" if content.startswith(_UTF_16) else "not UTF-8"
+        raise _refusal(name, *_line_column(before), told) from None
     return _parse(text, name, _LOADER)
 
 
@@ -174,18 +176,22 @@ def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.Bas
         ) from None
 
 
-def _place(mark: "yaml.Mark | None") -> tuple[int, int] | None:
+def _place(mark: "yaml.Mark | yaml._yaml.Mark | None") -> tuple[int, int] | None:
     return None if mark is None else (mark.line, mark.column)
 
 
 def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
     root: Document | None = None
     stack: list[_Open] = []
+    end: tuple[int, int] | None = None
     while parser.check_event():
         event = parser.get_event()
         assert event is not None
         assert event.start_mark is not None
         line, column = event.start_mark.line, event.start_mark.column
+        near = end == (line, column - 1)
+        assert event.end_mark is not None
+        end = event.end_mark.line, event.end_mark.column
 
         def refuse(problem: str, line: int = line, column: int = column) -> InvalidError:
             return _refusal(name, line, column, problem)
@@ -201,7 +207,7 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
                 value = _value(event, refuse)
                 top = stack[-1] if stack else None
                 if top is not None and isinstance(top.data, dict) and top.key is None:
-                    top.key, top.key_at = _key(value, top.data, refuse), (line + 1, column + 1)
+                    top.key, top.key_at = _key(value, top.data, refuse, near), (line + 1, column + 1)
                     continue
                 marks = _Marks(line + 1, column + 1)
                 if top is None:
@@ -222,9 +228,13 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
     return root or Document(None, name, _Marks(1, 1))
 
 
-def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError]) -> str:
+def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError], near: bool) -> str:
+    """The key; `near` says that one character alone, a comma, stands between it and the value before it."""
     if not isinstance(value, str):
         told = "" if isinstance(value, dict | list) else "; in quotes it is one"
+        before = next(reversed(mapping.values()), None)
+        if near and type(before) is int and type(value) is int:
+            told = f"; if the number {before}.{value} is meant: it is written with a point"
         raise refuse(f"keys are strings, this one is {shown(value)}{told}")
     if value in mapping:
         raise refuse(f"duplicate key {quoted(value)}")

@@ -54,6 +54,8 @@ ANSWERED_S: Final = 30.0
 GROWTH_MB: Final = 40.0
 """Of the daemon's memory, from after the first rounds to the end."""
 LONGEST_MESSAGE: Final = 40_000
+LARGE_BODY: Final = 64 * 1024
+"""Changes in larger bodies, bytes, may be decoded beside the command thread; of a wrong one the answer has no id."""
 HUGE: Final = 2e-4
 """How many of the messages have hundreds of kilobytes."""
 
@@ -237,6 +239,16 @@ class Expected:
     method: str | None = None
     may_change: bool = False
     """Whether it is a change that may be taken."""
+
+    @property
+    def late(self) -> bool:
+        """Whether answers to later messages may come before its own: a change, and a body so large that it may be
+        one."""
+        return self.method in CHANGES or sum(map(len, self.frames)) > LARGE_BODY
+
+    def same_id(self, other: Expected) -> bool:
+        """Whether both answers carry the same id."""
+        return type(self.id) is type(other.id) and repr(self.id) == repr(other.id)
 
 
 _ONLY: Final = {code: frozenset((code,)) for code in (PARSE, INVALID, NO_METHOD, PARAMS)}
@@ -749,7 +761,7 @@ class Traffic:
 
     def send(self, what: Expected) -> None:
         """Sends a message, and waits for answers where many are under way."""
-        place = self._next
+        place = self._place_for(what)
         self._next = (place + 1) % CONNECTIONS
         self._sockets[place].send_multipart(what.frames)
         self.leased = self.leased or what.method == "lease"
@@ -760,6 +772,19 @@ class Traffic:
         self._under_way[place].append(what)
         self._count += 1
         while self._count >= WINDOW:
+            self._receive()
+
+    def _place_for(self, what: Expected) -> int:
+        """The next connection on which its answer and those to others can be told apart.
+
+        By their id, or by their order where none of the same id may be late. Ids repeat: what is wrong has none.
+        """
+        while True:
+            for step in range(CONNECTIONS):
+                place = (self._next + step) % CONNECTIONS
+                others = self._under_way[place]
+                if not any((what.late or other.late) and what.same_id(other) for other in others):
+                    return place
             self._receive()
 
     def _receive(self) -> None:

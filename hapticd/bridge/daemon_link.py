@@ -38,6 +38,8 @@ class DaemonLink:
         self._lost, self._publish = lost, publish
         self._status: dict[str, Any] = {}
         self._status_at = -STALE_S
+        self._gone = False
+        """The connection has ended, and there is no other yet."""
         self._feed: asyncio.Task[None] | None = None
         self._broken: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -68,7 +70,7 @@ class DaemonLink:
     async def run(self) -> None:
         """Listens for the status, until cancelled."""
         with self._subscriber(b"status") as socket:
-            monitor = socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+            monitor = socket.get_monitor_socket(zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
             try:
                 async with asyncio.TaskGroup() as tasks:
                     tasks.create_task(self._read_status(socket))
@@ -83,13 +85,16 @@ class DaemonLink:
             _, body = await socket.recv_multipart()
             status = wire.decode_trusted(body)
             assert isinstance(status, dict)
-            self._status, self._status_at = status, time.monotonic()
+            if not self._gone:  # else it was on its way, and says nothing of now
+                self._status, self._status_at = status, time.monotonic()
 
     async def _read_monitor(self, monitor: zmq.asyncio.Socket) -> None:
         while True:
-            await recv_monitor_message(monitor)
-            self._status_at = -STALE_S
-            self._lost()
+            event = (await recv_monitor_message(monitor))["event"]
+            self._gone = event == zmq.EVENT_DISCONNECTED
+            if self._gone:
+                self._status_at = -STALE_S
+                self._lost()
 
     def listen(self, wanted: bool) -> None:
         """Whether telemetry is wanted. Each time anew all of it is subscribed to at once, so that subscriptions of

@@ -41,14 +41,16 @@ def _bench(tree: Path) -> ModuleType:
     metavar="DIR",
     help="Where the report and its figures go [default: docs of the source tree, of a whole run].",
 )
-@click.option("--overwrite", is_flag=True, help="Replace the pages and figures that are there.")
+@click.option(
+    "--overwrite", is_flag=True, help="Replace the pages and figures that are there; of a part, its sections of them."
+)
 @click.pass_context
 def bench_command(
     ctx: click.Context, names: tuple[str, ...], list_names: bool, quick: bool, out: Path | None, overwrite: bool
 ) -> None:
     """Measure NAMES, or everything: what each part costs, and how wrong it is, beside other ways to do the same.
 
-    Everything takes about 15 minutes. Works in a source tree, where the benchmarks are.
+    Everything takes about half an hour. Works in a source tree, where the benchmarks are.
     """
     bench = _bench(TREE)
     if list_names:

@@ -76,7 +76,9 @@ def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
         raise click.UsageError(f"--connect: {quoted(place)} {error}", root) from None
     missing = [f"--{name.replace('_', '-')}" for name in ("key", "server_key") if root.params.get(name) is None]
     if missing:
-        raise click.UsageError(f"--connect needs {' and '.join(missing)}, or the variables of both", root)
+        raise click.UsageError(
+            f"--connect needs {' and '.join(missing)}, or the variables HAPTICD_KEY and HAPTICD_SERVER_KEY", root
+        )
     return connect(place, timeout_s, key=key, server_key=server_key)
 
 
@@ -119,7 +121,10 @@ def log_options(command: _F) -> _F:
 def change_options(command: _F) -> _F:
     """The options of commands that change scene or materials, `--json` among them."""
     command = click.option(
-        "--expect-revision", type=click.IntRange(min=0), metavar="N", help="Refuse another revision."
+        "--expect-revision",
+        type=click.IntRange(min=0),
+        metavar="N",
+        help="Change nothing unless the scene is at revision N.",
     )(json_option(command))
     return click.option("--wait", is_flag=True, help="Wait until it is in force, and print the tick.")(command)
 

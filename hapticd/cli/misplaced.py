@@ -34,8 +34,11 @@ def _where(error: click.UsageError, ctx: click.Context, arguments: Sequence[str]
         return _INSTEAD.get(error.command_name, "")
     if isinstance(error, click.NoSuchOption):
         return _option(error.option_name, ctx, arguments)
-    if "unexpected extra argument" in error.message and _has(ctx.command, "-c", ctx):
-        return "a file is given with -c"
+    if "unexpected extra argument" in error.message:
+        if _has(ctx.command, "-c", ctx):
+            return "a file is given with -c"
+        if _has(ctx.command, "--operator", ctx):
+            return "what the hand does is given with --operator"
     return ""
 
 

@@ -60,13 +60,15 @@ def simulate_command(
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
     from hapticd.cli.simulation import configuration, simulate_files
+    from hapticd.shipped_files import shipped
 
     file = scene_file(scene)
     operator = operator or _own_operator(file)
     if operator is None:
         if file != "/dev/stdin":
             configuration(file)  # what is no scene is told first
-        raise click.UsageError("Missing option '--operator'.")
+        known = ", ".join(shipped("operators"))
+        raise click.UsageError(f"Missing option '--operator': a file that says what the hand does, or one of {known}")
     if output is None and (notes or overwrite):
         raise click.UsageError("--note and --overwrite are for a file: name it with -o")
     result = simulate_files(

@@ -163,7 +163,7 @@ def grooves_command(
     _run("grooves", name, make, **options)
 
 
-@synthesize_command.command("texture")
+@synthesize_command.command("texture", short_help="Strokes over sandpaper and the like.")
 @_material_option("sandpaper_100")
 @_stroke_options[0]
 @_stroke_options[1]

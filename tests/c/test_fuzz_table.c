@@ -145,9 +145,13 @@ struct scene {
 };
 
 static void take_material(struct source *source, double period_s, struct hd_material *material) {
+    static const double aims[4][2] = {{0.0, 0.0}, {0.0, 1.0}, {0.6, -0.8}, {1.0, 0.0}};
     uint8_t choice = take_byte(source);
+    uint8_t aim = take_byte(source);
 
     *material = (struct hd_material){
+        .tap_aim = {aims[aim % 4][0], aims[aim % 4][1]},
+        .rupture_aim = {aims[aim / 4 % 4][0], aim == 255 ? 2.0 : aims[aim / 4 % 4][1]},
         .texture = choice % 64 < 63 ? choice % 5 : take_count(source, 6),
         .noise = take_count(source, NOISES),
         .heals = choice >> 7,

@@ -404,6 +404,8 @@ static void refuses_materials(struct hd_world *world) {
     make_scene(&good);
     REFUSED(material->texture = HD_TEXTURE_NOISE + 1, "material 1: texture 5");
     REFUSED(material->heals = 2, "heals");
+    NOT_WITHIN(material->tap_aim[0], -2.0, 0.5, "aim");
+    NOT_WITHIN(material->rupture_aim[1], -0.9, 1.1, "aim");
     NOT_WITHIN(material->stiffness_n_per_m, -1e-9, 2e9, "material 1: stiffness");
     NOT_WITHIN(material->damping_n_s_per_m, -1e-9, 2e9, "material 1: damping");
     NOT_WITHIN(material->rupture_depth_m, -1e-9, 2e9, "rupture depth");

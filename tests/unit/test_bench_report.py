@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,6 +40,22 @@ def test_a_section_in_markdown() -> None:
     assert section(Options(), lambda part, what: None).markdown() == (
         "## One\n\nWords.\n\nNumbers\n\n| a | b |\n| --- | ---: |\n| x | 1 |\n\n![A figure](report/one.png)"
     )
+
+
+def test_a_part_replaces_its_own_sections() -> None:
+    page = "# Page\n\nAbout.\n\n## One\n\nOld.\n\n## Two\n\nStays.\n"
+    found = bench.replaced(page, [Section("One", ["New."]), Section("Three", ["More."])])
+    assert found == "# Page\n\nAbout.\n\n## One\n\nNew.\n\n## Two\n\nStays.\n\n## Three\n\nMore.\n"
+
+
+@pytest.mark.usefixtures("measurements")
+def test_a_part_goes_into_the_page_that_is_there_and_says_how_it_was_made(tmp_path: Path) -> None:
+    (tmp_path / "accuracy.md").write_text("# Page\n\nAbout.\n\n## One\n\nOld.\n\n## Two\n\nStays.\n", encoding="utf-8")
+    assert bench.perform(["good"], Options(), tmp_path, overwrite=True) == 0
+    text = (tmp_path / "accuracy.md").read_text(encoding="utf-8")
+    assert text.startswith("# Page\n\nAbout.\n\n## One\n\nWords.")
+    assert re.search(r"\n\n`python -m bench good`, \d+ s, by itself: ", text)
+    assert "Old." not in text and text.endswith("## Two\n\nStays.\n")
 
 
 def test_runs_take_turns() -> None:
@@ -105,7 +122,7 @@ def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> 
     said = capsys.readouterr().out
     assert all(name in said for name in bench.MEASUREMENTS)
     assert cli.main(["bench", "nothing"]) == 2
-    assert "there is no nothing: choose from rendered," in capsys.readouterr().err
+    assert "unknown benchmark nothing; known: rendered," in capsys.readouterr().err
 
 
 def test_an_installed_hapticd_says_where_the_benchmarks_are(

@@ -7,6 +7,7 @@ import contextlib
 import math
 import os
 import re
+import struct
 from collections import Counter
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,13 +15,15 @@ from typing import Any, cast
 
 import msgpack
 import pytest
+import zmq
+import zmq.asyncio
 from hypothesis import given
 from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 
 from hapticd import wire
 from hapticd.bridge import gate, http, relay
-from hapticd.bridge.accounts import Accounts
+from hapticd.bridge.accounts import Account, Accounts
 from hapticd.bridge.config import MOST_CONNECTIONS, BridgeClient, BridgeConfig, BridgeLimits, load_bridge
 from hapticd.bridge.daemon_link import DaemonLink
 from hapticd.bridge.gate import Gate
@@ -32,6 +35,7 @@ from hapticd.control import Control
 from hapticd.engine import Engine
 from hapticd.errors import HapticdError, InvalidError
 from hapticd.keys import new_certificate
+from hapticd.paths import RuntimePaths
 from hapticd.repeats import MOST_KINDS, SHORTEST_S
 
 KEYS = {name: new_certificate().public_key for name in ("alice", "bob", "carol")}
@@ -255,6 +259,133 @@ def test_a_look_at_what_claims_too_much(body: bytes) -> None:
     assert peek(body) == (True, None)
 
 
+# ---- who has not shown a key -----------------------------------------------------------------------------------------
+
+
+class Knocking:
+    """A connection as the gate sees it."""
+
+    kind, account, domain = "command", None, ""
+
+    def __init__(self, gate: Gate, host: str, since_s: float) -> None:
+        self.gate, self.host, self.since_s = gate, host, since_s
+        self.there = gate.enter(cast("gate.Connection", self))
+
+    def refused_entry(self) -> None:
+        """It never entered."""
+
+    def turn_away(self) -> None:
+        """It is about to be closed."""
+
+    def close(self) -> None:
+        self.there = False
+        self.gate.shown(cast("gate.Connection", self))
+        self.gate.leave(cast("gate.Connection", self))
+
+
+def test_who_holds_all_places_keeps_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = Time()
+    monkeypatch.setattr(gate, "time", SimpleNamespace(monotonic=now))
+    accounts, link = Accounts(config_of({})), cast(DaemonLink, None)
+    door = Gate(cast(zmq.asyncio.Context, None), "", new_certificate(), accounts, link, "")
+
+    def knock(host: str) -> Knocking:
+        now.now += 1e-6
+        return Knocking(door, host, now.now)
+
+    others = [knock(f"10.0.0.{number}") for number in range(gate.HANDSHAKES - gate.HANDSHAKES_PER_HOST)]
+    crowd = [knock("10.1.0.1") for _ in range(gate.HANDSHAKES_PER_HOST)]
+    assert all(each.there for each in others + crowd)
+    assert not knock("10.2.0.1").there, "nobody has had the time to show a key"
+    assert not knock("10.1.0.1").there
+    now.now += gate.PEACE_S
+    assert knock("10.2.0.1").there and not crowd[0].there, "the oldest of the address that has most makes room"
+    now.now += gate.PEACE_S
+    more = [knock("10.1.0.1"), knock("10.1.0.1")]
+    assert all(each.there for each in more)
+    assert [each.there for each in crowd[:5]] == [False, False, False, True, True]
+    assert all(each.there for each in others), "no other address pays for it"
+    assert door.refused == {"handshakes": 5}
+    for each in (*others, *crowd[3:], *more):
+        each.close()
+    assert not knock("10.2.0.1").gate._handshakes.get("10.1.0.1")
+
+
+# ---- whether there is a daemon ---------------------------------------------------------------------------------------
+
+
+def test_a_watcher_whose_queue_is_full_is_told_later() -> None:
+    """That its daemon has gone: nothing comes after it that could make up for it."""
+    account = SimpleNamespace(name="bob", may="watch", telemetry_dropped=0)
+    connection = gate.Connection(cast(Gate, SimpleNamespace(link=SimpleNamespace(status=None))), "telemetry")
+    with zmq.Context() as context, context.socket(zmq.XPUB) as front, context.socket(zmq.SUB) as watcher:
+        for socket in (front, watcher):
+            socket.linger = 0
+        front.setsockopt(zmq.SNDHWM, 2)
+        front.setsockopt(zmq.XPUB_NODROP, 1)
+        watcher.setsockopt(zmq.RCVHWM, 2)
+        watcher.setsockopt(zmq.RCVTIMEO, 10_000)
+        front.bind("inproc://front")
+        watcher.connect("inproc://front")
+        for topic in (b"samples", gate.BRIDGE):
+            watcher.setsockopt(zmq.SUBSCRIBE, topic)
+        connection._front, connection.account = cast("zmq.Socket[bytes]", front), cast(Account, account)
+        while not watcher.poll(1):  # it subscribes in a thread of libzmq's
+            connection.take_subscriptions()
+        assert watcher.recv_multipart()[0] == gate.BRIDGE
+        while not account.telemetry_dropped:
+            connection.publish([b"samples", b""])
+        connection.tell_of_bridge()
+        while watcher.poll(0):
+            assert watcher.recv_multipart()[0] == b"samples"
+        connection.take_subscriptions()
+        assert [gate.BRIDGE, msgpack.packb({"may": "watch", "daemon": False})] == watcher.recv_multipart()
+
+
+def test_what_was_on_its_way_shows_no_daemon(tmp_path: Path) -> None:
+    """A status that is read after its connection has ended; the next connection's does."""
+    lost: list[None] = []
+
+    class Socket:
+        """Gives what is put into it."""
+
+        def __init__(self) -> None:
+            self.frames: asyncio.Queue[list[bytes]] = asyncio.Queue()
+
+        async def recv_multipart(self, flags: int = 0) -> list[bytes]:
+            return await self.frames.get()
+
+    def event(number: int) -> list[bytes]:
+        return [struct.pack("=hi", number, 0), b""]
+
+    async def main() -> None:
+        link = DaemonLink(zmq.asyncio.Context.instance(), RuntimePaths(tmp_path), lambda: lost.append(None), print)
+        monitor, socket = Socket(), Socket()
+        tasks = [
+            asyncio.create_task(link._read_monitor(cast(zmq.asyncio.Socket, monitor))),
+            asyncio.create_task(link._read_status(cast(zmq.asyncio.Socket, socket))),
+        ]
+
+        async def read(which: Socket, frames: list[bytes]) -> bool:
+            which.frames.put_nowait(frames)
+            for _ in range(3):
+                await asyncio.sleep(0)
+            assert which.frames.empty()
+            return link.status is not None
+
+        status = [b"status", msgpack.packb({"tick": 1})]
+        assert await read(socket, status)
+        assert not await read(monitor, event(zmq.EVENT_DISCONNECTED))
+        assert not await read(socket, status)
+        assert not await read(monitor, event(zmq.EVENT_HANDSHAKE_SUCCEEDED))
+        assert await read(socket, status)
+        for task in tasks:
+            task.cancel()
+
+    asyncio.run(main())
+    assert len(lost) == 1
+
+
 # ---- metrics ---------------------------------------------------------------------------------------------------------
 
 
@@ -434,6 +565,7 @@ def test_the_numbers_of_the_page() -> None:
         f"{gate.HANDSHAKES} connections that have not shown a key yet, {gate.HANDSHAKES_PER_HOST} of them from one "
         f"address, {gate.HANDSHAKE_S:g} s and {gate._HANDSHAKE_BYTES // 1024} KiB for each"
     ) in text
+    assert f"younger than {gate.PEACE_S:g} s" in text
     assert f"more than {gate._SUBSCRIPTIONS} subscriptions of a connection" in text
     assert f"{gate._WATCHER_BYTES // 2**20} MiB sent up the telemetry socket" in text
     assert f"telemetry {gate._TELEMETRY_WAITING} messages" in text

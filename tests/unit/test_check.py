@@ -85,3 +85,23 @@ def test_a_joystick_that_cannot_be_driven_has_no_loop(monkeypatch: pytest.Monkey
     assert report.device.startswith("stick at stick: device.hid.axes.x.usage: the device has no axis Rx; it has ")
     assert report.stability.unknown == "the encoder's step is not known"
     assert report.output.link_rate_hz == 500
+
+
+def test_discs_that_a_hand_can_press_through_are_told() -> None:
+    """K R against the force limit: 800 N/m of 5 mm hold 4 N. It is told and does not count."""
+    discs = {
+        name: {"kind": "disc", "center_m": [x, 0.02], "radius_m": radius, "material": "soft"}
+        for name, x, radius in (("small", 0.0, 0.005), ("just", 0.05, 0.01), ("large", 0.1, 0.02))
+    }
+    given = {
+        "device": {"max_force_n": 8},
+        "materials": {"soft": {"stiffness_n_per_m": 800}},
+        "scene": {"objects": discs},
+    }
+    report = check(load_config(given))
+    (note,) = report.notes
+    assert note.where == "scene.objects.small"
+    assert "holds 4 N" in note.problem
+    assert "radius_m 0.01 or 1600 N/m" in note.problem
+    assert report.faults == 0
+    assert report.to_dict()["notes"] == [{"where": note.where, "problem": note.problem}]

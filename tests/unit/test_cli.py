@@ -109,6 +109,13 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("group", ["", "scene", "material", "devices", "fit", "fit synthesize", "key"])
+def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str], group: str) -> None:
+    assert main([*group.split(), "--help"]) == 0
+    listed = capsys.readouterr().out.partition("Commands:\n")[2].partition("\n\n")[0]
+    assert listed and "..." not in listed
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
@@ -131,6 +138,11 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
         (["version"], "No such command 'version': hapticd --version"),
         (["play", "wood", "--amplitude", "x"], '"x" is not a number'),
         (["check", "s.yaml"], "Got unexpected extra argument (s.yaml): a file is given with -c"),
+        (
+            ["simulate", "s.yaml", "tap.yaml"],
+            "Got unexpected extra argument (tap.yaml): what the hand does is given with --operator",
+        ),
+        (["--connect", "tcp://a", "status"], "or the variables HAPTICD_KEY and HAPTICD_SERVER_KEY"),
         (["play", "--amplitude", "1"], "needs a MATERIAL or --mode"),
         (["play", "wood", "--mode", "frequency_hz=1", "--amplitude", "1"], "not both"),
         (["play", "--mode", "frequency_hz", "--amplitude", "1"], "write it as frequency_hz=200"),

@@ -6,11 +6,14 @@ import io
 import json
 import random
 import struct
+import threading
 import zipfile
 from pathlib import Path
 
+import msgpack
 import numpy as np
 import pytest
+import zmq
 
 from hapticd.config import load_config
 from hapticd.errors import HapticdError
@@ -107,6 +110,51 @@ def saved(value: object) -> bytes:
     made = io.BytesIO()
     np.save(made, np.asarray(value))
     return made.getvalue()
+
+
+def answered_late(directory: Path, stopped: threading.Event) -> None:
+    """A daemon's command socket that answers changes when nothing else comes, as it may answer long ones."""
+    change = msgpack.packb({"jsonrpc": "2.0", "id": None, "result": {"revision": 7}})
+    bad = msgpack.packb({"jsonrpc": "2.0", "id": None, "error": {"code": -32700, "message": "1 trailing bytes"}})
+    held: list[list[bytes]] = []
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as router:
+        router.linger = 0
+        router.bind(f"ipc://{directory}/hapticd.command")
+        while not stopped.is_set():
+            if not router.poll(20):
+                for each in held:
+                    router.send_multipart(each)
+                held.clear()
+                continue
+            identity, *envelope, body = router.recv_multipart()
+            if b"update_scene" not in body:
+                unknown = {"jsonrpc": "2.0", "id": "sentinel", "error": {"code": -32601, "message": "no such method"}}
+                router.send_multipart([identity, *envelope, msgpack.packb(unknown)])
+            elif body.endswith(b"\0"):
+                router.send_multipart([identity, *envelope, bad])
+            else:
+                held.append([identity, *envelope, change])
+
+
+def test_answers_without_an_id_are_told_apart(tmp_path: Path) -> None:
+    """The oldest under way without an id was a change, which is answered late; the answer was another message's."""
+    stopped = threading.Event()
+    server = threading.Thread(target=answered_late, args=(tmp_path, stopped))
+    server.start()
+    params = {"objects": {"floor": {"kind": "wall"}}}
+    change = msgpack.packb({"jsonrpc": "2.0", "id": None, "method": "update_scene", "params": params})
+    traffic = fuzz_messages.Traffic(tmp_path)
+    try:
+        for _ in range(fuzz_messages.CONNECTIONS):
+            traffic.send(fuzz_messages.expected([change]))
+        for _ in range(fuzz_messages.CONNECTIONS):
+            traffic.send(fuzz_messages.expected([b"", change + b"\0"]))
+        traffic.settle()
+    finally:
+        traffic.close()
+        stopped.set()
+        server.join()
+    assert traffic.outcomes == {0: 8, -32700: 8, -32601: 8}
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,28 @@ def test_a_sampled_spring_gives_k_v2_t2_a_tick(steps: int, way_m: float) -> None
     assert given.energy_j == pytest.approx(STIFFNESS * way_m**2 * steps, rel=1e-9)
     assert given.largest_j == given.energy_j
     assert (given.contacts, given.restrained, given.acted) == (1, 0, 0)
+
+
+def test_a_seam_gives_what_the_stiffer_side_holds_more() -> None:
+    """Into the soft box, over to the stiff one, and out: (K - k) d^2/2, and what a sampled spring gives."""
+    side = {"kind": "box", "size_m": [0.02, 0.02]}
+    objects = {
+        "soft": {**side, "center_m": [-0.01, -0.01], "material": "soft"},
+        "stiff": {**side, "center_m": [0.01, -0.01], "material": "plain"},
+    }
+    rig = Rig(objects, materials={**PLAIN, "soft": {"stiffness_n_per_m": 300.0}}, passivity="observe")
+    deep, steps = 1e-3, 200
+    down, along = np.linspace(1e-5, -deep, steps), np.linspace(-0.004, 0.004, steps)
+    path = np.vstack(
+        (
+            np.column_stack((np.full(steps, along[0]), down)),
+            np.column_stack((along, np.full(steps, -deep))),
+            np.column_stack((np.full(steps, along[-1]), down[::-1])),
+        )
+    )
+    rig.render(path)
+    sampled = (STIFFNESS + 300.0) / 2 * deep * (deep / steps)
+    assert energy(rig).energy_j == pytest.approx((STIFFNESS - 300.0) * deep**2 / 2 + sampled, rel=0.02)
 
 
 def test_a_missed_tick_holds_the_force_for_the_whole_way() -> None:
@@ -361,3 +384,35 @@ def test_what_is_grazed_within_the_margins_is_not_changed(shape: str) -> None:
             touched += int((off.samples["flags"] & Flag.CONTACT != 0).sum())
             assert np.array_equal(control.samples["force_n"], off.samples["force_n"]), (along, deep)
     assert touched > 50
+
+
+RINGS = {
+    "stiffness_n_per_m": STIFFNESS,
+    "tap": {"attack_slope_per_s": 309, "frequency_hz": 67, "decay_time_s": 0.05},
+    "texture": {"kind": "stochastic", "peak_hz": 300, "mean_hz": 420, "velocity_gain_per_s": 50},
+}
+
+
+@pytest.mark.parametrize(
+    ("material", "limit_n"),
+    [({"stiffness_n_per_m": STIFFNESS}, 0.7), (RINGS, 1.05)],
+    ids=["a force beyond the limit", "vibration up to the limit"],
+)
+def test_at_the_limit_control_changes_no_bit_where_it_does_not_act(material: dict[str, object], limit_n: float) -> None:
+    """Pressed with 0.96 N in all and stroked, in a corner and over a disc."""
+    objects = {
+        "left": {"kind": "wall", "point_m": [-0.005, 0], "normal": [0.8, 0.6], "material": "it"},
+        "floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "it"},
+        "disc": {"kind": "disc", "center_m": [0.006, -0.0035], "radius_m": 0.004, "material": "it"},
+    }
+    ways = [[0, 0.001], [0, -0.0012], [-0.004, -0.0009], [0.0004, -0.0012], [0.0058, -0.0003], [0.0058, 0.0012]]
+    path = np.concatenate([np.linspace(a, b, 300) for a, b in pairwise(ways)])
+    found = {}
+    for mode in ("off", "control"):
+        rig = Rig(objects, materials={"it": material}, device={"max_force_n": limit_n}, passivity=mode)
+        found[mode] = rig.render(path)
+    off, control = found["off"], found["control"]
+    assert not np.any(control["flags"] & Flag.RESTRAINED)
+    assert np.count_nonzero(off["flags"] & Flag.SATURATED) > 50
+    assert np.array_equal(control["force_n"], off["force_n"])
+    assert np.array_equal(control["vibration_force_n"], off["vibration_force_n"])
