@@ -195,6 +195,8 @@ class Found:
     """What the attackers of each kind did."""
     newcomers_s: list[float] | None = None
     """How long clients took to come in under attack; None: that was not asked."""
+    idle: list[str] = field(default_factory=list)
+    """Attackers that did nothing: whatever they try was not tried."""
     problems: list[str] = field(default_factory=list)
     """What else was not as it should be."""
 
@@ -205,24 +207,31 @@ class Found:
     def kept(self) -> bool:
         """Whether nothing failed, whatever the time it took."""
         ran_s, waited_s = self.processor_s
-        # Where others hold the processors, nobody can serve commands.
-        bad = self.faults.keys() - ({"control"} if waited_s > ran_s else set())
+        # Where others hold the processors, nobody can serve commands, and not all attackers come to attack.
+        starved = waited_s > ran_s
+        bad = self.faults.keys() - ({"control"} if starved else set()) or (self.idle and not starved)
         entered = self.newcomers_s is None or bool(self.newcomers_s)
         return not bad and not self.missing and not self.problems and entered and bool(self.took_ms["under attack"])
 
     def held(self) -> bool:
         """Whether all that is asked was found."""
         start, _, after = self.memory_mib
-        return self.kept() and not self.faults and self.late_ms() <= ASKED_MS and after - start <= ASKED_MIB
+        return (
+            self.kept()
+            and not self.faults
+            and not self.idle
+            and self.late_ms() <= ASKED_MS
+            and after - start <= ASKED_MIB
+        )
 
     def count(self, those: list[Attacker]) -> None:
-        """Adds up what attackers did. One that did nothing is a problem: whatever it tries was not tried."""
+        """Adds up what attackers did, and finds those that did nothing."""
         for each in those:
             done, before = each.done(), self.done.get(each.kind)
             if each.process.poll() is not None:
                 self.problems.append(f"{each.kind} ended: {each.told()}")
             elif not done.count:
-                self.problems.append(f"{each.kind} did nothing: {done}")
+                self.idle.append(f"{each.kind} did nothing: {done}")
             if before is not None:
                 what = done.what if done.count else before.what
                 done = Done(before.count + done.count, what, before.processes + 1)
@@ -253,7 +262,7 @@ class Found:
             said = f"{percentile(came, 50):.2f} / {max(came, default=np.nan):.2f}, {len(came):,} times"
             rows.append(["a new client comes in: p50 / largest, s", "some", said])
         rows += [[f"attacker: {kind}", "some", str(done)] for kind, done in self.done.items()]
-        rows += [["problem", "none", problem] for problem in self.problems]
+        rows += [["problem", "none", problem] for problem in self.problems + self.idle]
         return Table(f"{self.seconds:.0f} s of attacks", ["what", "asked", "found"], rows)
 
 

@@ -5,8 +5,19 @@
 /* Beyond that, straight lines are none any more. */
 #define HD_PRESS_MOST 2.0
 
-/* The slope of all forces that are displayed, along a unit vector, N/m: sum K_i (n_i . d)^2, and that of the fields,
- * which is the same in every direction. Friction is left out: a probe that strokes slides. */
+/* A spring of friction below this part of its longest holds: at its longest it slides, and has no slope. */
+#define HD_PRESS_STUCK (1.0 - 1e-9)
+
+/* Along the surface, N/m. */
+HD_RT static double holds_with(const struct hd_slot *slot) {
+    const struct hd_skin *skin = &slot->skin;
+    const double spring_n = skin->friction_stiffness_n_per_m * hd_magnitude(slot->last.along_m - slot->anchor_m);
+    const int stuck = spring_n < HD_PRESS_STUCK * skin->friction_coefficient * slot->normal_n;
+    return stuck ? skin->friction_stiffness_n_per_m : 0.0;
+}
+
+/* The slope of all forces that are displayed, along a unit vector, N/m: sum K_i (n_i . d)^2, along the surface that of
+ * friction where the probe sticks, and that of the fields, which is the same in every direction. */
 HD_RT static double slope_along(const struct hd_state *state, const struct hd_table *table, const double direction[2]) {
     if (table->display_force == 0) {
         return 0.0;
@@ -15,7 +26,7 @@ HD_RT static double slope_along(const struct hd_state *state, const struct hd_ta
     for (uint32_t i = 0; i < state->active_count; i++) {
         const struct hd_slot *slot = &state->slots[state->active[i]];
         const double part = hd_dot(slot->last.normal, direction);
-        slope += slot->skin.stiffness_n_per_m * part * part;
+        slope += slot->skin.stiffness_n_per_m * part * part + holds_with(slot) * (1.0 - part * part);
     }
     return slope;
 }

@@ -180,6 +180,16 @@ class _Grid:
         """What is wanted, for each of the onsets, as seen from the first tick."""
         return [self.wanted * np.exp(self.s * part * self.period_s) for part in _ONSETS]
 
+    def response(self, dynamics: Dynamics, load: Load) -> _Complex:
+        """The acceleration of the device for what is struck, weighted."""
+        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
+        device = (dynamics.mass_kg * self.s + damping) * self.s + stiffness
+        hold = (1 - np.exp(-self.s * self.period_s)) / self.s
+        if load != NOTHING:
+            device = device + load.surface(self.s, self.period_s)
+            hold = hold * load.lag(self.s)
+        return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
+
     def count(self, pole: complex, part: float) -> int:
         """Of the ticks up to five time constants, the first of them `part` of a period after the onset."""
         late_s = part * self.period_s
@@ -228,13 +238,7 @@ class _Band:
         """`attacked`: onsets are looked at anywhere between two ticks, and kicks too."""
         grid = self._grid = _grid(mode, rate_hz)
         self.wanted_norm = grid.wanted_norm
-        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
-        device = (dynamics.mass_kg * grid.s + damping) * grid.s + stiffness
-        hold = (1 - np.exp(-grid.s * grid.period_s)) / grid.s
-        if load != NOTHING:
-            device = device + load.surface(grid.s, grid.period_s)
-            hold = hold * load.lag(grid.s)
-        response = grid.weight * (dynamics.mass_kg * grid.s**2 / device * hold)
+        response = grid.response(dynamics, load)
         self._parts = _ONSETS if attacked else _ONSETS[:1]
         self._rung: dict[tuple[complex, int], int] = {}
         spectra: list[_Complex] = []
@@ -364,16 +368,15 @@ def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, lo
 def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NOTHING) -> complex:
     """How much of the waveform the handle's acceleration contains, in the band: 1 where it is all of it. `shape` begins
     at a tick."""
-    band = _Band(mode, dynamics, rate_hz, load)
-    shown = np.zeros_like(band.wanted)
+    grid = _grid(mode, rate_hz)
+    struck = np.zeros_like(grid.wanted)
     for ringing in (shape.mode, shape.tail):
         if ringing is not None:
-            one, other = band.columns(ringing.pole)
-            shown = shown + ringing.gain.real * one + ringing.gain.imag * other
-    if shape.kicks:
-        shown = shown + np.stack(band.kicks(0.0), 1) @ np.array(shape.kicks).ravel()
-    spectrum, wanted = (each[: len(each) // 2] + 1j * each[len(each) // 2 :] for each in (shown, band.wanted))
-    return complex(np.vdot(wanted, spectrum)) / band.wanted_norm**2
+            one, other = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
+            struck = struck + ringing.gain.real * one + ringing.gain.imag * other
+    for late, (kick, _) in zip(grid.late, shape.kicks, strict=False):
+        struck = struck + kick * late
+    return complex(np.vdot(grid.wanted, grid.response(dynamics, load) * struck)) / grid.wanted_norm**2
 
 
 @lru_cache(maxsize=4096)
@@ -455,7 +458,10 @@ def tuned_shapes(
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
         return [(shape, shape) for shape in plain]
-    free, touched = ([_Band(mode, dynamics, rate_hz, each) for mode in modes] for each in (load.free, load))
+    free, touched = (
+        [_Band(mode, dynamics, rate_hz, each, [pole_of(mode), *_tails(mode, rate_hz)]) for mode in modes]
+        for each in (load.free, load)
+    )
 
     def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
         if way < 2:

@@ -19,7 +19,7 @@ import math
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
@@ -59,7 +59,8 @@ from hapticd.displayable import (
 from hapticd.gone import Gone
 from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
-from hapticd.scene import Patch, Scene, SceneObject, Surface, Wall
+from hapticd.patches import Patch
+from hapticd.scene import Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
 from hapticd.tuning import Tuning, shapes_needed, tuning_of
@@ -275,6 +276,7 @@ class _Design(NamedTuple):
         return np.concatenate((self.speeds, self.forces, self.nodes.ravel()))
 
 
+_NO_MATERIAL: Final = Material(stiffness_n_per_m=0.0)
 _SILENCE: Final = _Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
 
 
@@ -486,6 +488,7 @@ class _Materials:
         self._uses[index] -= 1
         if self._uses[index] == 0:
             del self._index[self._names[index]]
+            self._known[index] = _NO_MATERIAL  # one of 400 models would be kept
             self._places.give(index)
             self._silence(index)
             self._let_go(index)
@@ -681,7 +684,7 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 class _Pieces(NamedTuple):
     """What a wall with patches is made of."""
 
-    patches: tuple[Patch, ...]
+    patches: Sequence[Patch]
     of: tuple[str, float]
     """The material between them, and the ramp."""
     rows: npt.NDArray[np.void]

@@ -20,7 +20,8 @@ from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.model import MAX_FAULTS
 from hapticd.noise import power_above, reflection_of, resampled, stochastic_filter
-from hapticd.scene import TOUCHING_M, Patches, SceneObject, Wall, patches_of, used_materials
+from hapticd.patches import TOUCHING_M, Patches, patches_of
+from hapticd.scene import SceneObject, Wall, used_materials
 from hapticd.texture import Autoregressive, Grooves, Stochastic
 
 DISPLAYABLE: Final = 0.4
@@ -347,11 +348,11 @@ def _narrow(patches: Patches, ramp_m: float) -> Iterator[tuple[int, str]]:
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None
     for index in patches.order:
-        patch = patches[index]
+        from_m, to_m = patches.begins_m[index], patches.ends_m[index]
         if before is not None:
-            gap = patch.from_m - patches[before].to_m
+            gap = from_m - patches.ends_m[before]
             if TOUCHING_M < gap < ramp_m - TOUCHING_M:
                 yield index, f"is {gap:.4g} from patches[{before}], nearer than {narrow}"
-        if patch.to_m - patch.from_m < ramp_m - TOUCHING_M:
-            yield index, f"is {patch.to_m - patch.from_m:.4g} wide, narrower than {narrow}"
+        if to_m - from_m < ramp_m - TOUCHING_M:
+            yield index, f"is {to_m - from_m:.4g} wide, narrower than {narrow}"
         before = index

@@ -30,7 +30,19 @@ from hapticd.mode import Attack as Attack
 from hapticd.mode import Mode as Mode
 from hapticd.mode import ModeKeys as ModeKeys
 from hapticd.mode import one_of
-from hapticd.model import AT_ONCE, Damping, Model, Name, Stiffness, faults_of, in_parts, problems_of, refuse_many_keys
+from hapticd.model import (
+    AT_ONCE,
+    MOST_MEMBERS,
+    Damping,
+    Model,
+    Name,
+    Stiffness,
+    faults_of,
+    in_parts,
+    members,
+    problems_of,
+    refuse_many_keys,
+)
 from hapticd.texture import Grooves, Texture
 from hapticd.yaml_source import Document, load_bytes
 
@@ -277,7 +289,7 @@ def validate_materials(data: object, root: Path = (), working: Callable[[], None
             return parse({"materials": data}).materials
         for name, material in data.items():
             refuse_many_keys(material, (*root, "materials", name))
-        if len(data) <= AT_ONCE:
+        if len(data) <= AT_ONCE and members(data) <= MOST_MEMBERS:
             return parse({"materials": data}).materials
         return in_parts(
             data, lambda part: parse({"materials": part}).materials, root, "materials", working or (lambda: None)

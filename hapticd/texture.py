@@ -18,6 +18,7 @@ from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
     Strict,
+    ValidationError,
     ValidationInfo,
     model_serializer,
     model_validator,
@@ -26,12 +27,13 @@ from pydantic.config import JsonDict
 
 from hapticd.direction import Direction
 from hapticd.mode import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
-from hapticd.model import Damping, Model
+from hapticd.model import MAX_FAULTS, Damping, Model
 
 MAX_ORDER: Final = 32
 MAX_MODELS: Final = 400
 MAX_DISTINCT: Final = 256
 """Different speeds, and different forces, of the models of a texture."""
+_FEW_MODELS: Final = 8
 MAX_SEED: Final = 2**53
 MAX_RMS_M_PER_S2: Final = 1e6
 
@@ -326,12 +328,32 @@ def _not_too_many(models: object) -> object:
     return models
 
 
+def _one_by_one(models: object, info: ValidationInfo) -> object:
+    """Many models, each validated by itself: the faults of all are told in one call, in which nobody else goes on.
+    After MAX_FAULTS the rest is not looked at."""
+    if not isinstance(models, list) or len(models) <= _FEW_MODELS:
+        return models
+    found: list[object] = []
+    faults = 0
+    for model in models:
+        try:
+            found.append(AutoregressiveModel.parsed(model, info.context))
+        except ValidationError as error:
+            found.append(model)
+            faults += error.error_count()
+            if faults >= MAX_FAULTS:
+                break
+    return found
+
+
 class Autoregressive(Model):
     """Coloured noise by models identified from recordings, blended over speed and force."""
 
     kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
     rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
-    models: Annotated[tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_not_too_many)] = Field(
+    models: Annotated[
+        tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_one_by_one), BeforeValidator(_not_too_many)
+    ] = Field(
         min_length=1, max_length=MAX_MODELS, description="Each at a speed and a force of its own: a grid or scattered."
     )
     threshold_m_per_s: Threshold = Field(

@@ -86,8 +86,11 @@ def test_an_attacker_that_did_nothing_is_a_problem(resting: subprocess.Popen[byt
         assert found.table().markdown().count("attacker:") == 1
         assert "| 1,234 connections, by 2 processes |" in found.table().markdown()
         found.count([attacker("huge", b"0 messages\n"), attacker("long", b"")])
-    assert found.problems == ["huge did nothing: 0 messages", "long did nothing: 0 (has not begun)"]
+    assert found.idle == ["huge did nothing: 0 messages", "long did nothing: 0 (has not begun)"]
+    assert "| problem | none | huge did nothing: 0 messages |" in found.table().markdown()
     assert not found.kept() and not found.held()
+    found.processor_s = (1.0, 2.0)  # others held the processors
+    assert found.kept() and not found.held()
 
 
 def test_an_attacker_that_ended_is_a_problem() -> None:

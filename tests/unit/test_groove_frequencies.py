@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hapticd.compensation import Load, shapes_of
+from hapticd.compensation import NOTHING, Load, shapes_of
 from hapticd.core import EventKind
 from hapticd.displayable import undisplayable
 from hapticd.engine import output_of
@@ -216,10 +216,9 @@ def test_compensation_follows_the_frequency(compensation: str) -> None:
         w = mode.angular_frequency_rad_per_s
         row = [np.interp(w, tuning.nodes[:, 0], tuning.nodes[:, column]) for column in range(11)]
         alone = shapes_of(mode, output.dynamics, 10_000, output.compensation, Load(800.0), False)[0]
-        band = _Band(mode, output.dynamics, 10_000)
-        columns, gains = band.columns(complex(-mode.decay_rate_per_s, w)), [row[5], row[6]]
-        if tuning.tail is not None:
-            columns, gains = columns + band.columns(tuning.tail.pole), [*gains, row[7], row[8]]
+        poles = [complex(-mode.decay_rate_per_s, w)] + ([] if tuning.tail is None else [tuning.tail.pole])
+        band = _Band(mode, output.dynamics, 10_000, NOTHING, poles)
+        columns, gains = [column for pole in poles for column in band.columns(pole)], row[5 : 5 + 2 * len(poles)]
         assert band.error(columns, np.array(gains)) < alone.error + 0.005
 
 

@@ -223,3 +223,34 @@ def test_forces_are_those_of_the_closed_loop() -> None:
 
 
 EXACT = {"coulomb_friction_n": 0, "encoder_step_m": 0, "force_step_n": 0, "max_force_n": 100}
+
+
+@pytest.mark.parametrize("name", ["wood", "delrin"])
+def test_friction_that_holds_the_probe_is_compensated_for(name: str) -> None:
+    """A tap that vibrates along the surface, where the probe does not slide: friction's spring acts on the handle."""
+    spring, errors = 800.0, {}
+    for coefficient in (0.0, 0.5):
+        material = tap_of(name, 800)
+        material["tap"]["direction"] = "tangent"
+        material["friction"] = {"coefficient": coefficient, "stiffness_n_per_m": spring}
+        path = np.full((1201, 2), [0.0, -SPEED / RATE * AT_TICK])
+        path[0, 1] = SPEED / RATE * (1 - AT_TICK)
+        force = rig_of(material).render(path, velocity=np.full((1201, 2), [0.0, -SPEED]))["vibration_force_n"][1:, 0]
+        errors[coefficient] = error_of(acceleration(force, spring), mode_of(name), AT_TICK)
+    assert errors[0.0] > 0.15  # the forces of a surface that does not hold it
+    assert errors[0.5] < 0.08
+
+
+def test_friction_that_slides_has_no_slope() -> None:
+    """A groove that is stroked strikes the same with friction and without it, to the last bit."""
+    forces = []
+    for coefficient in (0.0, 0.5):
+        texture = {"kind": "grooves", "display": "vibration", "spacing_m": 0.004, "width_m": 0.001}
+        texture |= {"velocity_gain_per_s": 60, "frequency_hz": 200, "decay_time_s": 0.003}
+        rough = {"coefficient": coefficient, "stiffness_n_per_m": 500}
+        rig = rig_of({"stiffness_n_per_m": 800, "texture": texture, "friction": rough})
+        path = np.column_stack([np.linspace(0, 0.02, 2000), np.full(2000, -0.001)])
+        path[0, 1] = 0.0001
+        forces.append(rig.render(path)["vibration_force_n"])
+    assert np.abs(forces[0]).max() > 0.1
+    assert np.array_equal(forces[0], forces[1])
