@@ -108,7 +108,7 @@ test: build ## C tests and pytest without what is slow: about two minutes on two
 
 # Unit tests but for those of whole fields that take long, and the commands against a real daemon; C tests beside them.
 QUICK_NOT := fit_* cli_fit* bench_* *calibrat* verify* displayed* fuzz* hid_descriptor* velocity* noise* sandpaper* \
-	stability* closed_loop* reliability* hid_offload* reach*
+	stability* closed_loop* reliability* hid_offload* reach* reading* threads*
 QUICK := tests/unit tests/integration/test_cli_live.py $(QUICK_NOT:%=--ignore-glob='tests/unit/test_%')
 
 .PHONY: quick

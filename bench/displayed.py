@@ -13,16 +13,17 @@ import numpy as np
 
 from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
 from bench.tick import FLOOR, STRETCH, Stretch
+from hapticd.calibration.walls import AT_TICK, acceleration_on, tap_force
 from hapticd.compensation import Compensation, pole_gain, pole_shape, shape_of
 from hapticd.compile import Compiler
-from hapticd.config import load_config
+from hapticd.config import Hand, Sim, load_config
 from hapticd.core import Flag
 from hapticd.displayed import FINER, band_error, handle_acceleration, waveform
-from hapticd.dynamics import Dynamics, held_motion
+from hapticd.dynamics import Dynamics
 from hapticd.engine import output_of
 from hapticd.materials import shipped_materials
 from hapticd.mode import Mode
-from hapticd.offline import new_world, render
+from hapticd.offline import new_world
 
 RATE_HZ = 10_000.0
 RATES_HZ = (1000.0, 2000.0, 4000.0, 5000.0, 10_000.0)
@@ -35,8 +36,6 @@ AIM, GOAL = 0.13, 0.05
 WALL_N_PER_M = 800.0
 """Of the shipped materials."""
 PHASES = 8
-AT_TICK = 2.0**-20
-"""So much of a period an onset at a tick lies before it: an onset is a crossing."""
 LASTING_S = 0.25
 
 
@@ -66,23 +65,17 @@ def tapped(
     mass, damping, stiffness = GRIPS[grip]
     hand = {"mass_kg": mass, "damping_n_s_per_m": damping, "stiffness_n_per_m": stiffness}
     handle = {"mass_kg": HANDLE[0], "damping_n_s_per_m": HANDLE[1]}
-    speed = 1 / 64
     tap = {
         "attack_slope_per_s": 64,
         "angular_frequency_rad_per_s": mode.angular_frequency_rad_per_s,
         "decay_rate_per_s": mode.decay_rate_per_s,
     }
     config = {
+        "servo": {"rate_hz": rate_hz},
         "device": {"handle": handle, "grip": hand, "compensation": compensation, "max_force_n": 100},
         "materials": {"it": {"stiffness_n_per_m": stiffness_n_per_m, "tap": tap}},
-        "scene": {"objects": {"floor": {**FLOOR, "material": "it"}}},
     }
-    count = int(LASTING_S * rate_hz)
-    path = np.full((count + 1, 2), [0.0, -speed / rate_hz * part])
-    path[0, 1] = speed / rate_hz * (1 - part)
-    speeds = np.full((count + 1, 2), [0.0, -speed])
-    force: Floats = render(config, path, rate_hz, velocity_m_per_s=speeds)["vibration_force_n"][1:, 1]
-    return force
+    return tap_force(load_config(config), "it", 1 / 64, int(LASTING_S * rate_hz), part=part)[:, 1]
 
 
 def moved_error(mode: Mode, grip: str, compensation: Compensation, rate_hz: float, part: float = AT_TICK) -> float:
@@ -96,12 +89,17 @@ def moved_error(mode: Mode, grip: str, compensation: Compensation, rate_hz: floa
 
 def walled(force_n: Floats, grip: str, rate_hz: float) -> Floats:
     """As handle_acceleration, on a surface of WALL_N_PER_M that is felt at each tick."""
-    state, (whole, pushed) = np.zeros(2), held_motion(held(grip), 1 / rate_hz)
-    met = np.empty(len(force_n))
-    for tick, force in enumerate(force_n):
-        met[tick] = force - WALL_N_PER_M * state[0]
-        state = whole @ state + pushed * met[tick]
-    return handle_acceleration(met, held(grip), rate_hz, FINER)
+    mass, damping, stiffness = GRIPS[grip]
+    sim = Sim(
+        handle_mass_kg=HANDLE[0],
+        handle_damping_n_s_per_m=HANDLE[1],
+        coulomb_friction_n=0.0,
+        force_step_n=0.0,
+        max_force_n=100.0,
+        hand=Hand(mass_kg=mass, damping_n_s_per_m=damping, stiffness_n_per_m=stiffness),
+    )
+    forces = np.column_stack((np.zeros(len(force_n)), force_n))
+    return acceleration_on(sim, forces, rate_hz, WALL_N_PER_M)[:, 1]
 
 
 def wall_error(mode: Mode, grip: str, known: bool, part: float = AT_TICK) -> float:
@@ -256,11 +254,12 @@ def run(options: Options, advance: Advance) -> Section:
         f"answered before the second of them: what is missing until then counts in `any onset`, the RMS over {PHASES} "
         "places. The tail is told by how long after the onset it ends.",
         *_errors(advance),
-        "All of that is with nothing touched, as of `play` and of `hapticd verify`. A wall acts on the handle while "
-        "its tap rings. `wall left out` are the forces for no wall, against the wall; `full` is what a tap on it is "
-        "given.",
+        "All of that is with nothing touched, as of `play`. A wall acts on the handle while its tap rings. `wall left "
+        "out` are the forces for no wall, against the wall; `full` is what a tap on it is given.",
         _walls(advance),
-        "Command: `python -m bench displayed`; `hapticd verify` tells the same of a configuration, without a wall.",
+        "`hapticd verify` tells the same of a configuration, at an onset at a tick: rows `tap` of nothing touched, "
+        "rows `wall` on the material's own stiffness. It adds what the joystick does besides: dry friction, steps of "
+        "the actuator, the force limit. Without friction, steps and a limit it gives these figures.",
         _rates(advance),
         _costs(options),
         f"Choosing gain and tail of a mode takes {spread(compile_ms(options.few(5, 1)), '.1f')} ms of processor time, "

@@ -30,7 +30,7 @@ LEVELS = tuple(1.0 + 0.05 * i for i in range(16))
 """RMS of the models, m/s^2."""
 GRID_SPEEDS, GRID_FORCES = (0.04, 0.08, 0.12, 0.16), (0.4, 0.7, 1.0, 1.3)
 SOFT, RAMP_M = 400.0, 2e-3
-RADIUS_M = 0.05
+RADIUS_M, SMALL_M = 0.05, 0.0015
 MODES = (1, 10, 100, 1000)
 
 
@@ -55,20 +55,20 @@ def _waving() -> Motion:
     return Motion(path, np.stack((0.02 * rate * np.cos(turn), 9e-4 * rate * np.cos(3 * turn)), 1))
 
 
-def _around() -> Motion:
-    """As `strokes`, along the top of the disc."""
+def _around(radius_m: float) -> Motion:
+    """As `strokes`, around within a disc whose top is at 0."""
     flat = strokes(64, begin_m=-0.02)
-    inside = RADIUS_M - DEPTH_M
+    inside = radius_m - DEPTH_M
     angle = flat.path_m[:, 0] / inside
     radial = np.stack((np.sin(angle), np.cos(angle)), 1)
     tangent = np.stack((np.cos(angle), -np.sin(angle)), 1)
-    return Motion(np.subtract(inside * radial, (0.0, RADIUS_M)), flat.speeds_m_per_s[:, :1] * tangent)
+    return Motion(np.subtract(inside * radial, (0.0, radius_m)), flat.speeds_m_per_s[:, :1] * tangent)
 
 
 # Turns lie more than half a spacing from the groove that was passed last, so that it strikes again on the way back.
 STEADY = strokes(64, begin_m=-0.0195)
 WAVING = _waving()
-AROUND = _around()
+AROUND, AROUND_DEEP = _around(RADIUS_M), _around(SMALL_M)
 IN_RAMP = strokes(1, begin_m=-3.2e-4)
 OFF_RAMP = strokes(1, begin_m=0.025)
 
@@ -131,6 +131,9 @@ MATERIALS: Mapping[str, object] = {
 }
 BOX = {"kind": "box", "center_m": [0, -0.05], "size_m": [0.1, 0.1], "material": "bare"}
 DISC = {"kind": "disc", "center_m": [0, -RADIUS_M], "radius_m": RADIUS_M, "material": "bare"}
+SMALL = {"kind": "disc", "center_m": [0, -SMALL_M], "radius_m": SMALL_M, "material": "bare"}
+FLUSH = {side: {**BOX, "center_m": [x, -0.05], "material": "rubbery"} for side, x in (("left", -0.05), ("right", 0.05))}
+"""Two boxes that meet at s = 0."""
 SKIN = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.1, "material": "bare"}
 EDGE = {"patches": [{"from_m": 0, "to_m": 0.05, "material": "soft"}], "patch_ramp_m": RAMP_M}
 
@@ -142,6 +145,11 @@ def _wall(material: str, **keys: object) -> dict[str, object]:
 # ---- Errors --------------------------------------------------------------------------------------------------------
 
 
+def _objects(item: Mapping[str, object]) -> dict[str, object]:
+    """One object, or several by their names."""
+    return {"it": item} if "kind" in item else dict(item)
+
+
 def _entered(item: Mapping[str, object], motion: Motion, times: int = 1) -> tuple[Run, int]:
     """A run that comes down onto the object and then goes through the motion, and the tick at which that begins."""
     down = 100
@@ -149,7 +157,7 @@ def _entered(item: Mapping[str, object], motion: Motion, times: int = 1) -> tupl
     way = np.stack((np.full(down, motion.path_m[0, 0]), height), 1)
     path = np.concatenate((way, np.tile(motion.path_m, (times, 1))))
     speeds = np.concatenate((np.tile([0.0, -0.4], (down, 1)), np.tile(motion.speeds_m_per_s, (times, 1))))
-    config = {"materials": MATERIALS, "scene": {"objects": {"it": item}}, "device": {"effective_mass_kg": MASS_KG}}
+    config = {"materials": MATERIALS, "scene": {"objects": _objects(item)}, "device": {"effective_mass_kg": MASS_KG}}
     return render_run(config, path, RATE_HZ, velocity_m_per_s=speeds), down
 
 
@@ -165,11 +173,11 @@ def _bare(path: Floats, speeds: Floats) -> Floats:
     return np.stack((np.zeros(len(path)), -STIFFNESS * path[:, 1] - DAMPING * speeds[:, 1]), 1)
 
 
-def _round(path: Floats, speeds: Floats) -> Floats:
+def _round(path: Floats, radius_m: float) -> Floats:
     """F = K (R - r) along the radius; nothing moves along it."""
-    offset = np.add(path, (0.0, RADIUS_M))
+    offset = np.add(path, (0.0, radius_m))
     distance = np.hypot(offset[:, 0], offset[:, 1])
-    law: Floats = (STIFFNESS * (RADIUS_M - distance) / distance)[:, None] * offset
+    law: Floats = (STIFFNESS * (radius_m - distance) / distance)[:, None] * offset
     return law
 
 
@@ -266,7 +274,7 @@ def _noise_error(name: str, motion: Motion, options: Options) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A row: an object, how it is stroked, and what is said of its error."""
+    """A row: an object or several, how it is stroked, and what is said of its error."""
 
     item: Mapping[str, object]
     motion: Motion
@@ -294,9 +302,11 @@ def _cases() -> dict[str, Case]:
         waving: Case(wall, WAVING, lambda _: _force_error(wall, WAVING, _bare), None),
         short: Case(wall, OFF_RAMP, lambda _: _force_error(wall, OFF_RAMP, _bare), None),
         "box": forced(BOX, STEADY, _bare),
-        "disc": forced(DISC, AROUND, _round),
+        "disc": forced(DISC, AROUND, lambda path, _: _round(path, RADIUS_M)),
+        "disc of 1.5 mm, at a third of its radius": forced(SMALL, AROUND_DEEP, lambda path, _: _round(path, SMALL_M)),
         "membrane": forced(SKIN, STEADY, _bare),
         "friction": forced(_wall("rubbery"), STEADY, _sticking),
+        "friction, over the seam of two boxes": forced(FLUSH, STEADY, _sticking),
         "grooves as vibration": Case(_wall("comb"), STEADY, lambda _: _strike_error(), steady),
         "grooves as geometry": forced(_wall("shape"), STEADY, _shaped),
         "grooves as damping": forced(_wall("drag"), STEADY, _dragged),
@@ -319,7 +329,7 @@ def _features(options: Options, advance: Advance) -> Table:
     for index, (name, case) in enumerate(cases.items()):
         errors[name] = case.error(options)
         advance(0.3 * (index + 1) / len(cases), "errors")
-    scenes = {name: Stretch({"it": case.item}, case.motion, materials=MATERIALS) for name, case in cases.items()}
+    scenes = {name: Stretch(_objects(case.item), case.motion, materials=MATERIALS) for name, case in cases.items()}
     rounds, times = options.few(30, 4), options.few(40, 4)
     taken: dict[str, list[float]] = {name: [] for name in cases}
     for index in range(rounds):
@@ -435,11 +445,12 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Features",
         [
-            "`hd_render` from Python, one object, velocities given. The probe strokes 41 mm to and fro at 0.1 m/s, "
-            "pressed with 0.8 N; waving, it swings 20 mm to either side at up to 0.15 m/s, pressed with 0.56 to 1.04 "
-            "N; short strokes are of 0.64 mm. Grooves are 2 mm apart; the ringing of those that strike is in their "
-            "row. Forces are compared with the formulas at every tick of a whole stroke, of the waving one where the "
-            "surface has no memory; noise by the RMS of a minute against the law, whose own scatter is up to 1 %.",
+            "`hd_render` from Python, one object (a seam: two boxes), velocities given. The probe strokes 41 mm to and "
+            "fro at 0.1 m/s, pressed with 0.8 N; waving, it swings 20 mm to either side at up to 0.15 m/s, pressed "
+            "with 0.56 to 1.04 N; short strokes are of 0.64 mm. Grooves are 2 mm apart; the ringing of those that "
+            "strike is in their row. Forces are compared with the formulas at every tick of a whole stroke, of the "
+            "waving one where the surface has no memory; noise by the RMS of a minute against the law, whose own "
+            "scatter is up to 1 %.",
             _features(options, lambda part, what: advance(0.75 * part, what)),
             _modes(options, lambda part, what: advance(0.75 + 0.25 * part, what)),
         ],

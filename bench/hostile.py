@@ -1,6 +1,6 @@
 """A daemon under attack by members of its group, everything at once: what do a subscriber and `force off` notice of it?
 
-python -m bench.hostile [--for 3600] [--rate 10000] [--connections 2000] [--out build/hostile.md]
+python -m bench.hostile [--for 3600] [--rate 10000] [--connections 2000] [--bridge] [--out build/hostile.md]
 
 Attackers in processes of their own (`bench.attackers`)
 
@@ -14,6 +14,8 @@ Attackers in processes of their own (`bench.attackers`)
 Beside them one client reads every sample and event, and another one turns the forces off, again and again. Attackers
 yield the processors to whoever else wants them (nice 10), and daemon and clients come first if we have the right: what
 is measured is what the daemon makes of it, not how the kernel shares the processors.
+
+With `--bridge` it is a bridge that is attacked, from its network (`bench.bridged`).
 
 Asked: no fault, no sample lost, `force off` answered within 50 ms (p99.9), and memory afterwards within 32 MiB of its
 start, once scene and materials are as they were. Exit code 1 if one of them is missed. Says every ten seconds how it
@@ -32,7 +34,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -40,7 +42,7 @@ from typing import IO
 import numpy as np
 
 from bench import attackers
-from bench.daemon import Running, daemon
+from bench.daemon import daemon
 from bench.report import ROOT, Table
 from hapticd import wire
 from hapticd.client import Client, RemoteError, connect
@@ -80,22 +82,23 @@ def descriptors(process: int) -> int:
 class Watcher(threading.Thread):
     """Reads every sample, and counts faults."""
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, enter: Callable[[], Client]) -> None:
         super().__init__(daemon=True)
-        self.directory, self.samples, self.missing = directory, 0, 0
+        self._enter, self.samples, self.missing, self.dropped = enter, 0, 0, 0
         self.faults: Counter[str] = Counter()
         self.failed: Exception | None = None
         self.begun, self.stop = threading.Event(), threading.Event()
 
     def run(self) -> None:
         try:
-            with connect(self.directory, timeout_s=PATIENCE_S) as client:
+            with self._enter() as client:
                 self._read(client)
         except (HapticdError, OSError) as error:
             self.failed = error
 
     def _read(self, client: Client) -> None:
         following: int | None = None
+        dropped: int | None = None
         with client.samples() as stream, client.events() as events:
             for batch in stream:
                 first, last = int(batch["tick"][0]), int(batch["tick"][-1])
@@ -104,6 +107,8 @@ class Watcher(threading.Thread):
                 self.missing += last - first + 1 - len(batch)
                 self.samples += len(batch)
                 following = last + 1
+                dropped = batch.dropped if dropped is None else dropped
+                self.dropped = batch.dropped - dropped
                 self.begun.set()
                 while (event := events.receive(0)) is not None:
                     if event["event"] == "fault":
@@ -147,15 +152,13 @@ class Attacker:
 
 
 @contextlib.contextmanager
-def attacked(directory: Path, connections: int, nice: int) -> Iterator[list[Attacker]]:
-    """All attackers, until the context ends; then they are killed."""
+def attacked(those: Iterable[tuple[str, Sequence[str]]], nice: int) -> Iterator[list[Attacker]]:
+    """All attackers, each by its kind and what follows `python -m`, until the context ends; then they are killed."""
     with contextlib.ExitStack() as stack:
         found: list[Attacker] = []
-        kinds = ["connections"] * -(-connections // attackers.CONNECTIONS) + ["fuzz", "long", *attackers.ATTACKS]
-        for kind in kinds:
+        for kind, words in those:
             output = stack.enter_context(tempfile.TemporaryFile())
-            command = [sys.executable, "-m", "bench.attackers", kind, str(directory)]
-            process = subprocess.Popen(command, cwd=ROOT, stdout=output, stderr=output)
+            process = subprocess.Popen([sys.executable, "-m", *words], cwd=ROOT, stdout=output, stderr=output)
             with contextlib.suppress(PermissionError):
                 os.setpriority(os.PRIO_PROCESS, process.pid, nice)
             found.append(Attacker(kind, process, output))
@@ -164,13 +167,23 @@ def attacked(directory: Path, connections: int, nice: int) -> Iterator[list[Atta
         yield found
 
 
+def members(directory: Path, connections: int) -> list[tuple[str, Sequence[str]]]:
+    """The attackers of a daemon's sockets."""
+    kinds = ["connections"] * -(-connections // attackers.CONNECTIONS) + ["fuzz", "long", *attackers.ATTACKS]
+    return [(kind, ("bench.attackers", kind, str(directory))) for kind in kinds]
+
+
 @dataclass(slots=True)
 class Found:
     """What came of it."""
 
+    who: str = "the daemon"
+    """Whose memory, descriptors and processor it is."""
     seconds: float = 0.0
     samples: int = 0
     missing: int = 0
+    dropped: int = 0
+    """Of those that are missing, in the daemon's ring: its publisher got no processor."""
     faults: Counter[str] = field(default_factory=Counter)
     took_ms: dict[str, list[float]] = field(default_factory=lambda: {"before": [], "under attack": []})
     memory_mib: list[float] = field(default_factory=list)
@@ -180,6 +193,10 @@ class Found:
     """How long the daemon had one, and how long it waited for one."""
     done: dict[str, Done] = field(default_factory=dict)
     """What the attackers of each kind did."""
+    newcomers_s: list[float] | None = None
+    """How long clients took to come in under attack; None: that was not asked."""
+    idle: list[str] = field(default_factory=list)
+    """Attackers that did nothing: whatever they try was not tried."""
     problems: list[str] = field(default_factory=list)
     """What else was not as it should be."""
 
@@ -190,23 +207,31 @@ class Found:
     def kept(self) -> bool:
         """Whether nothing failed, whatever the time it took."""
         ran_s, waited_s = self.processor_s
-        # Where others hold the processors, nobody can serve commands.
-        bad = self.faults.keys() - ({"control"} if waited_s > ran_s else set())
-        return not bad and not self.missing and not self.problems and bool(self.took_ms["under attack"])
+        # Where others hold the processors, nobody can serve commands, and not all attackers come to attack.
+        starved = waited_s > ran_s
+        bad = self.faults.keys() - ({"control"} if starved else set()) or (self.idle and not starved)
+        entered = self.newcomers_s is None or bool(self.newcomers_s)
+        return not bad and not self.missing and not self.problems and entered and bool(self.took_ms["under attack"])
 
     def held(self) -> bool:
         """Whether all that is asked was found."""
         start, _, after = self.memory_mib
-        return self.kept() and not self.faults and self.late_ms() <= ASKED_MS and after - start <= ASKED_MIB
+        return (
+            self.kept()
+            and not self.faults
+            and not self.idle
+            and self.late_ms() <= ASKED_MS
+            and after - start <= ASKED_MIB
+        )
 
     def count(self, those: list[Attacker]) -> None:
-        """Adds up what attackers did. One that did nothing is a problem: whatever it tries was not tried."""
+        """Adds up what attackers did, and finds those that did nothing."""
         for each in those:
             done, before = each.done(), self.done.get(each.kind)
             if each.process.poll() is not None:
                 self.problems.append(f"{each.kind} ended: {each.told()}")
             elif not done.count:
-                self.problems.append(f"{each.kind} did nothing: {done}")
+                self.idle.append(f"{each.kind} did nothing: {done}")
             if before is not None:
                 what = done.what if done.count else before.what
                 done = Done(before.count + done.count, what, before.processes + 1)
@@ -219,6 +244,7 @@ class Found:
             ["faults", "none", faults],
             ["samples read", "", f"{self.samples:,}"],
             ["samples lost", "0", f"{self.missing:,}"],
+            ["of them in the daemon's ring", "0", f"{self.dropped:,}"],
         ]
         for phase, times in self.took_ms.items():
             p50, p99, p999 = (f"{percentile(times, each):.2f}" for each in (50, 99, 99.9))
@@ -229,9 +255,14 @@ class Found:
         start, most, after = (f"{each:.1f}" for each in self.memory_mib)
         rows.append(["memory: start / most / afterwards, MiB", f"{ASKED_MIB:g} more", f"{start} / {most} / {after}"])
         rows.append(["descriptors at most", "", f"{self.descriptors:,}"])
-        rows.append(["the daemon had a processor / waited for one, s", "", "{:.1f} / {:.1f}".format(*self.processor_s)])
+        rows.append(
+            [f"{self.who} had a processor / waited for one, s", "", "{:.1f} / {:.1f}".format(*self.processor_s)]
+        )
+        if (came := self.newcomers_s) is not None:
+            said = f"{percentile(came, 50):.2f} / {max(came, default=np.nan):.2f}, {len(came):,} times"
+            rows.append(["a new client comes in: p50 / largest, s", "some", said])
         rows += [[f"attacker: {kind}", "some", str(done)] for kind, done in self.done.items()]
-        rows += [["problem", "none", problem] for problem in self.problems]
+        rows += [["problem", "none", problem] for problem in self.problems + self.idle]
         return Table(f"{self.seconds:.0f} s of attacks", ["what", "asked", "found"], rows)
 
 
@@ -243,8 +274,8 @@ def percentile(times: list[float], share: float) -> float:
 class Measure:
     """The client that turns the forces off, and looks at the daemon."""
 
-    def __init__(self, running: Running, watcher: Watcher, found: Found, tell: Callable[[str], None]) -> None:
-        self._pid, self._watcher, self._found, self._tell = running.pid, watcher, found, tell
+    def __init__(self, pid: int, watcher: Watcher, found: Found, tell: Callable[[str], None]) -> None:
+        self._pid, self._watcher, self._found, self._tell = pid, watcher, found, tell
 
     def phase(self, client: Client, phase: str, seconds: float, those: list[Attacker]) -> None:
         """For so long, and until all attackers have done something, but BEGIN_S longer at most.
@@ -312,7 +343,7 @@ def attack(
     found = Found()
     with daemon(rate_hz=rate_hz) as running:
         directory, pid = running.paths.directory, running.pid
-        watcher = Watcher(directory)
+        watcher = Watcher(lambda: connect(directory, timeout_s=PATIENCE_S))
         watcher.start()
         if not watcher.begun.wait(PATIENCE_S):
             raise HapticdError("there is no telemetry")
@@ -320,11 +351,11 @@ def attack(
             scene, materials = client.get_scene()["scene"], client.get_materials()["materials"]
             time.sleep(settle_s)
             found.memory_mib = [memory_mib(pid)] * 3
-            measure = Measure(running, watcher, found, tell)
+            measure = Measure(pid, watcher, found, tell)
             measure.phase(client, "before", min(60.0, seconds / 4), [])
             begin = time.monotonic()
             try:
-                with attacked(directory, connections, nice) as those:
+                with attacked(members(directory, connections), nice) as those:
                     try:
                         measure.phase(client, "under attack", seconds, those)
                     finally:
@@ -340,15 +371,19 @@ def attack(
             found.seconds = time.monotonic() - begin
             watcher.stop.set()
             watcher.join(PATIENCE_S)
-    found.samples, found.missing, found.faults = watcher.samples, watcher.missing, watcher.faults
+    found.samples, found.missing, found.dropped = watcher.samples, watcher.missing, watcher.dropped
+    found.faults = watcher.faults
     return found
 
 
-def main(seconds: float, rate_hz: float, connections: int, out: Path) -> int:
+def main(seconds: float, rate_hz: float, connections: int, out: Path, bridge: bool = False) -> int:
     """Attacks, prints and writes; the exit code."""
+    from bench import bridged
+
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)
-    found = attack(seconds, rate_hz, connections, SETTLE_S, NICE, lambda line: print(line, flush=True))
+    how = bridged.attack if bridge else attack
+    found = how(seconds, rate_hz, connections, SETTLE_S, NICE, lambda line: print(line, flush=True))
     text = found.table().markdown()
     print(text)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -362,5 +397,6 @@ if __name__ == "__main__":
     parser.add_argument("--rate", type=float, default=10_000.0, metavar="HZ")
     parser.add_argument("--connections", type=int, default=2000, metavar="COUNT")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "hostile.md", metavar="FILE")
+    parser.add_argument("--bridge", action="store_true", help="attack a bridge from its network instead")
     arguments = parser.parse_args()
-    sys.exit(main(arguments.seconds, arguments.rate, arguments.connections, arguments.out))
+    sys.exit(main(arguments.seconds, arguments.rate, arguments.connections, arguments.out, arguments.bridge))

@@ -80,16 +80,23 @@ enum hd_texture {
 };
 
 #define HD_TAP_POINTS 256
+#define HD_TUNE_POINTS 16 /* of a groove's frequency over the speed, and over the force */
+#define HD_TUNE_NODES 64  /* of its compensation over the frequency, */
+#define HD_TUNE_NODE 11   /* each of so many numbers */
 
 /* What a surface is made of. Between the points of a tap's amplitude lie straight lines, from rest, where it is 0, to
  * the first point, and beyond the last one as the line before it, never below 0. */
 struct hd_material {
-    uint32_t texture;   /* enum hd_texture */
-    uint32_t noise;     /* index in the table's noises, for HD_TEXTURE_NOISE; else 0 */
-    uint32_t heals;     /* membranes: closes again when the probe withdraws */
-    uint32_t tap_count; /* points of the tap's amplitude over the approach speed, up to HD_TAP_POINTS; 0: a slope */
-    uint32_t tap_first; /* index in the table's numbers: speeds [tap_count], m/s, rising; amplitudes [tap_count] */
-    uint32_t unused;
+    uint32_t texture;     /* enum hd_texture */
+    uint32_t noise;       /* index in the table's noises, for HD_TEXTURE_NOISE; else 0 */
+    uint32_t heals;       /* membranes: closes again when the probe withdraws */
+    uint32_t tap_count;   /* points of the tap's amplitude over the approach speed, up to HD_TAP_POINTS; 0: a slope */
+    uint32_t tap_first;   /* index in the table's numbers: speeds [tap_count], m/s, rising; amplitudes [tap_count] */
+    uint32_t tune_speeds; /* points of the groove's frequency over the speed, see hd_tune.h; 0: it is the mode's */
+    uint32_t tune_forces; /* the same over the force */
+    uint32_t tune_nodes;  /* of its compensation; 0: there is none */
+    uint32_t tune_first;  /* index in the table's numbers */
+    uint32_t tune_mutes;  /* a strike above tune_highest_rad_per_s is 0: lowered to that, 1: silent */
     double stiffness_n_per_m;
     double damping_n_s_per_m;
     double rupture_depth_m;            /* membranes; 0: never ruptures */
@@ -101,12 +108,13 @@ struct hd_material {
     double drag_n_s_per_m;            /* HD_TEXTURE_DRAG */
     double velocity_gain_per_s;       /* HD_TEXTURE_STRIKES: A = velocity gain |v_t| + force gain F_n */
     double force_gain_m_per_s2_per_n; /* the same */
-    double tap_aim[2];                /* where a tap pushes first: along n and along t, of length 1; 0, 0: along n */
-    double rupture_aim[2];            /* the same of a rupture, n on the side entered */
-    struct hd_mode tap;               /* per m/s of approach; per m/s^2 of A where tap_count is not 0 */
-    struct hd_mode second;            /* struck together with the tap, in its unit; none with a force per unit of 0 */
-    struct hd_mode rupture;           /* per rupture */
-    struct hd_mode groove;            /* per m/s^2 of A */
+    double tune_highest_rad_per_s;
+    double tap_aim[2];      /* where a tap pushes first: along n and along t, of length 1; 0, 0: along n */
+    double rupture_aim[2];  /* the same of a rupture, n on the side entered */
+    struct hd_mode tap;     /* per m/s of approach; per m/s^2 of A where tap_count is not 0 */
+    struct hd_mode second;  /* struck together with the tap, in its unit; none with a force per unit of 0 */
+    struct hd_mode rupture; /* per rupture */
+    struct hd_mode groove;  /* per m/s^2 of A */
 };
 
 #define HD_NOISE_ORDER 32 /* the highest of a filter */

@@ -16,6 +16,7 @@
 #include "hd_press.h"
 #include "hd_seam.h"
 #include "hd_skin.h"
+#include "hd_tune.h"
 #include "hd_voice.h"
 
 HD_RT static double at_least_0(double value) {
@@ -220,6 +221,10 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
     double growth = 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
         struct hd_strike *strike = &state->strikes[i];
+        if (strike->tuned != NULL) {
+            hd_tune_mode(table, strike, &state->tuned);
+            strike->mode = &state->tuned;
+        }
         const struct hd_mode *mode = strike->mode;
         strike->offload = mode->effect != 0 ? hd_offload_reserve(state, mode->effect) : 0;
         wanted += strike->units * (strike->offload != 0 ? mode->effect_force_per_unit * mode->effect_peak
@@ -230,6 +235,9 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
     const double scale = wanted <= room ? 1.0 : room > 0.0 ? room / wanted : 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
         const struct hd_strike *strike = &state->strikes[i];
+        if (strike->tuned != NULL && state->strike_count > 1) {
+            hd_tune_mode(table, strike, &state->tuned);
+        }
         if (strike->offload != 0) {
             hd_offload_strike(state, strike, scale, table->period_s);
         } else {

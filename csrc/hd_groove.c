@@ -4,6 +4,7 @@
 
 #include "hd_contact.h"
 #include "hd_skin.h"
+#include "hd_tune.h"
 #include "hd_vector.h"
 
 #define HD_PI 3.14159265358979323846
@@ -82,7 +83,7 @@ HD_RT static void strike(struct hd_walk *walk, uint32_t index, const struct hd_m
     const double amplitude = material->velocity_gain_per_s * hd_magnitude(stretch->speed_m_per_s) +
                              material->force_gain_m_per_s2_per_n * force;
     const uint32_t event = hd_state_event(state, HD_EVENT_GROOVE, walk->input->time_ns);
-    const struct hd_strike struck = {
+    struct hd_strike struck = {
         .mode = &material->groove,
         .slot = index,
         .generation = slot->generation,
@@ -102,7 +103,9 @@ HD_RT static void strike(struct hd_walk *walk, uint32_t index, const struct hd_m
         report->amplitude_m_per_s2 = amplitude;
         report->value = (double)slot->grooves;
     }
-    hd_strike_add(state, &struck);
+    if (material->tune_speeds == 0 || hd_tune_strike(walk->table, material, stretch->speed_m_per_s, force, &struck)) {
+        hd_strike_add(state, &struck);
+    }
 }
 
 /* The last groove that lies before s, where a point of the way counts as beyond a groove that it lies on, and the place

@@ -144,6 +144,8 @@ struct hd_strike {
     uint32_t bare;    /* a command's doing: the mode alone, which begins at 0, so that nothing of it comes at once */
     double touched;   /* stiffness that it meets over the mode's, of one that is compensated for it */
     double direction[2];
+    const struct hd_material *tuned; /* whose groove it is, where that has a frequency of its own; NULL: the mode's */
+    double tuned_rad_per_s;
 };
 
 /* A strike that the device plays by itself. */
@@ -230,6 +232,7 @@ struct hd_state {
     struct hd_event *events;
     struct hd_offload offloads[HD_OFFLOAD_CAPACITY];
     struct hd_reserve reserves[HD_RESERVE_CAPACITY];
+    struct hd_mode tuned; /* of the strike that is dealt with, where that has a frequency of its own */
     struct hd_mode played[HD_PLAYED_CAPACITY]; /* copies: strikes[] points to them until the tick is over */
     struct hd_velocity velocity;
     struct hd_passivity passivity;

@@ -9,6 +9,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "hd_tune.h"
+
 /* Far beyond anything felt; what keeps products and quotients of a few of them finite. */
 #define HD_LARGEST 1e9
 #define HD_SMALLEST_M 1e-9
@@ -234,7 +236,7 @@ static int material_check(const struct hd_material *material, uint32_t noise_cou
 static int parts_check(const struct hd_table *table) {
     for (uint32_t i = 0; i < table->material_count; i++) {
         if (material_check(&table->materials[i], table->noise_count, i) < 0 ||
-            tap_check(&table->materials[i], table, i) < 0) {
+            tap_check(&table->materials[i], table, i) < 0 || hd_tune_check(&table->materials[i], table, i) < 0) {
             return HD_ERR_INVALID;
         }
     }

@@ -108,6 +108,9 @@ class Lib:
     HD_PLAY_SLOT: int
     HD_KICKS: int
     HD_SIM_FORCES: int
+    HD_TUNE_NODE: int
+    HD_TUNE_NODES: int
+    HD_TUNE_POINTS: int
     HD_FAULT_NONFINITE: int
     HD_FAULT_CONTROL: int
     HD_FAULT_LEASE: int

@@ -8,7 +8,7 @@ u is held from one command to the next. The bandwidth is where a sine of force h
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +16,14 @@ from pydantic import Field
 
 from hapticd.model import Model
 
+LEAST_HZ: Final = 10.0
+MOST_HZ: Final = 5000.0
+
 
 class Actuator(Model):
     """How fast the actuator follows; without it, at once."""
 
-    bandwidth_hz: float = Field(ge=10, le=5000, description="Where a sine of force has fallen by 3 dB.")
+    bandwidth_hz: float = Field(ge=LEAST_HZ, le=MOST_HZ, description="Where a sine of force has fallen by 3 dB.")
     order: Literal[1, 2] = Field(default=1, description="Of its lag: 1 is one time constant, 2 a resonance or two.")
     damping_ratio: float = Field(
         default=math.sqrt(0.5), ge=0.1, le=2, description="Order 2: damping over that which just does not overshoot."

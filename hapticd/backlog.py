@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from typing import Final
 
 MESSAGES: Final = 400
-"""Of a topic; about three seconds of samples, states and events."""
+"""Of a topic; eight seconds of samples."""
 BYTES: Final = 10 * 1024 * 1024
 """Of a topic, the newest message not counted."""
 

@@ -31,6 +31,7 @@ from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
 from hapticd.hid.sources import expected_plan
 from hapticd.judged import Stability, judge
+from hapticd.lagging import lag_warnings
 from hapticd.materials import Material
 from hapticd.scene import Disc, field_ids
 from hapticd.stability import Loop
@@ -109,7 +110,11 @@ def check(config: Config) -> Report:
     output = output_of(config, rate_hz, link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
-    told = () if refused else (*warnings(scene.objects, materials, output), *_driven(config, loop, shown))
+    slow = () if refused else lag_warnings(shown, output)
+    # What the actuator is the cause of is told once.
+    slowed = {problem.where for problem in slow}
+    others = () if refused else (*warnings(scene.objects, materials, output), *_driven(config, loop, shown))
+    told = (*slow, *(problem for problem in others if problem.where not in slowed))
     return Report(
         output=output,
         device=device,
@@ -192,7 +197,12 @@ def _checked(name: str, material: Material, used: bool, output: Output) -> Check
         error = None
         if shown is mode and output.dynamics is not None:
             error = displayed_error(
-                mode, output.dynamics, output.carried_hz, output.compensation, output.effective_mass_kg
+                mode,
+                output.dynamics,
+                output.carried_hz,
+                output.compensation,
+                output.effective_mass_kg,
+                output.actuator,
             )
         sounds.append(Sound(use, mode.frequency_hz, None if shown is None else shown.frequency_hz, error))
     if isinstance(material.texture, Stochastic):

@@ -180,6 +180,16 @@ class _Grid:
         """What is wanted, for each of the onsets, as seen from the first tick."""
         return [self.wanted * np.exp(self.s * part * self.period_s) for part in _ONSETS]
 
+    def response(self, dynamics: Dynamics, load: Load) -> _Complex:
+        """The acceleration of the device for what is struck, weighted."""
+        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
+        device = (dynamics.mass_kg * self.s + damping) * self.s + stiffness
+        hold = (1 - np.exp(-self.s * self.period_s)) / self.s
+        if load != NOTHING:
+            device = device + load.surface(self.s, self.period_s)
+            hold = hold * load.lag(self.s)
+        return np.asarray(self.weight * (dynamics.mass_kg * self.s**2 / device * hold), np.complex128)
+
     def count(self, pole: complex, part: float) -> int:
         """Of the ticks up to five time constants, the first of them `part` of a period after the onset."""
         late_s = part * self.period_s
@@ -228,13 +238,7 @@ class _Band:
         """`attacked`: onsets are looked at anywhere between two ticks, and kicks too."""
         grid = self._grid = _grid(mode, rate_hz)
         self.wanted_norm = grid.wanted_norm
-        stiffness, damping = dynamics.grip_stiffness_n_per_m, dynamics.damping_n_s_per_m
-        device = (dynamics.mass_kg * grid.s + damping) * grid.s + stiffness
-        hold = (1 - np.exp(-grid.s * grid.period_s)) / grid.s
-        if load != NOTHING:
-            device = device + load.surface(grid.s, grid.period_s)
-            hold = hold * load.lag(grid.s)
-        response = grid.weight * (dynamics.mass_kg * grid.s**2 / device * hold)
+        response = grid.response(dynamics, load)
         self._parts = _ONSETS if attacked else _ONSETS[:1]
         self._rung: dict[tuple[complex, int], int] = {}
         spectra: list[_Complex] = []
@@ -361,6 +365,20 @@ def pole_shape(mode: Mode, dynamics: Dynamics, rate_hz: float, gain: complex, lo
     return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
 
 
+def part_shown(mode: Mode, dynamics: Dynamics, rate_hz: float, shape: Shape, load: Load = NOTHING) -> complex:
+    """How much of the waveform the handle's acceleration contains, in the band: 1 where it is all of it. `shape` begins
+    at a tick."""
+    grid = _grid(mode, rate_hz)
+    struck = np.zeros_like(grid.wanted)
+    for ringing in (shape.mode, shape.tail):
+        if ringing is not None:
+            one, other = grid.pair(ringing.pole, grid.count(ringing.pole, 0.0))
+            struck = struck + ringing.gain.real * one + ringing.gain.imag * other
+    for late, (kick, _) in zip(grid.late, shape.kicks, strict=False):
+        struck = struck + kick * late
+    return complex(np.vdot(grid.wanted, grid.response(dynamics, load) * struck)) / grid.wanted_norm**2
+
+
 @lru_cache(maxsize=4096)
 def shape_of(
     mode: Mode, dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load = NOTHING
@@ -426,3 +444,47 @@ def shapes_of(
     else:
         other = _tailed(band, mode, chosen.tail.pole)
     return (other, chosen) if own else (chosen, other)
+
+
+def tuned_shapes(
+    modes: Sequence[Mode], dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load
+) -> list[tuple[Shape, Shape]]:
+    """As shapes_of, of modes that differ in nothing but their frequency: where nothing is touched, and against `load`.
+
+    All have the poles of the same tail, or none has one, and none has kicks: so gains change steadily from one
+    frequency to the next.
+    """
+    period_s = 1 / rate_hz
+    if compensation == "mass":
+        plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
+        return [(shape, shape) for shape in plain]
+    free, touched = (
+        [_Band(mode, dynamics, rate_hz, each, [pole_of(mode), *_tails(mode, rate_hz)]) for mode in modes]
+        for each in (load.free, load)
+    )
+
+    def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
+        if way < 2:
+            return _tailed(band, mode, _tails(mode, rate_hz)[way])
+        p = pole_of(mode)
+        lag = complex(met.lag(np.array([p], np.complex128))[0])
+        gain = hold_gain(p, period_s) / lag if way == 2 else pole_gain(mode, dynamics, period_s, met)
+        return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
+
+    ways = [[designed(*pair, way, load.free) for pair in zip(free, modes, strict=True)] for way in range(4)]
+    errors = [sum(shape.error for shape in way) / len(modes) for way in ways]
+    plain_way = min((2, 3), key=lambda way: errors[way])
+    tailed_way = min((0, 1), key=lambda way: errors[way])
+    best = tailed_way if errors[tailed_way] < errors[plain_way] - WORTH else plain_way
+    others = [designed(*pair, best, load) for pair in zip(touched, modes, strict=True)]
+    return list(zip(ways[best], others, strict=True))
+
+
+def peak_between(one: Shape, other: Shape, pole: complex) -> float:
+    """The peak of what lies half way between two shapes, at the pole half way between theirs, over that of the straight
+    line between their peaks."""
+    mode = Ringing(pole, (one.mode.gain + other.mode.gain) / 2)
+    tail = None
+    if one.tail is not None and other.tail is not None:
+        tail = Ringing(one.tail.pole, (one.tail.gain + other.tail.gain) / 2)
+    return _peak(mode, tail)[0] / ((one.peak + other.peak) / 2)

@@ -19,7 +19,7 @@ import math
 import struct
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
@@ -59,9 +59,11 @@ from hapticd.displayable import (
 from hapticd.gone import Gone
 from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
-from hapticd.scene import Patch, Scene, SceneObject, Surface, Wall
+from hapticd.patches import Patch
+from hapticd.scene import Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
+from hapticd.tuning import Tuning, shapes_needed, tuning_of
 
 _RECORD = struct.Struct("=8I6d")
 if _RECORD.size != OBJECT_DTYPE.itemsize:
@@ -243,7 +245,10 @@ def material_record(
             record.texture = Texture.STRIKES
             record.velocity_gain_per_s = texture.velocity_gain_per_s
             record.force_gain_m_per_s2_per_n = texture.force_gain_m_per_s2_per_n
-            record.groove = mode_record(material.groove_mode, 1.0, 1.0, output)
+            tuning = tuning_of(material, output)
+            record.groove = mode_record(material.groove_mode if tuning is None else tuning.base, 1.0, 1.0, output)
+            if tuning is not None:
+                tuning.complete(record, 1.0 / output.rate_hz)
         elif texture.display == "geometry":
             record.texture = Texture.GEOMETRY
             record.depth_m = texture.depth_m
@@ -271,6 +276,7 @@ class _Design(NamedTuple):
         return np.concatenate((self.speeds, self.forces, self.nodes.ravel()))
 
 
+_NO_MATERIAL: Final = Material(stiffness_n_per_m=0.0)
 _SILENCE: Final = _Design(0, False, (0.0,), (0.0,), np.zeros((1, 1, 1)), True)
 
 
@@ -422,6 +428,8 @@ class _Materials:
         """Material to what its noise is made of, the version of that, and its filters."""
         self._points: dict[int, tuple[TapPoint, ...]] = {}
         """Material to the amplitudes of its tap over speed, where they are given so."""
+        self._tunings: dict[int, Tuning] = {}
+        """Material to the frequencies of its grooves, where they follow speed and force."""
         self.prepared: Mapping[_Noise, _Design] = {}
         """Designed for what is taken in now."""
         self._versions = 0
@@ -480,6 +488,7 @@ class _Materials:
         self._uses[index] -= 1
         if self._uses[index] == 0:
             del self._index[self._names[index]]
+            self._known[index] = _NO_MATERIAL  # one of 400 models would be kept
             self._places.give(index)
             self._silence(index)
             self._let_go(index)
@@ -502,6 +511,10 @@ class _Materials:
         if material.tap is not None and material.tap.amplitudes is not None:
             self._points[index] = material.tap.amplitudes
             self._numbers_changed = True
+        tuning = tuning_of(material, self.output)
+        if tuning is not None:
+            self._tunings[index] = tuning
+            self._numbers_changed = True
         self.working()
         effects = {mode: self._effects.take(mode) for mode in _struck(material)}
         self._struck[index] = tuple(effects)
@@ -510,6 +523,7 @@ class _Materials:
 
     def _let_go(self, index: int) -> None:
         self._numbers_changed |= self._points.pop(index, None) is not None
+        self._numbers_changed |= self._tunings.pop(index, None) is not None
         for mode in self._struck.pop(index, ()):
             self._effects.give(mode)
 
@@ -539,7 +553,7 @@ class _Materials:
         new = isinstance(texture, Stochastic | Autoregressive) and (known is None or known.texture != texture)
         if not new or _designs.find(cast(_Noise, texture), self.output) is not None:
             texture = None
-        shapes = 0 if self.output.compensation == "off" else len(modes_of(material))
+        shapes = 0 if self.output.compensation == "off" else len(modes_of(material)) + shapes_needed(material)
         noise = cast("_Noise | None", texture)
         return noise, shapes + (0 if noise is None else _filters(noise))
 
@@ -592,6 +606,10 @@ class _Materials:
             material = self._rows.pointer[index]
             material.tap_count, material.tap_first = len(points), first
             numbers.append(np.array(points).T.ravel())
+            first += len(numbers[-1])
+        for index, tuning in self._tunings.items():
+            self._rows.pointer[index].tune_first = first
+            numbers.append(tuning.numbers())
             first += len(numbers[-1])
         self._numbers = np.concatenate(numbers) if numbers else np.zeros(0)
 
@@ -666,7 +684,7 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
 class _Pieces(NamedTuple):
     """What a wall with patches is made of."""
 
-    patches: tuple[Patch, ...]
+    patches: Sequence[Patch]
     of: tuple[str, float]
     """The material between them, and the ramp."""
     rows: npt.NDArray[np.void]

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Final, NamedTuple, cast
 
 from pydantic import Field, ValidationError
 
-from hapticd import clock, words
+from hapticd import apart, clock, words
 from hapticd._version import __version__
 from hapticd.config import Config
 from hapticd.core import Fault
@@ -293,6 +293,8 @@ class Control:
             raise MethodError(Code.RING_FULL, str(error)) from None
         except WaitTimeoutError as error:
             raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
+        except apart.ApartError as error:
+            raise MethodError(Code.INTERNAL, f"{error}; nothing of this was done: send it again") from None
 
     def status(self) -> dict[str, object]:
         """The result of get_status, and the body of the status topic."""
@@ -561,9 +563,12 @@ class Control:
         take longer than the servo waits. Raises HapticdError."""
         found: list[Config | BaseException] = []
 
+        computed = apart.used()
+
         def read() -> None:
             try:
-                found.append(load())
+                with apart.using(computed):
+                    found.append(load())
             except BaseException as error:
                 found.append(error)
 

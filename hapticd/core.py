@@ -37,6 +37,7 @@ __all__ = [
     "SAMPLE_DTYPE",
     "SIM_FORCES",
     "TABLE_DTYPE",
+    "TUNE_NODE",
     "CData",
     "ClockSource",
     "CommandKind",
@@ -125,6 +126,8 @@ MARKS: int = lib.HD_MARKS
 """So many marks may be under way to the servo and back: their events find room."""
 KICKS: int = lib.HD_KICKS
 """So many samples of a strike may be corrected one by one."""
+TUNE_NODE: int = lib.HD_TUNE_NODE
+"""So many numbers say what compensation makes of a frequency: enum hd_tune_number in csrc/hd_tune.h."""
 SIM_FORCES: int = lib.HD_SIM_FORCES
 """So many frames a force may be under way to the simulated joystick."""
 

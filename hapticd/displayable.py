@@ -20,7 +20,8 @@ from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.model import MAX_FAULTS
 from hapticd.noise import power_above, reflection_of, resampled, stochastic_filter
-from hapticd.scene import TOUCHING_M, Patches, SceneObject, Wall, patches_of, used_materials
+from hapticd.patches import TOUCHING_M, Patches, patches_of
+from hapticd.scene import SceneObject, Wall, used_materials
 from hapticd.texture import Autoregressive, Grooves, Stochastic
 
 DISPLAYABLE: Final = 0.4
@@ -155,9 +156,15 @@ def modes_of(material: Material) -> list[tuple[Use, Mode]]:
         ("tap", None if material.tap is None else material.tap.mode),
         ("second", None if material.tap is None or material.tap.second is None else material.tap.second.mode),
         ("rupture", None if material.rupture is None else material.rupture.mode),
-        ("groove", material.groove_mode),
+        *(("groove", mode) for mode in material.groove_modes),
     )
     return [(use, mode) for use, mode in modes if mode is not None]
+
+
+def mode_path(use: Use) -> Path:
+    """Where a mode stands in its material."""
+    keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
+    return keys.get(use, (use,))
 
 
 def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Undisplayable]:
@@ -242,13 +249,11 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
         shapes = None if shown is None else struck_shapes(shown, output, touched)
         shape = None if shapes is None else shapes[touched.own]
         if shape is not None and shape.limited:
-            keys: dict[Use, Path] = {"groove": ("texture",), "second": ("tap", "second")}
-            key = keys.get(use, (use,))
             problem = (
                 f"needs more than {LARGEST:g} times the force that its amplitude is worth on this device, and is given "
                 f"that; its acceleration is off by {100 * shape.error:.2g} %"
             )
-            yield Problem(path_text(("materials", name, *key)), problem)
+            yield Problem(path_text(("materials", name, *mode_path(use))), problem)
 
 
 def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:
@@ -343,11 +348,11 @@ def _narrow(patches: Patches, ramp_m: float) -> Iterator[tuple[int, str]]:
     narrow = f"patch_ramp_m, {ramp_m:g}; the ramps between are narrowed"
     before: int | None = None
     for index in patches.order:
-        patch = patches[index]
+        from_m, to_m = patches.begins_m[index], patches.ends_m[index]
         if before is not None:
-            gap = patch.from_m - patches[before].to_m
+            gap = from_m - patches.ends_m[before]
             if TOUCHING_M < gap < ramp_m - TOUCHING_M:
                 yield index, f"is {gap:.4g} from patches[{before}], nearer than {narrow}"
-        if patch.to_m - patch.from_m < ramp_m - TOUCHING_M:
-            yield index, f"is {patch.to_m - patch.from_m:.4g} wide, narrower than {narrow}"
+        if to_m - from_m < ramp_m - TOUCHING_M:
+            yield index, f"is {to_m - from_m:.4g} wide, narrower than {narrow}"
         before = index

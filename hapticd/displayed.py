@@ -17,7 +17,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.compensation import HIGH, LOW_HZ, Compensation, pole_of, pole_shape, shape_of
+from hapticd.actuator import Actuator
+from hapticd.compensation import HIGH, LOW_HZ, Compensation, Load, pole_of, pole_shape, shape_of
 from hapticd.dynamics import Dynamics, held_motion
 from hapticd.mode import Mode
 
@@ -102,14 +103,17 @@ def displayed_error(
     rate_hz: float,
     compensation: Compensation,
     effective_mass_kg: float | None = None,
+    actuator: Actuator | None = None,
 ) -> float:
     """Displayed error of a strike that begins at a tick; 0.1 is 10 %.
 
     `mode` is one that the rate carries, as it is displayed (hapticd.displayable.displayed_mode). `rate_hz` is how often
     the force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` counts where
-    compensation is off; by default it is that of handle and hand. The spectra are closed forms (hapticd.compensation).
+    compensation is off; by default it is that of handle and hand. `actuator` is what every force goes by. The spectra
+    are closed forms (hapticd.compensation).
     """
+    load = Load(actuator=actuator)
     if compensation != "off":
-        return shape_of(mode, dynamics, rate_hz, compensation).error
+        return shape_of(mode, dynamics, rate_hz, compensation, load).error
     mass = dynamics.mass_kg if effective_mass_kg is None else effective_mass_kg
-    return pole_shape(mode, dynamics, rate_hz, complex(mass / dynamics.mass_kg)).error
+    return pole_shape(mode, dynamics, rate_hz, complex(mass / dynamics.mass_kg), load).error

@@ -73,6 +73,11 @@ _KEYS: Final[dict[Kind, tuple[str, ...]]] = {
     "bridge": BRIDGE,
 }
 
+_KEY_ABOVE: Final[dict[Kind, tuple[str, Kind]]] = {
+    "objects": ("objects", "bare scene"),
+    "bare materials": ("materials", "materials"),
+}
+"""The key that these lack, and what they are below it."""
 _SECTIONS: Final = frozenset(key for keys in _KEYS.values() for key in keys)
 PATCHES: Final[dict[str, tuple[Kind, ...]]] = {
     "objects": ("scene", "bare scene", "objects"),
@@ -121,7 +126,10 @@ def refuse_other_kinds(document: Document, *taken: Kind, takers: Mapping[Kind, s
     """
     kind = kind_of(document.data)
     if kind is not None and kind not in taken:
-        raise InvalidError([Problem(_name(document), _other(kind, document.name, takers))])
+        told = _other(kind, document.name, takers)
+        key, whole = _KEY_ABOVE.get(kind, ("", kind))
+        told += f"; or put them below `{key}:`" if whole in taken else ""
+        raise InvalidError([Problem(_name(document), told)])
 
 
 def refuse_documents(path: str | os.PathLike[str]) -> None:

@@ -1,7 +1,7 @@
 """Takes in what takes long, beside the thread that serves commands: one request at a time, with its progress.
 
-A thread, not a process: what is taken in is shared with the servo's tables, and neither the filters of many textures
-nor pydantic's validation holds the interpreter's lock for longer than docs/adr/0025 says.
+A thread, not a process: what is taken in is shared with the servo's tables (docs/adr/0025). The filters of many
+textures are designed by a process that ends with the change (apart.py).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Callable
 from time import monotonic_ns
 from typing import Final
 
+from hapticd import apart
 from hapticd.errors import HapticdError
 
 END_S: Final = 2.0
@@ -67,7 +68,8 @@ class Intake:
             collects = gc.isenabled()
             gc.disable()
             try:
-                self._finished.append(do(work))
+                with apart.beside(work.step):
+                    self._finished.append(do(work))
             finally:
                 if collects:
                     gc.enable()

@@ -30,7 +30,19 @@ from hapticd.mode import Attack as Attack
 from hapticd.mode import Mode as Mode
 from hapticd.mode import ModeKeys as ModeKeys
 from hapticd.mode import one_of
-from hapticd.model import AT_ONCE, Damping, Model, Name, Stiffness, faults_of, in_parts, problems_of, refuse_many_keys
+from hapticd.model import (
+    AT_ONCE,
+    MOST_MEMBERS,
+    Damping,
+    Model,
+    Name,
+    Stiffness,
+    faults_of,
+    in_parts,
+    members,
+    problems_of,
+    refuse_many_keys,
+)
 from hapticd.texture import Grooves, Texture
 from hapticd.yaml_source import Document, load_bytes
 
@@ -224,7 +236,7 @@ class Material(Model):
     @field_validator("texture", mode="after")
     @classmethod
     def _has_a_mode(cls, texture: Texture | None, info: ValidationInfo) -> Texture | None:
-        if not isinstance(texture, Grooves) or texture.display != "vibration" or texture.own_mode is not None:
+        if not isinstance(texture, Grooves) or texture.display != "vibration" or texture.own_modes:
             return texture
         # A tap that is itself faulty is not in `data`; then its own fault is enough.
         if info.data.get("tap", True) is None:
@@ -234,15 +246,29 @@ class Material(Model):
         return texture
 
     @property
-    def groove_mode(self) -> Mode | None:
-        """What a groove displayed as vibration rings with: the texture's own mode or the tap's; else None."""
+    def groove_modes(self) -> tuple[Mode, ...]:
+        """What a groove displayed as vibration rings with: the texture's own mode, of a table of frequencies that of
+        the lowest and that of the highest, or the tap's; else nothing."""
         if not isinstance(self.texture, Grooves) or self.texture.display != "vibration":
-            return None
-        own = self.texture.own_mode
-        if own is not None:
+            return ()
+        own = self.texture.own_modes
+        if own:
             return own
         assert self.tap is not None
-        return self.tap.mode
+        return (self.tap.mode,)
+
+    @property
+    def groove_mode(self) -> Mode | None:
+        """The first of groove_modes; None where there is none."""
+        return next(iter(self.groove_modes), None)
+
+    def groove_mode_at(self, speed_m_per_s: float, force_n: float) -> Mode | None:
+        """What a groove that is passed with this tangential speed and normal force rings with."""
+        mode = self.groove_mode
+        if mode is None or not isinstance(self.texture, Grooves) or self.texture.frequency_table is None:
+            return mode
+        frequency_hz = self.texture.frequency_table.at(speed_m_per_s, force_n)
+        return Mode(mode.decay_rate_per_s, 2 * math.pi * frequency_hz)
 
 
 class _Library(Model):
@@ -263,7 +289,7 @@ def validate_materials(data: object, root: Path = (), working: Callable[[], None
             return parse({"materials": data}).materials
         for name, material in data.items():
             refuse_many_keys(material, (*root, "materials", name))
-        if len(data) <= AT_ONCE:
+        if len(data) <= AT_ONCE and members(data) <= MOST_MEMBERS:
             return parse({"materials": data}).materials
         return in_parts(
             data, lambda part: parse({"materials": part}).materials, root, "materials", working or (lambda: None)

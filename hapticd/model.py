@@ -8,7 +8,6 @@ nonsense; they are far outside what a hand can feel.
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import islice
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
@@ -23,6 +22,9 @@ T = TypeVar("T")
 NAME_MAX_CHARACTERS = 64
 AT_ONCE: Final = 256
 """Larger mappings are validated so many entries at a time: each call of pydantic's holds the interpreter's lock."""
+MOST_MEMBERS: Final = 2048
+"""So many members of mappings and lists, at any depth, end such a part: each may be a fault, and to tell them is one
+call, too."""
 MOST_KEYS: Final = 1000
 """No mapping of known keys has more."""
 MAX_FAULTS = 200
@@ -133,26 +135,51 @@ def in_parts(
     name: str,
     working: Callable[[], None],
 ) -> dict[str, T]:
-    """What `parse` makes of a large mapping, which stands below `root` as `name`: AT_ONCE entries at a time, so that
-    others can go on between them.
+    """What `parse` makes of a large mapping, which stands below `root` as `name`: AT_ONCE entries at a time, or fewer
+    with MOST_MEMBERS, so that others can go on between them.
 
     Raises InvalidError; after MAX_FAULTS the rest is not looked at.
     """
     found: dict[str, T] = {}
     problems: list[Problem] = []
-    entries = iter(given.items())
-    while part := dict(islice(entries, AT_ONCE)):
+    for part in _parts(given):
+        if len(problems) >= MAX_FAULTS:
+            problems.append(Problem(path_text((*root, name)), "the rest was not looked at"))
+            break
         working()
         try:
             found |= parse(part)
         except ValidationError as error:
             problems += problems_of(error, root)
-        if len(problems) >= MAX_FAULTS:
-            problems.append(Problem(path_text((*root, name)), "the rest was not looked at"))
-            break
     if problems:
         raise InvalidError(problems)
     return found
+
+
+def _parts(given: Mapping[str, object]) -> Iterator[dict[str, object]]:
+    part: dict[str, object] = {}
+    count = 0
+    for name, value in given.items():
+        part[name] = value
+        count += members(value)
+        if len(part) == AT_ONCE or count >= MOST_MEMBERS:
+            yield part
+            part, count = {}, 0
+    if part:
+        yield part
+
+
+def members(data: object) -> int:
+    """How many members the mappings and lists of plain data have, at any depth."""
+    count, level = 0, [data]
+    for _ in range(MAX_DEPTH):
+        below: list[object] = []
+        for value in level:
+            inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+            count += len(inner)
+            below += [each for each in inner if isinstance(each, dict | list)]
+        level = below
+    return count
 
 
 def refuse_many_keys(data: object, path: Path) -> None:

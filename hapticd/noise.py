@@ -26,6 +26,8 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.apart import apart
+
 Array: TypeAlias = npt.NDArray[np.float64]
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
 Reflection: TypeAlias = tuple[float, ...]
@@ -187,6 +189,7 @@ def _measured(reflection: Reflection, taps: tuple[float, ...] | None) -> tuple[f
 # ---- Coefficients and reflection -----------------------------------------------------------------------------
 
 
+@apart
 def pole_radius(coefficients: Sequence[float]) -> float:
     """The largest magnitude of a pole of 1/(1 + sum a_i z^-i), from a_1 .. a_p; 0 without poles.
 
@@ -253,6 +256,7 @@ def reflection_of(coefficients: Sequence[float]) -> Reflection:
 
 
 @lru_cache(maxsize=1024)
+@apart
 def _reflection_of(coefficients: tuple[float, ...]) -> Reflection:
     with localcontext(_EXACT):
         stages, _ = _step_down([Decimal(1), *map(Decimal, coefficients)])
@@ -331,6 +335,7 @@ def _realised(poles: Sequence[complex], zeros: Sequence[complex]) -> tuple[Refle
 
 
 @lru_cache(maxsize=4096)
+@apart
 def stochastic_filter(peak_hz: float, mean_hz: float, rate_hz: float) -> Filter:
     """The noise whose density is largest at `peak_hz` and whose power centroid from 0 to rate/2 is `mean_hz`.
 
@@ -530,6 +535,7 @@ def resampled(reflection: Sequence[float], from_rate_hz: float, to_rate_hz: floa
 
 
 @lru_cache(maxsize=1024)
+@apart
 def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
     # Angles of the new rate, as far as the band goes; poles are where the model has them.
     poles = _poles(model)

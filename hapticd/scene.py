@@ -6,10 +6,9 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 import math
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from types import MappingProxyType
-from typing import Annotated, Final, Literal, NamedTuple, Self, TypeAlias, get_args
+from typing import Annotated, Final, Literal, NamedTuple, TypeAlias, get_args
 
-from pydantic import AfterValidator, BeforeValidator, Field, Strict, ValidationError, model_validator
+from pydantic import AfterValidator, Field, Strict, ValidationError
 
 from hapticd import arguments
 from hapticd.document_kinds import refuse_other_keys, refuse_other_kinds
@@ -17,6 +16,7 @@ from hapticd.errors import InvalidError, Path, Problem, known_names, path_text, 
 from hapticd.model import (
     AT_ONCE,
     MAX_FAULTS,
+    MOST_MEMBERS,
     Damping,
     Model,
     Name,
@@ -24,25 +24,19 @@ from hapticd.model import (
     Stiffness,
     faults_of,
     in_parts,
+    members,
     plain,
     problems_of,
     refuse_many_keys,
 )
+from hapticd.patches import TOUCHING_M, GivenPatches, patches_of
 from hapticd.yaml_source import Document, Json, load_path
 
 MAX_OBJECTS: Final = 2**20
 """Address room; memory follows what is used."""
-MAX_PATCHES: Final = 2**16
-"""Of a wall; address room too."""
-MIN_PATCH_M: Final = 1e-5
-"""Patches, and the gaps between them, are at least this wide."""
-TOUCHING_M: Final = 1e-9
-"""Patches whose edges are as near as this touch: 0.1 + 0.2 is not 0.3."""
 MIN_NORMAL_LENGTH = 1e-9
 MAX_NORMAL_COMPONENT = 1e9
 _ROUNDING: Final = 4 * 2.0**-52
-_ROUNDING_OF_WIDTHS: Final = 1e-6
-_SHOWN_OVERLAPS: Final = 5
 
 
 def _unit(vector: tuple[float, float]) -> tuple[float, float]:
@@ -56,95 +50,10 @@ def _unit(vector: tuple[float, float]) -> tuple[float, float]:
 
 NormalComponent: TypeAlias = Annotated[float, Field(ge=-MAX_NORMAL_COMPONENT, le=MAX_NORMAL_COMPONENT)]
 Normal: TypeAlias = Annotated[tuple[NormalComponent, NormalComponent], Strict(False), AfterValidator(_unit)]
-PatchEdge: TypeAlias = Annotated[float, Field(ge=-20, le=20)]
 Side: TypeAlias = Annotated[float, Field(ge=1e-4, le=20)]
 Size: TypeAlias = Annotated[tuple[Side, Side], Strict(False)]
 ForceComponent: TypeAlias = Annotated[float, Field(ge=-100, le=100)]
 ForceVector: TypeAlias = Annotated[tuple[ForceComponent, ForceComponent], Strict(False)]
-
-
-class Patch(Model):
-    """A stretch of a wall that is of another material."""
-
-    from_m: PatchEdge = Field(
-        description="Where it begins, from the wall's point in the direction (n_y, -n_x): to the right on a floor."
-    )
-    to_m: PatchEdge = Field(description="Where it ends, in the same direction; more than where it begins.")
-    material: Name = Field(description="Name of a material.")
-
-    @model_validator(mode="after")
-    def _is_wide_enough(self) -> Self:
-        if self.to_m - self.from_m < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
-            raise ValueError(
-                f"to_m must be more than from_m by at least {MIN_PATCH_M:g}, is {self.to_m:.15g} and {self.from_m:.15g}"
-            )
-        return self
-
-
-class Patches(tuple[Patch, ...]):
-    """Patches that were looked at as a whole; what follows from them is found once, and kept with them."""
-
-    order: tuple[int, ...]
-    """Their indices, in rising order along the wall."""
-    first: Mapping[str, int]
-    """Their materials, and the index of the first patch of each."""
-    narrow: tuple[float, list[tuple[int, str]]] | None
-    """A ramp, and what is too narrow for it (displayable.patch_warnings)."""
-
-    def __new__(cls, patches: Iterable[Patch] = ()) -> Self:
-        made = super().__new__(cls, patches)
-        made.order = tuple(sorted(range(len(made)), key=lambda index: made[index].from_m))
-        first: dict[str, int] = {}
-        for index, patch in enumerate(made):
-            first.setdefault(patch.material, index)
-        made.first, made.narrow = MappingProxyType(first), None
-        return made
-
-    def __reduce__(self) -> tuple[type[Self], tuple[tuple[Patch, ...]]]:
-        return type(self), (tuple(self),)
-
-
-def _apart(given: tuple[Patch, ...]) -> tuple[Patch, ...]:
-    """Refuses patches that overlap, or leave gaps that nobody means."""
-    faults = []
-    patches = patches_of(given)
-    order = patches.order
-    farthest = order[0] if order else 0
-    for index in order[1:]:
-        gap = patches[index].from_m - patches[farthest].to_m
-        names = f"[{min(farthest, index)}] and [{max(farthest, index)}]"
-        if gap < -TOUCHING_M:
-            faults.append(f"{names} overlap")
-        elif TOUCHING_M < gap < MIN_PATCH_M * (1 - _ROUNDING_OF_WIDTHS):
-            faults.append(f"{names} leave a gap of {gap:.3g} m: they touch, or are at least {MIN_PATCH_M:g} m apart")
-        if patches[index].to_m > patches[farthest].to_m:
-            farthest = index
-    if faults:
-        more = len(faults) - _SHOWN_OVERLAPS
-        raise ValueError("; ".join(faults[:_SHOWN_OVERLAPS]) + (f"; and {more} more" if more > 0 else ""))
-    return patches
-
-
-def _one_by_one(given: object) -> object:
-    """Thousands of patches, each validated by itself: nobody waits for all of them, or reads the faults of all."""
-    if not isinstance(given, list) or not AT_ONCE < len(given) <= MAX_PATCHES:
-        return given
-    found: list[object] = []
-    faulty = 0
-    for patch in given:
-        try:
-            found.append(Patch.parsed(patch))
-        except ValidationError:
-            found.append(patch)
-            faulty += 1
-            if faulty == MAX_FAULTS:
-                break
-    return found
-
-
-def patches_of(given: tuple[Patch, ...]) -> Patches:
-    """The patches of a wall, as they were kept if they were validated."""
-    return given if isinstance(given, Patches) else Patches(given)
 
 
 class Piece(NamedTuple):
@@ -162,9 +71,7 @@ class Wall(Model):
     point_m: Position = Field(description="A point of the surface, [x, y].")
     normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
     material: Name = Field(description="Name of a material.")
-    patches: Annotated[tuple[Patch, ...], Strict(False), AfterValidator(_apart), BeforeValidator(_one_by_one)] = Field(
-        default=(), max_length=MAX_PATCHES, description="Stretches of other materials; they do not overlap."
-    )
+    patches: GivenPatches = Field(default=(), description="Stretches of other materials; they do not overlap.")
     patch_ramp_m: float = Field(
         default=0.001, ge=1e-5, le=1, description="Over which one material goes over into the next, across the edge."
     )
@@ -176,12 +83,14 @@ class Wall(Model):
     def stretches(self) -> tuple[list[float], list[str]]:
         """As `pieces`: where they begin, and their materials."""
         begins, materials = [-math.inf], [self.material]
-        for patch in (self.patches[index] for index in patches_of(self.patches).order):
-            if patch.from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
+        patches = patches_of(self.patches)
+        for index in patches.order:
+            from_m = patches.begins_m[index]
+            if from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
                 begins.pop()
                 materials.pop()
-            begins += patch.from_m, patch.to_m
-            materials += patch.material, self.material
+            begins += from_m, patches.ends_m[index]
+            materials += patches.material(index), self.material
         return begins, materials
 
 
@@ -253,7 +162,8 @@ def materials_of(item: SceneObject) -> tuple[str, ...]:
     """Names of the materials that an object is made of: its own first, then its patches'; none for a field."""
     # By kind: isinstance of a pydantic model that an object is not takes longer than all the rest.
     if item.kind == "wall" and item.patches:
-        return (item.material, *(patch.material for patch in item.patches))
+        patches = patches_of(item.patches)
+        return (item.material, *map(patches.material, range(len(patches))))
     if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
         return ()
     return (item.material,)
@@ -372,13 +282,27 @@ def validate_scene(data: object, root: Path = (), working: Callable[[], None] = 
         if isinstance(given, dict) and len(given) <= MAX_OBJECTS:
             for id, item in given.items():
                 refuse_many_keys(item, (*root, "objects", id))
-            if len(given) > AT_ONCE:
-                scene = Scene.parsed(rest)
-                objects = in_parts(given, _objects, root, "objects", working)
-                return scene.with_objects(dict(objects))
+            if len(given) > AT_ONCE or members(given) > MOST_MEMBERS:
+                return _large(rest, given, root, working)
         return Scene.parsed(data)
     except ValidationError as error:
         raise InvalidError(problems_of(error, root)) from None
+
+
+def _large(rest: dict[str, object], given: Mapping[str, object], root: Path, working: Callable[[], None]) -> Scene:
+    problems: list[Problem] = []
+    scene, objects = Scene(), dict[str, SceneObject]()
+    try:
+        scene = Scene.parsed(rest)
+    except ValidationError as error:
+        problems += problems_of(error, root)
+    try:
+        objects = in_parts(given, _objects, root, "objects", working)
+    except InvalidError as error:
+        problems += error.problems
+    if problems:
+        raise InvalidError(problems)
+    return scene.with_objects(objects)
 
 
 def _objects(part: dict[str, object]) -> dict[str, SceneObject]:

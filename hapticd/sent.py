@@ -4,19 +4,20 @@ faulty, too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
 from hapticd.errors import InvalidError, Path, Problem, known_names, path_text
 from hapticd.materials import MAX_MATERIALS, Material, Materials, shipped_materials, validate_materials
 from hapticd.merge_patch import merge_patch
 from hapticd.model import MAX_FAULTS
-from hapticd.scene import MAX_OBJECTS, Patch, Scene, SceneObject, validate_object, validate_scene
+from hapticd.patches import Patch
+from hapticd.scene import MAX_OBJECTS, Scene, SceneObject, validate_object, validate_scene
 
 _Working = Callable[[], None]
 
 
-def _kept_patches(before: SceneObject | None, patch: object) -> tuple[Patch, ...] | None:
+def _kept_patches(before: SceneObject | None, patch: object) -> Sequence[Patch] | None:
     """The patches of a wall that a merge patch says nothing of; None where there are none, or it does."""
     if before is None or before.kind != "wall" or not isinstance(patch, dict):
         return None

@@ -6,7 +6,10 @@ the peak and the mean of its spectrum (`stochastic`) or by models identified fro
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
 from pydantic import (
@@ -15,6 +18,7 @@ from pydantic import (
     Field,
     SerializerFunctionWrapHandler,
     Strict,
+    ValidationError,
     ValidationInfo,
     model_serializer,
     model_validator,
@@ -23,12 +27,13 @@ from pydantic.config import JsonDict
 
 from hapticd.direction import Direction
 from hapticd.mode import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
-from hapticd.model import Damping, Model
+from hapticd.model import MAX_FAULTS, Damping, Model
 
 MAX_ORDER: Final = 32
 MAX_MODELS: Final = 400
 MAX_DISTINCT: Final = 256
 """Different speeds, and different forces, of the models of a texture."""
+_FEW_MODELS: Final = 8
 MAX_SEED: Final = 2**53
 MAX_RMS_M_PER_S2: Final = 1e6
 
@@ -38,10 +43,16 @@ Threshold: TypeAlias = Annotated[float, Field(ge=1e-5, le=1)]
 Seed: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SEED)]
 Coefficient: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
 
+MAX_FREQUENCIES: Final = 16
+"""HD_TUNE_POINTS."""
+MIN_STEP: Final = 1e-6
+"""Between two speeds (m/s), and between two forces (N), of a table of frequencies."""
+
 _MODE_KEYS: Final = tuple(ModeKeys.model_fields)
+_ONE_FREQUENCY: Final = ("frequency_hz", "angular_frequency_rad_per_s")
 _GAINS: Final = ("velocity_gain_per_s", "force_gain_m_per_s2_per_n")
 _KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
-    "vibration": (*_GAINS, *_MODE_KEYS),
+    "vibration": (*_GAINS, *_MODE_KEYS, "frequency_table"),
     "geometry": ("depth_m",),
     "damping": ("damping_n_s_per_m",),
 }
@@ -51,11 +62,86 @@ def _needs(display: str, key: str) -> JsonDict:
     return {"if": {"properties": {"display": {"const": display}}}, "then": {"required": [key]}}
 
 
+class FrequencyTable(Model):
+    """The frequency of a groove's strikes over tangential speed and normal force."""
+
+    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_FREQUENCIES, description="Tangential speeds, rising."
+    )
+    forces_n: Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_FREQUENCIES, description="Normal forces, rising."
+    )
+    frequencies_hz: Annotated[
+        tuple[Annotated[tuple[Frequency, ...], Strict(False), Field(min_length=1, max_length=MAX_FREQUENCIES)], ...],
+        Strict(False),
+    ] = Field(
+        min_length=1, max_length=MAX_FREQUENCIES, description="A list for each speed: a frequency for each force."
+    )
+
+    def _cross_faults(self) -> list[str]:
+        faults = []
+        for key in ("speeds_m_per_s", "forces_n"):
+            for index, (before, value) in enumerate(pairwise(getattr(self, key))):
+                if value < before + MIN_STEP:
+                    faults.append(
+                        f"{key}[{index + 1}] must be at least {MIN_STEP:g} above the one before, {before:.15g}, "
+                        f"is {value:.15g}"
+                    )
+                    break
+        speeds, forces, rows = len(self.speeds_m_per_s), len(self.forces_n), self.frequencies_hz
+        if len(rows) != speeds:
+            faults.append(f"frequencies_hz must have a list for each speed, {speeds}, has {len(rows)}")
+        for index, row in enumerate(rows):
+            if len(row) != forces:
+                faults.append(f"frequencies_hz[{index}] must have a frequency for each force, {forces}, has {len(row)}")
+                break
+        return faults
+
+    @model_validator(mode="after")
+    def _refuse_cross_faults(self) -> Self:
+        faults = self._cross_faults()
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
+
+    @property
+    def bounds_hz(self) -> tuple[float, float]:
+        """The lowest and the highest frequency: no strike has another one beyond them."""
+        every = [frequency for row in self.frequencies_hz for frequency in row]
+        return min(every), max(every)
+
+    def at(self, speed_m_per_s: float, force_n: float) -> float:
+        """Hz: bilinear between the points, beyond the outermost as there."""
+        i, j, fast = _between(self.speeds_m_per_s, abs(speed_m_per_s))
+        k, m, hard = _between(self.forces_n, force_n)
+        slow, quick = self.frequencies_hz[i], self.frequencies_hz[j]
+        low, high = (row[k] + hard * (row[m] - row[k]) for row in (slow, quick))
+        return low + fast * (high - low)
+
+
+def _between(points: Sequence[float], value: float) -> tuple[int, int, float]:
+    """The points around a value, and how far it is from the first to the second."""
+    end = bisect_right(points, value)
+    if end in (0, len(points)):
+        here = max(end - 1, 0)
+        return here, here, 0.0
+    return end - 1, end, (value - points[end - 1]) / (points[end] - points[end - 1])
+
+
 class Grooves(Model):
     """Grooves at equal distances, felt as strikes, as a shape or as drag."""
 
     model_config = ConfigDict(
-        json_schema_extra={"allOf": [_needs("geometry", "depth_m"), _needs("damping", "damping_n_s_per_m")]}
+        json_schema_extra={
+            "allOf": [
+                _needs("geometry", "depth_m"),
+                _needs("damping", "damping_n_s_per_m"),
+                {
+                    "if": {"required": ["frequency_table"], "properties": {"frequency_table": {"type": "object"}}},
+                    "then": one_of("decay_time_s", "decay_rate_per_s"),
+                },
+            ]
+        }
     )
 
     kind: Literal["grooves"] = Field(description="Which kind of texture this is.")
@@ -80,6 +166,9 @@ class Grooves(Model):
     decay_rate_per_s: DecayRate | None = Field(
         default=None, description="Vibration: 1 over the decay time, instead of it."
     )
+    frequency_table: FrequencyTable | None = Field(
+        default=None, description="Vibration: the frequency over speed and force, instead of one frequency."
+    )
     depth_m: Annotated[float, Field(ge=1e-6, le=0.1)] | None = Field(
         default=None, description="Geometry: depth of a groove in its middle; required there."
     )
@@ -89,14 +178,35 @@ class Grooves(Model):
     )
 
     @property
-    def own_mode(self) -> Mode | None:
-        """The mode that a vibration's strike excites, where the texture has one of its own."""
+    def own_modes(self) -> tuple[Mode, ...]:
+        """The mode that a vibration's strike excites, where the texture has one of its own; of a table of frequencies
+        those at its lowest and at its highest."""
         keys = self._mode_keys()
-        return None if keys is None else keys.mode
+        if keys is None:
+            return ()
+        if self.frequency_table is None:
+            return (keys.mode,)
+        bounds_hz = dict.fromkeys(self.frequency_table.bounds_hz)
+        return tuple(replace(keys.mode, angular_frequency_rad_per_s=2 * math.pi * hz) for hz in bounds_hz)
 
     def _mode_keys(self) -> ModeKeys | None:
+        """With a table, of its lowest frequency."""
         given = {key: value for key in _MODE_KEYS if (value := getattr(self, key)) is not None}
+        if self.frequency_table is not None:
+            given = {key: value for key, value in given.items() if key not in _ONE_FREQUENCY}
+            given["frequency_hz"] = self.frequency_table.bounds_hz[0]
         return ModeKeys.model_construct(**given) if given else None
+
+    def _mode_faults(self) -> list[str]:
+        mode = self._mode_keys()
+        faults = [] if mode is None else mode.cross_faults()
+        if self.frequency_table is not None:
+            faults += [
+                f"needs exactly one of frequency_table and {key}, has both"
+                for key in _ONE_FREQUENCY
+                if getattr(self, key) is not None
+            ]
+        return faults
 
     def _cross_faults(self) -> list[str]:
         faults = []
@@ -113,8 +223,7 @@ class Grooves(Model):
             case "vibration":
                 if not any(getattr(self, key) > 0 for key in _GAINS):
                     faults.append(f"needs {_GAINS[0]} or {_GAINS[1]} above 0, or nothing is ever struck")
-                mode = self._mode_keys()
-                faults += [] if mode is None else mode.cross_faults()
+                faults += self._mode_faults()
             case "geometry" if self.depth_m is None:
                 faults.append("needs depth_m to be displayed as geometry")
             case "damping" if self.damping_n_s_per_m is None:
@@ -219,12 +328,32 @@ def _not_too_many(models: object) -> object:
     return models
 
 
+def _one_by_one(models: object, info: ValidationInfo) -> object:
+    """Many models, each validated by itself: the faults of all are told in one call, in which nobody else goes on.
+    After MAX_FAULTS the rest is not looked at."""
+    if not isinstance(models, list) or len(models) <= _FEW_MODELS:
+        return models
+    found: list[object] = []
+    faults = 0
+    for model in models:
+        try:
+            found.append(AutoregressiveModel.parsed(model, info.context))
+        except ValidationError as error:
+            found.append(model)
+            faults += error.error_count()
+            if faults >= MAX_FAULTS:
+                break
+    return found
+
+
 class Autoregressive(Model):
     """Coloured noise by models identified from recordings, blended over speed and force."""
 
     kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
     rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
-    models: Annotated[tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_not_too_many)] = Field(
+    models: Annotated[
+        tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_one_by_one), BeforeValidator(_not_too_many)
+    ] = Field(
         min_length=1, max_length=MAX_MODELS, description="Each at a speed and a force of its own: a grid or scattered."
     )
     threshold_m_per_s: Threshold = Field(

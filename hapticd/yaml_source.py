@@ -190,7 +190,8 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
         assert event.start_mark is not None
         line, column = event.start_mark.line, event.start_mark.column
         near = end == (line, column - 1)
-        end = _place(event.end_mark)
+        assert event.end_mark is not None
+        end = event.end_mark.line, event.end_mark.column
 
         def refuse(problem: str, line: int = line, column: int = column) -> InvalidError:
             return _refusal(name, line, column, problem)

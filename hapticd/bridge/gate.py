@@ -15,6 +15,7 @@ import asyncio
 import logging
 import os
 import socket as network
+import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
@@ -40,6 +41,8 @@ HANDSHAKE_S: Final = 5.0
 HANDSHAKES: Final = 64
 HANDSHAKES_PER_HOST: Final = 16
 """So many that have not shown a key yet are borne with, of all and of one address."""
+PEACE_S: Final = 0.25
+"""So long one that has not shown a key has its place; then it makes room for a newer one, where all are taken."""
 REFUSED_S: Final = 1.0
 """A refused connection is held for so long, which slows down whoever tries again."""
 
@@ -81,7 +84,8 @@ class Gate:
         self.refused: Counter[str] = Counter()
         self._certificate = certificate
         self._connections: dict[str, Connection] = {}
-        self._handshakes: Counter[str] = Counter()
+        self._handshakes: dict[str, dict[Connection, None]] = {}
+        """Connections that have not shown a key yet, by address, the oldest first."""
         self._count = 0
         self._there = False
 
@@ -94,20 +98,41 @@ class Gate:
     def enter(self, connection: Connection) -> bool:
         """A new connection; false if there are too many that have not shown a key."""
         self.accepted += 1
-        if self._handshakes.total() >= HANDSHAKES or self._handshakes[connection.host] >= HANDSHAKES_PER_HOST:
+        here = self._handshakes.get(connection.host, {})
+        if len(here) >= HANDSHAKES_PER_HOST:
+            crowd = here
+        elif sum(map(len, self._handshakes.values())) >= HANDSHAKES:
+            crowd = max(self._handshakes.values(), key=len)
+        else:
+            crowd = {}
+        if crowd and not self._make_room(next(iter(crowd))):
             connection.refused_entry()
-            self.refuse(connection, "handshakes", "too many connections at once that have not shown a key")
+            self._refuse_handshake(connection)
             return False
-        self._handshakes[connection.host] += 1
+        self._handshakes.setdefault(connection.host, {})[connection] = None
         self._count += 1
         connection.domain = f"{connection.kind}.{self._count}"
         self._connections[connection.domain] = connection
         return True
 
+    def _make_room(self, oldest: Connection) -> bool:
+        """Ends the oldest one, unless it is too young: whoever holds all places must not keep others out, and a client
+        must come to show its key."""
+        if time.monotonic() - oldest.since_s < PEACE_S:
+            return False
+        self._refuse_handshake(oldest)
+        oldest.close()
+        return True
+
+    def _refuse_handshake(self, connection: Connection) -> None:
+        self.refuse(connection, "handshakes", "too many connections at once that have not shown a key")
+
     def shown(self, connection: Connection) -> None:
         """A connection does not count among those without a key any more."""
-        self._handshakes[connection.host] -= 1
-        self._handshakes += Counter()  # drops zeros
+        here = self._handshakes[connection.host]
+        del here[connection]
+        if not here:
+            del self._handshakes[connection.host]
 
     def leave(self, connection: Connection) -> None:
         """A connection has ended."""
@@ -230,6 +255,7 @@ class Connection(asyncio.Protocol):
         self.kind: Kind = kind
         self.host = ""
         self.domain = ""
+        self.since_s = time.monotonic()
         self.account: Account | None = None
         self.relay: Relay | None = None
         self._gate = gate

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.actuator import MOST_HZ
 from hapticd.calibration.accelerometer import Heard, compare, load_recording
 from hapticd.calibration.fit import Estimate, Fit, difference, fit
 from hapticd.calibration.plot import Curve
@@ -19,6 +21,12 @@ from hapticd.config import Config
 PAUSE_S: Final = 5.0
 UNLIKE: Final = 0.05
 """A fit that leaves more of the motion than this, and more than the encoder's step, is told."""
+
+LAGGING: Final = 0.9
+"""A lag bends the response as well as it delays it: the delay that is fitted is up to 7 % less than the lag's."""
+LEAST_RATIO: Final = 0.36
+"""A lag of second order with this damping ratio or more has at least the bandwidth of one of first order that delays as
+much: with r = bandwidth over natural frequency, 2 zeta r >= 1."""
 
 _MASS, _DAMPING, _FRICTION, _STIFFNESS, _DELAY = range(5)
 
@@ -44,6 +52,16 @@ class Calibration:
         """Mass (kg), damping (N s/m), stiffness (N/m): held minus free."""
         mass, damping = (difference(self.held, self.free, which) for which in (_MASS, _DAMPING))
         return (mass, damping, self.held.estimate(_STIFFNESS))
+
+    @property
+    def bandwidth_at_least_hz(self) -> float:
+        """What the actuator's bandwidth is not below: that of a lag of first order which is all of the delay. Infinite
+        without a delay.
+
+        A lag and a delay move the handle alike as far as the encoder sees, so the fit does not tell them apart.
+        """
+        longest_s = self.free.estimate(_DELAY).high
+        return LAGGING / (2 * math.pi * longest_s) if longest_s > 0 else math.inf
 
     def section(self) -> dict[str, object]:
         """What a configuration file takes, four figures of each."""
@@ -94,7 +112,17 @@ class Calibration:
                     last = beyond[-1].frequency_hz
                     text += f"; beyond the encoder, up to {last:.0f} Hz, {100 * off:.2g} % RMS from the fit"
                 lines.append(text)
-        return lines
+        return [*lines, self._of_actuator()]
+
+    def _of_actuator(self) -> str:
+        least_hz = self.bandwidth_at_least_hz
+        if least_hz >= MOST_HZ:
+            return f"actuator: its bandwidth is above {MOST_HZ:g} Hz, so that it needs none in the configuration"
+        return (
+            f"actuator: its bandwidth is {least_hz:.0f} Hz or more (of second order: with a damping ratio from "
+            f"{LEAST_RATIO:g} on), even if all of the delay is its lag; the fit does not tell a lag from a delay, so "
+            "none is written"
+        )
 
     def curves(self) -> list[Curve]:
         """For the plot."""
@@ -108,6 +136,7 @@ class Calibration:
             "estimates": {name.replace(" ", "_"): {**each.to_dict(), "unit": unit} for name, each, unit in self.rows()},
             "response": {curve.name: _response(curve) for curve in self.curves()},
             "accelerometer_scale": None if self.heard is None else [each.scale for each in self.heard],
+            "actuator_bandwidth_at_least_hz": min(MOST_HZ, self.bandwidth_at_least_hz),
             "notes": self.notes(),
         }
 

@@ -22,7 +22,7 @@ from hapticd.calibration.accelerometer import Recording, offset_of
 from hapticd.calibration.rig import Rig, on_grid, rig_of
 from hapticd.calibration.sweep import Axis, Floats
 from hapticd.compensation import HIGH, LOW_HZ
-from hapticd.config import Config
+from hapticd.config import Config, Link
 from hapticd.core import lib, pointer
 from hapticd.displayable import Output, displayed_mode
 from hapticd.displayed import FINER, band_error, band_lines, waveform
@@ -40,7 +40,10 @@ PRESS_N: Final = 1.0
 REST_S: Final = 0.3
 """Between two strikes, once five decay times are over."""
 AFTER_S: Final = 0.06
-"""Looked at beyond five decay times: what compensation may still do there, and what the hand makes of it."""
+"""Looked at in a recording beyond five decay times: what compensation may still do there, and what the hand makes of
+it. Longer would be more of the sensor's noise."""
+SETTLED_S: Final = 0.25
+"""The same of the simulated handle, until hand and handle are at rest; less than from one strike to the next."""
 SEARCH_S: Final = 0.003
 
 
@@ -92,7 +95,7 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M
             found.append(Strike(name, "tap", mode, coefficient))
             if tap.second is not None and tap.second.ratio != 0:
                 found.append(Strike(name, "second", tap.second.mode, abs(tap.second.ratio) * coefficient))
-        if isinstance(texture, Grooves) and (groove := material.groove_mode) is not None:
+        if isinstance(texture, Grooves) and (groove := material.groove_mode_at(speed_m_per_s, PRESS_N)) is not None:
             amplitude = texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * PRESS_N
             found.append(Strike(name, "groove", groove, amplitude))
         if rupture is not None and rupture.amplitude_m_per_s2 > 0:
@@ -153,15 +156,10 @@ def from_simulation(config: Config, played: Played) -> list[Verdict]:
     motion = np.empty((len(force), 4))
     lib.hd_sim_drive(sim, pointer("double[]", force), len(force), pointer("double[]", motion))
     acceleration = np.diff(motion[:, 2 + played.along]) * rate_hz
-    link = config.device.sim.link
 
     def measured(strike: Strike, begin: int) -> tuple[float, float]:
-        onset = begin * FINER
-        if link is not None:
-            # It waits for its frame.
-            frame = played.rate_hz * FINER / link.rate_hz
-            onset = round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
-        count = round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * rate_hz)
+        onset = arrival(config.device.sim.link, begin, played.rate_hz)
+        count = round((5.0 / strike.mode.decay_rate_per_s + SETTLED_S) * rate_hz)
         return _compared(acceleration[onset : onset + count], strike, rate_hz, played)
 
     return _verdicts(played, measured)
@@ -200,10 +198,24 @@ def from_recording(played: Played, recording: Recording) -> list[Verdict]:
     return _verdicts(played, measured)
 
 
+def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
+    """When the force of a tick begins at the actuator, in parts of a period of which FINER are one: it waits for its
+    frame."""
+    onset = begin * FINER
+    if link is None:
+        return onset
+    frame = rate_hz * FINER / link.rate_hz
+    return round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
+
+
 def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) -> tuple[float, float]:
-    """Error and strength."""
     reference = strike.coefficient_m_per_s2 * waveform(strike.mode, len(measured), rate_hz)
-    high_hz = HIGH * min(played.output.rate_hz, rate_hz)
+    return compared(measured, reference, rate_hz, played.output)
+
+
+def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
+    """Error and strength of an acceleration, (n,) at rate_hz from the onset, against the library's."""
+    high_hz = HIGH * min(output.rate_hz, rate_hz)
     error = band_error(measured, reference, rate_hz, LOW_HZ, high_hz)
     one, other = (band_lines(each, rate_hz, LOW_HZ, high_hz) for each in (measured, reference))
     return error, float(np.vdot(other, one).real / np.vdot(other, other).real)

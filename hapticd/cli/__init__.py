@@ -146,7 +146,7 @@ Environment:
     help="A bridge to a daemon on another machine, instead; needs both keys.",
 )
 @click.option(
-    "--key", type=click.Path(), metavar="FILE", envvar="HAPTICD_KEY", show_envvar=True, help="Our secret key."
+    "--key", type=click.Path(), metavar="FILE", envvar="HAPTICD_KEY", show_envvar=True, help="This client's secret key."
 )
 @click.option(
     "--server-key",

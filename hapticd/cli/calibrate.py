@@ -48,7 +48,7 @@ DEFAULT_FORCE_N = 1.0
     metavar="N",
     help="Largest force; never more than the device's max_force_n.",
 )
-@click.option("--yes", is_flag=True, help="Do not ask: first the handle is free, then, 5 s later, it is held.")
+@click.option("--yes", is_flag=True, help="Begin at once: first the handle is free, 5 s later it is held.")
 @json_option
 def calibrate_command(
     configs: tuple[str, ...],

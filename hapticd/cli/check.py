@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
+from hapticd import words
 from hapticd.cli.common import config_option, json_option, note, print_json
 from hapticd.stability_words import stability_words
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from hapticd.check import Report
 
 _NUMBER: Final = 9
-"""As wide as 1.234e+05."""
+"""As wide as 1,234,567."""
 
 
 @click.command("check", short_help="Say what of a configuration can be shown.")
@@ -47,8 +48,8 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 def _print(report: Report, console: Console) -> None:
     output, stability = report.output, report.stability
-    link = "" if output.link_rate_hz is None else f", forces carried at {output.link_rate_hz:g} Hz"
-    console.print(f"device: {report.device}; servo at {output.rate_hz:g} Hz{link}", markup=False)
+    link = "" if output.link_rate_hz is None else f", forces carried at {words.si(output.link_rate_hz, 'Hz')}"
+    console.print(f"device: {report.device}; servo at {words.si(output.rate_hz, 'Hz')}{link}", markup=False)
     if stability.assumed is not None:
         told, timing = stability.assumed.dynamics, stability.assumed.timing
         console.print(
@@ -59,7 +60,7 @@ def _print(report: Report, console: Console) -> None:
             markup=False,
         )
     table = _table("Materials")
-    columns = ("", "left"), ("in the scene", "left"), ("N/m", "right"), ("sounds", "left"), ("felt wrong by", "right")
+    columns = ("", "left"), ("in the scene", "left"), ("N/m", "right"), ("sounds", "left"), ("error", "right")
     for name, justify in columns:
         table.add_column(name, justify="right" if justify == "right" else "left")
     for material in sorted(report.materials, key=lambda material: not material.used):
@@ -75,7 +76,8 @@ def _print(report: Report, console: Console) -> None:
     console.print(table)
     if output.dynamics is not None:
         console.print(
-            "felt wrong by: the handle's acceleration against the library's, 30 Hz to 0.4 of the rate, with "
+            "error: RMS of the difference between the handle's acceleration and the library's, over the library's RMS, "
+            "from 30 Hz to 0.4 of the rate, with "
             f"compensation: {output.compensation}"
         )
     if output.rearm_m > 0.0:
@@ -89,10 +91,10 @@ def _print(report: Report, console: Console) -> None:
             console.print(
                 f"shown are those with the least margin of {stability.sets} sets, {stability.unsafe} of them not safe"
             )
-    for what, words in stability_words(stability.to_dict()):
+    for what, text in stability_words(stability.to_dict()):
         if what == "unsafe":  # among the problems below
             continue
-        console.print(f"{what}: {words}", markup=False)
+        console.print(f"{what}: {text}", markup=False)
     for problem in (*report.refused, *report.undisplayable, *report.warnings, *stability.problems(), *report.notes):
         console.print(str(problem), markup=False)
     if report.faults == 0:
@@ -119,9 +121,9 @@ def _sets(report: Report) -> Table:
         held = margin.held_limit_n_per_m
         table.add_row(
             ", ".join(margin.objects[:4]) + more,
-            f"{margin.stiffness_n_per_m:.4g}",
-            f"{margin.limit_n_per_m:.4g}",
-            "any" if held == float("inf") else f"{held:.4g}",
+            words.number(margin.stiffness_n_per_m),
+            words.number(margin.limit_n_per_m),
+            "any" if held == float("inf") else words.number(held),
             "" if margin.margin == float("inf") else f"{margin.margin:.3g}",
             margin.verdict,
             margin.limited_by,

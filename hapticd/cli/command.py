@@ -97,7 +97,9 @@ def force_command(ctx: click.Context, state: str, as_json: bool) -> None:
             # What the daemon tells every client is to turn them on, which was just refused.
             why = error.message.partition(": ")[0]
             raise RemoteError(error.code, f"{why}, which is still so: they stay off", error.data) from None
-    print_result(result, as_json, f"forces {result['forces']}")
+    faulted = result["forces"] == "faulted"
+    told = "off, and a fault is latched: `hapticd status` says which" if faulted else result["forces"]
+    print_result(result, as_json, f"forces {told}")
 
 
 @click.command("reset", short_help="Heal membranes and clear contacts.")

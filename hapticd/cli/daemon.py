@@ -38,7 +38,7 @@ def run_command(ctx: click.Context, configs: tuple[str, ...], log_level: str) ->
 @change_options
 @click.pass_context
 def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, as_json: bool) -> None:
-    """Have the daemon read its configuration files anew, and take scene and materials from them: all or nothing.
+    """Have the daemon read its configuration files again, and take scene and materials from them: all or nothing.
 
     What was touched or punctured stays so. Anything else that changed needs a restart, and refuses the whole.
     """

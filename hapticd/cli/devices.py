@@ -63,7 +63,7 @@ def _verdict(item: Found) -> str:
     return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
 
 
-@devices_command.command("dump")
+@devices_command.command("dump", short_help="Record what a device reports.")
 @click.argument("device", metavar="DEVICE")
 @click.option("-o", "--output", required=True, type=click.Path(), metavar="FILE", help="Where the recording goes.")
 @click.option(
@@ -101,7 +101,7 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
 
 
-@devices_command.command("calibrate")
+@devices_command.command("calibrate", short_help="Find out which way a device pushes.")
 @config_option
 @click.option(
     "--force",
@@ -158,7 +158,7 @@ def calibrate_command(
         write_whole(output, text + "\n", overwrite)
 
 
-@devices_command.command("parse")
+@devices_command.command("parse", short_help="Say what of a report descriptor is driven.")
 @click.argument("file", metavar="FILE", type=click.Path(dir_okay=False))
 @json_option
 def parse_command(file: str, as_json: bool) -> None:

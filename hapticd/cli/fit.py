@@ -90,7 +90,7 @@ def _options(command: _F) -> _F:
     return command
 
 
-@fit_command.command("tap")
+@fit_command.command("tap", short_help="Slope, frequency and decay of a tap.")
 @_options
 @click.option(
     "--attack",
@@ -160,7 +160,7 @@ def texture_command(autoregressive: bool, **options: Any) -> None:
     _run("texture", fit, **options)
 
 
-@fit_command.command("puncture")
+@fit_command.command("puncture", short_help="Stiffness, rupture and mode of a membrane.")
 @_options
 def puncture_command(**options: Any) -> None:
     """Stiffness, rupture and mode of a membrane, from recordings of punctures."""

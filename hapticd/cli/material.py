@@ -28,7 +28,7 @@ def material_command() -> None:
 _OFFLINE = click.option("--offline", is_flag=True, help="Those of the shipped library; ask no daemon.")
 
 
-@material_command.command("list")
+@material_command.command("list", short_help="Print all materials, as YAML.")
 @_OFFLINE
 @json_option
 @click.pass_context
@@ -44,7 +44,7 @@ def material_list(ctx: click.Context, offline: bool, as_json: bool) -> None:
         print_yaml({"materials": result["materials"]})
 
 
-@material_command.command("get")
+@material_command.command("get", short_help="Print one material, as YAML.")
 @click.argument("name", shell_complete=names.materials)
 @_OFFLINE
 @json_option
@@ -85,7 +85,7 @@ def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:
     return {"materials": {name: item.to_dict() for name, item in shipped_materials().items()}, "revision": None}
 
 
-@material_command.command("set")
+@material_command.command("set", short_help="Replace the materials that are named.")
 @click.argument("file", type=click.Path())
 @change_options
 @click.pass_context
@@ -94,7 +94,7 @@ def material_set(ctx: click.Context, file: str, expect_revision: int | None, wai
     change(ctx, as_json, lambda client: client.set_materials(yaml_file(file), expect_revision, wait))
 
 
-@material_command.command("update")
+@material_command.command("update", short_help="Change single keys; null removes.")
 @click.argument("file", type=click.Path())
 @change_options
 @click.pass_context

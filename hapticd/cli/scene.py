@@ -22,7 +22,7 @@ def scene_command() -> None:
     """Read or change the scene."""
 
 
-@scene_command.command("list")
+@scene_command.command("list", short_help="List the scenes that ship with hapticd.")
 @json_option
 def scene_list(as_json: bool) -> None:
     """List the scenes that ship with hapticd: each name does where a command takes a scene."""
@@ -38,7 +38,7 @@ def scene_list(as_json: bool) -> None:
         click.echo(f"{scene.name:<{width}}  {scene.shows}{made_for}")
 
 
-@scene_command.command("get")
+@scene_command.command("get", short_help="Print the scene, as YAML.")
 @json_option
 @click.pass_context
 def scene_get(ctx: click.Context, as_json: bool) -> None:
@@ -52,7 +52,7 @@ def scene_get(ctx: click.Context, as_json: bool) -> None:
         print_yaml({"scene": result["scene"]})
 
 
-@scene_command.command("set")
+@scene_command.command("set", short_help="Replace the scene.")
 @click.argument("file", shell_complete=names.scenes)
 @change_options
 @click.pass_context
@@ -62,7 +62,7 @@ def scene_set(ctx: click.Context, file: str, expect_revision: int | None, wait: 
     change(ctx, as_json, lambda client: client.set_scene(source, expect_revision, wait))
 
 
-@scene_command.command("update")
+@scene_command.command("update", short_help="Change single objects; null removes.")
 @click.argument("file", type=click.Path())
 @change_options
 @click.pass_context

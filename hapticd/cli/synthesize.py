@@ -145,6 +145,9 @@ def grooves_command(
         from hapticd.fit.synthesize_strokes import Hand, grooves
         from hapticd.texture import Grooves
 
+        table = material.texture.frequency_table if isinstance(material.texture, Grooves) else None
+        if table is not None:
+            raise HapticdError(f"{name}: its frequency follows speed and force; the fit finds grooves of one frequency")
         hand = Hand(duration_s=duration_s)
         found = [grooves(material, *pair, each, hand) for pair, each in _pairs(speeds, forces, stylus)]
         texture, mode = material.texture, material.groove_mode
@@ -160,7 +163,7 @@ def grooves_command(
     _run("grooves", name, make, **options)
 
 
-@synthesize_command.command("texture")
+@synthesize_command.command("texture", short_help="Strokes over sandpaper and the like.")
 @_material_option("sandpaper_100")
 @_stroke_options[0]
 @_stroke_options[1]

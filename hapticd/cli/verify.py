@@ -23,13 +23,20 @@ if TYPE_CHECKING:
     "device needs one.",
 )
 @click.option(
-    "--scale", type=Finite(), default=1.0, show_default=True, metavar="FACTOR", help="Of the recording's numbers."
+    "--scale",
+    type=Finite(),
+    default=1.0,
+    show_default=True,
+    metavar="FACTOR",
+    help="The recording's numbers are multiplied by it.",
 )
 @click.option(
     "--speed", type=Finite(min=1e-3, max=5), default=0.1, show_default=True, metavar="M_PER_S", help="Speed of a tap."
 )
-@click.option("--axis", type=Choice(["x", "y"]), default="y", show_default=True, help="Where it is struck.")
-@click.option("--yes", is_flag=True, help="Do not ask.")
+@click.option(
+    "--axis", type=Choice(["x", "y"]), default="y", show_default=True, help="Axis along which materials are struck."
+)
+@click.option("--yes", is_flag=True, help="Begin at once, without a question.")
 @json_option
 def verify_command(
     configs: tuple[str, ...],
@@ -40,14 +47,17 @@ def verify_command(
     yes: bool,
     as_json: bool,
 ) -> None:
-    """Strike each material's tap (at the speed), groove (there with 1 N) and rupture, and say how far the handle's
-    acceleration is from the library: RMS of the difference over RMS, from 30 Hz to 0.4 of the rate.
+    """Strike each material's tap, groove and rupture, and say how far the handle's acceleration is from the library.
 
-    The simulated handle is known as it is. On a real one an accelerometer must record while they are struck, half a
-    second apart, the handle held as it will be used.
+    A tap is struck as at --speed, a groove as at that speed under 1 N. The error is the RMS of the difference over the
+    RMS of the library's, from 30 Hz to 0.4 of the rate.
+
+    The simulated handle is known as it is, and each tap is told on a wall of its material, too. On a real one an
+    accelerometer must record while they are struck, half a second apart, the handle held as it will be used.
     """
     from hapticd.calibration import verify
     from hapticd.calibration.accelerometer import load_recording
+    from hapticd.calibration.walls import verdicts_on_walls
     from hapticd.config import config_of
 
     config = config_of(configs)
@@ -64,7 +74,7 @@ def verify_command(
         note("interrupted; the force is zero")
         raise
     if recording is None:
-        verdicts = verify.from_simulation(config, played)
+        verdicts = [*verify.from_simulation(config, played), *verdicts_on_walls(config, speed, axis)]
     else:
         if not simulated and not yes:
             click.confirm(f"Stop the accelerometer. Is its recording in {recording}?", abort=True, err=True)

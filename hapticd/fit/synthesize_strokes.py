@@ -60,6 +60,8 @@ def grooves(
         velocity, press = np.interp(struck_s, time, speed), np.interp(struck_s, time, force)
         amplitude = texture.velocity_gain_per_s * abs(velocity) + texture.force_gain_m_per_s2_per_n * press
         amplitude *= np.sign(velocity) * (1 + scatter * random.standard_normal())
+        mode = material.groove_mode_at(float(velocity), float(press))
+        assert mode is not None
         _strike(clean, time, float(struck_s), float(amplitude), mode, stylus)
     name = f"grooves at {abs(speed_m_per_s):g} m/s and {force_n:g} N"
     return _recorded(name, time, clean, force, None, place, hand, stylus, random)

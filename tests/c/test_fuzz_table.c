@@ -18,7 +18,8 @@
 #define NOISES 2u
 #define NUMBERS 96u
 #define POINTS 3u
-#define ALL_NUMBERS (NUMBERS + 2u * POINTS) /* of the noises, then of a tap */
+#define TUNED (2u + 2u + 4u + 2u * HD_TUNE_NODE)
+#define ALL_NUMBERS (NUMBERS + 2u * POINTS + TUNED) /* of the noises, then of a tap, then of a groove's frequencies */
 #define TICKS 48
 #define EVENTS 64
 
@@ -168,6 +169,13 @@ static void take_material(struct source *source, double period_s, struct hd_mate
         .force_gain_m_per_s2_per_n = take_number(source, 0.0, 100.0),
     };
     material->width_m = take_number(source, 0.0, 1.0) * material->spacing_m;
+    if (choice % 16 == 1) {
+        material->tune_speeds = material->tune_forces = 2;
+        material->tune_nodes = take_count(source, 3);
+        material->tune_first = NUMBERS + 2u * POINTS;
+        material->tune_mutes = take_count(source, 2);
+        material->tune_highest_rad_per_s = take_number(source, 1.0, 200.0);
+    }
     take_mode(source, period_s, &material->tap);
     take_mode(source, period_s, &material->rupture);
     take_mode(source, period_s, &material->groove);
@@ -296,7 +304,7 @@ static void take_scene(struct source *source, double period_s, uint32_t run, str
     take_pieces(source, scene->pieces);
     for (uint32_t i = 0; i < NOISES; i++)
         take_noise(source, i * (NUMBERS / NOISES), scene->numbers, &scene->noises[i]);
-    for (uint32_t i = 0; i < 2u * POINTS; i++)
+    for (uint32_t i = 0; i < 2u * POINTS + TUNED; i++)
         scene->numbers[NUMBERS + i] = take_number(source, 0.0, 0.5) + i;
     for (uint32_t i = 0; i < OBJECTS; i++)
         scene->changed[i] = take_count(source, OBJECTS + 1);

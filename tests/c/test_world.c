@@ -81,6 +81,13 @@ size_t hd_world_near(const struct hd_world *world, const double point_m[2], doub
 #define NUMBERS 16u
 #define TAP_FIRST 10u /* of three points */
 #define WITH_TAP (bad.table.number_count = NUMBERS, material->tap_count = 3, material->tap_first = TAP_FIRST)
+#define TUNE_FIRST NUMBERS /* of one speed, two forces and one node */
+#define TUNE_NUMBERS (1u + 2u + 2u + HD_TUNE_NODE)
+#define ALL_NUMBERS (NUMBERS + TUNE_NUMBERS)
+#define TUNE(i) bad.numbers[TUNE_FIRST + (i)]
+#define WITH_TUNE                                                                                        \
+    (bad.table.number_count = ALL_NUMBERS, material->tune_first = TUNE_FIRST, material->tune_speeds = 1, \
+     material->tune_forces = 2, material->tune_nodes = 1, material->tune_highest_rad_per_s = 4000.0)
 #define SEQUENCES 40
 #define STEPS 60
 #define LOOKS 12
@@ -91,7 +98,7 @@ struct scene {
     struct hd_material materials[MATERIALS];
     struct hd_piece pieces[PIECES];
     struct hd_noise noises[NOISES];
-    double numbers[NUMBERS];
+    double numbers[ALL_NUMBERS];
 };
 
 static double uniform(uint64_t *seed, double low, double high) {
@@ -168,6 +175,9 @@ static void make_scene(struct scene *scene) {
         (struct hd_noise){.order = 1, .taps = 1, .speed_count = 1, .force_count = 1, .force_per_unit = 0.05};
     memcpy(scene->numbers, (const double[]){0.0, 0.0, 3.0, -0.5, 0.6, 0.8}, 6 * sizeof(double));
     memcpy(scene->numbers + TAP_FIRST, (const double[]){0.1, 0.2, 0.4, 30.0, 0.0, 90.0}, 6 * sizeof(double));
+    memcpy(scene->numbers + TUNE_FIRST,
+           (const double[]){0.1, 0.5, 1.0, 900.0, 1200.0, 1000.0, 1.0, 0.5, -0.3, 0.2, 1.0, 0.4, -0.2, 0.1, 0.8, 0.7},
+           TUNE_NUMBERS * sizeof(double));
     scene->pieces[0] = (struct hd_piece){.material = 4, .half_ramp_m = (double)NAN, .from_m = (double)NAN};
     scene->pieces[1] = (struct hd_piece){.material = 0};
     scene->pieces[2] = (struct hd_piece){.from_m = 0.01, .half_ramp_m = 0.002, .material = 1};
@@ -425,6 +435,24 @@ static void refuses_materials(struct hd_world *world) {
     REFUSED((WITH_TAP, bad.numbers[TAP_FIRST + 5] = (double)INFINITY), "point 2");
     TAKEN(WITH_TAP);
     TAKEN((material->tap_count = 0, material->tap_first = UINT32_MAX));
+    TAKEN(WITH_TUNE);
+    TAKEN((WITH_TUNE, material->tune_mutes = 1, material->tune_nodes = 0));
+    REFUSED((WITH_TUNE, material->tune_speeds = HD_TUNE_POINTS + 1), "1 to 16");
+    REFUSED((WITH_TUNE, material->tune_forces = 0), "1 to 16");
+    REFUSED((WITH_TUNE, material->tune_forces = HD_TUNE_POINTS + 1), "1 to 16");
+    REFUSED((WITH_TUNE, material->tune_nodes = HD_TUNE_NODES + 1), "at most 64");
+    REFUSED((WITH_TUNE, material->tune_first++), "do not fit");
+    REFUSED((WITH_TUNE, material->tune_first = UINT32_MAX), "do not fit");
+    REFUSED((WITH_TUNE, TUNE(0) = -1e-3), "do not rise");
+    REFUSED((WITH_TUNE, TUNE(2) = TUNE(1)), "do not rise");
+    REFUSED((WITH_TUNE, TUNE(3) = 0.0), "out of range");
+    REFUSED((WITH_TUNE, TUNE(4) = (double)NAN), "out of range");
+    REFUSED((WITH_TUNE, TUNE(5) = 0.0), "do not rise");
+    REFUSED((WITH_TUNE, TUNE(6) = (double)INFINITY), "out of range");
+    REFUSED((WITH_TUNE, TUNE(15) = -1e-9), "peak below 0");
+    REFUSED((WITH_TUNE, material->tune_highest_rad_per_s = 0.0), "groove frequencies up to");
+    REFUSED((WITH_TUNE, material->tune_mutes = 2), "groove frequencies up to");
+    REFUSED((WITH_TUNE, material->groove = (struct hd_mode){0}), "groove frequencies up to");
     TAKEN((material->friction_coefficient = 0.0, material->friction_stiffness_n_per_m = 0.0));
     TAKEN(bad.materials[0].spacing_m = bad.materials[4].width_m = 0.0);
     TAKEN(material->width_m = material->spacing_m);

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import attackers, hostile
+from bench import attackers, bridged, hostile
 from hapticd.materials import validate_materials
 from hapticd.scene import validate_object
 
@@ -27,6 +27,17 @@ def test_everything_at_once_is_borne() -> None:
     found = hostile.attack(seconds=10.0, rate_hz=2000.0, connections=500, settle_s=0.0, nice=19)
     assert found.kept(), found.table().markdown()
     assert found.samples > 0
+
+
+@pytest.mark.slow
+@pytest.mark.alone
+def test_strangers_and_forgotten_clients_of_a_bridge_are_borne() -> None:
+    """All places for handshakes are taken all the time, and a client comes in, asks and leaves."""
+    found = bridged.attack(seconds=5.0, rate_hz=2000.0, connections=500, settle_s=0.0, nice=19)
+    assert found.kept(), found.table().markdown()
+    assert found.samples > 0
+    # 64 without a key, 64 with one, eight descriptors each, and what the bridge has alone.
+    assert found.descriptors < 8 * 128 + 64
 
 
 def test_long_changes_are_valid() -> None:
@@ -43,6 +54,12 @@ def test_what_was_found_is_a_table() -> None:
     assert "| samples lost | 0 | 2 |" in told and "| control 1 times |" in told
     assert "2.00 / 2.98 / 3.00 / 3.00, 2 times" in told
     assert not found.kept() and not found.held()
+    found.faults.clear()
+    found.missing, found.newcomers_s = 0, [0.5, 1.5]
+    assert found.kept()
+    assert "| 1.00 / 1.50, 2 times |" in found.table().markdown()
+    found.newcomers_s.clear()
+    assert not found.kept(), "nobody came in"
 
 
 @pytest.fixture
@@ -69,8 +86,11 @@ def test_an_attacker_that_did_nothing_is_a_problem(resting: subprocess.Popen[byt
         assert found.table().markdown().count("attacker:") == 1
         assert "| 1,234 connections, by 2 processes |" in found.table().markdown()
         found.count([attacker("huge", b"0 messages\n"), attacker("long", b"")])
-    assert found.problems == ["huge did nothing: 0 messages", "long did nothing: 0 (has not begun)"]
+    assert found.idle == ["huge did nothing: 0 messages", "long did nothing: 0 (has not begun)"]
+    assert "| problem | none | huge did nothing: 0 messages |" in found.table().markdown()
     assert not found.kept() and not found.held()
+    found.processor_s = (1.0, 2.0)  # others held the processors
+    assert found.kept() and not found.held()
 
 
 def test_an_attacker_that_ended_is_a_problem() -> None:

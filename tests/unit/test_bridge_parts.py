@@ -259,6 +259,58 @@ def test_a_look_at_what_claims_too_much(body: bytes) -> None:
     assert peek(body) == (True, None)
 
 
+# ---- who has not shown a key -----------------------------------------------------------------------------------------
+
+
+class Knocking:
+    """A connection as the gate sees it."""
+
+    kind, account, domain = "command", None, ""
+
+    def __init__(self, gate: Gate, host: str, since_s: float) -> None:
+        self.gate, self.host, self.since_s = gate, host, since_s
+        self.there = gate.enter(cast("gate.Connection", self))
+
+    def refused_entry(self) -> None:
+        """It never entered."""
+
+    def turn_away(self) -> None:
+        """It is about to be closed."""
+
+    def close(self) -> None:
+        self.there = False
+        self.gate.shown(cast("gate.Connection", self))
+        self.gate.leave(cast("gate.Connection", self))
+
+
+def test_who_holds_all_places_keeps_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = Time()
+    monkeypatch.setattr(gate, "time", SimpleNamespace(monotonic=now))
+    accounts, link = Accounts(config_of({})), cast(DaemonLink, None)
+    door = Gate(cast(zmq.asyncio.Context, None), "", new_certificate(), accounts, link, "")
+
+    def knock(host: str) -> Knocking:
+        now.now += 1e-6
+        return Knocking(door, host, now.now)
+
+    others = [knock(f"10.0.0.{number}") for number in range(gate.HANDSHAKES - gate.HANDSHAKES_PER_HOST)]
+    crowd = [knock("10.1.0.1") for _ in range(gate.HANDSHAKES_PER_HOST)]
+    assert all(each.there for each in others + crowd)
+    assert not knock("10.2.0.1").there, "nobody has had the time to show a key"
+    assert not knock("10.1.0.1").there
+    now.now += gate.PEACE_S
+    assert knock("10.2.0.1").there and not crowd[0].there, "the oldest of the address that has most makes room"
+    now.now += gate.PEACE_S
+    more = [knock("10.1.0.1"), knock("10.1.0.1")]
+    assert all(each.there for each in more)
+    assert [each.there for each in crowd[:5]] == [False, False, False, True, True]
+    assert all(each.there for each in others), "no other address pays for it"
+    assert door.refused == {"handshakes": 5}
+    for each in (*others, *crowd[3:], *more):
+        each.close()
+    assert not knock("10.2.0.1").gate._handshakes.get("10.1.0.1")
+
+
 # ---- whether there is a daemon ---------------------------------------------------------------------------------------
 
 
@@ -513,6 +565,7 @@ def test_the_numbers_of_the_page() -> None:
         f"{gate.HANDSHAKES} connections that have not shown a key yet, {gate.HANDSHAKES_PER_HOST} of them from one "
         f"address, {gate.HANDSHAKE_S:g} s and {gate._HANDSHAKE_BYTES // 1024} KiB for each"
     ) in text
+    assert f"younger than {gate.PEACE_S:g} s" in text
     assert f"more than {gate._SUBSCRIPTIONS} subscriptions of a connection" in text
     assert f"{gate._WATCHER_BYTES // 2**20} MiB sent up the telemetry socket" in text
     assert f"telemetry {gate._TELEMETRY_WAITING} messages" in text

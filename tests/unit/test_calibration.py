@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import signal, stats
 
 from hapticd.calibration import accelerometer, handle, sweep
 from hapticd.calibration.accelerometer import Recording
-from hapticd.calibration.fit import Estimate, Fit, difference, fit, model_motion, student_t
+from hapticd.calibration.fit import Estimate, Fit, Point, difference, fit, model_motion, student_t
 from hapticd.calibration.handle import Calibration
 from hapticd.calibration.rig import SimRig
 from hapticd.calibration.sweep import Burst, Floats, Record, Sweep, sweep_config
@@ -83,6 +84,44 @@ def test_a_linear_device_by_scipy() -> None:
     assert response == pytest.approx(
         1 / (found.mass_kg * s * s + found.damping_n_s_per_m * s + found.stiffness_n_per_m)
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("order", "ratio"), [(1, 1.0), (2, 0.36), (2, 1.5)])
+@pytest.mark.parametrize("bandwidth_hz", [100, 300])
+def test_the_actuators_bandwidth_is_not_below_what_is_told(bandwidth_hz: float, order: int, ratio: float) -> None:
+    """The lag by scipy's zero-order hold: the 3 dB point of 1/(1 + s/a), or of 1/(1 + 2 zeta s/a + (s/a)^2)."""
+    rate, mass, damping = 2000.0, 0.07, 0.4
+    force, bursts = drive_force(rate, [3, 5, 8, 12, 18, 27, 40, 60, 90], 0.8)
+    half = 2 * ratio**2 - 1
+    natural = 2 * math.pi * bandwidth_hz / (1 if order == 1 else math.sqrt(math.sqrt(half**2 + 1) - half))
+    lag = [1 / natural, 1] if order == 1 else [1 / natural**2, 2 * ratio / natural, 1]
+    law = signal.TransferFunction([1], np.polymul(lag, [mass, damping, 0])).to_ss()
+    _, position = signal.dlsim(law.to_discrete(1 / rate), force)[:2]
+    free = fit(record_of(force, quantised(position[:, 0]), bursts, rate, held=False))
+    found = Calibration("sim", "x", (None, None), free, free)  # type: ignore[arg-type]
+    assert found.bandwidth_at_least_hz <= bandwidth_hz
+    if order == 1:
+        assert found.bandwidth_at_least_hz > 0.75 * bandwidth_hz
+    assert "actuator" not in found.section()["device"]  # type: ignore[operator]
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "told"),
+    [
+        (1e-4, r"actuator: its bandwidth is 14\d\d Hz or more .* lag from a delay, so none is written"),
+        (1e-6, r"actuator: its bandwidth is above 5000 Hz, .*"),
+        (-1e-4, r"actuator: its bandwidth is above 5000 Hz, .*"),
+    ],
+)
+def test_what_is_told_of_the_actuator(delay_s: float, told: str) -> None:
+    free = Fit(0.04, 0.2, 0.05, 0.0, delay_s, (0, 0, 0, 0, 1e-7), 20, 1e-6, 1e-3, (Point(60.0, 1 + 0j),))
+    record = Record(1000.0, 1e-3, False, np.zeros(2), np.zeros(2), ())
+    found = Calibration("sim", "x", (record, record), free, free)
+    assert re.fullmatch(told, found.notes()[-1])
+    least = found.to_dict()["actuator_bandwidth_at_least_hz"]
+    assert least == pytest.approx(5000 if delay_s < 2e-6 else 1429.6, rel=0.01)
+    assert "actuator" not in found.section()["device"]  # type: ignore[operator]
 
 
 def integrated(force: Floats, rate_hz: float, mass: float, damping: float, friction: float, stiffness: float) -> Floats:

@@ -109,6 +109,13 @@ def test_without_a_daemon(capsys: pytest.CaptureFixture[str], tmp_path: Path, ar
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("group", ["", "scene", "material", "devices", "fit", "fit synthesize", "key"])
+def test_no_line_of_a_list_of_commands_is_cut(capsys: pytest.CaptureFixture[str], group: str) -> None:
+    assert main([*group.split(), "--help"]) == 0
+    listed = capsys.readouterr().out.partition("Commands:\n")[2].partition("\n\n")[0]
+    assert listed and "..." not in listed
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

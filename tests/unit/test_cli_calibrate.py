@@ -180,6 +180,7 @@ def test_verify(capsys: pytest.CaptureFixture[str]) -> None:
     told = {(each["material"], each["use"]): each for each in json.loads(capsys.readouterr().out)}
     assert told["steel", "tap"]["displayed_hz"] is None
     assert 0 < told["cellophane", "rupture"]["error"] < 1
+    assert 0 < told["wood", "wall"]["error"] < 1
     np.savez("felt.npz", time_s=np.arange(100.0), acceleration_m_per_s2=np.random.default_rng(1).normal(size=100))
     assert "what was driven is not in it" in said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz")
 

@@ -338,3 +338,17 @@ def test_one_option_says_how_much_is_logged(
 def test_main_is_what_is_tested(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["xyzzy", "--json"]) == 2
     assert json.loads(capsys.readouterr().err)["error"]["exit_code"] == 2
+
+
+def test_forces_that_a_fault_keeps_off_are_told_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hapticd.cli import command
+
+    class Faulted:
+        def set_forces(self, enabled: bool) -> dict[str, object]:
+            return {"forces": "faulted", "tick": 7}
+
+    monkeypatch.setattr(command, "daemon", lambda ctx: nullcontext(Faulted()))
+    assert main(["force", "off"]) == 0
+    assert capsys.readouterr().out == "forces off, and a fault is latched: `hapticd status` says which\n"

@@ -597,6 +597,8 @@ def limits_of(schema: Schema) -> str:
             return "a day, such as 2026-01-31"
         case {"items": {"$ref": str()} as item, "maxItems": int() as most}:
             return f"a list, {limits_of(mapping(item))}, at most {most}"
+        case {"items": {"type": "array"} as item, "minItems": int() as least, "maxItems": int() as most}:
+            return f"{least} to {most} lists of {limits_of(mapping(item))}"
         case {"items": {"type": "number"} as item, "minItems": int() as least, "maxItems": int() as most}:
             return f"{least} to {most} numbers, {limits_of(mapping(item))}"
         case {"oneOf": list() as members}:

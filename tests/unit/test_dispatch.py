@@ -347,7 +347,7 @@ def test_a_tiny_change_of_a_wall_looks_at_none_of_its_patches(
     with monkeypatch.context() as patch:
         for name in ("stretches", "pieces"):
             patch.setattr(type(objects["one"]), name, nobody)
-        patch.setattr("hapticd.scene._apart", nobody)
+        patch.setattr("hapticd.patches._apart", nobody)
         patch.setattr("hapticd.displayable._narrow", nobody)
         result = daemon.control.call("update_scene", {"objects": {"one": {"point_m": [0, -0.001]}}})
         assert len(result["warnings"]) == 99  # type: ignore[arg-type]

@@ -134,7 +134,8 @@ def test_a_file_for_another_command_is_named_with_that_command(
     if reader == "simulate" and command == "operator":
         command = "simulate SCENE --operator"
     told = said(capsys, 1, *READERS[reader], name)
-    assert told == f"hapticd: {name}: {it}holds {what}; use: hapticd {command} {name}\n"
+    more = "; or put them below `objects:`" if name == "floor.yaml" and "scene.yaml" in TAKEN[reader] else ""
+    assert told == f"hapticd: {name}: {it}holds {what}; use: hapticd {command} {name}{more}\n"
     assert os.listdir() == [name]
 
 
@@ -186,3 +187,21 @@ def test_gestures_with_slips(
     Path("s.yaml").write_text(SCENE + "  honey: {kind: viscous, damping_n_s_per_m: 1}\n")
     Path("g.yaml").write_text(f"gesture: {gesture}\n")
     assert told in said(capsys, 1, "simulate", "s.yaml", "--operator", "g.yaml", "-o", "x.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "more"),
+    [
+        (
+            "o.yaml",
+            "floor: {kind: viscous, damping_n_s_per_m: 1}\n",
+            "scene update o.yaml; or put them below `objects:`\n",
+        ),
+        ("m.yaml", "cork: {stiffness_n_per_m: 300}\n", "material set m.yaml; or put them below `materials:`\n"),
+    ],
+)
+def test_what_lacks_its_key_is_told_the_key(
+    name: str, text: str, more: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path(name).write_text(text)
+    assert said(capsys, 1, "check", "-c", name).endswith(more)

@@ -68,7 +68,10 @@ def test_a_scene_of_ones_own_needs_an_operator(capsys: pytest.CaptureFixture[str
 
 def test_check_takes_a_shipped_scene(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "-c", "comb"]) == 0
-    assert "slippery" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "slippery" in out
+    # As a person writes numbers: no 10000 Hz, no 2.304e+03.
+    assert "servo at 10 kHz\n" in out and " 2,304 " in out and "e+0" not in out
     assert "did you mean comb?" in said(capsys, 1, "check", "-c", "cmb")
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from hapticd import wire
 from hapticd.config import load_config
-from hapticd.core import EVENT_DTYPE, EventKind, records
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
 from hapticd.engine import Engine
 from hapticd.telemetry import Telemetry
 
@@ -153,3 +153,24 @@ def test_what_is_touched_is_right_again_after_events_were_lost() -> None:
         assert touching() == []
     finally:
         engine.stop()
+
+
+@pytest.mark.slow
+def test_a_publisher_that_stands_still_loses_nothing_for_1_6_s_at_10_khz() -> None:
+    """And of what it loses then, `dropped` tells."""
+    engine = Engine(load_config({"servo": {"rate_hz": 10_000}}))
+    heard = Heard()
+    telemetry = Telemetry(engine, cast(Any, heard), dict)
+    engine.start()
+    try:
+        while engine.counters().samples_dropped < 14:
+            engine.beat()
+            engine.reset(None)
+    finally:
+        engine.stop()
+    telemetry._drain()
+    message = heard.last["samples"]
+    ticks = np.frombuffer(message["data"], SAMPLE_DTYPE)["tick"].astype(int)
+    assert len(ticks) == 16_384 and 16_384 / 10_000 > 1.6
+    assert set(np.diff(ticks)) == {1}
+    assert message["dropped"] == engine.counters().samples_dropped

@@ -1,6 +1,7 @@
 """Friction and textures as people write them: what is taken, what is refused and in which words, what ships."""
 
 import math
+import pathlib
 from collections.abc import Mapping, Sequence
 
 import mpmath
@@ -13,7 +14,7 @@ from hapticd.errors import InvalidError
 from hapticd.materials import Friction, Material, library_files, shipped_document, shipped_materials, validate_materials
 from hapticd.noise import stochastic_filter
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
-from hapticd.yaml_source import Json
+from hapticd.yaml_source import Json, load_bytes
 
 Keys = dict[str, Json]
 
@@ -279,7 +280,7 @@ def test_names() -> None:
         f"comb_{spacing}um_{display}" for spacing in SPACINGS_UM for display in ("vibration", "geometry", "damping")
     ]
     sandpapers = [f"sandpaper_{grit}" for grit in GRITS]
-    assert list(shipped_materials())[9:] == [*combs, "slippery", "sticky", *sandpapers]
+    assert list(shipped_materials())[9:] == [*combs, "comb_762um_vibration", "slippery", "sticky", *sandpapers]
 
 
 def test_no_name_is_defined_in_two_files() -> None:
@@ -298,6 +299,34 @@ def grooves(name: str) -> Grooves:
     texture = shipped_materials()[name].texture
     assert isinstance(texture, Grooves)
     return texture
+
+
+PAPER = load_bytes((pathlib.Path(__file__).parents[1] / "data" / "okamura1998_other.yaml").read_bytes(), "paper").data
+
+
+def printed(section: str) -> Mapping[str, float]:
+    assert isinstance(PAPER, dict)
+    figures = PAPER[section]
+    assert isinstance(figures, dict)
+    return {key: float(value) for key, value in figures.items() if isinstance(value, int | float)}
+
+
+def test_combs_and_sandpapers_are_those_that_the_paper_names() -> None:
+    """What it prints of them: the measured comb, the spacings that were compared, the comb of Figure 5, the grits."""
+    measured, comb = printed("grooves_measured"), grooves("comb")
+    for key in ("spacing_m", "width_m", "velocity_gain_per_s", "force_gain_m_per_s2_per_n"):
+        assert getattr(comb, key) == measured[key]
+    assert isinstance(PAPER, dict)
+    assert PAPER["groove_spacings_compared_m"] == [spacing / 1e6 for spacing in SPACINGS_UM]
+    assert PAPER["sandpaper_grits"] == list(GRITS)
+    pictured, comb = printed("grooves_pictured"), grooves("comb_762um_vibration")
+    assert comb.spacing_m == pytest.approx(pictured["spacing_in"] * 0.0254, rel=1e-12)
+    # The comment of the library: a strike of the pictured stroke peaks at 0.6 N with 0.05 kg, 79 in a second.
+    mode = shipped_materials()["comb_762um_vibration"].groove_mode
+    assert mode is not None
+    law = comb.velocity_gain_per_s * pictured["speed_m_per_s"] + comb.force_gain_m_per_s2_per_n * pictured["force_n"]
+    assert 0.05 * law * mode.peak == pytest.approx(0.6, abs=0.05)
+    assert pictured["speed_m_per_s"] / comb.spacing_m == pytest.approx(79, abs=0.5)
 
 
 def test_the_comb_is_the_papers() -> None:

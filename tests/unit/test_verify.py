@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from hapticd.calibration import verify
+from hapticd.calibration import verify, walls
 from hapticd.calibration.accelerometer import Recording
-from hapticd.calibration.sweep import Floats
+from hapticd.calibration.sweep import Axis, Floats
 from hapticd.calibration.verify import Played, Strike, Verdict
 from hapticd.config import Config, load_config
 from hapticd.core import lib, pointer
@@ -42,7 +42,7 @@ def error_by_scipy(config: Config, strike: Strike) -> float:
     device, rate, finer = config.device.dynamics, config.servo.rate_hz, 16
     assert device is not None
     mass, damping = device.mass_kg, device.damping_n_s_per_m
-    count = round((5 / strike.mode.decay_rate_per_s + verify.AFTER_S) * rate)
+    count = round((5 / strike.mode.decay_rate_per_s + verify.SETTLED_S) * rate)
     time_s = np.arange(count) / rate
     decay, omega = strike.mode.decay_rate_per_s, strike.mode.angular_frequency_rad_per_s
     force = mass * strike.coefficient_m_per_s2 * np.exp(-decay * time_s) * np.sin(omega * time_s)
@@ -65,6 +65,68 @@ def test_the_simulated_handle(strike: Strike) -> None:
     _, (verdict,) = displayed(config, strike)
     assert verdict.error == pytest.approx(error_by_scipy(config, strike), abs=0.01)
     assert verdict.displayed_hz == pytest.approx(strike.mode.frequency_hz)
+
+
+def wall_error_by_scipy(config: Config, force_n: Floats, stiffness_n_per_m: float, strike: Strike) -> float:
+    """The handle under forces (n,) that are held, and a spring whose force is held, too; as error_by_scipy."""
+    device, rate, finer = config.device.dynamics, config.servo.rate_hz, 16
+    assert device is not None
+    mass, damping, grip = device.mass_kg, device.damping_n_s_per_m, device.grip_stiffness_n_per_m
+    law = np.array([[0, 1], [-grip / mass, -damping / mass]])
+    system = (law, np.array([[0], [1 / mass]]), np.eye(2), np.zeros((2, 1)))
+    a, b, *_ = signal.cont2discrete(system, 1 / (rate * finer))
+    state, speeds = np.zeros(2), [0.0]
+    for force in force_n:
+        pushed = b[:, 0] * (force - stiffness_n_per_m * state[0])
+        for _ in range(finer):
+            state = a @ state + pushed
+            speeds.append(float(state[1]))
+    acceleration = np.diff(speeds) * rate * finer
+    time_s = (np.arange(len(acceleration)) + 0.5) / (rate * finer)
+    decay, omega = strike.mode.decay_rate_per_s, strike.mode.angular_frequency_rad_per_s
+    wanted = strike.coefficient_m_per_s2 * np.exp(-decay * time_s) * np.sin(omega * time_s)
+    frequency = np.fft.rfftfreq(1 << 20, 1 / (rate * finer))
+    inside = (frequency >= 30) & (frequency <= 0.4 * rate)
+    one, other = (np.fft.rfft(each, 1 << 20)[inside] for each in (acceleration, wanted))
+    return float(np.linalg.norm(one - other) / np.linalg.norm(other))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["wood", "steel"])
+@pytest.mark.parametrize("compensation", ["off", "full"])
+def test_a_tap_on_a_wall(name: str, compensation: str) -> None:
+    exact = {"coulomb_friction_n": 0, "force_step_n": 0, "encoder_step_m": 0}
+    config = load_config({"device": {"kind": "sim", "compensation": compensation, "sim": exact}})
+    verdict = next(each for each in walls.verdicts_on_walls(config) if each.strike.material == name)
+    count = round((5 / verdict.strike.mode.decay_rate_per_s + verify.SETTLED_S) * 10_000)
+    force = walls.tap_force(config, name, 0.1, count)[:, 1]
+    expected = wall_error_by_scipy(config, force, 800.0, verdict.strike)
+    # The error is largest at 30 Hz, where the lines of the two transforms begin at different places.
+    assert verdict.error == pytest.approx(expected, abs=5e-3)
+    assert verdict.error < 0.07 or compensation == "off"
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_a_tap_along_the_wall_does_not_meet_it(axis: Axis) -> None:
+    """Along the tangent nothing pushes: as with nothing touched, along either axis."""
+    tap = {"attack_slope_per_s": 300, "frequency_hz": 93, "decay_time_s": 0.0064, "direction": "tangent"}
+    it = load_config({"materials": {"it": {"stiffness_n_per_m": 800, "tap": tap}}}).materials["it"]
+    config = config_of().model_copy(update={"materials": {"it": it}})
+    _, (free,) = displayed(config, *verify.strikes_of(config.materials))
+    (walled,) = walls.verdicts_on_walls(config, axis=axis)
+    assert walled.error == pytest.approx(free.error, rel=1e-4)
+
+
+def test_taps_on_walls_are_told_of_what_pushes_and_is_carried() -> None:
+    tap = {"attack_slope_per_s": 10, "frequency_hz": 100, "decay_time_s": 0.002}
+    given = {"firm": {"stiffness_n_per_m": 500, "tap": tap}, "soft": {"stiffness_n_per_m": 0, "tap": tap}}
+    known = load_config({"materials": given}).materials
+    config = config_of(2000).model_copy(update={"materials": {name: known[name] for name in (*given, "steel")}})
+    told = {each.strike.material: each for each in walls.verdicts_on_walls(config)}
+    assert "soft" not in told and told["firm"].strike.use == "wall"
+    assert (told["steel"].displayed_hz, told["steel"].error) == (None, 1.0)
+    sideways = {each.strike.material: each for each in walls.verdicts_on_walls(config, axis="x")}
+    assert sideways["firm"].error == pytest.approx(told["firm"].error, rel=1e-9)
 
 
 def test_a_mass_alone_displays_what_it_is_told() -> None:
