@@ -261,8 +261,8 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     if (state->strike_count > 0) {
         /* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. Noise
          * leaves room for it. */
-        const int alone =
-            ramped.any && ramped.cuts && state->residual.left == 0; /* what the controller left is within the limit */
+        /* What the controller left is within the limit, which is not the scene's doing. */
+        const int alone = ramped.any && ramped.cuts && state->residual.left == 0;
         const double *still = alone ? ramped.still_whole_n : ramped.any ? ramped.still_n : contact;
         if (hd_strikes_apply(state, table, hd_root(hd_dot(still, still))) < 1.0) {
             flags |= HD_FLAG_SATURATED;
