@@ -6,7 +6,6 @@ What a cell of each member holds, event_columns.py says.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Sequence
 from itertools import compress
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -105,13 +104,12 @@ def _bytes(cells: Cells, values: Sequence[object]) -> int:
 
 
 _SPACES: Final = " \t\n\r"
-_NO_LITERAL: Final = re.compile(r"[][{}\"]")
 
 
-def _literals(cells: Cells) -> list[object] | None:
-    """Values of cells of JSON, read at once; None where one is no number, no truth value and no null."""
+def _at_once(cells: Cells) -> list[object] | None:
+    """Values of cells of JSON, read at once; None where one is none, or has a comma in it."""
     text = ",".join(cells)
-    if text.count(",") != len(cells) - 1 or _NO_LITERAL.search(text):
+    if text.count(",") != len(cells) - 1:
         return None
     try:
         found: list[object] = json.loads(f"[{text}]")
@@ -121,7 +119,7 @@ def _literals(cells: Cells) -> list[object] | None:
 
 
 def _json(cells: Cells) -> list[object]:
-    found = _literals(cells)
+    found = _at_once(cells)
     return [_value(cell) for cell in cells] if found is None else found
 
 
@@ -176,7 +174,7 @@ class _UnknownCells:
         """Of cells that are not empty."""
         if self._texts == self.MOST_TEXTS or self._BEGIN_JSON.isdisjoint(cell[0] for cell in cells):
             return cells
-        found = _literals(cells)
+        found = _at_once(cells)
         return [self._json_or_text(cell) for cell in cells] if found is None else found
 
     def _json_or_text(self, cell: str) -> object:
