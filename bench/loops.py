@@ -333,9 +333,9 @@ def settle(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> Outcome:
     )
 
 
-def drives_itself(case: Case, longest_s: float = LONGEST_S) -> bool:
+def drives_itself(case: Case, mode: Mode, longest_s: float = LONGEST_S) -> bool:
     """Whether it rests without vibration."""
-    loop = Loop(case.config("observe", vibration=False), case.waypoints)
+    loop = Loop(case.config(mode, vibration=False), case.waypoints)
     loop.go_on(case.waypoints[-1][0] + AFTER_S)
     return end_state(loop.go_on, longest_s).fate == "rests"
 
@@ -368,8 +368,11 @@ class Counts:
         self.changed_n = max(self.changed_n, change_n)
         self.longest_s = max(self.longest_s, off.end.after_s, control.end.after_s)
         found = []
-        if not off.rests or not control.rests:
-            found.append("driven by its own texture" if drives_itself(case) else "does not rest")
+        if not off.rests:
+            found.append("driven by its own texture" if drives_itself(case, "observe") else "does not rest")
+        if off.rests and not control.rests:
+            driven = drives_itself(case, "control")
+            found.append("driven by its own texture" if driven else "does not rest under control")
         if off.part > 1.0:
             found.append("gives more than the bound without the controller")
         if control.part > 1.0:

@@ -75,7 +75,8 @@ HD_RT void hd_walk_objects(struct hd_walk *walk) {
         deepest = walk->path.plane[i].depth_m > deepest ? walk->path.plane[i].depth_m : deepest;
     }
     const double step = distance(walk->from_m, to);
-    double margin = HD_NEAR_MARGIN;
+    /* A surface is looked at on the way into the depth from which it is tapped again. */
+    double margin = HD_NEAR_MARGIN + walk->table->rearm_m;
     if (deepest > 0.0) {
         margin += 2.0 * (deepest + step);
     }

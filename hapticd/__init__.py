@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from hapticd import aio
     from hapticd.calls import (
         DaemonNotRunning,
+        ForcesOff,
         KeyRefused,
+        MissedPeriods,
         RemoteError,
         TelemetryLoss,
         TimedOut,
@@ -70,6 +72,7 @@ __all__ = [
     "Event",
     "Flag",
     "FlightResult",
+    "ForcesOff",
     "ForcesResult",
     "Friction",
     "GestureEnd",
@@ -138,6 +141,7 @@ _HOMES = {
     "SceneResult": "results",
     "State": "results",
     "Status": "results",
+    "ForcesOff": "calls",
     "MissedPeriods": "calls",
     "TelemetryLoss": "calls",
     "TickResult": "results",

@@ -386,6 +386,7 @@ class Client:
 
         A task renews it three times within `duration_s`, as long as the event loop is not held up. Raises
         at the end of the block where the lease was lost meanwhile.
+        Warns (ForcesOff) where a fault keeps the forces off until `set_forces(True)`.
         """
         token = calls.token_of(await self.lease(duration_s))
         lost: list[HapticdError] = []

@@ -13,6 +13,7 @@ import pwd
 import socket
 import stat
 import time
+import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import (
@@ -104,6 +105,10 @@ class TelemetryLoss(UserWarning):
 
 class MissedPeriods(UserWarning):
     """The servo missed a greater part of its periods than `servo.overruns.threshold` while something was recorded."""
+
+
+class ForcesOff(UserWarning):
+    """A lease is held, but a fault keeps the forces off until `set_forces(True)`."""
 
 
 # ---- params ------------------------------------------------------------------------------------------------
@@ -258,10 +263,13 @@ def lease_params(duration_s: float, token: str | None) -> dict[str, object]:
 
 
 def token_of(lease: LeaseResult) -> str:
-    """The token of a lease that is to be held; raises HapticdError for one of no duration."""
+    """The token of a lease that is to be held. Raises HapticdError for one of no duration; ForcesOff warns."""
     token = lease["token"]
     if token is None:
         raise HapticdError("duration_s: must be more than 0 to hold a lease")
+    if "warning" in lease:
+        # Of the line with `with` in it, behind the context manager that asks.
+        warnings.warn(ForcesOff(lease["warning"]), stacklevel=4)
     return token
 
 

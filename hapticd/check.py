@@ -80,6 +80,11 @@ class Report:
     """What may surprise, and is as it is meant."""
 
     @property
+    def encoder_step_m(self) -> float | None:
+        """Of the positions; None where it is not known."""
+        return None if self.stability.assumed is None else self.stability.assumed.encoder_step_m
+
+    @property
     def faults(self) -> int:
         """How much of the scene cannot be carried as it is meant; what is not known or not proved is not among it."""
         return len(self.refused) + len(self.undisplayable) + len(self.warnings) + len(self.stability.harmful)
@@ -93,6 +98,7 @@ class Report:
             "rate_hz": output.rate_hz,
             "link_hz": output.link_rate_hz,
             "rearm_m": output.rearm_m,
+            "encoder_step_m": self.encoder_step_m,
             "refused": [asdict(problem) for problem in self.refused],
             "undisplayable": [asdict(problem) for problem in self.undisplayable],
             "warnings": [asdict(problem) for problem in self.warnings],

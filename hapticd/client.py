@@ -355,6 +355,7 @@ class Client:
 
         A thread with a connection of its own renews it three times within `duration_s`; it dies with the
         process, and the forces fade. Raises at the end of the block where the lease was lost meanwhile.
+        Warns (ForcesOff) where a fault keeps the forces off until `set_forces(True)`.
         """
         token = calls.token_of(self.lease(duration_s))
         stop = threading.Event()

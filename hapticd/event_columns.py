@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
@@ -46,7 +46,7 @@ MEMBERS: Final[dict[str, Kind]] = {
 }
 """Members of events as docs/protocol.md lists them."""
 
-_MAY_BE_NONE: Final = frozenset(("object", "true_speed_m_per_s", "data"))
+MAY_BE_NONE: Final = frozenset(("object", "true_speed_m_per_s", "data"))
 
 
 class Column(NamedTuple):
@@ -143,11 +143,11 @@ def members_of(event: str) -> frozenset[str] | None:
     from hapticd.core import EventKind
 
     kind = EventKind.__members__.get(event.upper())
-    return None if kind is None else _members_of(kind)
+    return None if kind is None else members_of_kind(kind)
 
 
 @cache  # of kinds alone: a file may name any number of others
-def _members_of(kind: EventKind) -> frozenset[str]:
+def members_of_kind(kind: EventKind) -> frozenset[str]:
     from hapticd.core import EVENT_DTYPE, records
     from hapticd.events import event_map
 
@@ -191,7 +191,7 @@ def _is_absent(name: str, form: str, value: Any) -> bool:
 
 
 def _restored(name: str, form: str, value: Any, absent: bool) -> object:
-    if absent and name in _MAY_BE_NONE:
+    if absent and name in MAY_BE_NONE:
         return None
     if form == "i1":
         return bool(value)
@@ -203,84 +203,3 @@ def cell_of(name: str, value: object) -> object:
     if MEMBERS.get(name) is Kind.JSON or isinstance(value, list | dict | bool) or value is None:
         return json.dumps(value)
     return value
-
-
-class FromCells:
-    """Makes events of the rows of a .csv."""
-
-    def __init__(self, names: Sequence[str]) -> None:
-        """`names`: of the columns, `event` among them; of columns of the same name the last one counts."""
-        from hapticd.core import EventKind
-
-        self._kinds = dict(EventKind.__members__)
-        self._at = {name: at for at, name in enumerate(names)}
-        self._event = self._at["event"]
-        self._unknown: dict[str, Callable[[str], object]] = {
-            name: _UnknownCells() for name in self._at if name not in MEMBERS
-        }
-        self._plans: dict[EventKind | None, list[tuple[int, str, Callable[[str], object]]]] = {}
-
-    def event(self, row: Sequence[str]) -> dict[str, Any]:
-        """The event in a row that has a cell for each name. Raises ValueError, RecursionError."""
-        kind = self._kinds.get(row[self._event].upper())
-        plan = self._plans.get(kind)
-        if plan is None:
-            plan = self._plans[kind] = self._plan(None if kind is None else _members_of(kind))
-        if kind is not None:
-            return {name: read(row[at]) for at, name, read in plan}
-        return {name: read(row[at]) for at, name, read in plan if row[at]}
-
-    def _plan(self, members: frozenset[str] | None) -> list[tuple[int, str, Callable[[str], object]]]:
-        """Where the members are, their names, and what reads their cells; None: all."""
-        return [
-            (at, name, self._unknown.get(name) or _READERS[name])
-            for name, at in self._at.items()
-            if members is None or name in members
-        ]
-
-
-def _reader(name: str, kind: Kind) -> Callable[[str], object]:
-    """Reads a cell of a member."""
-    reads: dict[Kind, Callable[[str], object]] = {Kind.TEXT: str, Kind.INTEGER: int, Kind.NUMBER: float}
-    read: Callable[[str], object] = reads.get(kind, json.loads)
-    if name not in _MAY_BE_NONE:
-        return read
-    return lambda cell: None if cell == "null" else read(cell)
-
-
-_READERS: Final = {name: _reader(name, kind) for name, kind in MEMBERS.items()}
-
-
-_SPACES: Final = " \t\n\r"
-_LONG_NUMBER: Final = 19
-
-
-class _UnknownCells:
-    """Reads cells of a column that this version does not know: JSON, or else text.
-
-    A column of which MOST_TEXTS cells look like JSON and are none holds text. To find out takes long.
-    """
-
-    MOST_TEXTS: Final = 1000
-    _BEGIN_JSON: Final = frozenset('-0123456789tfnNI["{ \t\n\r')
-
-    def __init__(self) -> None:
-        self._texts = 0
-        self._decode = json.JSONDecoder().raw_decode
-
-    def __call__(self, cell: str) -> object:
-        if cell[0] not in self._BEGIN_JSON or self._texts == self.MOST_TEXTS:
-            return cell
-        if cell.isdecimal() and cell.isascii() and len(cell) < _LONG_NUMBER and (cell[0] != "0" or cell == "0"):
-            return int(cell)
-        try:
-            value, end = self._decode(cell)
-            if end == len(cell) or not cell[end:].strip(_SPACES):
-                return value
-        except ValueError:
-            text = cell.strip(_SPACES)
-            if text and cell[0] in _SPACES:
-                value = self(text)
-                return cell if value is text else value
-        self._texts += 1
-        return cell

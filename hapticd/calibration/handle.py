@@ -17,6 +17,7 @@ from hapticd.calibration.plot import Curve
 from hapticd.calibration.rig import rig_of
 from hapticd.calibration.sweep import HIGHEST_HZ, Axis, Record, Sweep, sweep_config, travel_m
 from hapticd.config import Config
+from hapticd.rearm import Resting, at_rest
 
 PAUSE_S: Final = 5.0
 UNLIKE: Final = 0.05
@@ -54,6 +55,13 @@ class Calibration:
         return (mass, damping, self.held.estimate(_STIFFNESS))
 
     @property
+    def resting(self) -> Resting:
+        """The positions before the first burst, where nobody holds the handle."""
+        free = self.records[0]
+        begin = min((burst.begin for burst in free.bursts), default=0)
+        return at_rest(free.position_m[:begin], free.step_m, free.rate_hz)
+
+    @property
     def bandwidth_at_least_hz(self) -> float:
         """What the actuator's bandwidth is not below: that of a lag of first order which is all of the delay. Infinite
         without a delay.
@@ -75,6 +83,7 @@ class Calibration:
                     "damping_n_s_per_m": grip_damping,
                     "stiffness_n_per_m": stiffness,
                 },
+                "rearm_m": self.resting.rearm_m,
             }
         }
 
@@ -112,7 +121,7 @@ class Calibration:
                     last = beyond[-1].frequency_hz
                     text += f"; beyond the encoder, up to {last:.0f} Hz, {100 * off:.2g} % RMS from the fit"
                 lines.append(text)
-        return [*lines, self._of_actuator()]
+        return [*lines, self._of_actuator(), str(self.resting)]
 
     def _of_actuator(self) -> str:
         least_hz = self.bandwidth_at_least_hz
@@ -136,6 +145,7 @@ class Calibration:
             "estimates": {name.replace(" ", "_"): {**each.to_dict(), "unit": unit} for name, each, unit in self.rows()},
             "response": {curve.name: _response(curve) for curve in self.curves()},
             "accelerometer_scale": None if self.heard is None else [each.scale for each in self.heard],
+            "positions": self.resting.to_dict(),
             "actuator_bandwidth_at_least_hz": min(MOST_HZ, self.bandwidth_at_least_hz),
             "notes": self.notes(),
         }

@@ -49,6 +49,8 @@ LEAD_S: Final = 0.06
 FORGOTTEN_S: Final = 0.03
 """A force that was not renewed for so long may have expired."""
 REST_S: Final = 0.1
+NOISE_S: Final = 1.0
+"""Before the free handle is driven, the noise of its positions is measured so long."""
 CHUNK_S: Final = 0.02
 MIDDLE: Final = 1.0 / 3.0
 """The part of the travel that the handle may not leave."""
@@ -146,7 +148,7 @@ class _Drive:
 
     def run(self) -> Record:
         limit_n = STRENGTH * self._sweep.limit_n
-        self._let(REST_S)
+        self._let(REST_S if self._sweep.held else NOISE_S)
         reach = self._burst(FIRST_HZ, limit_n / 4)
         step = self._step()
         if reach < 2 * step or step == 0.0:

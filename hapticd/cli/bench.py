@@ -50,7 +50,7 @@ def bench_command(
 ) -> None:
     """Measure NAMES, or everything: what each part costs, and how wrong it is, beside other ways to do the same.
 
-    Everything takes about half an hour. Works in a source tree, where the benchmarks are.
+    A whole run says at its end how long it took. Works in a source tree, where the benchmarks are.
     """
     bench = _bench(TREE)
     if list_names:

@@ -47,6 +47,8 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _print(report: Report, console: Console) -> None:
+    from hapticd.rearm import words as rearm_words
+
     output, stability = report.output, report.stability
     link = "" if output.link_rate_hz is None else f", forces carried at {words.si(output.link_rate_hz, 'Hz')}"
     console.print(f"device: {report.device}; servo at {words.si(output.rate_hz, 'Hz')}{link}", markup=False)
@@ -80,10 +82,9 @@ def _print(report: Report, console: Console) -> None:
             "from 30 Hz to 0.4 of the rate, with "
             f"compensation: {output.compensation}"
         )
-    if output.rearm_m > 0.0:
-        console.print(
-            f"a surface is tapped again after the probe was {1e6 * output.rearm_m:g} um from it (device.rearm_m)"
-        )
+    again = rearm_words(output.rearm_m, report.encoder_step_m, output.rate_hz)
+    if again is not None:
+        console.print(again, markup=False)
     if stability.sets:
         console.print(_sets(report))
         left = stability.sets - len(stability.worst)

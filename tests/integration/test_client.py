@@ -510,6 +510,21 @@ def test_a_lease_needs_a_duration(fake: FakeDaemon) -> None:
         pass
 
 
+def test_a_lease_that_keeps_no_forces_on_warns(fake: FakeDaemon) -> None:
+    off = "forces are off because a lease lapsed"
+    fake.answer = lambda request: [result(request, {"token": "t", "warning": off})]
+
+    async def held() -> None:
+        async with hapticd.aio.connect(fake.directory) as client, client.hold_lease(60.0):
+            pass
+
+    with connect(fake.directory) as client, pytest.warns(hapticd.ForcesOff, match=off) as told:
+        with client.hold_lease(60.0):
+            pass
+        asyncio.run(held())
+    assert [each.filename for each in told] == [__file__, __file__]
+
+
 def test_problems_of_an_error() -> None:
     assert str(RemoteError(-32602, "m", [{"where": "a.b", "problem": "is wrong"}, {"where": "", "problem": "x"}])) == (
         "a.b: is wrong; x"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import subprocess
 import sys
@@ -25,6 +26,14 @@ def test_every_public_name_is_there_and_shown() -> None:
     assert shown == {name for name in hapticd.__all__ if not name.startswith("_")}
     with pytest.raises(AttributeError, match="no attribute 'conect'"):
         hapticd.conect  # noqa: B018
+
+
+def test_every_public_name_is_typed() -> None:
+    """What is loaded when it is used is imported for type checkers."""
+    tree = ast.parse(Path(hapticd.__file__).read_text())
+    (typed,) = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    imported = {alias.asname or alias.name for node in ast.walk(typed) for alias in getattr(node, "names", ())}
+    assert set(hapticd.__all__) - imported == {"__version__"}
 
 
 def test_every_result_of_the_clients_is_public() -> None:

@@ -20,6 +20,7 @@ from hapticd.config import Config, load_config
 from hapticd.core import ffi, lib, pointer
 from hapticd.errors import HapticdError
 from hapticd.joystick import new_sim
+from tests.marks import rest_slow
 
 STEP_M = 20e-6
 
@@ -141,7 +142,7 @@ def integrated(force: Floats, rate_hz: float, mass: float, damping: float, frict
     return np.array(found)
 
 
-@pytest.mark.parametrize(("stiffness", "friction"), [(0.0, 0.08), (500.0, 0.1)])
+@pytest.mark.parametrize(("stiffness", "friction"), rest_slow([(0.0, 0.08), (500.0, 0.1)]))
 def test_dry_friction_by_small_steps(stiffness: float, friction: float) -> None:
     rate, mass, damping = 1000.0, 0.05, 1.0
     force, bursts = drive_force(rate, [6, 9, 14, 20, 30, 45], 0.7)

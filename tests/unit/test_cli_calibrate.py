@@ -43,6 +43,7 @@ def test_calibrate_writes_the_section(capsys: pytest.CaptureFixture[str]) -> Non
     device = load_config(["sim.yaml", "found.yaml"]).device
     assert device.handle is not None and device.grip is not None
     assert device.handle.mass_kg == pytest.approx(0.04, rel=0.02)
+    assert device.rearm_m == pytest.approx(2e-5)  # the encoder's step: it has no noise
     assert device.handle.friction_n == pytest.approx(0.05, rel=0.02)
     assert device.grip.stiffness_n_per_m == pytest.approx(300, rel=0.05)
     # Nothing is replaced unless that is said.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bench.closed_loop import LOOPS, RATES_HZ, Continuous, Loop, error, order, placed, simulated, without_hold
+from tests.marks import rest_slow
 
 
 def matrix_exponential(loop: Loop, time_s: float) -> tuple[float, float, float]:
@@ -56,7 +57,7 @@ def test_the_handle_before_the_onset_is_the_closed_form(rate_hz: float) -> None:
     assert force[~before].all()
 
 
-@pytest.mark.parametrize("loop", LOOPS.values(), ids=LOOPS)
+@pytest.mark.parametrize("loop", rest_slow(LOOPS.values()), ids=LOOPS)
 def test_error_falls_with_the_first_order_of_the_period(loop: Loop) -> None:
     errors = [error(loop, rate) for rate in RATES_HZ]
     for name in ("force_n", "penetration_m", "held_n"):
@@ -65,7 +66,7 @@ def test_error_falls_with_the_first_order_of_the_period(loop: Loop) -> None:
         assert values == sorted(values, reverse=True), name
 
 
-@pytest.mark.parametrize("stiffness", [400.0, 800.0, 2000.0])
+@pytest.mark.parametrize("stiffness", rest_slow([400.0, 800.0, 2000.0]))
 def test_a_held_force_is_half_a_period_old(stiffness: float) -> None:
     """K T/2 of negative damping explains the first order: what is left falls with the second, and is far smaller."""
     loop = Loop(stiffness)

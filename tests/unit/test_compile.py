@@ -614,7 +614,7 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
     def material(index: int) -> object:
         copy = ffi.new("struct hd_material *")
         copy[0] = table.materials[index]
-        copy.noise = copy.tap_first = 0
+        copy.noise = copy.tap_first = copy.tune_first = 0
         if copy.tap_count:
             first = table.materials[index].tap_first
             return bytes(ffi.buffer(copy)), bytes(ffi.buffer(table.numbers + first, 16 * copy.tap_count))

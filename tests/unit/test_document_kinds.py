@@ -201,7 +201,8 @@ def test_gestures_with_slips(
     ],
 )
 def test_what_lacks_its_key_is_told_the_key(
-    name: str, text: str, more: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, text: str, more: str
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     Path(name).write_text(text)
     assert said(capsys, 1, "check", "-c", name).endswith(more)

@@ -505,7 +505,9 @@ def near(since: Floats, mode: Mode) -> Floats:
     return 0.4 * np.exp(-mode.decay_rate_per_s * later) * np.sin(1.4 * mode.angular_frequency_rad_per_s * later)
 
 
-@pytest.mark.parametrize(("name", "shape"), [("glass", pulse), ("glass", push), ("wood", push), ("wood", near)])
+@pytest.mark.parametrize(
+    ("name", "shape"), rest_slow([("glass", pulse), ("wood", push), ("wood", near), ("glass", push)], fast=3)
+)
 def test_figures_that_another_shape_has_spoilt_are_not_called_good(
     name: str, shape: Callable[[Floats, Mode], Floats]
 ) -> None:

@@ -55,3 +55,14 @@ def test_flicker_between_two_steps_of_an_encoder_never_taps_again() -> None:
         levels = offset - step + step * (np.random.default_rng(4).integers(0, 2, 400))
         rig, _ = rendered("wall", np.concatenate([np.full(20, 1e-3), levels]), step)
         assert len(struck(rig)) == 1
+
+
+@pytest.mark.parametrize("shape", list(SHAPES))
+@pytest.mark.parametrize("speed", [0.01, 0.05, 0.2, 1.0])
+@pytest.mark.parametrize("away_m", [1.2 * REARM_M, 1e-4, 1e-3])
+def test_every_tap_after_a_withdrawal_is_one_however_slow(shape: str, speed: float, away_m: float) -> None:
+    """Away in steps far below the depth or above it, and as far as where the surface is not looked at every tick."""
+    down = np.linspace(away_m, -1e-5, max(3, round(away_m / speed * 10_000)))
+    first = np.linspace(1e-3, away_m, 50)
+    rig, _ = rendered(shape, np.concatenate([first, down, down[::-1], down, down[::-1], down]), REARM_M)
+    assert len(struck(rig)) == 3

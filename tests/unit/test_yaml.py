@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hapticd import yaml_slips, yaml_source
 from hapticd.errors import HapticdError, InvalidError, Problem
 from hapticd.yaml_source import MAX_BYTES, MAX_DEPTH, Json, load_bytes, load_path, load_text
+from tests.marks import rest_slow
 
 PARSERS = [yaml.BaseLoader] + ([yaml.CBaseLoader] if yaml.__with_libyaml__ else [])
 
@@ -20,6 +21,12 @@ PARSERS = [yaml.BaseLoader] + ([yaml.CBaseLoader] if yaml.__with_libyaml__ else 
 def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every test with PyYAML's own parser and with the one over libyaml."""
     monkeypatch.setattr(yaml_source, "_LOADER", request.param)
+
+
+ONE_PARSER = pytest.mark.parametrize(
+    "parser", rest_slow(reversed(PARSERS)), ids=lambda parser: parser.__name__, indirect=True
+)
+"""Of a test that takes long: `make test` has it with the parser that is used, `make check` with both."""
 
 
 def refusal(text: str | bytes) -> Problem:
@@ -153,6 +160,7 @@ def test_broken_syntax_is_one_line(text: str) -> None:
     assert refusal(text).where.startswith("f.yaml:")
 
 
+@ONE_PARSER
 def test_largest_size_is_taken() -> None:
     assert load_bytes(b"#" * MAX_BYTES, "f").data is None
 
@@ -215,6 +223,7 @@ json_values = st.recursive(
 )
 
 
+@ONE_PARSER
 @given(json_values)
 def test_json_means_the_same_as_yaml(value: Json) -> None:
     assert load_text(json.dumps(value, ensure_ascii=False), "f").data == value
@@ -227,6 +236,7 @@ def only_refused(content: bytes) -> None:
         assert str(error).isprintable()
 
 
+@ONE_PARSER
 @settings(max_examples=300)
 @given(st.binary(max_size=60))
 def test_any_bytes_are_taken_or_refused(content: bytes) -> None:
@@ -274,6 +284,7 @@ FRAGMENTS += [
 FRAGMENTS += ["\\", "@", "`", "=", "\x85", "\ufeff", "\u2028", "\xe9"]
 
 
+@ONE_PARSER
 @settings(max_examples=500)
 @given(st.lists(st.sampled_from(FRAGMENTS), max_size=25).map("".join))
 def test_any_tokens_are_taken_or_refused(text: str) -> None:
