@@ -146,6 +146,8 @@ def started(joystick: uhid.VendorJoystick) -> None:
         threads.append((name, os.sched_getscheduler(number), os.sched_getparam(number).sched_priority))
     fifo = [thread for thread in threads if thread[1] == os.SCHED_FIFO]
     check(len(fifo) == 3 and len(threads) > 3, "SCHED_FIFO for the servo and the device alone", threads)
+    first = os.getpriority(os.PRIO_PROCESS, int(pid))
+    check(first == -10, "the thread that serves commands comes before everybody else's", first)
     lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     rights = [
         line.replace("\t", " ") for line in lines if line.startswith(("CapEff", "CapBnd", "NoNewPrivs", "Seccomp:"))
