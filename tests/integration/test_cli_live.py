@@ -237,7 +237,8 @@ def test_files_for_another_command(shell: Shell) -> None:
         ):
             if taker.split()[0] == command[0] and (command[1] == "update" or taker == " ".join(command)):
                 continue
-            told = f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}\n"
+            more = "; or put them below `objects:`" if (what, command) == ("objects", ["scene", "set"]) else ""
+            told = f"hapticd: {name}: holds {what}; use: hapticd {taker} {name}{more}\n"
             assert shell.fails(*command, name) == told
     np.savez("r.npz", samples=np.zeros(3))
     assert shell.fails("operator", "r.npz") == "hapticd: r.npz: holds a recording; use: hapticd replay r.npz\n"
