@@ -10,9 +10,9 @@ import logging
 import math
 import os
 import threading
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from typing import Annotated, Any, Final, NamedTuple, cast
 
@@ -55,6 +55,7 @@ from hapticd.scene import (
 from hapticd.sent import faults_beside, patched_materials, patched_objects, whole_materials
 from hapticd.sent_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.texture import Autoregressive
+from hapticd.told import Told
 from hapticd.wire import PROTOCOL, Code
 
 LOAD_S: Final = 10.0
@@ -216,6 +217,7 @@ class Control:
         self._engine = engine
         self._load = load
         self.intake = Intake()
+        self._told = Told()
         self._flight = flight
         self._ask_state = ask_state
         self.repeats = Repeats()
@@ -344,9 +346,12 @@ class Control:
             "operator": engine.operator(),
         }
 
-    def beside(self, work: Work) -> AbstractContextManager[None]:
+    @contextmanager
+    def beside(self, work: Work) -> Iterator[None]:
         """This thread performs beside the one that serves commands meanwhile, and tells `work` how far it is."""
-        return self._engine.beside(work)
+        with self._engine.beside(work):
+            yield
+            self._told.scene(self._engine.scene)  # who asks for it next does not hold others up
 
     def end(self) -> None:
         """Gives up what is being taken in: the daemon ends. For any thread."""
@@ -391,7 +396,7 @@ class Control:
 
     def _get_scene(self, _: _NoParams) -> dict[str, object]:
         state = self._engine.state
-        return {"scene": state.scene.to_dict(), "revision": state.revision}
+        return {"scene": self._told.scene(state.scene), "revision": state.revision}
 
     def _set_scene(self, params: _SetScene) -> Changed:
         self._expect(params)
@@ -448,10 +453,7 @@ class Control:
 
     def _get_materials(self, _: _NoParams) -> dict[str, object]:
         state = self._engine.state
-        return {
-            "materials": {name: material.to_dict() for name, material in state.materials.items()},
-            "revision": state.revision,
-        }
+        return {"materials": self._told.materials(state.materials), "revision": state.revision}
 
     def _set_materials(self, params: _SetMaterials) -> Changed:
         self._expect(params)

@@ -20,6 +20,7 @@ from pydantic import (
 )
 
 from hapticd.model import AT_ONCE, MAX_FAULTS, Model, Name
+from hapticd.wire import Encoded
 from hapticd.yaml_source import Json
 
 MAX_PATCHES: Final = 2**16
@@ -63,6 +64,8 @@ class Patches(Sequence[Patch]):
         self._material = array("I")
         self.narrow: tuple[float, list[tuple[int, str]]] | None = None
         """A ramp, and what is too narrow for it (displayable.patch_warnings)."""
+        self.encoded: Encoded | None = None
+        """As they are told (told.py)."""
         numbers: dict[str, int] = {}
         first: dict[str, int] = {}
         for index, patch in enumerate(patches):

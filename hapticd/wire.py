@@ -209,6 +209,24 @@ def encode(value: object) -> bytes:
         raise WireError(Code.INTERNAL, f"cannot be encoded: {error}") from None
 
 
+class Encoded(bytes):
+    """A value that is encoded already."""
+
+
+def encoded_map(members: Mapping[str, object]) -> Encoded:
+    """A map of these members, of which some may be encoded already. Raises as encode does."""
+    parts = [msgpack.Packer().pack_map_header(len(members))]
+    for key, value in members.items():
+        parts += encode(key), value if isinstance(value, Encoded) else encode(value)
+    return Encoded(b"".join(parts))
+
+
+def encoded_list(items: Sequence[object]) -> Encoded:
+    """A list, its items one by one: nobody waits for all of them."""
+    packer = msgpack.Packer()
+    return Encoded(packer.pack_array_header(len(items)) + b"".join([packer.pack(item) for item in items]))
+
+
 # ---- requests and replies ----------------------------------------------------------------------------------
 
 
@@ -281,7 +299,9 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
 
 
 def result_reply(id: Id, result: object) -> bytes:
-    """The body that answers call `id` with its result."""
+    """The body that answers call `id` with its result, a map's members encoded already or not."""
+    if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
+        return encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
     return encode({"jsonrpc": "2.0", "id": id, "result": result})
 
 

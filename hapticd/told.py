@@ -1,0 +1,43 @@
+"""What scene and materials are told as, encoded: walls of many patches and materials that stay as they are, once.
+
+Who asks for a scene of 80,000 patches again and again would otherwise have all of them encoded each time, and everybody
+else would wait for it.
+"""
+
+from __future__ import annotations
+
+from hapticd.materials import Material, Materials
+from hapticd.model import AT_ONCE
+from hapticd.patches import Patches
+from hapticd.scene import Scene, SceneObject, Wall
+from hapticd.wire import Encoded, encode, encoded_list, encoded_map
+
+
+class Told:
+    """Keeps what was encoded; it is let go with what it stands for. For any thread."""
+
+    def __init__(self) -> None:
+        self._materials: dict[str, tuple[Material, Encoded]] = {}
+
+    def scene(self, scene: Scene) -> Encoded:
+        """As `scene.to_dict()`."""
+        objects = encoded_map({id: self._object(item) for id, item in scene.objects.items()})
+        return encoded_map({**scene.to_dict(without={"objects"}), "objects": objects})
+
+    def materials(self, materials: Materials) -> Encoded:
+        """By their names, each as `material.to_dict()`."""
+        before, found = self._materials, {}
+        for name, material in materials.items():
+            known = before.get(name)
+            same = known is not None and known[0] is material
+            found[name] = known if known and same else (material, Encoded(encode(material.to_dict())))
+        self._materials = found
+        return encoded_map({name: encoded for name, (_, encoded) in found.items()})
+
+    def _object(self, item: SceneObject) -> object:
+        if not isinstance(item, Wall) or not isinstance(item.patches, Patches) or len(item.patches) <= AT_ONCE:
+            return item.to_dict()
+        patches = item.patches
+        if patches.encoded is None:
+            patches.encoded = encoded_list(patches.texts())
+        return encoded_map({**item.to_dict(without={"patches"}), "patches": patches.encoded})
