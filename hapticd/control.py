@@ -12,9 +12,9 @@ import os
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Annotated, Any, Final, NamedTuple, cast
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias, cast
 
 from pydantic import Field, ValidationError
 
@@ -159,7 +159,9 @@ _MANY_OBJECTS: Final = 2000
 """Taking the place of more objects takes long."""
 _BRIEF_FILTERS: Final = 4
 """Designing more filters does."""
-_Handler = Callable[["Control", Any], dict[str, object] | Changed]
+Done: TypeAlias = dict[str, object] | Changed
+"""What was performed."""
+_Handler = Callable[["Control", Any], Done | Future[dict[str, object]]]
 
 
 def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
@@ -230,9 +232,10 @@ class Control:
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method, however long it takes. Raises MethodError."""
-        return self.finish(self.perform(method, params))
+        done = self.perform(method, params)
+        return done.result() if isinstance(done, Future) else self.finish(done)
 
-    def finish(self, done: dict[str, object] | Changed) -> dict[str, object]:
+    def finish(self, done: Done) -> dict[str, object]:
         """The result of what was performed. Waits for the servo where a change asks for that. Raises MethodError."""
         if not isinstance(done, Changed):
             return done
@@ -266,7 +269,9 @@ class Control:
         before = self._engine.materials.get(name)
         return before is not None and isinstance(before.texture, Autoregressive)
 
-    def perform(self, method: str, params: Mapping[str, object], brief: bool = False) -> dict[str, object] | Changed:
+    def perform(
+        self, method: str, params: Mapping[str, object], brief: bool = False
+    ) -> Done | Future[dict[str, object]]:
         """Does what a method is for; `finish` makes the result of it. Raises MethodError.
 
         `brief`: a change that turns out to take long raises TakesLongError, with nothing changed. Methods of CHANGES
@@ -376,19 +381,10 @@ class Control:
     def _get_status(self, _: _NoParams) -> dict[str, object]:
         return self.status()
 
-    def _get_state(self, _: _NoParams) -> dict[str, object]:
+    def _get_state(self, _: _NoParams) -> Future[dict[str, object]]:
         if self._ask_state is None:
             raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
-        answer = self._ask_state()
-
-        def answered(timeout_ns: int) -> bool:
-            self._engine.beat()
-            with suppress(TimeoutError):
-                answer.result(1e-9 * timeout_ns)
-            return answer.done()
-
-        self._engine.wait_for(answered, "no tick was rendered")
-        return answer.result()
+        return self._ask_state()
 
     def _get_config(self, _: _NoParams) -> dict[str, object]:
         config = self._engine.config

@@ -1,8 +1,9 @@
 """Who answers a request: the thread that serves commands, or one beside it for what takes long to take in.
 
 Scene and materials change in the order in which requests came. While a long change is taken in, brief ones wait for at
-most WAIT_S, and another long one is refused. Everything else is answered meanwhile. A reload of the configuration is a
-long change, one for all signals that asked for it before it began.
+most WAIT_S, and another long one is refused. Everything else is answered meanwhile; `get_state` when the thread that
+reads the samples has come to it. A reload of the configuration is a long change, one for all signals that asked for it
+before it began.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass
 from time import monotonic_ns
 from typing import Final
 
 from hapticd import notify, wire
-from hapticd.control import CHANGES, Changed, Control, MethodError, TakesLongError
+from hapticd.control import CHANGES, Changed, Control, Done, MethodError, TakesLongError
 from hapticd.errors import quoted
 from hapticd.intake import GivenUpError, Work
 from hapticd.repeats import Repeats
@@ -33,6 +35,16 @@ _log = logging.getLogger("hapticd.server")
 
 Reply = Callable[[bytes], None]
 """Sends the body of an answer to who asked."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A request that another thread answers, when it comes to it."""
+
+    request: wire.Request
+    answer: Future[dict[str, object]]
+    until_ns: int
+    reply: Reply
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +65,7 @@ class Dispatch:
         self.repeats = Repeats() if repeats is None else repeats
         self._control = control
         self._waiting: deque[_Waiting] = deque()
+        self._asked: deque[_Asked] = deque()
         self._reload = threading.Event()
 
     def ask_reload(self) -> None:
@@ -95,6 +108,14 @@ class Dispatch:
         while self._waiting and self._waiting[0].until_ns < now_ns:
             waited = self._waiting.popleft()
             self._refuse(waited.request, waited.reply)
+        for _ in range(len(self._asked)):
+            asked = self._asked.popleft()
+            if asked.answer.done():
+                self._answer(asked.request, asked.answer.result, asked.reply)
+            elif asked.until_ns < now_ns:
+                self._answer(asked.request, _late, asked.reply)
+            else:
+                self._asked.append(asked)
         if self._reload.is_set() and intake.work is None:
             self._reload.clear()
             notify.reloading()
@@ -164,10 +185,25 @@ class Dispatch:
 
         self._answer(request, refused, reply)
 
-    def _answer(self, request: wire.Request, perform: Callable[[], dict[str, object] | Changed], reply: Reply) -> None:
-        """Answers a request by what was performed for it. Raises TakesLongError."""
+    def _wait_for(self, request: wire.Request, answer: Future[dict[str, object]], reply: Reply) -> None:
+        """Answers once the other thread has; meanwhile others are served. Raises MethodError."""
+        if len(self._asked) >= MOST_WAITING:
+            raise MethodError(
+                wire.Code.RING_FULL, f"{MOST_WAITING} of {request.method} are under way; send it again later"
+            )
+        self._asked.append(_Asked(request, answer, monotonic_ns() + int(WAIT_S * 1e9), reply))
+        answer.add_done_callback(lambda _: self._control.intake.wake())
+
+    def _answer(
+        self, request: wire.Request, perform: Callable[[], Done | Future[dict[str, object]]], reply: Reply
+    ) -> None:
+        """Answers a request by what was performed for it, at once or later. Raises TakesLongError."""
         try:
-            result = self._control.finish(perform())
+            done = perform()
+            if isinstance(done, Future):
+                self._wait_for(request, done, reply)
+                return
+            result = self._control.finish(done)
             _log.debug("%s: done", request.method)
         except TakesLongError:
             raise
@@ -194,6 +230,10 @@ class Dispatch:
         else:
             if request.has_id:
                 reply(wire.result_reply(request.id, result))
+
+
+def _late() -> Done:
+    raise MethodError(wire.Code.WAIT_TIMED_OUT, f"no tick was rendered within {WAIT_S:g} s")
 
 
 def _ready() -> None:

@@ -122,7 +122,7 @@ ERRORS: Final[dict[str, frozenset[int]]] = {
     "set_materials": frozenset((-32001, -32005, -32006)),
     "update_materials": frozenset((-32001, -32005, -32006)),
     "apply": frozenset((-32001, -32005, -32006)),
-    "get_state": frozenset((-32006,)),
+    "get_state": frozenset((-32005, -32006)),
     "mark": frozenset((-32005, -32006)),
     "reload": frozenset((-32001, -32005, -32006)),
     "play": frozenset((-32003, -32005, -32006)),
@@ -243,8 +243,8 @@ class Expected:
     @property
     def late(self) -> bool:
         """Whether answers to later messages may come before its own: a change, and a body so large that it may be
-        one."""
-        return self.method in CHANGES or sum(map(len, self.frames)) > LARGE_BODY
+        one; the newest sample, which another thread tells."""
+        return self.method in CHANGES or self.method == "get_state" or sum(map(len, self.frames)) > LARGE_BODY
 
     def same_id(self, other: Expected) -> bool:
         """Whether both answers carry the same id."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -366,3 +367,26 @@ def test_a_tiny_change_of_a_wall_looks_at_none_of_its_patches(
     fresh = Engine(daemon.engine.config)
     fresh.replace(daemon.engine.scene, daemon.engine.materials)
     assert (fresh._compiler._pieces == daemon.engine._compiler._pieces).all()
+
+
+def test_the_newest_sample_is_waited_for_by_nobody_else(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Future[dict[str, object]]] = []
+
+    def ask() -> Future[dict[str, object]]:
+        asked.append(Future())
+        return asked[-1]
+
+    daemon.control._ask_state = ask
+    first, second = daemon.send("get_state"), daemon.send("get_state")
+    assert daemon.ask("set_forces", {"enabled": False})["forces"] == "off"
+    assert not {first, second} & daemon.answers.keys()
+    asked[1].set_result({"tick": 7})
+    daemon.over()
+    assert daemon.answers[second]["result"] == {"tick": 7} and first not in daemon.answers
+    others = [daemon.send("get_state") for _ in range(dispatching.MOST_WAITING)]
+    assert daemon.code(others[-1]) == wire.Code.RING_FULL and others[-2] not in daemon.answers
+    now_ns = dispatching.monotonic_ns()
+    monkeypatch.setattr(dispatching, "monotonic_ns", lambda: now_ns + int(2e9))
+    daemon.dispatch.turn()
+    assert {daemon.code(id) for id in (first, *others[:-1])} == {wire.Code.WAIT_TIMED_OUT}
+    assert len(daemon.answers) == len(asked) + 1
