@@ -81,6 +81,8 @@ CHANGES: Final = 1024
 
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
+JUDGED_AT_ONCE: Final = 512
+"""Larger scenes are judged by a thread: nobody waits for it."""
 
 LOOK_EVERY_NS: Final = 50_000_000
 """So often the thread that serves commands looks whether the servo needs something."""
@@ -340,6 +342,7 @@ class Engine:
         self._loop = self._loop_at(self.output)
         self._compiling = threading.Lock()
         self._judged: tuple[int, Stability] | None = None
+        self._judging = threading.Lock()
         self._told: dict[str, _Told] = {}
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
@@ -638,7 +641,8 @@ class Engine:
     def stability(self) -> Stability:
         """Which sets of objects that act together are not safe, of the scene in force. For any thread.
 
-        Found anew only where the scene changed. While another thread changes it, that of the scene before.
+        Found anew only where the scene changed. While another thread changes it, that of the scene before; of a scene
+        of more than JUDGED_AT_ONCE objects and patches, until a thread has found it, which takes seconds at most.
         """
         if self._loop is None:
             return Stability(UNKNOWN_HANDLE, None)
@@ -654,9 +658,28 @@ class Engine:
             names = self._compiler.names()
         finally:
             self._compiling.release()
-        found = judge(parts, names.__getitem__, lambda: field_ids(scene.objects), self._loop)
-        self._judged = revision, found
-        return found
+        loop = self._loop
+
+        def find() -> Stability:
+            found = judge(parts, names.__getitem__, lambda: field_ids(scene.objects), loop)
+            self._judged = revision, found
+            return found
+
+        if known is None or np.count_nonzero(parts.objects["shape"]) + len(parts.pieces) <= JUDGED_AT_ONCE:
+            return find()
+        if self._judging.acquire(blocking=False):
+
+            def run() -> None:
+                try:
+                    find()
+                finally:
+                    self._judging.release()
+
+            try:
+                threading.Thread(target=run, name="stability", daemon=True).start()
+            except RuntimeError:  # there may be no more threads; who asks next tries again
+                self._judging.release()
+        return known[1]
 
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that an event speaks of; None where no object is meant."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import pytest
 from scipy import signal
 
 from bench.stability import SEED, counted, draw, fate_of, judged, linear_grows
+from hapticd import engine as engines
 from hapticd import together
 from hapticd.actuator import Actuator
 from hapticd.cli import main
@@ -25,6 +27,7 @@ from hapticd.engine import Engine, loop_of
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.joystick import new_operator, new_sim
 from hapticd.offline import render, simulate_run
+from hapticd.scene import validate_scene
 from hapticd.stability import GROWS, PRESS_N, Loop, Timing, held_factor, spectral_radius, timing
 from hapticd.together import Sets
 from tests.marks import rest_slow
@@ -495,6 +498,35 @@ def test_many_sets_are_counted_and_few_told() -> None:
         lines[-1] == f"scene.objects: {60 - together.MOST_LINES} more sets of objects are not safe, see `hapticd check`"
     )
     assert engine.stability() is stability
+
+
+def test_nobody_waits_until_a_large_scene_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on, done = threading.Event(), threading.Event()
+    judge = engines.judge
+
+    def held(*args: Any) -> Any:
+        assert go_on.wait(60)
+        try:
+            return judge(*args)
+        finally:
+            done.set()
+
+    discs = {
+        f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 2e-4, "material": "m"}
+        for i in range(engines.JUDGED_AT_ONCE + 1)
+    }
+    engine = Engine(load_config({**LINKED, "materials": {"m": {"stiffness_n_per_m": 800}}}))
+    before = engine.stability()
+    monkeypatch.setattr(engines, "judge", held)
+    engine.set_scene(validate_scene({"objects": discs}))
+    assert engine.stability() is before and engine.stability() is before
+    go_on.set()
+    assert done.wait(60)
+    with engine._judging:  # until the thread that judged has ended
+        pass
+    assert engine.stability().sets == len(discs)
+    engine.update_objects({f"d{i}": None for i in range(1, 400)})
+    assert engine.stability().sets == len(discs) - 399  # few enough: at once
 
 
 def test_virtual_damping_is_unproved_until_it_shakes_the_handle() -> None:
