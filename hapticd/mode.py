@@ -6,12 +6,12 @@ decay rate in 1/s, w the angular frequency in rad/s.
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 from pydantic.config import JsonDict
 
-from hapticd.model import Model
+from hapticd.model import CheckedTogether
 
 Attack: TypeAlias = Literal["coefficient", "first_peak"]
 
@@ -66,7 +66,7 @@ ONE_OF_EACH_PAIR: JsonDict = {
 }
 
 
-class ModeKeys(Model):
+class ModeKeys(CheckedTogether):
     """A ringing mode: one of frequency and angular frequency, and one of decay time and decay rate."""
 
     model_config = ConfigDict(json_schema_extra=ONE_OF_EACH_PAIR)
@@ -91,13 +91,6 @@ class ModeKeys(Model):
             if len(given) != 1:
                 faults.append(f"needs exactly one of {one} and {other}, has {'both' if given else 'neither'}")
         return faults
-
-    @model_validator(mode="after")
-    def _refuse_cross_faults(self) -> Self:
-        faults = self.cross_faults()
-        if faults:
-            raise ValueError("; ".join(faults))
-        return self
 
     @property
     def mode(self) -> Mode:

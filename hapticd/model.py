@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
 from hapticd.errors import InvalidError, Path, Problem, known_names, near_names, path_text, shown
@@ -95,6 +95,21 @@ class Model(BaseModel):
         `without` these members.
         """
         return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True, exclude=without))
+
+
+class CheckedTogether(Model):
+    """A model with keys that are each sound, and may not go together."""
+
+    def cross_faults(self) -> list[str]:
+        """What is wrong between them."""
+        return []
+
+    @model_validator(mode="after")
+    def _refuse_cross_faults(self) -> Self:
+        faults = self.cross_faults()
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
 
 
 @contextmanager

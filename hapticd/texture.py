@@ -27,7 +27,7 @@ from pydantic.config import JsonDict
 
 from hapticd.direction import Direction
 from hapticd.mode import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
-from hapticd.model import MAX_FAULTS, Damping, Model
+from hapticd.model import MAX_FAULTS, CheckedTogether, Damping, Model
 
 MAX_ORDER: Final = 32
 MAX_MODELS: Final = 400
@@ -62,7 +62,7 @@ def _needs(display: str, key: str) -> JsonDict:
     return {"if": {"properties": {"display": {"const": display}}}, "then": {"required": [key]}}
 
 
-class FrequencyTable(Model):
+class FrequencyTable(CheckedTogether):
     """The frequency of a groove's strikes over tangential speed and normal force."""
 
     speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False)] = Field(
@@ -78,7 +78,7 @@ class FrequencyTable(Model):
         min_length=1, max_length=MAX_FREQUENCIES, description="A list for each speed: a frequency for each force."
     )
 
-    def _cross_faults(self) -> list[str]:
+    def cross_faults(self) -> list[str]:
         faults = []
         for key in ("speeds_m_per_s", "forces_n"):
             for index, (before, value) in enumerate(pairwise(getattr(self, key))):
@@ -96,13 +96,6 @@ class FrequencyTable(Model):
                 faults.append(f"frequencies_hz[{index}] must have a frequency for each force, {forces}, has {len(row)}")
                 break
         return faults
-
-    @model_validator(mode="after")
-    def _refuse_cross_faults(self) -> Self:
-        faults = self._cross_faults()
-        if faults:
-            raise ValueError("; ".join(faults))
-        return self
 
     @property
     def bounds_hz(self) -> tuple[float, float]:
@@ -128,7 +121,7 @@ def _between(points: Sequence[float], value: float) -> tuple[int, int, float]:
     return end - 1, end, (value - points[end - 1]) / (points[end] - points[end - 1])
 
 
-class Grooves(Model):
+class Grooves(CheckedTogether):
     """Grooves at equal distances, felt as strikes, as a shape or as drag."""
 
     model_config = ConfigDict(
@@ -208,7 +201,7 @@ class Grooves(Model):
             ]
         return faults
 
-    def _cross_faults(self) -> list[str]:
+    def cross_faults(self) -> list[str]:
         faults = []
         if self.width_m > self.spacing_m:
             faults.append(f"width_m must be at most spacing_m, {self.spacing_m:.15g}, is {self.width_m:.15g}")
@@ -229,13 +222,6 @@ class Grooves(Model):
             case "damping" if self.damping_n_s_per_m is None:
                 faults.append("needs damping_n_s_per_m to be displayed as damping")
         return faults
-
-    @model_validator(mode="after")
-    def _refuse_cross_faults(self) -> Self:
-        faults = self._cross_faults()
-        if faults:
-            raise ValueError("; ".join(faults))
-        return self
 
     @model_serializer(mode="wrap")
     def _without_keys_of_other_displays(self, serialized: SerializerFunctionWrapHandler) -> dict[str, object]:
@@ -346,7 +332,7 @@ def _one_by_one(models: object, info: ValidationInfo) -> object:
     return found
 
 
-class Autoregressive(Model):
+class Autoregressive(CheckedTogether):
     """Coloured noise by models identified from recordings, blended over speed and force."""
 
     kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
@@ -362,7 +348,7 @@ class Autoregressive(Model):
     direction: Direction = Field(default="tangent", description="Where it acts: along the surface or across it.")
     seed: Seed = Field(default=1, description="The same seed and motion give the same samples.")
 
-    def _cross_faults(self) -> list[str]:
+    def cross_faults(self) -> list[str]:
         faults = []
         for key in ("speed_m_per_s", "force_n"):
             distinct = len({getattr(model, key) for model in self.models})
@@ -378,13 +364,6 @@ class Autoregressive(Model):
                 )
                 break
         return faults
-
-    @model_validator(mode="after")
-    def _refuse_cross_faults(self) -> Self:
-        faults = self._cross_faults()
-        if faults:
-            raise ValueError("; ".join(faults))
-        return self
 
 
 Texture: TypeAlias = Annotated[Grooves | Stochastic | Autoregressive, Field(discriminator="kind")]
