@@ -858,20 +858,18 @@ class Engine:
         )
 
     def _wait(self, taken: Callable[[int, CData], int], late: str) -> int:
-        """The tick that took something. A servo that steps down goes on by this thread's doing, and would be waited for
-        in vain if it did not look after it."""
-        tick = ffi.new("uint64_t *")
-        self.wait_for(lambda timeout_ns: taken(timeout_ns, tick) == Status.OK, late)
-        return int(tick[0])
+        """The tick that took something; `taken` itself waits for at most the nanoseconds that it is given.
 
-    def wait_for(self, done: Callable[[int], bool], late: str) -> None:
-        """Waits until `done`, which itself waits for at most the nanoseconds that it is given, and looks after the
-        servo meanwhile. Raises WaitTimeoutError, which says what is `late`."""
+        A servo that steps down goes on by this thread's doing, and would be waited for in vain if it did not look after
+        it. Raises WaitTimeoutError, which says what is `late`.
+        """
+        tick = ffi.new("uint64_t *")
         until_ns = monotonic_ns() + int(WAIT_S * 1e9)
-        while not done(max(0, min(LOOK_EVERY_NS, until_ns - monotonic_ns()))):
+        while taken(max(0, min(LOOK_EVERY_NS, until_ns - monotonic_ns())), tick) != Status.OK:
             if monotonic_ns() >= until_ns:
                 raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
             self.look_after()
+        return int(tick[0])
 
     # ---- What the servo says ---------------------------------------------------------------------------------------
 
