@@ -389,12 +389,12 @@ def shape_of(
     """
     p = pole_of(mode)
     if compensation == "mass":
-        return _plain(_Band(mode, dynamics, rate_hz, load, [p]), mode, dynamics, 1 / rate_hz, load)[0]
+        return _alone(_Band(mode, dynamics, rate_hz, load, [p]), mode, dynamics, 1 / rate_hz, load)[0]
     tails = _tails(mode, rate_hz)
     long = 1 / mode.decay_rate_per_s >= 2 * KICKS / rate_hz / _TIME_CONSTANTS
     attacked = long and mode.frequency_hz >= KICKED * rate_hz
     band = _Band(mode, dynamics, rate_hz, load, [p, *tails], attacked)
-    plain = _plain(band, mode, dynamics, 1 / rate_hz, load)[1]
+    plain = _plain(band, mode, dynamics, 1 / rate_hz, load)
     best = min((_tailed(band, mode, pole) for pole in tails), key=lambda shape: shape.error)
     best = best if best.error < plain.error - WORTH else plain
     if not attacked:
@@ -403,14 +403,19 @@ def shape_of(
     return kicked if not kicked.limited and anywhere < _anywhere(band, best) - KICKS_WORTH else best
 
 
-def _plain(band: _Band, mode: Mode, dynamics: Dynamics, period_s: float, load: Load) -> tuple[Shape, Shape]:
-    """The mode's pole alone: what makes up for hold and actuator, and that or C, whichever leaves less."""
+def _alone(band: _Band, mode: Mode, dynamics: Dynamics, period_s: float, load: Load) -> tuple[Shape, Shape]:
+    """The mode's pole alone: what makes up for hold and actuator, and C."""
     p = pole_of(mode)
     own = band.columns(p)
     lag = complex(load.lag(np.array([p], np.complex128))[0])
     gains = (hold_gain(p, period_s) / lag, pole_gain(mode, dynamics, period_s, load))
-    mass, whole = (_shape(band, [p], own, np.array([gain.real, gain.imag])) for gain in gains)
-    return mass, min((mass, whole), key=lambda shape: shape.error)
+    held, whole = (_shape(band, [p], own, np.array([gain.real, gain.imag])) for gain in gains)
+    return held, whole
+
+
+def _plain(band: _Band, mode: Mode, dynamics: Dynamics, period_s: float, load: Load) -> Shape:
+    """Of the mode's pole alone, what leaves less."""
+    return min(_alone(band, mode, dynamics, period_s, load), key=lambda shape: shape.error)
 
 
 def _tailed(band: _Band, mode: Mode, tail: complex) -> Shape:
@@ -438,7 +443,7 @@ def shapes_of(
     poles = [pole_of(mode)] if chosen.tail is None else [pole_of(mode), chosen.tail.pole]
     band = _Band(mode, dynamics, rate_hz, second, poles, bool(chosen.kicks))
     if chosen.tail is None:
-        other = _plain(band, mode, dynamics, 1 / rate_hz, second)[1]
+        other = _plain(band, mode, dynamics, 1 / rate_hz, second)
     elif chosen.kicks:
         other = _attacked(band, mode, chosen.tail.pole, np.array(chosen.kicks).ravel())[0]
     else:
@@ -454,7 +459,6 @@ def tuned_shapes(
     All have the poles of the same tail, or none has one, and none has kicks: so gains change steadily from one
     frequency to the next.
     """
-    period_s = 1 / rate_hz
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
         return [(shape, shape) for shape in plain]
@@ -466,10 +470,7 @@ def tuned_shapes(
     def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
         if way < 2:
             return _tailed(band, mode, _tails(mode, rate_hz)[way])
-        p = pole_of(mode)
-        lag = complex(met.lag(np.array([p], np.complex128))[0])
-        gain = hold_gain(p, period_s) / lag if way == 2 else pole_gain(mode, dynamics, period_s, met)
-        return _shape(band, [p], band.columns(p), np.array([gain.real, gain.imag]))
+        return _alone(band, mode, dynamics, 1 / rate_hz, met)[way - 2]
 
     ways = [[designed(*pair, way, load.free) for pair in zip(free, modes, strict=True)] for way in range(4)]
     errors = [sum(shape.error for shape in way) / len(modes) for way in ways]
