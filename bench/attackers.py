@@ -75,22 +75,16 @@ def several(stack: contextlib.ExitStack, path: Path, kind: bytes, count: int) ->
 # ---- Connections -----------------------------------------------------------------------------------------------------
 
 
-def connections(directory: Path) -> None:
-    """So many connections to both sockets, opened anew where they are ended: half of them with a handshake, those to
-    the telemetry socket subscribed to everything and never read."""
+def keep(count: int, opened: Callable[[], socket.socket], tally: Tally) -> None:
+    """Holds so many connections, opened anew where they are ended, for ever. `opened` may raise OSError."""
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    paths = (directory / "hapticd.command", directory / "hapticd.telemetry")
-    kinds = itertools.cycle(((paths[0], b"DEALER"), (paths[1], b"SUB"), (paths[0], None), (paths[1], None)))
-    tally = Tally("connections")
     mine: dict[int, socket.socket] = {}
     poll = select.poll()
     while True:
-        for path, kind in itertools.islice(kinds, CONNECTIONS - len(mine)):
+        for _ in range(count - len(mine)):
             try:
-                made = open_to(path, kind)
-                if kind == b"SUB":
-                    made.sendall(zmtp.message([b"\x01"]))
+                made = opened()
             except OSError:
                 time.sleep(0.01)  # the attacker's own pace
                 break
@@ -101,6 +95,22 @@ def connections(directory: Path) -> None:
         for descriptor, _ in poll.poll(100):
             poll.unregister(descriptor)
             mine.pop(descriptor).close()
+
+
+def connections(directory: Path) -> None:
+    """So many connections to both sockets, opened anew where they are ended: half of them with a handshake, those to
+    the telemetry socket subscribed to everything and never read."""
+    paths = (directory / "hapticd.command", directory / "hapticd.telemetry")
+    kinds = itertools.cycle(((paths[0], b"DEALER"), (paths[1], b"SUB"), (paths[0], None), (paths[1], None)))
+
+    def opened() -> socket.socket:
+        path, kind = next(kinds)
+        made = open_to(path, kind)
+        if kind == b"SUB":
+            made.sendall(zmtp.message([b"\x01"]))
+        return made
+
+    keep(CONNECTIONS, opened, Tally("connections"))
 
 
 def garbage(path: Path) -> Iterator[None]:

@@ -7,9 +7,8 @@ python -m bench.strangers KIND NUMBER ADDRESS KEY SERVER_KEY      prints once a 
 
 from __future__ import annotations
 
+import itertools
 import random
-import resource
-import select
 import socket
 import sys
 import time
@@ -18,7 +17,7 @@ from dataclasses import dataclass
 
 import zmq
 
-from bench.attackers import Tally
+from bench.attackers import Tally, keep
 from hapticd import wire
 from hapticd.remote import Named, Remote, remote
 
@@ -55,27 +54,14 @@ class Target:
 def handshakes(target: Target) -> None:
     """Connections that never show a key: silent, with half a greeting, a whole one, or garbage; opened anew where they
     are ended."""
-    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
-    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    tally = Tally("connections without a key")
-    mine: dict[int, socket.socket] = {}
-    poll = select.poll()
-    count = 0
-    while True:
-        for _ in range(CONNECTIONS - len(mine)):
-            count += 1
-            try:
-                made = target.knock(count)
-                made.sendall(random.choice((b"", _GREETING[:10], _GREETING, random.randbytes(200))))
-            except OSError:
-                time.sleep(0.01)  # the attacker's own pace
-                break
-            mine[made.fileno()] = made
-            poll.register(made, select.POLLRDHUP)
-            tally.add()
-        for descriptor, _ in poll.poll(100):
-            poll.unregister(descriptor)
-            mine.pop(descriptor).close()
+    numbers = itertools.count(1)
+
+    def opened() -> socket.socket:
+        made = target.knock(next(numbers))
+        made.sendall(random.choice((b"", _GREETING[:10], _GREETING, random.randbytes(200))))
+        return made
+
+    keep(CONNECTIONS, opened, Tally("connections without a key"))
 
 
 def forgotten(target: Target) -> None:
