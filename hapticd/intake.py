@@ -6,7 +6,6 @@ textures are designed by a process that ends with the change (apart.py).
 
 from __future__ import annotations
 
-import gc
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from time import monotonic_ns
 from typing import Final
 
 from hapticd import apart
+from hapticd.collector import uncollected
 from hapticd.errors import HapticdError
 
 END_S: Final = 2.0
@@ -64,15 +64,8 @@ class Intake:
         self.work = work = Work(method, self.ending)
 
         def run() -> None:
-            # A collection in the middle of it would go through all of it, again and again, and hold everybody up.
-            collects = gc.isenabled()
-            gc.disable()
-            try:
-                with apart.beside(work.step):
-                    self._finished.append(do(work))
-            finally:
-                if collects:
-                    gc.enable()
+            with uncollected(), apart.beside(work.step):
+                self._finished.append(do(work))
             if not self.ending.is_set():
                 self.wake()
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import csv
-import gc
 import io
 import re
 import warnings
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Final
 
 import numpy as np
 
+from hapticd.collector import uncollected
 from hapticd.core import SAMPLE_DTYPE
 from hapticd.event_cells import FromCells
 from hapticd.reading import BadRecordingError, Memory, Recorded, Rows, Samples, regular, samples_of
@@ -43,21 +42,9 @@ def load_csv(path: Path, file: IO[bytes], memory: Memory) -> Recorded:
     if not isinstance(texts, dict):
         raise BadRecordingError(f"{about_path.name}: is no map")
     samples = _samples(file, memory)
-    with _uncollected():
+    with uncollected():
         events = list(_events(events_path, memory))
     return Recorded(samples, texts, events)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Without the collector of cycles, which would look at all events that were read again and again."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def _samples(file: IO[bytes], memory: Memory) -> Samples:
