@@ -82,6 +82,20 @@ HD_RT static int stood(const struct hd_object *object, const double surface_m[2]
     return enters(object, surface, was, &cut, &entered) && entered == face;
 }
 
+/* The onset where the face was hit. 0: it slid there, and lies behind, where the surface point is not on it. */
+HD_RT static int begins(const struct hd_walk *walk, const struct hd_object *object, const double hit[2],
+                        struct hd_onset *onset) {
+    if (onset->slid) {
+        hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
+        if (hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place)) {
+            return 0;
+        }
+    }
+    hd_box_place(object, onset->face, hit, &onset->place);
+    onset->place.depth_m = 0.0;
+    return 1;
+}
+
 /* Where solids overlap, the surface point may be in the box before the probe is. The probe that comes after it is held
  * at once; what pushes it out does so from where it came in. */
 HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *object, const double from[2],
@@ -92,14 +106,8 @@ HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *obj
     double hit[2];
     onset->silent = 0;
     onset->slid = 1;
-    hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
-    if (hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place)) {
-        return 0;
-    }
     hd_between(walk->from_m, walk->input->position_m, onset->fraction, hit);
-    hd_box_place(object, onset->face, hit, &onset->place);
-    onset->place.depth_m = 0.0;
-    return 1;
+    return begins(walk, object, hit, onset);
 }
 
 HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
@@ -138,18 +146,11 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
             } else {
                 onset->slid = leg > 0;
                 onset->stood = leg > 0 && stood(object, path->point[0], from, onset->face);
-                hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
-                if (onset->slid &&
-                    hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place)) {
-                    return 0; /* it lies behind, and the surface point is not on it */
-                }
             }
             double hit[2];
             hd_between(begin, path->point[leg + 1], cut, hit);
             onset->fraction = onset->slid ? 1.0 : cut;
-            hd_box_place(object, onset->face, hit, &onset->place);
-            onset->place.depth_m = 0.0;
-            return 1;
+            return begins(walk, object, hit, onset);
         }
     }
     return path->legs > 1 && follows(walk, object, from, to, onset);

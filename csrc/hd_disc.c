@@ -87,27 +87,35 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
     return *fraction < 1.0;
 }
 
-/* Where solids overlap, the surface point may be in the disc before the probe is. The probe that comes after it is held
- * at once. */
-HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *object, struct hd_onset *onset) {
-    double hit[2];
+/* The onset where the rim was hit. 0: it slid there, and lies behind, where the surface point is not on it. */
+HD_RT static int begins(const struct hd_walk *walk, const struct hd_object *object, const double hit[2],
+                        struct hd_onset *onset) {
     double offset[2];
-    if (!enters(object, walk->from_m, walk->input->position_m, &onset->fraction)) {
-        return 0;
-    }
-    hd_between(walk->from_m, walk->input->position_m, onset->fraction, hit);
     hd_difference(hit, object->point_m, offset);
     const double distance = hd_root(hd_dot(offset, offset));
     const double bearing[2] = {offset[0] / distance, offset[1] / distance};
-    onset->silent = 0;
-    onset->slid = 1;
-    hd_disc_place(object, bearing, HD_DISC_MOVED, 0, walk->input->position_m, &onset->place);
-    if (hd_disc_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
-        return 0;
+    if (onset->slid) {
+        hd_disc_place(object, bearing, HD_DISC_MOVED, 0, walk->input->position_m, &onset->place);
+        if (hd_disc_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
+            return 0;
+        }
     }
     hd_disc_place(object, bearing, 0.0, 1, hit, &onset->place);
     onset->place.depth_m = 0.0;
     return 1;
+}
+
+/* Where solids overlap, the surface point may be in the disc before the probe is. The probe that comes after it is held
+ * at once. */
+HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *object, struct hd_onset *onset) {
+    if (!enters(object, walk->from_m, walk->input->position_m, &onset->fraction)) {
+        return 0;
+    }
+    double hit[2];
+    onset->silent = 0;
+    onset->slid = 1;
+    hd_between(walk->from_m, walk->input->position_m, onset->fraction, hit);
+    return begins(walk, object, hit, onset);
 }
 
 HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
@@ -148,21 +156,9 @@ HD_RT int hd_disc_meets(struct hd_walk *walk, const struct hd_object *object, in
             onset->stood = leg > 0 && enters(object, path->point[0], walk->from_m, &straight);
         }
         double hit[2];
-        double offset[2];
         hd_between(begin, path->point[leg + 1], cut, hit);
         onset->fraction = onset->slid ? 1.0 : cut;
-        hd_difference(hit, object->point_m, offset);
-        const double distance = hd_root(hd_dot(offset, offset));
-        const double bearing[2] = {offset[0] / distance, offset[1] / distance};
-        if (onset->slid) {
-            hd_disc_place(object, bearing, HD_DISC_MOVED, 0, walk->input->position_m, &onset->place);
-            if (hd_disc_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
-                return 0; /* it lies behind, and the surface point is not on it */
-            }
-        }
-        hd_disc_place(object, bearing, 0.0, 1, hit, &onset->place);
-        onset->place.depth_m = 0.0;
-        return 1;
+        return begins(walk, object, hit, onset);
     }
     return path->legs > 1 && follows(walk, object, onset);
 }
