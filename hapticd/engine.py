@@ -677,8 +677,9 @@ class Engine:
 
             try:
                 threading.Thread(target=run, name="stability", daemon=True).start()
-            except RuntimeError:  # there may be no more threads; who asks next tries again
+            except RuntimeError:  # there may be no more threads: whoever asks finds it
                 self._judging.release()
+                return find()
         return known[1]
 
     def name_of(self, slot: int, generation: int) -> str | None:

@@ -513,7 +513,7 @@ def test_nobody_waits_until_a_large_scene_is_judged(monkeypatch: pytest.MonkeyPa
 
     discs = {
         f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 2e-4, "material": "m"}
-        for i in range(engines.JUDGED_AT_ONCE + 1)
+        for i in range(engines.JUDGED_AT_ONCE + 2)
     }
     engine = Engine(load_config({**LINKED, "materials": {"m": {"stiffness_n_per_m": 800}}}))
     before = engine.stability()
@@ -525,8 +525,15 @@ def test_nobody_waits_until_a_large_scene_is_judged(monkeypatch: pytest.MonkeyPa
     with engine._judging:  # until the thread that judged has ended
         pass
     assert engine.stability().sets == len(discs)
+
+    def refused(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refused)
+    engine.update_objects({"d0": None})
+    assert engine.stability().sets == len(discs) - 1  # by whoever asks
     engine.update_objects({f"d{i}": None for i in range(1, 400)})
-    assert engine.stability().sets == len(discs) - 399  # few enough: at once
+    assert engine.stability().sets == len(discs) - 400  # few enough: at once
 
 
 def test_virtual_damping_is_unproved_until_it_shakes_the_handle() -> None:
