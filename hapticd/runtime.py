@@ -53,8 +53,8 @@ class Owned:
                 )
                 os.fchmod(own.fileno(), 0o660)  # the file's mode, from its first moment
                 own.bind(os.fspath(path))
+                self.note(path)  # before anybody can be connected: who is may replace the file
                 own.listen(_BACKLOG)
-                self.note(path)
                 stack.pop_all()
                 return own
         except OSError as error:

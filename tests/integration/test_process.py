@@ -379,6 +379,8 @@ def test_a_daemon_whose_lock_was_removed_keeps_its_directory() -> None:
 
 def test_a_daemon_removes_only_what_is_its_own() -> None:
     with running_daemon() as daemon:
+        with wired(daemon) as wire:
+            wire.result("get_status")  # a file can be there before its daemon has noted that it is its own
         for name in ("hapticd.command", "hapticd.telemetry"):
             (daemon.directory / name).unlink()
             (daemon.directory / name).write_text("another's")

@@ -63,6 +63,21 @@ def test_what_a_killed_daemon_left_is_replaced(paths: RuntimePaths) -> None:
         probe(paths)
 
 
+def test_a_socket_is_known_as_ours_before_anybody_can_be_connected(
+    paths: RuntimePaths, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine, known = Owned(paths), []
+
+    class Watched(socket.socket):
+        def listen(self, *backlog: int) -> None:
+            known.append(mine.is_ours(paths.command))
+            super().listen(*backlog)
+
+    monkeypatch.setattr("hapticd.runtime.socket.socket", Watched)
+    with mine.listen(paths.command):
+        assert known == [True]
+
+
 def test_a_name_that_cannot_be_taken_is_one_line(paths: RuntimePaths) -> None:
     paths.command.mkdir()
     with pytest.raises(HapticdError, match=r"hapticd\.command: cannot be bound: Is a directory$"):
