@@ -30,6 +30,7 @@ from hapticd.cli.synthesize import synthesize_command
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
+    from hapticd.fit.left_out import LeftOut
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
     from hapticd.materials import Material
@@ -53,7 +54,7 @@ class _Fitted:
 
 
 _Step: TypeAlias = "Callable[[str], None]"
-_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step], _Fitted]"
+_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step, LeftOut], _Fitted]"
 
 
 @click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
@@ -71,6 +72,7 @@ def _options(command: _F) -> _F:
     for option in (
         json_option,
         overwrite_option,
+        click.option("--strict", is_flag=True, help="Refuse what would be left out: a bad file, a clipped tap."),
         click.option("--merge", is_flag=True, help="Add to what the output holds, instead of replacing it."),
         click.option(
             "--stiffness",
@@ -107,11 +109,11 @@ def tap_command(attack: Attack | None, table: bool, two_modes: bool, **options: 
                 f"{option} and --attack do not go together: leave out one, {option} is of coefficients"
             )
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.provenance import estimates
         from hapticd.fit.tap import fit_tap
 
-        found = fit_tap(recordings, lambda recording: step(f"fitting {recording.name}"))
+        found = fit_tap(recordings, lambda recording: step(f"fitting {recording.name}"), left=left)
         notes = []
         if not found.linear and not table:
             notes.append("--table takes the amplitudes over speed into the material, instead of the slope")
@@ -134,11 +136,11 @@ def tap_command(attack: Attack | None, table: bool, two_modes: bool, **options: 
 def grooves_command(**options: Any) -> None:
     """Spacing, mode and gains of grooves, from strokes over them."""
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.grooves import fit_grooves
 
         step("fitting")
-        found = fit_grooves(recordings)
+        found = fit_grooves(recordings, left=left)
         return _Fitted(found, found.material())
 
     _run("grooves", fit, **options)
@@ -150,11 +152,11 @@ def grooves_command(**options: Any) -> None:
 def texture_command(autoregressive: bool, **options: Any) -> None:
     """Spectrum and loudness of a texture, from strokes over it."""
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.texture import fit_texture
 
         step("fitting")
-        found = fit_texture(recordings, autoregressive=autoregressive)
+        found = fit_texture(recordings, autoregressive=autoregressive, left=left)
         return _Fitted(found, found.material())
 
     _run("texture", fit, **options)
@@ -165,11 +167,11 @@ def texture_command(autoregressive: bool, **options: Any) -> None:
 def puncture_command(**options: Any) -> None:
     """Stiffness, rupture and mode of a membrane, from recordings of punctures."""
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.puncture import fit_puncture
 
         step("fitting")
-        found = fit_puncture(recordings)
+        found = fit_puncture(recordings, left=left)
         return _Fitted(found, found.material())
 
     _run("puncture", fit, **options)
@@ -185,6 +187,7 @@ def _run(
     stiffness_n_per_m: float | None,
     overwrite: bool,
     merge: bool,
+    strict: bool,
     as_json: bool,
     per_file: int = 1,
 ) -> None:
@@ -202,7 +205,7 @@ def _run(
     library = _library(output) if merge and output is not None and os.path.exists(output) else {}
     onto = library.get(name)
 
-    recordings, fitted = _fit(files, fit, per_file)
+    recordings, fitted = _fit(files, fit, per_file, strict)
     notes = list(fitted.notes)
     given = stiffness_n_per_m
     if given is None:
@@ -286,23 +289,30 @@ def _library(path: str) -> dict[str, Material]:
     return {name: found[name] for name in given}
 
 
-def _fit(files: Sequence[str], fit: _Fitting, per_file: int) -> tuple[list[Recording], _Fitted]:
-    from hapticd.fit.recording import load
+def _fit(files: Sequence[str], fit: _Fitting, per_file: int, strict: bool) -> tuple[list[Recording], _Fitted]:
+    """The recordings that were used, and what was made of them."""
+    from hapticd.fit.left_out import LeftOut
+    from hapticd.fit.recording import NoRecordingError, RecordingError, load
 
+    left = LeftOut(strict)
     with _progress(len(files) * per_file + (per_file == 1)) as step:
         recordings: list[Recording] = []
-        known: dict[str, str] = {}
         for file in files:
             step(f"reading {Path(file).name}")
-            recording = load(file)
-            twin = known.setdefault(recording.source.sha256, recording.name)
-            if len(known) == len(recordings):
-                raise HapticdError(f"{recording.name}: holds the same as {twin}, and would count twice; leave out one")
-            recordings.append(recording)
+            try:
+                recordings.append(load(file))
+            except RecordingError as error:
+                if len(files) == 1 or isinstance(error, NoRecordingError):
+                    raise
+                left.add(error.name, error.reason)
+        if not recordings:
+            raise left.refused(f"none of {len(files)} recordings can be read")
         # What comes of a division by zero and the like is no number, and no material takes one.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
-            return recordings, fit(recordings, step)
+            fitted = fit(recordings, step, left)
+    gone = left.recordings
+    return [recording for recording in recordings if recording.name not in gone], fitted
 
 
 @contextmanager

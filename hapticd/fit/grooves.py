@@ -25,10 +25,11 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.fit.left_out import Left, LeftOut
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
+from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
-    LEAST_RATE,
     Ints,
     Motion,
     Robust,
@@ -42,13 +43,17 @@ from hapticd.fit.strokes import (
     running_mean,
     tell_few_samples,
     told_apart,
+    too_slow,
     varied_force,
 )
+from hapticd.fit.twins import refuse_twins
 from hapticd.mode import Mode
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 Bools: TypeAlias = npt.NDArray[np.bool_]
 
+LEAST_S: Final = 0.1
+"""Of a stretch of a recording, between gaps and clipped samples."""
 LEAST_STRIKES: Final = 8
 GROUP: Final = 8
 """Strikes in a group whose frequency is fitted."""
@@ -134,6 +139,7 @@ class GroovesFit:
     strokes: tuple[Stroke, ...]
     warnings: tuple[str, ...]
     verdict: str
+    left_out: tuple[Left, ...] = ()
 
     def material(self) -> dict[str, object]:
         """The keys of a material: its texture. Stiffness is not measured by strokes."""
@@ -159,21 +165,28 @@ class GroovesFit:
         return found
 
 
-def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
-    """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it."""
-    if not recordings:
-        raise FitError("no recordings")
-    rows = [_Row(recording) for recording in recordings]
+def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) -> GroovesFit:
+    """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it.
+
+    Recordings, and stretches of them, that cannot be used are told to `left`.
+    """
+    left = LeftOut() if left is None else left
+    refuse_twins(recordings)
+    rows = left.each(stretches_of(recordings, LEAST_S, left), _Row)
+    if not rows:
+        raise left.refused(f"none of {len(recordings)} recordings can be used")
     _refuse_others(rows)
     each = [_mean_mode(row.groups) for row in rows]
     groups = [group for row in rows for group in row.groups]
     if len(groups) < 2:
-        raise FitError(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
+        raise left.refused(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
     frequency = common(np.array([group.mode.frequency_hz for group in groups]))
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for row, mode in zip(rows, each, strict=True) for strike in row.strikes(mode))
     strokes = tuple(row.stroke(mode) for row, mode in zip(rows, each, strict=True))
-    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
+    warnings: list[str] = left.lines()
+    recordings = [row.recording for row in rows]
+    warnings += [told for recording in recordings for told in gravity_of(recording)]
 
     for row in rows:
         if row.cycles < NEAR:
@@ -250,6 +263,7 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
         strokes=strokes,
         warnings=tuple(warnings),
         verdict=verdict,
+        left_out=tuple(left.items),
     )
 
 
@@ -269,6 +283,7 @@ class _Row:
     """The strikes of one recording."""
 
     def __init__(self, recording: Recording) -> None:
+        self.recording = recording
         self.name = self._name = recording.name
         self._rate_hz = recording.rate_hz
         self._seen = acceleration_of(recording)
@@ -277,11 +292,8 @@ class _Row:
         self._motion: Motion = motion_of(recording, len(self._seen))
         self._time_s = np.arange(len(self._seen)) / self._rate_hz
         rough = _rough_frequency(self._seen, self._rate_hz)
-        if self._rate_hz < LEAST_RATE * rough:
-            raise FitError(
-                f"{self._name}: rings at {rough:.4g} Hz, sampled at {self._rate_hz:g} Hz: too low, needs "
-                f"{LEAST_RATE * rough:.4g} Hz at least"
-            )
+        if slow := too_slow(self._rate_hz, rough):
+            raise FitError(f"{self._name}: {slow}")
         mode, onsets = self._begun(2 * math.pi * rough)
         for _ in range(3):
             mode = self._refined(mode, self._intervals(mode, onsets))

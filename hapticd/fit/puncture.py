@@ -14,11 +14,13 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.clipping import clipped
+from hapticd.fit.left_out import Left, LeftOut
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, common, with_offset
+from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, common, with_offset
 from hapticd.fit.ringing import fit_ringing
+from hapticd.fit.stretches import gaps_told, in_gap
 from hapticd.fit.strokes import (
-    LEAST_RATE,
     acceleration_of,
     excludes_zero,
     force_of,
@@ -27,7 +29,9 @@ from hapticd.fit.strokes import (
     running_mean,
     slope_of,
     tell_few_samples,
+    too_slow,
 )
+from hapticd.fit.twins import refuse_twins
 
 DROP_S: Final = 0.002
 """A rupture takes less than this."""
@@ -92,6 +96,7 @@ class PunctureFit:
     ruptures: tuple[Rupture, ...]
     warnings: tuple[str, ...]
     verdict: str
+    left_out: tuple[Left, ...] = ()
 
     def material(self) -> dict[str, object]:
         """The keys of a material."""
@@ -111,27 +116,23 @@ class PunctureFit:
         return found
 
 
-def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
+def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -> PunctureFit:
     """Of one puncture to a recording, at least two. FitError where there are fewer, or they cannot be fitted.
 
-    Recordings without a puncture beside others with one are told in `warnings`.
+    Recordings that cannot be used, as those without a puncture, are told to `left`.
     """
-    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
-    ruptures: list[Rupture] = []
-    without: list[str] = []
-    for recording in recordings:
-        found = _rupture(recording, warnings)
-        if isinstance(found, str):
-            without.append(found)
-        else:
-            ruptures.append(found)
+    left = LeftOut() if left is None else left
+    refuse_twins(recordings)
+    told: list[str] = []
+    ruptures = left.each(recordings, lambda recording: _rupture(recording, told))
     if not ruptures:
-        raise FitError("; ".join(without) if without else "no recordings")
-    ruptures, astray = _together(ruptures)
-    without += astray
+        raise left.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
+    ruptures = _together(ruptures, left)
     if len(ruptures) < 2:
-        raise FitError("one puncture has no interval: needs two recordings of a puncture at least")
-    warnings = without + warnings
+        raise left.refused("one puncture has no interval: needs two recordings of a puncture at least")
+    used = {each.recording for each in ruptures}
+    recordings = [recording for recording in recordings if recording.name in used]
+    warnings = [*left.lines(), *(line for recording in recordings for line in gravity_of(recording)), *told]
 
     def over(values: Sequence[float]) -> Estimate:
         return common(np.array(values))
@@ -182,26 +183,27 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
         ruptures=tuple(ruptures),
         warnings=tuple(warnings),
         verdict=verdict,
+        left_out=tuple(left.items),
     )
 
 
-def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
-    """The puncture of a recording; where there is none, a line that says so."""
+def _rupture(recording: Recording, warnings: list[str]) -> Rupture:
+    """The puncture of a recording. FitError where there is none, or it cannot be fitted."""
     name, rate_hz = recording.name, recording.rate_hz
     force = force_of(recording)
     place = recording.position_m
     if place is None:
         raise FitError(f"{name}: has no position along the normal, which this fit needs")
     if np.ptp(place) > FARTHEST_M:
-        raise FitError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
+        raise MistakenError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
     if not np.ptp(place) > 0:
         raise FitError(f"{name}: the position never moves: is it the wrong column?")
     if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
-        raise FitError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
+        raise MistakenError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
     at = _drop(force, rate_hz)
     none = f"{name}: no puncture here: the force never falls at once while the stylus goes on"
     if at is None:
-        return none
+        raise FitError(none)
     seen = acceleration_of(recording)
     half = max(1, round(DROP_S * rate_hz / 2))
     smooth = running_mean(force, half)
@@ -220,9 +222,13 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
     if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < STRAIGHT:
         raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
     if stiffness < 0:
-        raise FitError(f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)")
+        raise MistakenError(
+            f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)"
+        )
     if not low <= stiffness <= high:
-        raise FitError(f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?")
+        raise MistakenError(
+            f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?"
+        )
     near = way < np.median(way)
     below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
     if abs(above - below) > BENT * stiffness:
@@ -255,10 +261,17 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
     speed = float(slope_of(place, rate_hz, 8 * DROP_S)[at])
     if speed <= 0:
         # Let go, or bounced off.
-        return none
+        raise FitError(none)
 
     first = max(0, at - round(BEFORE_S * rate_hz))
     end = min(len(seen), at + round(RINGING_S * rate_hz))
+    if clipped(seen)[first:end].any():
+        raise FitError(
+            f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record with "
+            "a wider range"
+        )
+    if in_gap(recording, begin, end):
+        raise FitError(f"{name}: {gaps_told(recording)}: between the touch and the end of the ringing")
     try:
         # A slow sensor of force tells the rupture late.
         ringing = min(
@@ -271,10 +284,13 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
     except FitError as error:
         raise FitError(f"{name}: the rupture has no ringing: {error}") from None
     frequency = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
-    if rate_hz < LEAST_RATE * frequency:
-        raise FitError(f"{name}: rings at {frequency:.4g} Hz, sampled at {rate_hz:g} Hz: too low")
+    if slow := too_slow(rate_hz, frequency):
+        raise FitError(f"{name}: {slow}")
     if ringing.variance_accounted_for < ACCOUNTED:
-        return f"{name}: left out: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing"
+        raise FitError(
+            f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
+            f"{100 * ACCOUNTED:.0f} % are wanted"
+        )
     kept = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
     if kept > HELD * (highest - rest):
         warnings.append(
@@ -308,23 +324,22 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
     )
 
 
-def _together(ruptures: list[Rupture]) -> tuple[list[Rupture], list[str]]:
-    """Without the few whose ringing is far off the others', and a line for each of those."""
+def _together(ruptures: list[Rupture], left: LeftOut) -> list[Rupture]:
+    """Without the few whose ringing is far off the others', which are told to `left`."""
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
     factor, most = ASTRAY
     off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > factor
     if np.count_nonzero(off) > most * len(ruptures):
-        return ruptures, []
-    kept = [each for each, far in zip(ruptures, off, strict=True) if not far]
-    told = [
-        f"{each.recording}: left out: rings with {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a "
-        f"decay rate of {each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and "
-        f"{usual[2]:.3g}"
-        for each, far in zip(ruptures, off, strict=True)
-        if far
-    ]
-    return kept, told
+        return ruptures
+    for each, far in zip(ruptures, off, strict=True):
+        if far:
+            left.add(
+                each.recording,
+                f"rings with {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
+                f"{each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",
+            )
+    return [each for each, far in zip(ruptures, off, strict=True) if not far]
 
 
 def _drop(force: Floats, rate_hz: float) -> int | None:

@@ -14,12 +14,16 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
+from hapticd.fit.clipping import clipped
+from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import (
     Estimate,
     FitError,
     Floats,
+    MistakenError,
     Regression,
     common,
     improbable,
@@ -31,7 +35,9 @@ from hapticd.fit.regression import (
 )
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.sensor import Sensor
-from hapticd.fit.strokes import LEAST_RATE, force_of, gravity_of
+from hapticd.fit.stretches import between_gaps
+from hapticd.fit.strokes import force_of, gravity_of, tell_few_samples, too_slow
+from hapticd.fit.twins import refuse_twins
 from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
 
@@ -56,19 +62,30 @@ BOUNCE_S: Final = 0.15
 BASE_S: Final = 0.05
 """Gravity and drift are seen as medians over so long."""
 BLOCK_S: Final = 0.002
+BLOCK: Final = 16
+"""Samples at least."""
 CALM: Final = 20.0
 CALMER: Final = 0.842
 """The noise is taken where it is calm: this percentile of the blocks, so many of their deviations below the middle."""
+REST: Final = 8
+"""Samples of rest before a tap, with which its onset is never asked for;"""
+LEAST_REST: Final = 2
+"""so many do where"""
+CLEAR: Final = 1.0
+"""the onset lies behind the first of them, and is uncertain by fewer samples than this (one standard error)."""
+FAINT: Final = 2.0
+"""A tap whose peak is so many times OUTSTANDING's share of the noise, and that still cannot be fitted, has another
+shape; what is less is too weak."""
 BEFORE_S: Final = 0.002
 """A tap is fitted from so long before its onset, or from one decay time before."""
 LASTS: Final = 7.0
 """To so many decay times after it."""
 APPROACH_S: Final = 0.01
 """Speed is a position's over so long before the onset."""
+LEAST_WAY: Final = 4
+"""And over so many samples at least."""
 UNEVEN: Final = 0.5
 """Of its variance that a straight line leaves over there."""
-CLIPPED: Final = 3
-"""So many equal samples at the end of the range are clipped."""
 LEAST_SPEED_M_PER_S: Final = 1e-3
 MOST_SPEED_M_PER_S: Final = 10.0
 SPEED_RANGE: Final = 1.2
@@ -80,8 +97,6 @@ OTHER_WAY: Final = 0.25
 """Of the taps may begin the other way, and are left out."""
 UNCERTAIN: Final = 0.5
 """A tap whose amplitude, decay or frequency is known less than this, one standard error, is not used."""
-FEW_SAMPLES: Final = 8.0
-"""Samples per period, below which it is said that they are few."""
 SOFTEST: Final = 0.003
 HARDEST: Final = 10.0
 """Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
@@ -105,8 +120,6 @@ BENT: Final = 0.05
 """A(v) is told to be no line through the origin where that is less likely by chance, and matters more than this."""
 SCATTERED: Final = 0.05
 """Frequencies that scatter more are told."""
-TOLD: Final = 3
-"""So many reasons are in a refusal."""
 TABLE: Final = 8
 """Speeds of a table of amplitudes, at most."""
 APART: Final = 0.02
@@ -123,6 +136,7 @@ PULSE: Final = 0.3
 MOST_RATIO: Final = 10.0
 """Of a second mode, as materials have it."""
 
+Bools: TypeAlias = npt.NDArray[np.bool_]
 Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 """Speeds in m/s, rising, and m/s^2."""
 
@@ -219,6 +233,7 @@ class TapFit:
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
     verdict: str
+    left_out: tuple[Left, ...] = ()
 
     def material(self, attack: Attack = "coefficient", table: bool = False, two_modes: bool = False) -> dict[str, Json]:
         """Keys of a YAML material; with `table`, amplitudes over speed instead of a slope; with `two_modes`, both of
@@ -272,31 +287,40 @@ class TapFit:
             "amplitudes": _json_table(self.amplitudes),
             "second": None if self.second is None else self.second.to_dict(),
             "taps": [tap.to_dict() for tap in self.taps],
+            "left_out": [each.to_dict() for each in self.left_out],
             "warnings": list(self.warnings),
             "verdict": self.verdict,
         }
         return told
 
 
-def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], None] | None = None) -> TapFit:
-    """Fits the taps of one material; `progress` is called after each recording.
+def fit_tap(
+    recordings: Sequence[Recording],
+    progress: Callable[[Recording], None] | None = None,
+    left: LeftOut | None = None,
+) -> TapFit:
+    """Fits the taps of one material; `progress` is called after each recording. Recordings and taps that cannot be used
+    are told to `left`.
 
     Raises FitError (one line) for what they do not support: no onset, too few taps, all at one speed, clipped, sampled
     too slowly, units that cannot be.
     """
     require_scipy()
     warnings: list[str] = []
-    hits: list[tuple[TapHit, Ringing]] = []
-    _check_files(recordings)
-    for recording in recordings:
-        hits += _hits_of(recording, warnings)
+    left = LeftOut() if left is None else left
+    refuse_twins(recordings)
+
+    def hits_in(recording: Recording) -> list[tuple[TapHit, Ringing]]:
+        found = _hits_of(recording, warnings, left)
         if progress is not None:
             progress(recording)
+        return found
+
+    hits = [hit for found in left.each(recordings, hits_in) for hit in found]
     if len(hits) < LEAST_TAPS:
-        more = f"; and {len(warnings) - TOLD} more" if len(warnings) > TOLD else ""
-        told = f" ({'; '.join(warnings[:TOLD])}{more})" if warnings else ""
-        raise FitError(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds{told}")
-    hits = _upright(hits, warnings)
+        raise left.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
+    hits = _upright(hits, warnings, left)
+    warnings = left.lines() + warnings
     taps = tuple(tap for tap, _ in hits)
     _check_speeds(taps)
 
@@ -332,12 +356,8 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
     frequency = angular.mapped(lambda log: math.exp(log) / (2 * math.pi))
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
     _check_ringing(frequency.value, math.exp(-decay.value), taps)
-    slowest = min(recording.rate_hz for recording in recordings)
-    if slowest < FEW_SAMPLES * frequency.value:
-        warnings.append(
-            f"{slowest:g} Hz are {slowest / frequency.value:.1f} samples a period at {frequency.value:.0f} Hz; the "
-            "amplitude is less certain than with more, and a filter of the sensor may have lowered it"
-        )
+    used = {tap.recording for tap in taps}
+    tell_few_samples([each for each in recordings if each.name in used], frequency.value, warnings)
 
     doubts = _Doubts()
     second = _second_mode(hits, explained)
@@ -370,6 +390,7 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
         doubts.add(False, bends, "a table of amplitudes over speed is offered")
     if (shifted.correlation if bends else line.r_squared) < WELL_LINEAR and not astray:
         doubts.add(True, f"the speed says little of the amplitude (r^2 {line.r_squared:.2f})", "")
+    doubts.add(False, most_are_left_out(left.items, len(taps), "tap"), "")
     warnings += doubts.told
     return TapFit(
         taps=taps,
@@ -388,6 +409,7 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
         sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings),
         verdict=doubts.verdict(f"one mode explains {100 * explained:.1f} % of {len(taps)} taps", line.r_squared),
+        left_out=tuple(left.items),
     )
 
 
@@ -414,37 +436,19 @@ class _Doubts:
         return f"{'poor' if self.poor else 'fair'}: {share}, but {'; '.join(self.reasons)}"
 
 
-def _check_files(recordings: Sequence[Recording]) -> None:
-    seen: dict[str, str] = {}
-    for recording in recordings:
-        sha256 = recording.source.sha256
-        if sha256 and sha256 in seen:
-            raise FitError(f"{recording.name}: is the same as {seen[sha256]}: a tap counts once")
-        seen[sha256] = recording.name
-
-
 # ---- Taps in a recording ---------------------------------------------------------------------------------------------
 
 
-def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ringing]]:
-    acceleration = recording.acceleration_m_per_s2
-    if acceleration is None:
-        raise FitError(f"{recording.name}: has no acceleration, which taps are fitted to")
-    largest = float(np.abs(acceleration).max())
-    if largest > 0 and not LEAST_M_PER_S2 <= largest <= MOST_M_PER_S2:
-        raise FitError(
-            f"{recording.name}: an acceleration of {largest:.3g} m/s^2 is none of a stylus ({LEAST_M_PER_S2:g} to "
-            f"{MOST_M_PER_S2:g}): is it in another unit, or another column?"
-        )
-    if recording.force_n is not None:
-        _check_force(recording.name, force_of(recording))
+def _hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[tuple[TapHit, Ringing]]:
+    """The taps of a recording; those that cannot be used are told to `left`. FitError where none of it can be."""
+    acceleration = _checked(recording)
     warnings += gravity_of(recording)
     above = acceleration - _base(acceleration, recording.rate_hz)
     events = _events(recording, above)
     speeds = _given_speeds(recording, events, above)
     if speeds is not None and len(speeds) != len(events):
         # One of many thousand samples of noise may be loud by itself.
-        events = [(first, last) for first, last in events if first < last] or events
+        events = [each for each in events if each.first < each.last] or events
     if speeds is None or len(speeds) != len(events):
         kept = _without_bounces(recording, events, above)
         if speeds is not None and len(speeds) != len(kept):
@@ -456,70 +460,153 @@ def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ri
             warnings.append(f"{recording.name}: {len(events) - len(kept)} bounces after taps are left out")
         events = kept
     found: list[tuple[TapHit, Ringing]] = []
-    too_fast: list[float] = []
-    no_taps = wayless = 0
-    clipped = _clipped(acceleration)
-    ends = [first for first, _ in events[1:]] + [len(above)]
-    begins = [0] + [last + 1 for _, last in events[:-1]]
-    for index, (first, last) in enumerate(events):
-        place = f"{recording.name}: the tap at {first / recording.rate_hz:.4g} s"
-        if first - begins[index] < _samples(0.25 * BEFORE_S, recording.rate_hz, 8):
-            warnings.append(f"{place} has no rest before it, and is left out")
-            continue
-        ringing, begin = _fitted(recording, first, last, begins[index], ends[index])
-        if clipped[begin : begin + len(ringing.residual)].any():
-            warnings.append(f"{place} is clipped, and left out")
-            continue
-        if ringing.variance_accounted_for < EXPLAINED:
-            share = 100 * ringing.variance_accounted_for
-            warnings.append(f"{place} is left out: a decaying sinusoid explains {share:.0f} % of it")
-            no_taps += 1
-            if no_taps >= MANY and no_taps > len(found):
-                raise FitError(
-                    f"{recording.name}: most of what stands out is no tap: a decaying sinusoid explains less than half "
-                    f"of {no_taps} of the first {index + 1}"
-                )
-            continue
-        frequency_hz = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
-        if recording.rate_hz < LEAST_RATE * frequency_hz:
-            warnings.append(f"{place} is left out: it rings at {frequency_hz:.0f} Hz, too fast for the sampling rate")
-            too_fast.append(frequency_hz)
-            continue
-        if not _uncertainty(ringing) < UNCERTAIN:
-            warnings.append(f"{place} is too weak for its noise, and left out")
-            continue
-        if recording.rate_hz < GLITCH * ringing.decay_rate_per_s[0]:
-            warnings.append(f"{place} is over within {GLITCH:g} samples, a glitch, and left out")
-            continue
-        onset_s = begin / recording.rate_hz + ringing.onset_s
-        speed = _speed_of(recording, onset_s) if speeds is None else float(speeds[index])
-        if isinstance(speed, str):
-            warnings.append(f"{place} {speed}, and is left out")
-            wayless += 1
-            continue
-        found.append((_hit(recording, ringing, begin, onset_s, speed), ringing))
-    if len(too_fast) > len(found):
-        raise FitError(
-            f"{recording.name}: sampled at {recording.rate_hz:g} Hz, which is less than {LEAST_RATE:g} times the "
-            f"{np.median(too_fast):.0f} Hz that ring: record faster"
-        )
-    if wayless >= LEAST_TAPS and wayless > len(found):
-        raise FitError(
-            f"{recording.name}: {wayless} of {wayless + len(found)} taps have no even way before them to tell their "
-            "speed: is the position the right column?"
-        )
-    if not found and clipped.any():
-        raise FitError(
-            f"{recording.name}: clipped at {np.abs(acceleration[clipped]).max():.4g} m/s^2: use a wider range"
-        )
+    refused: list[tuple[_Event, _No]] = []
+    at_the_end = clipped(acceleration)
+    for index, event in enumerate(events):
+        given = None if speeds is None else float(speeds[index])
+        try:
+            found.append(_hit_of(recording, event, _room(recording, events, index), at_the_end, given))
+        except _No as no:
+            refused.append((event, no))
+        _check_kind(recording.name, [no for _, no in refused], len(found), index + 1)
+    for kind, least in ((_TooFast, 1), (_Wayless, LEAST_TAPS)):
+        alike = [no for _, no in refused if isinstance(no, kind)]
+        if len(alike) >= least and len(alike) > len(found):
+            count = f"{len(alike)} of {len(events)} taps cannot be used"
+            raise FitError(f"{recording.name}: {count}: {kind.hint} Of the first: {alike[0]}")
+    for event, reason in refused:
+        left.add(recording.name, str(reason), "tap", event.first / recording.rate_hz)
+    if not found:
+        left.unused.add(recording.name)
     return found
+
+
+def _check_kind(name: str, refused: Sequence[_No], found: int, tried: int) -> None:
+    """Raises FitError where most of what was tried of a recording has the shape of no tap."""
+    count = sum(isinstance(no, _NoTap) for no in refused)
+    if count >= MANY and count > found:
+        raise FitError(f"{name}: most of what stands out is no tap, {count} of the first {tried}; of one: {refused[0]}")
+
+
+class _No(FitError):
+    """Why a tap cannot be used, without its place."""
+
+
+class _TooFast(_No):
+    """It rings too fast for the sampling rate."""
+
+    hint = "record faster."
+
+
+class _Wayless(_No):
+    """The position does not tell its speed."""
+
+    hint = "is the position the right column?"
+
+
+class _NoTap(_No):
+    """It has the shape of no tap."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Event:
+    """Something loud in a recording."""
+
+    first: int
+    """Loud sample."""
+    last: int
+    noise: float
+    """Standard deviation of what is quiet in its stretch of the recording, m/s^2."""
+    peak: float
+    """The largest that it is, above gravity and drift, m/s^2."""
+
+
+def _checked(recording: Recording) -> Floats:
+    """The acceleration, m/s^2. FitError for a recording that cannot be one of taps."""
+    acceleration = recording.acceleration_m_per_s2
+    if acceleration is None:
+        raise FitError(f"{recording.name}: has no acceleration, which taps are fitted to")
+    largest = float(np.abs(acceleration).max())
+    if largest > 0 and not LEAST_M_PER_S2 <= largest <= MOST_M_PER_S2:
+        raise (FitError if largest < LEAST_M_PER_S2 else MistakenError)(
+            f"{recording.name}: an acceleration of {largest:.3g} m/s^2 is none of a stylus ({LEAST_M_PER_S2:g} to "
+            f"{MOST_M_PER_S2:g}): is it in another unit, or another column?"
+        )
+    if recording.force_n is not None:
+        _check_force(recording.name, force_of(recording))
+    position = recording.position_m
+    if recording.speed_m_per_s is None and position is None:
+        raise FitError(f"{recording.name}: has neither speed nor position: say speed_m_per_s in the YAML beside it")
+    if recording.speed_m_per_s is None and position is not None and not np.ptp(position) > 0:
+        raise FitError(f"{recording.name}: the position never moves: is it the right column?")
+    return acceleration
+
+
+def _room(recording: Recording, events: Sequence[_Event], index: int) -> tuple[int, int]:
+    """First sample, and the one after the last, between the taps and the gaps about this one."""
+    assert recording.acceleration_m_per_s2 is not None
+    first = events[index].first
+    begin = events[index - 1].last + 1 if index else 0
+    end = events[index + 1].first if index + 1 < len(events) else len(recording.acceleration_m_per_s2)
+    for low, high in between_gaps(recording, len(recording.acceleration_m_per_s2)):
+        if low <= first < high:
+            return max(begin, low), min(end, high)
+    return begin, end
+
+
+def _hit_of(
+    recording: Recording, event: _Event, room: tuple[int, int], at_the_end: Bools, given_m_per_s: float | None
+) -> tuple[TapHit, Ringing]:
+    """A tap fitted within its room. Raises _No, with what was measured and what is wanted."""
+    acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
+    assert acceleration is not None
+    rest = event.first - room[0]
+    if rest < LEAST_REST:
+        raise _No(f"{rest} samples of rest before it, {LEAST_REST} are wanted")
+    try:
+        ringing, begin = _fitted(recording, event.first, event.last, *room)
+    except FitError as error:
+        raise _No(str(error)) from None
+    span = slice(begin, begin + len(ringing.residual))
+    if at_the_end[span].any():
+        level = float(np.abs(acceleration[span][at_the_end[span]]).max())
+        raise _No(f"it is clipped at {level:.4g} m/s^2")
+    share = ringing.variance_accounted_for
+    if share < EXPLAINED:
+        raise _NoTap(f"a decaying sinusoid explains {100 * share:.0f} % of it, {100 * EXPLAINED:.0f} % are wanted")
+    if slow := too_slow(rate_hz, float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)):
+        raise _TooFast(f"it {slow}")
+    uncertain, figure = _uncertainty(ringing)
+    if not uncertain < UNCERTAIN:
+        times = event.peak / event.noise if event.noise > 0 else math.inf
+        known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * UNCERTAIN:.0f} % is the most"
+        if times > FAINT * OUTSTANDING:
+            raise _NoTap(f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}")
+        raise _No(
+            f"it is too weak for its noise: it stands {times:.1f} times out of it, {FAINT * OUTSTANDING:g} are wanted, "
+            f"and {known}"
+        )
+    lasts = rate_hz / float(ringing.decay_rate_per_s[0])
+    if lasts < GLITCH:
+        raise _No(f"a glitch: it falls to 1/e within {lasts:.2g} samples, {GLITCH:g} are wanted")
+    if rest < REST:
+        off = math.sqrt(float(ringing.covariance[-1, -1])) * rate_hz
+        place = begin - room[0] + ringing.onset_s * rate_hz
+        if place < 0 or off > CLEAR:
+            raise _No(
+                f"{rest} samples of rest before it, and its onset is {place:.1f} samples behind the first of them, "
+                f"give or take {off:.2g}: {REST} samples are wanted, or an onset that is uncertain by {CLEAR:g} at most"
+            )
+    onset_s = begin / rate_hz + ringing.onset_s
+    speed = _speed_of(recording, onset_s, room[0]) if given_m_per_s is None else given_m_per_s
+    return _hit(recording, ringing, begin, onset_s, speed), ringing
 
 
 def _check_force(name: str, force: Floats) -> None:
     if not np.ptp(force) > 0:
         raise FitError(f"{name}: the force is {force[0]:g} N throughout: was the sensor connected?")
     if not force.max() > 0:
-        raise FitError(f"{name}: the force is never positive: pressing must be (scale -1?)")
+        raise MistakenError(f"{name}: the force is never positive: pressing must be (scale -1?)")
 
 
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
@@ -531,9 +618,29 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
     return np.asarray(np.interp(np.arange(len(acceleration)), middles, [np.median(block) for block in blocks]))
 
 
-def _events(recording: Recording, above: Floats) -> list[tuple[int, int]]:
-    """First and last loud sample of every tap. Raises FitError where nothing stands out."""
-    length = _samples(BLOCK_S, recording.rate_hz, 16)
+def _events(recording: Recording, above: Floats) -> list[_Event]:
+    """What is loud, by stretches without gaps. Raises FitError where nothing stands out."""
+    found: list[_Event] = []
+    refused: list[FitError] = []
+    stretches = between_gaps(recording, len(above))
+    longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+    for begin, end in stretches:
+        if (begin, end) != longest and end - begin < 2 * _samples(BLOCK_S, recording.rate_hz, BLOCK):
+            continue  # too short to tell its noise
+        try:
+            found += [
+                dataclasses.replace(event, first=begin + event.first, last=begin + event.last)
+                for event in _events_in(recording, above[begin:end])
+            ]
+        except FitError as error:
+            refused.append(error)
+    if not found:
+        raise refused[0]
+    return found
+
+
+def _events_in(recording: Recording, above: Floats) -> list[_Event]:
+    length = _samples(BLOCK_S, recording.rate_hz, BLOCK)
     blocks = above[: len(above) // length * length].reshape(-1, length)
     noise = float(np.percentile(blocks.std(axis=1), CALM)) if len(blocks) else 0.0
     noise /= 1 - CALMER / math.sqrt(2 * length)
@@ -549,28 +656,31 @@ def _events(recording: Recording, above: Floats) -> list[tuple[int, int]]:
     gaps = np.flatnonzero(np.diff(loud) > QUIET_S * recording.rate_hz)
     firsts = np.concatenate(([loud[0]], loud[gaps + 1]))
     lasts = np.concatenate((loud[gaps], [loud[-1]]))
-    return [(int(first), int(last)) for first, last in zip(firsts, lasts, strict=True)]
+    return [
+        _Event(int(first), int(last), noise, float(np.abs(above[first : last + 1]).max()))
+        for first, last in zip(firsts, lasts, strict=True)
+    ]
 
 
-def _given_speeds(recording: Recording, events: list[tuple[int, int]], above: Floats) -> Floats | None:
+def _given_speeds(recording: Recording, events: Sequence[_Event], above: Floats) -> Floats | None:
     """One a tap; None where they are to be taken from the position, or one holds for all."""
     speed = recording.speed_m_per_s
     if isinstance(speed, np.ndarray) and len(speed) == len(above):
         back = _samples(0.5 * APPROACH_S, recording.rate_hz, 4)
-        return np.array([np.median(np.abs(speed[max(0, first - back) : first + 1])) for first, _ in events])
+        return np.array([np.median(np.abs(speed[max(0, each.first - back) : each.first + 1])) for each in events])
     return np.abs(speed) if isinstance(speed, np.ndarray) else None
 
 
-def _without_bounces(recording: Recording, events: list[tuple[int, int]], above: Floats) -> list[tuple[int, int]]:
-    kept: list[tuple[int, int]] = []
+def _without_bounces(recording: Recording, events: Sequence[_Event], above: Floats) -> list[_Event]:
+    kept: list[_Event] = []
     size_before, before = 0.0, 0
-    for first, last in events:
-        size = float(np.abs(above[first : last + 1]).max())
-        soon = bool(kept) and first - kept[-1][0] < BOUNCE_S * recording.rate_hz
-        if soon and size < 0.8 * size_before and not _comes_by_itself(recording, kept[-1][0], before, first):
+    for event in events:
+        first, size = event.first, event.peak
+        soon = bool(kept) and first - kept[-1].first < BOUNCE_S * recording.rate_hz
+        if soon and size < 0.8 * size_before and not _comes_by_itself(recording, kept[-1].first, before, first):
             before = first
             continue
-        kept.append((first, last))
+        kept.append(event)
         size_before, before = size, first
     return kept
 
@@ -594,24 +704,6 @@ def _comes_by_itself(recording: Recording, touched: int, before: int, first: int
     return abs(speed) >= LEAST_SPEED_M_PER_S and ahead > 0.5 * abs(speed) * passed and steady
 
 
-def _clipped(acceleration: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Samples at the end of the range that stand still there, where the way to them was steep."""
-    found = np.zeros(len(acceleration), dtype=np.bool_)
-    steps = np.abs(np.diff(acceleration))
-    if not steps.any():
-        return found
-    quantum = float(steps[steps > 0].min())
-    # Without noise, rest may be an end of the range, too.
-    rest = np.median(acceleration)
-    for extreme in {acceleration.max(), acceleration.min()} - {rest}:
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], acceleration == extreme, [False])).astype(np.int8)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            around = np.concatenate((steps[max(0, begin - 1) : begin], steps[end - 1 : end]))
-            if end - begin >= CLIPPED and around.size and around.max() > 3 * quantum:
-                found[begin:end] = True
-    return found
-
-
 def _fitted(recording: Recording, first: int, last: int, least: int, most: int) -> tuple[Ringing, int]:
     """A tap's ringing, and the first sample of the stretch; none of it is before `least` or from `most` on."""
     acceleration = recording.acceleration_m_per_s2
@@ -633,28 +725,31 @@ def _fitted(recording: Recording, first: int, last: int, least: int, most: int) 
         start = dataclasses.replace(ringing, onset_s=ringing.onset_s + (begin - again) / rate_hz)
         return fit_ringing(acceleration[again:end], rate_hz, start=start, sensor=recording.sensor), again
     except FitError as error:
-        raise FitError(f"{recording.name}: the tap at {first / rate_hz:.4g} s: {error}") from None
+        raise _No(str(error)) from None
 
 
-def _speed_of(recording: Recording, onset_s: float) -> float | str:
-    """The speed, or why the position does not tell it."""
+def _speed_of(recording: Recording, onset_s: float, least: int) -> float:
+    """The speed, from the position's samples from `least` on where there is no other. Raises _No."""
     if recording.speed_m_per_s is not None:
         assert not isinstance(recording.speed_m_per_s, np.ndarray)
         return abs(recording.speed_m_per_s)
-    if recording.position_m is None:
-        raise FitError(f"{recording.name}: has neither speed nor position: say speed_m_per_s in the YAML beside it")
-    if not np.ptp(recording.position_m) > 0:
-        raise FitError(f"{recording.name}: the position never moves: is it the right column?")
+    assert recording.position_m is not None
     end = max(0, math.floor(onset_s * recording.rate_hz))
-    begin = max(0, end - _samples(APPROACH_S, recording.rate_hz, 4))
-    if end - begin < 4:
-        return "is too near the begin to tell its speed"
+    wanted = _samples(APPROACH_S, recording.rate_hz, LEAST_WAY)
+    begin = max(least, end - wanted)
+    if end - begin < LEAST_WAY:
+        raise _No(f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted")
     way = recording.position_m[begin:end]
     time_s = np.arange(len(way)) / recording.rate_hz
     line = np.polyfit(time_s, way - way[0], 1)
-    left = way - way[0] - np.polyval(line, time_s)
-    if float(left @ left) > UNEVEN * float(np.sum((way - way.mean()) ** 2)):
-        return "has no even way before it to tell its speed"
+    off = way - way[0] - np.polyval(line, time_s)
+    whole = float(np.sum((way - way.mean()) ** 2))
+    if float(off @ off) > UNEVEN * whole:
+        share = 100 * float(off @ off) / whole
+        raise _Wayless(
+            f"it has no even way before it to tell its speed: a straight line leaves {share:.0f} % of the position's "
+            f"variance, {100 * UNEVEN:.0f} % is the most"
+        )
     return abs(float(line[0]))
 
 
@@ -682,12 +777,14 @@ def _hit(recording: Recording, ringing: Ringing, begin: int, onset_s: float, spe
     )
 
 
-def _uncertainty(ringing: Ringing) -> float:
-    """The largest of the relative standard errors of A, B and w of one mode."""
+def _uncertainty(ringing: Ringing) -> tuple[float, str]:
+    """The largest of the relative standard errors of A, B and w of one mode, and which it is."""
     values = np.concatenate((ringing.coefficients, ringing.decay_rate_per_s, ringing.angular_frequency_rad_per_s))
     if not values.all():
-        return math.inf
-    return float((np.sqrt(np.diag(ringing.covariance)[:3]) / np.abs(values)).max())
+        return math.inf, "amplitude"
+    errors = np.sqrt(np.diag(ringing.covariance)[:3]) / np.abs(values)
+    worst = int(np.argmax(errors))
+    return float(errors[worst]), ("amplitude", "decay", "frequency")[worst]
 
 
 def _samples(time_s: float, rate_hz: float, least: int) -> int:
@@ -697,7 +794,7 @@ def _samples(time_s: float, rate_hz: float, least: int) -> int:
 # ---- What they have in common ----------------------------------------------------------------------------------------
 
 
-def _upright(hits: list[tuple[TapHit, Ringing]], warnings: list[str]) -> list[tuple[TapHit, Ringing]]:
+def _upright(hits: list[tuple[TapHit, Ringing]], warnings: list[str], left: LeftOut) -> list[tuple[TapHit, Ringing]]:
     """With positive coefficients."""
     signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap, _ in hits]
     usual = 1.0 if sum(signs) >= 0 else -1.0
@@ -706,7 +803,7 @@ def _upright(hits: list[tuple[TapHit, Ringing]], warnings: list[str]) -> list[tu
     found = []
     for sign, (tap, ringing) in zip(signs, hits, strict=True):
         if sign != usual:
-            warnings.append(f"{tap.recording}: the tap at {tap.onset_s:.4g} s begins the other way, and is left out")
+            left.add(tap.recording, "it begins the other way than most", "tap", tap.onset_s)
             continue
         tap = dataclasses.replace(
             tap,

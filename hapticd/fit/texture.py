@@ -23,8 +23,10 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.left_out import Left, LeftOut
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares
+from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     LEAST_RATE,
     about,
@@ -37,6 +39,7 @@ from hapticd.fit.strokes import (
     told_apart,
     varied_force,
 )
+from hapticd.fit.twins import refuse_twins
 from hapticd.noise import coefficients_of, power_spectrum
 
 BLOCK_S: Final = 0.5
@@ -122,6 +125,7 @@ class TextureFit:
     blocks: tuple[Block, ...]
     warnings: tuple[str, ...]
     verdict: str
+    left_out: tuple[Left, ...] = ()
 
     def material(self) -> dict[str, object]:
         """The keys of a material: its texture. Stiffness is not measured by strokes."""
@@ -154,21 +158,35 @@ class TextureFit:
         return found
 
 
-def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -> TextureFit:
-    """Of strokes at several speeds and forces. FitError where they do not say it."""
-    if not recordings:
-        raise FitError("no recordings")
-    rate_hz = recordings[0].rate_hz
-    for recording in recordings:
-        if recording.rate_hz != rate_hz:
-            raise FitError(
-                f"{recording.name}: sampled at {recording.rate_hz:g} Hz, {recordings[0].name} at {rate_hz:g} Hz: "
-                "strokes of one texture need one rate"
-            )
-    cut = [_cut(recording) for recording in recordings]
+def fit_texture(
+    recordings: Sequence[Recording], autoregressive: bool = False, left: LeftOut | None = None
+) -> TextureFit:
+    """Of strokes at several speeds and forces. FitError where they do not say it.
+
+    Recordings, and stretches of them, that cannot be used are told to `left`.
+    """
+    left = LeftOut() if left is None else left
+    refuse_twins(recordings)
+    rate_hz = _usual_rate(recordings)
+    stretches = stretches_of(recordings, BLOCK_S, left)
+    while True:
+        try:
+            return _fitted(stretches, rate_hz, autoregressive, left)
+        except _TwoTextures as two:
+            left.add(two.name, str(two))
+            gone = {each.recording for each in left.items}
+            stretches = [recording for recording in stretches if recording.name not in gone]
+
+
+def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, left: LeftOut) -> TextureFit:
+    cut = left.each(stretches, lambda recording: _cut(recording, rate_hz))
+    if not cut:
+        raise left.refused("none of the recordings can be used")
+    used = {each.name for each in cut}
+    recordings = [recording for recording in stretches if recording.name in used]
     density = np.concatenate([each.density for each in cut])
     if len(density) < LEAST_BLOCKS:
-        raise FitError(
+        raise left.refused(
             f"{len(density) * BLOCK_S:g} s of strokes are too few: at least {LEAST_BLOCKS * BLOCK_S:g} s are needed"
         )
     names = [each.name for each in cut for _ in each.density]
@@ -189,7 +207,8 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
     least, most = RMS_M_PER_S2
     if not least <= usual <= most:
         raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
-    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
+    warnings: list[str] = left.lines()
+    warnings += [told for recording in recordings for told in gravity_of(recording)]
     warnings += _hum(recordings)
     varied_force(recordings, force, warnings)
     gains: tuple[Estimate | None, Estimate | None] = (None, None)
@@ -242,6 +261,7 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
         blocks=blocks,
         warnings=tuple(warnings),
         verdict=verdict,
+        left_out=tuple(left.items),
     )
 
 
@@ -270,7 +290,20 @@ def _slices(cut: Sequence[_Cut]) -> Iterator[tuple[_Cut, slice]]:
         start += len(each.density)
 
 
-def _cut(recording: Recording) -> _Cut:
+def _usual_rate(recordings: Sequence[Recording]) -> float:
+    """Of most of them."""
+    rates = [recording.rate_hz for recording in recordings]
+    if not rates:
+        raise FitError("no recordings")
+    return max(rates, key=rates.count)
+
+
+def _cut(recording: Recording, usual_hz: float) -> _Cut:
+    if recording.rate_hz != usual_hz:
+        raise FitError(
+            f"{recording.name}: sampled at {recording.rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one "
+            "texture need one rate"
+        )
     seen, force = acceleration_of(recording), pressed(recording)
     motion = motion_of(recording, len(seen))
     rate_hz = recording.rate_hz
@@ -501,13 +534,22 @@ def _law(moments: Floats, rms: Floats, warnings: list[str]) -> tuple[Floats, tup
     return law, (velocity_gain, force_gain), float(np.corrcoef(law, rms)[0, 1])
 
 
+class _TwoTextures(FitError):
+    """A recording is of more than one texture, or of none."""
+
+    def __init__(self, name: str, told: str) -> None:
+        super().__init__(told)
+        self.name = name
+
+
 def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
-    """FitError where a recording changes its pitch or loudness at once, by much."""
+    """_TwoTextures where a recording changes its pitch or loudness at once, by much."""
     count = len(pitch)
     if count > 3 and float(np.std(pitch)) > UNSTEADY:
-        raise FitError(
+        raise _TwoTextures(
+            name,
             f"{name}: two textures in one file, or none: the mean frequency goes from {math.exp(pitch.min()):.3g} to "
-            f"{math.exp(pitch.max()):.3g} Hz within it"
+            f"{math.exp(pitch.max()):.3g} Hz within it",
         )
     for k in range(3, count - 2):
         for values, apart, what in zip((pitch, loudness), APART, ("mean frequency", "loudness"), strict=True):
@@ -517,9 +559,10 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
                 (float(np.sum((one - one.mean()) ** 2)) + float(np.sum((other - other.mean()) ** 2))) / (count - 2)
             )
             if abs(step) > apart and abs(step) > SURE * within * math.sqrt(1 / k + 1 / (count - k)):
-                raise FitError(
+                raise _TwoTextures(
+                    name,
                     f"{name}: two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
-                    f"{k * BLOCK_S:g} s; give each its own file"
+                    f"{k * BLOCK_S:g} s; give each its own file",
                 )
 
 
