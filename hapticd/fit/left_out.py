@@ -8,6 +8,7 @@ from typing import Final, TypeVar
 
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, MistakenError
+from hapticd.fit.verdict import Doubts
 from hapticd.yaml_source import Json
 
 _T = TypeVar("_T")
@@ -97,7 +98,15 @@ class LeftOut:
         return [str(left) for left in self.items]
 
 
-def most_are_left_out(left: Sequence[Left], used: int, what: str) -> str:
+def weigh(left: LeftOut, recordings: Sequence[Recording], doubts: Doubts) -> None:
+    """Tells what is left out, before everything else, and doubts where that is a large part of the recordings."""
+    doubts.told[:0] = left.lines()
+    gone, every = left.recordings, {recording.name for recording in recordings} | left.recordings
+    count = max(len(every), len(recordings))
+    doubts.at_most("part left out", len(gone) / count, f"{len(gone)} of {count} recordings are left out")
+
+
+def most_are_left_out(left: LeftOut, used: int, what: str) -> str:
     """Where more of the events were left out than were used, what to tell of it; otherwise empty."""
-    events = sum(each.what == what for each in left)
+    events = sum(each.what == what for each in left.items)
     return f"{events} of {events + used} {what}s are left out" if events > used else ""

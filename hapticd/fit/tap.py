@@ -38,6 +38,7 @@ from hapticd.fit.sensor import Sensor
 from hapticd.fit.stretches import between_gaps
 from hapticd.fit.strokes import force_of, gravity_of, tell_few_samples, too_slow
 from hapticd.fit.twins import refuse_twins
+from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
 
@@ -232,8 +233,12 @@ class TapFit:
     """Offered where one mode is not enough."""
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
-    verdict: str
+    judged: Verdict
     left_out: tuple[Left, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def material(self, attack: Attack = "coefficient", table: bool = False, two_modes: bool = False) -> dict[str, Json]:
         """Keys of a YAML material; with `table`, amplitudes over speed instead of a slope; with `two_modes`, both of
@@ -290,6 +295,7 @@ class TapFit:
             "left_out": [each.to_dict() for each in self.left_out],
             "warnings": list(self.warnings),
             "verdict": self.verdict,
+            "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},
         }
         return told
 
@@ -356,10 +362,9 @@ def fit_tap(
     frequency = angular.mapped(lambda log: math.exp(log) / (2 * math.pi))
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
     _check_ringing(frequency.value, math.exp(-decay.value), taps)
+    doubts = Doubts()
     used = {tap.recording for tap in taps}
-    tell_few_samples([each for each in recordings if each.name in used], frequency.value, warnings)
-
-    doubts = _Doubts()
+    tell_few_samples([each for each in recordings if each.name in used], frequency.value, doubts)
     second = _second_mode(hits, explained)
     bends = _bends(speeds, amplitudes, noise)
     astray = _astray(taps, speeds, amplitudes, noise)
@@ -390,7 +395,7 @@ def fit_tap(
         doubts.add(False, bends, "a table of amplitudes over speed is offered")
     if (shifted.correlation if bends else line.r_squared) < WELL_LINEAR and not astray:
         doubts.add(True, f"the speed says little of the amplitude (r^2 {line.r_squared:.2f})", "")
-    doubts.add(False, most_are_left_out(left.items, len(taps), "tap"), "")
+    doubts.add(False, most_are_left_out(left, len(taps), "tap"), "")
     warnings += doubts.told
     return TapFit(
         taps=taps,
@@ -408,32 +413,12 @@ def fit_tap(
         second=second,
         sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings),
-        verdict=doubts.verdict(f"one mode explains {100 * explained:.1f} % of {len(taps)} taps", line.r_squared),
+        judged=doubts.judged(
+            f"one mode explains {100 * explained:.1f} % of {len(taps)} taps",
+            f"A(v) is a line through the origin (r^2 {line.r_squared:.3f})",
+        ),
         left_out=tuple(left.items),
     )
-
-
-@dataclass(slots=True)
-class _Doubts:
-    """What keeps a fit from being good."""
-
-    told: list[str] = dataclasses.field(default_factory=list)
-    reasons: list[str] = dataclasses.field(default_factory=list)
-    poor: bool = False
-
-    def add(self, poor: bool, reason: str, more: str) -> None:
-        """Of an empty reason nothing; what is told of it has `more`."""
-        if not reason:
-            return
-        self.poor |= poor
-        self.reasons.append(reason)
-        if more:
-            self.told.append(f"{reason}; {more}")
-
-    def verdict(self, share: str, r_squared: float) -> str:
-        if not self.reasons:
-            return f"good: {share}, A(v) is a line through the origin (r^2 {r_squared:.3f})"
-        return f"{'poor' if self.poor else 'fair'}: {share}, but {'; '.join(self.reasons)}"
 
 
 # ---- Taps in a recording ---------------------------------------------------------------------------------------------
