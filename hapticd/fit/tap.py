@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
@@ -22,20 +22,30 @@ from hapticd.fit.regression import (
     Floats,
     Regression,
     common,
-    improbable,
-    least_squares,
     require_scipy,
-    student_t,
     through_origin,
     with_offset,
 )
 from hapticd.fit.ringing import Ringing, fit_ringing
-from hapticd.fit.sensor import Sensor
 from hapticd.fit.strokes import LEAST_RATE, force_of, gravity_of
+from hapticd.fit.tap_hit import LEAST_TAPS, NO_NOISE, Figures, TapHit
+from hapticd.fit.tap_law import (
+    MOVED_DECAY,
+    MOVED_FREQUENCY,
+    Amplitudes,
+    astray,
+    bends,
+    json_of,
+    json_table,
+    moves,
+    table,
+)
+from hapticd.fit.tap_law import TABLE as TABLE
+from hapticd.fit.tap_second import SecondMode, second_mode
+from hapticd.fit.tap_verdict import Doubts, misfit
 from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
 
-LEAST_TAPS: Final = 3
 LEAST_M_PER_S2: Final = 1e-3
 MOST_M_PER_S2: Final = 1e6
 """An acceleration whose largest is not between these is none."""
@@ -73,9 +83,6 @@ LEAST_SPEED_M_PER_S: Final = 1e-3
 MOST_SPEED_M_PER_S: Final = 10.0
 SPEED_RANGE: Final = 1.2
 """The fastest tap is at least so many times as fast as the slowest."""
-ALIKE_NOISE: Final = 1.5
-NO_NOISE: Final = 1e-9
-"""Of the coefficient: the least noise a tap is taken to have."""
 OTHER_WAY: Final = 0.25
 """Of the taps may begin the other way, and are left out."""
 UNCERTAIN: Final = 0.5
@@ -90,104 +97,12 @@ MANY: Final = 5
 """Where so many are not used, and fewer are, the recording is none of taps."""
 WELL_EXPLAINED: Final = 0.95
 """Of a tap's variance by one mode: below the first it is not used, below the second in the middle it is told."""
-COLOURED: Final = 1.3
-"""A residual so many times the noise before the onset has more in it than noise."""
 WELL_LINEAR: Final = 0.9
 """r^2 of A(v)."""
-SECOND_GAIN: Final = 0.01
-"""A second mode explains so much of the variance besides, at least."""
-SECOND_TAPS: Final = 12
-"""It is sought in so many taps, the loudest."""
-ALIKE: Final = 0.1
-"""And its frequency is the same in them within so much."""
-CHANCE: Final = 0.01
-BENT: Final = 0.05
-"""A(v) is told to be no line through the origin where that is less likely by chance, and matters more than this."""
 SCATTERED: Final = 0.05
 """Frequencies that scatter more are told."""
 TOLD: Final = 3
 """So many reasons are in a refusal."""
-TABLE: Final = 8
-"""Speeds of a table of amplitudes, at most."""
-APART: Final = 0.02
-"""And they are apart by so much."""
-ASTRAY: Final = 0.25
-"""A tap this far off the line of the others is told."""
-MOVED_FREQUENCY: Final = 0.02
-MOVED_DECAY: Final = 0.1
-"""From the slowest to the fastest tap; what is less is not told."""
-MISSHAPEN: Final = 0.02
-"""RMS over that of the ringing, from which on a shape of what is left over is told."""
-PULSE: Final = 0.3
-"""A second mode that falls to 1/e within this part of its own period is none."""
-MOST_RATIO: Final = 10.0
-"""Of a second mode, as materials have it."""
-
-Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
-"""Speeds in m/s, rising, and m/s^2."""
-
-
-@dataclass(frozen=True, slots=True)
-class TapHit:
-    """One tap: what was fitted, and the stretch of the recording that it was fitted to."""
-
-    recording: str
-    onset_s: float
-    speed_m_per_s: float
-    coefficient_m_per_s2: float
-    first_peak_m_per_s2: float
-    decay_rate_per_s: float
-    angular_frequency_rad_per_s: float
-    variance_accounted_for: float
-    noise_m_per_s2: float
-    begin_s: float
-    """Of the stretch, on the recording's clock."""
-    rate_hz: float
-    measured: Floats
-    modelled: Floats
-    sensor: Sensor | None = None
-
-    def to_dict(self) -> dict[str, Json]:
-        return {
-            "recording": self.recording,
-            "onset_s": self.onset_s,
-            "speed_m_per_s": self.speed_m_per_s,
-            "coefficient_m_per_s2": self.coefficient_m_per_s2,
-            "first_peak_m_per_s2": self.first_peak_m_per_s2,
-            "frequency_hz": self.angular_frequency_rad_per_s / (2 * math.pi),
-            "decay_time_s": 1 / self.decay_rate_per_s,
-            "variance_accounted_for": self.variance_accounted_for,
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class SecondMode:
-    """A mode that is struck together with the first, and the first as it is beside it."""
-
-    frequency_hz: Estimate
-    decay_time_s: Estimate
-    ratio: Estimate
-    """Its coefficient over the first one's."""
-    first_slope_per_s: Estimate
-    """Of the first one's coefficient over the speed."""
-    first_frequency_hz: Estimate
-    first_decay_time_s: Estimate
-    amplitudes: Amplitudes
-    """Of the first, as TapFit's."""
-    variance_accounted_for: float
-    """By both, median over the taps."""
-
-    def to_dict(self) -> dict[str, Json]:
-        return {
-            "frequency_hz": _json(self.frequency_hz),
-            "decay_time_s": _json(self.decay_time_s),
-            "ratio": _json(self.ratio),
-            "first_slope_per_s": _json(self.first_slope_per_s),
-            "first_frequency_hz": _json(self.first_frequency_hz),
-            "first_decay_time_s": _json(self.first_decay_time_s),
-            "amplitudes": _json_table(self.amplitudes),
-            "variance_accounted_for": self.variance_accounted_for,
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,13 +178,13 @@ class TapFit:
             "offset_slope_per_s",
             "offset_m_per_s2",
         ):
-            told[name] = _json(getattr(self, name))
+            told[name] = json_of(getattr(self, name))
         told |= {
             "r_squared": self.r_squared,
             "r_squared_offset": self.r_squared_offset,
             "variance_accounted_for": self.variance_accounted_for,
             "linear": self.linear,
-            "amplitudes": _json_table(self.amplitudes),
+            "amplitudes": json_table(self.amplitudes),
             "second": None if self.second is None else self.second.to_dict(),
             "taps": [tap.to_dict() for tap in self.taps],
             "warnings": list(self.warnings),
@@ -286,90 +201,28 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
     """
     require_scipy()
     warnings: list[str] = []
-    hits: list[tuple[TapHit, Ringing]] = []
-    _check_files(recordings)
-    for recording in recordings:
-        hits += _hits_of(recording, warnings)
-        if progress is not None:
-            progress(recording)
-    if len(hits) < LEAST_TAPS:
-        more = f"; and {len(warnings) - TOLD} more" if len(warnings) > TOLD else ""
-        told = f" ({'; '.join(warnings[:TOLD])}{more})" if warnings else ""
-        raise FitError(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds{told}")
-    hits = _upright(hits, warnings)
+    hits = _found(recordings, progress, warnings)
     taps = tuple(tap for tap, _ in hits)
     _check_speeds(taps)
-
-    noise = _noise(taps)
-    decays = np.log([tap.decay_rate_per_s for tap in taps])
-    angulars = np.log([tap.angular_frequency_rad_per_s for tap in taps])
-    speeds = np.array([tap.speed_m_per_s for tap in taps])
-    amplitudes = np.array([tap.coefficient_m_per_s2 for tap in taps])
-    peaks = np.array([tap.first_peak_m_per_s2 for tap in taps])
-    # By the peak, whose error has little to do with those of decay and frequency.
-    relative = noise / peaks**2
-
-    spreads = np.array([np.diag(ringing.covariance)[:3] for _, ringing in hits])
-    of_coefficient = _levelled(spreads[:, 0], noise)
-    of_decay = _levelled(spreads[:, 1] / np.exp(2 * decays), relative)
-    of_angular = _levelled(spreads[:, 2] / np.exp(2 * angulars), relative)
-    of_peak = _levelled(np.array([_peak_variance(ringing) for _, ringing in hits]), noise)
-
-    decay = common(decays, of_decay)
-    angular = common(angulars, of_angular)
+    figures = Figures.of(hits)
+    decay = common(figures.decays, figures.of_decay)
+    angular = common(figures.angulars, figures.of_angular)
     # Taps differ by parts of their amplitudes.
-    line = through_origin(speeds, amplitudes, of_coefficient, speeds**2)
-    peak_line = through_origin(speeds, peaks, of_peak, speeds**2)
-    shifted = with_offset(speeds, amplitudes, of_coefficient, speeds**2)
+    over = (figures.speeds, figures.amplitudes, figures.of_amplitude, figures.speeds**2)
+    line, shifted = through_origin(*over), with_offset(*over)
+    peak_line = through_origin(figures.speeds, figures.peaks, figures.of_peak, figures.speeds**2)
     slope = line.coefficients[0]
-    if not slope.low > 0:
-        raise FitError(
-            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
-            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
-        )
-    _check_size(slope.value, math.exp(angular.value))
+    _check_slope(slope, math.exp(angular.value))
 
     frequency = angular.mapped(lambda log: math.exp(log) / (2 * math.pi))
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
     _check_ringing(frequency.value, math.exp(-decay.value), taps)
-    slowest = min(recording.rate_hz for recording in recordings)
-    if slowest < FEW_SAMPLES * frequency.value:
-        warnings.append(
-            f"{slowest:g} Hz are {slowest / frequency.value:.1f} samples a period at {frequency.value:.0f} Hz; the "
-            "amplitude is less certain than with more, and a filter of the sensor may have lowered it"
-        )
-
-    doubts = _Doubts()
-    second = _second_mode(hits, explained)
-    bends = _bends(speeds, amplitudes, noise)
-    astray = _astray(taps, speeds, amplitudes, noise)
-    scatter = float(np.std(angulars))
-    if second is not None:
-        together = 100 * second.variance_accounted_for
-        warnings.append(
-            f"one mode is not enough: a second at {second.frequency_hz.value:.4g} Hz, "
-            f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
-            f"{together:.1f} % together with the first, which alone explains {100 * explained:.1f} %"
-        )
-        doubts.add(second.variance_accounted_for < WELL_EXPLAINED, f"two explain {together:.1f} %", "")
-    elif explained < WELL_EXPLAINED:
-        doubts.add(True, "the rest is of another kind", "")
-    else:
-        doubts.add(False, *_misfit(hits, taps))
-    if scatter > SCATTERED:
-        doubts.add(
-            scatter > 2 * SCATTERED,
-            f"the frequency scatters by {100 * scatter:.0f} % between taps",
-            "is it one material, held alike?",
-        )
-    doubts.add(False, _moves(speeds, angulars, of_angular, "frequency", MOVED_FREQUENCY), "the material has the mean")
-    doubts.add(False, _moves(speeds, -decays, of_decay, "decay time", MOVED_DECAY), "the material has the mean")
-    if astray:
-        doubts.add(False, astray, "is its speed right?")
-    else:
-        doubts.add(False, bends, "a table of amplitudes over speed is offered")
-    if (shifted.correlation if bends else line.r_squared) < WELL_LINEAR and not astray:
-        doubts.add(True, f"the speed says little of the amplitude (r^2 {line.r_squared:.2f})", "")
+    _warn_of_rate(min(recording.rate_hz for recording in recordings), frequency.value, warnings)
+    second = second_mode(hits, explained)
+    bent = bends(figures.speeds, figures.amplitudes, figures.noise)
+    doubts = Doubts()
+    _doubt_the_mode(doubts, hits, second, explained, warnings)
+    _doubt_the_speed(doubts, taps, figures, bent, (line, shifted))
     warnings += doubts.told
     return TapFit(
         taps=taps,
@@ -382,8 +235,8 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
         offset_m_per_s2=shifted.coefficients[1],
         r_squared_offset=shifted.r_squared,
         variance_accounted_for=explained,
-        linear=not bends,
-        amplitudes=_table(speeds, amplitudes, of_coefficient),
+        linear=not bent,
+        amplitudes=table(figures.speeds, figures.amplitudes, figures.of_amplitude),
         second=second,
         sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings),
@@ -391,27 +244,78 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
     )
 
 
-@dataclass(slots=True)
-class _Doubts:
-    """What keeps a fit from being good."""
+def _found(
+    recordings: Sequence[Recording], progress: Callable[[Recording], None] | None, warnings: list[str]
+) -> list[tuple[TapHit, Ringing]]:
+    """The taps of all recordings, all of which begin the same way."""
+    _check_files(recordings)
+    hits: list[tuple[TapHit, Ringing]] = []
+    for recording in recordings:
+        hits += _hits_of(recording, warnings)
+        if progress is not None:
+            progress(recording)
+    if len(hits) < LEAST_TAPS:
+        more = f"; and {len(warnings) - TOLD} more" if len(warnings) > TOLD else ""
+        told = f" ({'; '.join(warnings[:TOLD])}{more})" if warnings else ""
+        raise FitError(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds{told}")
+    return _upright(hits, warnings)
 
-    told: list[str] = dataclasses.field(default_factory=list)
-    reasons: list[str] = dataclasses.field(default_factory=list)
-    poor: bool = False
 
-    def add(self, poor: bool, reason: str, more: str) -> None:
-        """Of an empty reason nothing; what is told of it has `more`."""
-        if not reason:
-            return
-        self.poor |= poor
-        self.reasons.append(reason)
-        if more:
-            self.told.append(f"{reason}; {more}")
+def _warn_of_rate(rate_hz: float, frequency_hz: float, warnings: list[str]) -> None:
+    if rate_hz < FEW_SAMPLES * frequency_hz:
+        warnings.append(
+            f"{rate_hz:g} Hz are {rate_hz / frequency_hz:.1f} samples a period at {frequency_hz:.0f} Hz; the "
+            "amplitude is less certain than with more, and a filter of the sensor may have lowered it"
+        )
 
-    def verdict(self, share: str, r_squared: float) -> str:
-        if not self.reasons:
-            return f"good: {share}, A(v) is a line through the origin (r^2 {r_squared:.3f})"
-        return f"{'poor' if self.poor else 'fair'}: {share}, but {'; '.join(self.reasons)}"
+
+def _doubt_the_mode(
+    doubts: Doubts,
+    hits: Sequence[tuple[TapHit, Ringing]],
+    second: SecondMode | None,
+    explained: float,
+    warnings: list[str],
+) -> None:
+    """What one mode, or two, leave over."""
+    if second is not None:
+        together = 100 * second.variance_accounted_for
+        warnings.append(
+            f"one mode is not enough: a second at {second.frequency_hz.value:.4g} Hz, "
+            f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
+            f"{together:.1f} % together with the first, which alone explains {100 * explained:.1f} %"
+        )
+        doubts.add(second.variance_accounted_for < WELL_EXPLAINED, f"two explain {together:.1f} %", "")
+    elif explained < WELL_EXPLAINED:
+        doubts.add(True, "the rest is of another kind", "")
+    else:
+        doubts.add(False, *misfit(hits))
+
+
+def _doubt_the_speed(
+    doubts: Doubts, taps: Sequence[TapHit], figures: Figures, bent: str, lines: tuple[Regression, Regression]
+) -> None:
+    """What does not follow the speed as it should; `lines` of A(v), through the origin and with an offset."""
+    speeds, line, shifted = figures.speeds, *lines
+    scatter = float(np.std(figures.angulars))
+    if scatter > SCATTERED:
+        doubts.add(
+            scatter > 2 * SCATTERED,
+            f"the frequency scatters by {100 * scatter:.0f} % between taps",
+            "is it one material, held alike?",
+        )
+    moved = (
+        moves(speeds, figures.angulars, figures.of_angular, "frequency", MOVED_FREQUENCY),
+        moves(speeds, -figures.decays, figures.of_decay, "decay time", MOVED_DECAY),
+    )
+    for reason in moved:
+        doubts.add(False, reason, "the material has the mean")
+    off = astray(taps, speeds, figures.amplitudes, figures.noise)
+    if off:
+        doubts.add(False, off, "is its speed right?")
+    else:
+        doubts.add(False, bent, "a table of amplitudes over speed is offered")
+    if (shifted.correlation if bent else line.r_squared) < WELL_LINEAR and not off:
+        doubts.add(True, f"the speed says little of the amplitude (r^2 {line.r_squared:.2f})", "")
 
 
 def _check_files(recordings: Sequence[Recording]) -> None:
@@ -743,11 +647,16 @@ def _check_speeds(taps: Sequence[TapHit]) -> None:
         )
 
 
-def _check_size(slope: float, angular: float) -> None:
-    ratio = slope / angular
+def _check_slope(slope: Estimate, angular: float) -> None:
+    if not slope.low > 0:
+        raise FitError(
+            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
+            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
+        )
+    ratio = slope.value / angular
     if not SOFTEST <= ratio <= HARDEST:
         raise FitError(
-            f"the amplitude over speed is {slope:.4g} 1/s, {ratio:.2g} times the angular frequency; a touch has "
+            f"the amplitude over speed is {slope.value:.4g} 1/s, {ratio:.2g} times the angular frequency; a touch has "
             f"{SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by a thousand (mm, g)?"
         )
 
@@ -763,237 +672,3 @@ def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapH
         raise FitError(
             f"what follows the onsets does not decay: by {decay_time_s:.3g} s to 1/e, and {longest_s:.3g} s were seen"
         )
-
-
-def _peak_variance(ringing: Ringing) -> float:
-    """Of A p(B, w), to first order."""
-    values = np.array(
-        [ringing.coefficients[0], ringing.decay_rate_per_s[0], ringing.angular_frequency_rad_per_s[0]], dtype=np.float64
-    )
-
-    def peak(at: Floats) -> float:
-        return float(at[0]) * Mode(float(at[1]), float(at[2])).peak
-
-    slopes = np.empty(3)
-    for which in range(3):
-        step = np.zeros(3)
-        step[which] = 1e-5 * values[which]
-        slopes[which] = (peak(values + step) - peak(values - step)) / (2 * step[which])
-    return float(slopes @ ringing.covariance[:3, :3] @ slopes)
-
-
-def _noise(taps: Sequence[TapHit]) -> Floats:
-    """(n,) variances of the noise; what differs no more than short stretches do by chance is taken as alike."""
-    found = np.array([tap.noise_m_per_s2 for tap in taps])
-    usual = float(np.median(found))
-    return np.where((found < ALIKE_NOISE * usual) & (usual < ALIKE_NOISE * found), usual, found) ** 2
-
-
-def _bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
-    """What keeps A(v) from being a line through the origin; empty where nothing does."""
-    if len(speeds) < LEAST_TAPS + 2:
-        return ""
-    ones = np.ones_like(speeds)
-    size = float(np.mean(amplitudes))
-    weights = noise / np.mean(noise)
-    scale = 1 / np.sqrt(weights)
-
-    def laid(*columns: Floats) -> tuple[Regression, Floats]:
-        found = least_squares(np.column_stack(columns) * scale[:, None], amplitudes * scale)
-        return found, amplitudes - found.residual / scale
-
-    origin, straight = laid(speeds)
-    offset, shifted = laid(speeds, ones)
-    curve, curved = laid(speeds, speeds**2, ones)
-    bend = float(np.sqrt(np.mean((curved - shifted) ** 2))) / size
-    if bend > BENT and improbable(offset.squares, offset.freedom, curve.squares, curve.freedom) < CHANCE:
-        return f"A(v) is not linear: a curve is {100 * bend:.0f} % off the line"
-    off = float(np.sqrt(np.mean((shifted - straight) ** 2))) / size
-    if off > BENT and improbable(origin.squares, origin.freedom, offset.squares, offset.freedom) < CHANCE:
-        value = offset.coefficients[1].value
-        return f"A(v) does not go through the origin: it has {value:.3g} m/s^2 at rest"
-    return ""
-
-
-def _astray(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
-    """The one tap without which A(v) is a line through the origin; empty where there is none."""
-    if len(speeds) < LEAST_TAPS + 3:
-        return ""
-    found: tuple[float, int, float] | None = None
-    scale = np.sqrt(np.mean(noise) / noise)
-    for index in range(len(speeds)):
-        others = np.delete(np.arange(len(speeds)), index)
-        line = through_origin((speeds * scale)[others], (amplitudes * scale)[others])
-        expected = line.coefficients[0].value * speeds[index]
-        own = float(((amplitudes[index] - expected) * scale[index]) ** 2)
-        # The line of the others is uncertain there, too.
-        own /= 1 + float((speeds * scale)[index] ** 2 / np.sum((speeds * scale)[others] ** 2))
-        # The deleted residual against those of the others: n ways to be the farthest by chance.
-        chance = len(speeds) * improbable(line.squares + own, line.freedom + 1, line.squares, line.freedom)
-        if found is None or chance < found[0]:
-            found = (chance, index, amplitudes[index] / expected - 1)
-    assert found is not None
-    chance, index, off = found
-    others = np.delete(np.arange(len(speeds)), index)
-    if chance > CHANCE or abs(off) < ASTRAY or _bends(speeds[others], amplitudes[others], noise[others]):
-        return ""
-    side = "above" if off > 0 else "below"
-    return (
-        f"the tap at {taps[index].onset_s:.4g} s of {taps[index].recording} is {100 * abs(off):.0f} % {side} the line "
-        "of the others"
-    )
-
-
-def _moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: float) -> str:
-    """Whether a figure changes with the speed; empty where it does not."""
-    if len(speeds) < LEAST_TAPS + 2:
-        return ""
-    slope = with_offset(speeds, logs, variances).coefficients[0]
-    freedom = len(speeds) - 2
-    if not slope.value:
-        return ""
-    # With the chance of CHANCE: as many standard errors as t has there.
-    wide = (slope.high - slope.value) * student_t(freedom, 1 - CHANCE) / student_t(freedom)
-    change = math.expm1(slope.value * float(np.ptp(speeds)))
-    if abs(slope.value) < wide or abs(change) < least:
-        return ""
-    return (
-        f"the {what} {'rises' if change > 0 else 'falls'} by {100 * abs(change):.0f} % from the slowest to the fastest"
-    )
-
-
-def _misfit(hits: Sequence[tuple[TapHit, Ringing]], taps: Sequence[TapHit]) -> tuple[str, str]:
-    """Whether what is left over has a shape that all taps have, and is no noise: the score test of the shapes that
-    ringing.py tries beside the mode. Empty where it has none."""
-    more = "the figures may be farther off than their intervals say"
-    colour = float(np.median([_colour(tap, ringing) for tap, ringing in hits]))
-    size = len(hits[0][1].misfit[0])
-    score, squares, heard, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0
-    for tap, (_, ringing) in zip(taps, hits, strict=True):
-        score += ringing.misfit[0] / tap.noise_m_per_s2**2
-        squares += ringing.misfit[1] / tap.noise_m_per_s2**2
-        modelled = tap.modelled - np.median(tap.modelled)
-        heard += float(modelled @ modelled) / tap.noise_m_per_s2**2
-        samples += len(tap.measured) - 6
-    taken = float(score @ np.linalg.lstsq(squares, score, rcond=1e-9)[0])
-    share = math.sqrt(max(0.0, taken) / heard) if heard > 0 else 0.0
-    chance = improbable(float(samples), samples, max(0.0, samples - taken), samples - size)
-    if share > MISSHAPEN and (chance < CHANCE or colour > COLOURED):
-        return f"what is left over has a shape, {100 * share:.0f} % of the ringing", more
-    left = math.sqrt(
-        sum(float(ringing.residual @ ringing.residual) / tap.noise_m_per_s2**2 for tap, ringing in hits) / heard
-    )
-    if colour > COLOURED and left > MISSHAPEN:
-        return f"what is left over is {colour:.1f} times the noise before the taps", more
-    return "", ""
-
-
-def _levelled(own: Floats, scale: Floats) -> Floats:
-    """The variances' common factor: of what a tap of its noise would have. Their own luck does not enter."""
-    return np.asarray(scale * np.median(own / scale), dtype=np.float64)
-
-
-def _table(speeds: Floats, amplitudes: Floats, variances: Floats) -> Amplitudes:
-    """The straight lines between so many of the speeds that are nearest to the amplitudes, none below 0."""
-    order = np.sort(speeds)
-    count = min(TABLE, max(2, len(speeds) - 2))
-    knots: list[float] = []
-    for place in np.linspace(0, len(speeds) - 1, count).round().astype(int):
-        if not knots or order[place] > (1 + APART) * knots[-1]:
-            knots.append(float(order[place]))
-    nodes = np.array([0.0, *knots])
-    hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
-    # What would be negative is 0, and the others are fitted without it.
-    kept = np.ones(len(knots), dtype=np.bool_)
-    while True:
-        line = least_squares(hats[:, kept], amplitudes, variances, speeds**2)
-        below = [value.value < 0 for value in line.coefficients]
-        if not any(below):
-            break
-        kept[np.flatnonzero(kept)[below]] = False
-    found = iter(line.coefficients)
-    table = [(knot, next(found) if keep else Estimate(0.0, 0.0, 0.0)) for knot, keep in zip(knots, kept, strict=True)]
-    return tuple((knot, Estimate(value.value, max(0.0, value.low), value.high)) for knot, value in table)
-
-
-def _second_mode(hits: list[tuple[TapHit, Ringing]], explained: float) -> SecondMode | None:
-    """A mode that most of the loudest taps have besides, at one frequency."""
-    loudest = sorted(hits, key=lambda hit: hit[0].noise_m_per_s2 / hit[0].coefficient_m_per_s2)[:SECOND_TAPS]
-    coloured = [(tap, ringing) for tap, ringing in loudest if _colour(tap, ringing) > COLOURED]
-    enough = max(LEAST_TAPS, len(loudest) / 2)
-    if len(coloured) < enough:
-        return None
-    both: list[tuple[TapHit, Ringing]] = []
-    for tap, ringing in coloured:
-        pair = fit_ringing(tap.measured, tap.rate_hz, modes=2, onset_s=ringing.onset_s, sensor=tap.sensor)
-        freedom = len(ringing.residual) - 6
-        one, two = float(ringing.residual @ ringing.residual), float(pair.residual @ pair.residual)
-        turns = float(pair.angular_frequency_rad_per_s.min()) * len(ringing.residual) / tap.rate_hz
-        if improbable(one, freedom, two, freedom - 3) < CHANCE and turns > math.pi:
-            both.append((tap, pair))
-    if len(both) < enough:
-        return None
-    logs = np.log([pair.angular_frequency_rad_per_s for _, pair in both])
-    alike = np.all(np.abs(logs - np.median(logs, axis=0)) < ALIKE, axis=1)
-    together = float(np.median([pair.variance_accounted_for for _, pair in both]))
-    if np.mean(alike) < 0.7 or np.sum(alike) < LEAST_TAPS or together < explained + SECOND_GAIN:
-        return None
-    return _pair_of([one for one, same in zip(both, alike, strict=True) if same], together)
-
-
-def _pair_of(both: list[tuple[TapHit, Ringing]], together: float) -> SecondMode | None:
-    """What they have in common; None where that is no pair, but one mode of another shape."""
-    speeds = np.array([tap.speed_m_per_s for tap, _ in both])
-    noise = _noise([tap for tap, _ in both])
-    relative = noise / np.array([tap.first_peak_m_per_s2 for tap, _ in both]) ** 2
-    coefficients = np.array([pair.coefficients for _, pair in both])
-    decays = np.array([pair.decay_rate_per_s for _, pair in both])
-    angulars = np.array([pair.angular_frequency_rad_per_s for _, pair in both])
-    covariances = np.array([pair.covariance for _, pair in both])
-    own = np.array([np.diag(covariance) for covariance in covariances])
-    ratios = coefficients[:, 1] / coefficients[:, 0]
-    of_ratio = ratios**2 * (
-        own[:, 0] / coefficients[:, 0] ** 2
-        + own[:, 1] / coefficients[:, 1] ** 2
-        - 2 * covariances[:, 0, 1] / (coefficients[:, 0] * coefficients[:, 1])
-    )
-
-    def shared(values: Floats, variances: Floats) -> Estimate:
-        return common(np.log(values), _levelled(variances / values**2, relative))
-
-    of_first = _levelled(own[:, 0], noise)
-    slope = through_origin(speeds, coefficients[:, 0], of_first, speeds**2).coefficients[0]
-    ratio = common(ratios, _levelled(of_ratio, relative))
-    decay = [shared(decays[:, mode], own[:, 2 + mode]) for mode in range(2)]
-    angular = [shared(angulars[:, mode], own[:, 4 + mode]) for mode in range(2)]
-    same = abs(angular[1].value - angular[0].value) < ALIKE
-    # In periods of its own; what is over sooner is a pulse.
-    lasts = math.exp(angular[1].value - decay[1].value) / (2 * math.pi)
-    if slope.value <= 0 or abs(ratio.value) > MOST_RATIO or same or lasts < PULSE:
-        return None
-    return SecondMode(
-        frequency_hz=angular[1].mapped(lambda log: math.exp(log) / (2 * math.pi)),
-        decay_time_s=decay[1].mapped(lambda log: math.exp(-log)),
-        ratio=ratio,
-        first_slope_per_s=slope,
-        first_frequency_hz=angular[0].mapped(lambda log: math.exp(log) / (2 * math.pi)),
-        first_decay_time_s=decay[0].mapped(lambda log: math.exp(-log)),
-        amplitudes=_table(speeds, coefficients[:, 0], of_first),
-        variance_accounted_for=together,
-    )
-
-
-def _colour(tap: TapHit, ringing: Ringing) -> float:
-    """What is left over while it rings, over what was there before."""
-    onset = max(2, math.floor(ringing.onset_s * tap.rate_hz))
-    end = math.ceil((ringing.onset_s + 5 / tap.decay_rate_per_s) * tap.rate_hz)
-    before = float(np.std(ringing.residual[:onset]))
-    return float(np.std(ringing.residual[onset:end])) / before if before > 0 else math.inf
-
-
-def _json(estimate: Estimate) -> Json:
-    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-
-
-def _json_table(amplitudes: Amplitudes) -> Json:
-    return [{"speed_m_per_s": speed, "coefficient_m_per_s2": _json(amplitude)} for speed, amplitude in amplitudes]
