@@ -28,7 +28,7 @@ from hapticd.fit.regression import (
 )
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.strokes import LEAST_RATE, force_of, gravity_of
-from hapticd.fit.tap_hit import LEAST_TAPS, NO_NOISE, Figures, TapHit
+from hapticd.fit.tap_hit import LEAST_TAPS, NO_NOISE, WELL_EXPLAINED, Figures, Hit, TapHit
 from hapticd.fit.tap_law import (
     MOVED_DECAY,
     MOVED_FREQUENCY,
@@ -41,7 +41,7 @@ from hapticd.fit.tap_law import (
     table,
 )
 from hapticd.fit.tap_law import TABLE as TABLE
-from hapticd.fit.tap_second import SecondMode, second_mode
+from hapticd.fit.tap_second import EXPLAINED, SecondMode, as_pairs, pair_of, second_mode
 from hapticd.fit.tap_verdict import Doubts, misfit
 from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
@@ -92,11 +92,8 @@ FEW_SAMPLES: Final = 8.0
 SOFTEST: Final = 0.003
 HARDEST: Final = 10.0
 """Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
-EXPLAINED: Final = 0.5
 MANY: Final = 5
 """Where so many are not used, and fewer are, the recording is none of taps."""
-WELL_EXPLAINED: Final = 0.95
-"""Of a tap's variance by one mode: below the first it is not used, below the second in the middle it is told."""
 WELL_LINEAR: Final = 0.9
 """r^2 of A(v)."""
 SCATTERED: Final = 0.05
@@ -135,9 +132,14 @@ class TapFit:
     warnings: tuple[str, ...]
     verdict: str
 
-    def material(self, attack: Attack = "coefficient", table: bool = False, two_modes: bool = False) -> dict[str, Json]:
+    def material(
+        self, attack: Attack = "coefficient", table: bool = False, two_modes: bool | None = None
+    ) -> dict[str, Json]:
         """Keys of a YAML material; with `table`, amplitudes over speed instead of a slope; with `two_modes`, both of
-        them. Raises FitError where no second mode was found, and for a first peak where A alone is known."""
+        them, by default where one does not do. Raises FitError where no second mode was found, and for a first peak
+        where A alone is known."""
+        if two_modes is None:
+            two_modes = self.second is not None and self.second.kept
         if attack != "coefficient" and (table or two_modes):
             raise FitError("a table, and two modes, are of coefficients: leave out the first peak")
         second = self.second if two_modes else None
@@ -201,7 +203,7 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
     """
     require_scipy()
     warnings: list[str] = []
-    hits = _found(recordings, progress, warnings)
+    hits, second = _found(recordings, progress, warnings)
     taps = tuple(tap for tap, _ in hits)
     _check_speeds(taps)
     figures = Figures.of(hits)
@@ -218,7 +220,8 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
     _check_ringing(frequency.value, math.exp(-decay.value), taps)
     _warn_of_rate(min(recording.rate_hz for recording in recordings), frequency.value, warnings)
-    second = second_mode(hits, explained)
+    if second is None:
+        second = second_mode(hits, explained)
     bent = bends(figures.speeds, figures.amplitudes, figures.noise)
     doubts = Doubts()
     _doubt_the_mode(doubts, hits, second, explained, warnings)
@@ -240,25 +243,30 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
         second=second,
         sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings),
-        verdict=doubts.verdict(f"one mode explains {100 * explained:.1f} % of {len(taps)} taps", line.r_squared),
+        verdict=doubts.verdict(f"{_modes(second)} {100 * explained:.1f} % of {len(taps)} taps", line.r_squared),
     )
 
 
 def _found(
     recordings: Sequence[Recording], progress: Callable[[Recording], None] | None, warnings: list[str]
-) -> list[tuple[TapHit, Ringing]]:
-    """The taps of all recordings, all of which begin the same way."""
+) -> tuple[list[Hit], SecondMode | None]:
+    """The taps of all recordings, all of which begin the same way, and their second mode where one does not do."""
     _check_files(recordings)
-    hits: list[tuple[TapHit, Ringing]] = []
+    hits: list[Hit] = []
     for recording in recordings:
         hits += _hits_of(recording, warnings)
         if progress is not None:
             progress(recording)
+    hits, second = as_pairs(hits, warnings)
     if len(hits) < LEAST_TAPS:
         more = f"; and {len(warnings) - TOLD} more" if len(warnings) > TOLD else ""
         told = f" ({'; '.join(warnings[:TOLD])}{more})" if warnings else ""
         raise FitError(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds{told}")
-    return _upright(hits, warnings)
+    return _upright(hits, warnings), second
+
+
+def _modes(second: SecondMode | None) -> str:
+    return "two modes explain" if second is not None and second.kept else "one mode explains"
 
 
 def _warn_of_rate(rate_hz: float, frequency_hz: float, warnings: list[str]) -> None:
@@ -271,7 +279,7 @@ def _warn_of_rate(rate_hz: float, frequency_hz: float, warnings: list[str]) -> N
 
 def _doubt_the_mode(
     doubts: Doubts,
-    hits: Sequence[tuple[TapHit, Ringing]],
+    hits: Sequence[Hit],
     second: SecondMode | None,
     explained: float,
     warnings: list[str],
@@ -282,9 +290,11 @@ def _doubt_the_mode(
         warnings.append(
             f"one mode is not enough: a second at {second.frequency_hz.value:.4g} Hz, "
             f"{1e3 * second.decay_time_s.value:.3g} ms and {second.ratio.value:.2g} times as strong explains "
-            f"{together:.1f} % together with the first, which alone explains {100 * explained:.1f} %"
+            f"{together:.1f} % together with the first, which alone explains {100 * second.alone:.1f} %"
         )
-        doubts.add(second.variance_accounted_for < WELL_EXPLAINED, f"two explain {together:.1f} %", "")
+        poor = second.variance_accounted_for < WELL_EXPLAINED
+        if poor or not second.kept:
+            doubts.add(poor, f"two explain {together:.1f} %", "")
     elif explained < WELL_EXPLAINED:
         doubts.add(True, "the rest is of another kind", "")
     else:
@@ -330,7 +340,7 @@ def _check_files(recordings: Sequence[Recording]) -> None:
 # ---- Taps in a recording ---------------------------------------------------------------------------------------------
 
 
-def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ringing]]:
+def _hits_of(recording: Recording, warnings: list[str]) -> list[Hit]:
     acceleration = recording.acceleration_m_per_s2
     if acceleration is None:
         raise FitError(f"{recording.name}: has no acceleration, which taps are fitted to")
@@ -359,7 +369,7 @@ def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ri
         if len(kept) < len(events):
             warnings.append(f"{recording.name}: {len(events) - len(kept)} bounces after taps are left out")
         events = kept
-    found: list[tuple[TapHit, Ringing]] = []
+    found: list[Hit] = []
     too_fast: list[float] = []
     no_taps = wayless = 0
     clipped = _clipped(acceleration)
@@ -374,7 +384,8 @@ def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ri
         if clipped[begin : begin + len(ringing.residual)].any():
             warnings.append(f"{place} is clipped, and left out")
             continue
-        if ringing.variance_accounted_for < EXPLAINED:
+        pair = _pair_of(recording, ringing, begin)
+        if ringing.variance_accounted_for < EXPLAINED and pair is None:
             share = 100 * ringing.variance_accounted_for
             warnings.append(f"{place} is left out: a decaying sinusoid explains {share:.0f} % of it")
             no_taps += 1
@@ -385,15 +396,10 @@ def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ri
                 )
             continue
         frequency_hz = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
-        if recording.rate_hz < LEAST_RATE * frequency_hz:
-            warnings.append(f"{place} is left out: it rings at {frequency_hz:.0f} Hz, too fast for the sampling rate")
-            too_fast.append(frequency_hz)
-            continue
-        if not _uncertainty(ringing) < UNCERTAIN:
-            warnings.append(f"{place} is too weak for its noise, and left out")
-            continue
-        if recording.rate_hz < GLITCH * ringing.decay_rate_per_s[0]:
-            warnings.append(f"{place} is over within {GLITCH:g} samples, a glitch, and left out")
+        fault = _fault_of(recording, ringing)
+        if fault and pair is None:
+            warnings.append(f"{place} {fault}")
+            too_fast += [frequency_hz] if recording.rate_hz < LEAST_RATE * frequency_hz else []
             continue
         onset_s = begin / recording.rate_hz + ringing.onset_s
         speed = _speed_of(recording, onset_s) if speeds is None else float(speeds[index])
@@ -401,7 +407,9 @@ def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ri
             warnings.append(f"{place} {speed}, and is left out")
             wayless += 1
             continue
-        found.append((_hit(recording, ringing, begin, onset_s, speed), ringing))
+        tap = _hit(recording, ringing, begin, onset_s, speed)
+        alone = not fault and ringing.variance_accounted_for >= EXPLAINED
+        found.append((dataclasses.replace(tap, pair=pair, alone=alone), ringing))
     if len(too_fast) > len(found):
         raise FitError(
             f"{recording.name}: sampled at {recording.rate_hz:g} Hz, which is less than {LEAST_RATE:g} times the "
@@ -562,6 +570,31 @@ def _speed_of(recording: Recording, onset_s: float) -> float | str:
     return abs(float(line[0]))
 
 
+def _fault_of(recording: Recording, ringing: Ringing) -> str:
+    """Why the modes are none that a tap could have; empty where they may be."""
+    for angular, decay in zip(ringing.angular_frequency_rad_per_s, ringing.decay_rate_per_s, strict=True):
+        frequency_hz = float(angular) / (2 * math.pi)
+        if recording.rate_hz < LEAST_RATE * frequency_hz:
+            return f"is left out: it rings at {frequency_hz:.0f} Hz, too fast for the sampling rate"
+        if not _uncertainty(ringing) < UNCERTAIN:
+            return "is too weak for its noise, and left out"
+        if recording.rate_hz < GLITCH * decay:
+            return f"is over within {GLITCH:g} samples, a glitch, and left out"
+    return ""
+
+
+def _pair_of(recording: Recording, ringing: Ringing, begin: int) -> Ringing | None:
+    """Two modes of a tap that one explains too little of; None where they do not explain it, either."""
+    if ringing.variance_accounted_for >= WELL_EXPLAINED:
+        return None
+    assert recording.acceleration_m_per_s2 is not None
+    measured = recording.acceleration_m_per_s2[begin : begin + len(ringing.residual)]
+    pair = pair_of(measured, recording.rate_hz, ringing, recording.sensor)
+    if pair is None or pair.variance_accounted_for < EXPLAINED or _fault_of(recording, pair):
+        return None
+    return pair
+
+
 def _hit(recording: Recording, ringing: Ringing, begin: int, onset_s: float, speed: float) -> TapHit:
     assert recording.acceleration_m_per_s2 is not None
     measured = recording.acceleration_m_per_s2[begin : begin + len(ringing.residual)]
@@ -587,11 +620,13 @@ def _hit(recording: Recording, ringing: Ringing, begin: int, onset_s: float, spe
 
 
 def _uncertainty(ringing: Ringing) -> float:
-    """The largest of the relative standard errors of A, B and w of one mode."""
+    """The largest of the relative standard errors of A, B and w of any mode."""
     values = np.concatenate((ringing.coefficients, ringing.decay_rate_per_s, ringing.angular_frequency_rad_per_s))
-    if not values.all():
+    variances = np.diag(ringing.covariance)[: len(values)]
+    # Modes that cannot be told apart may have variances below 0, by rounding.
+    if not values.all() or not (variances >= 0).all():
         return math.inf
-    return float((np.sqrt(np.diag(ringing.covariance)[:3]) / np.abs(values)).max())
+    return float((np.sqrt(variances) / np.abs(values)).max())
 
 
 def _samples(time_s: float, rate_hz: float, least: int) -> int:
@@ -601,7 +636,7 @@ def _samples(time_s: float, rate_hz: float, least: int) -> int:
 # ---- What they have in common ----------------------------------------------------------------------------------------
 
 
-def _upright(hits: list[tuple[TapHit, Ringing]], warnings: list[str]) -> list[tuple[TapHit, Ringing]]:
+def _upright(hits: list[Hit], warnings: list[str]) -> list[Hit]:
     """With positive coefficients."""
     signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap, _ in hits]
     usual = 1.0 if sum(signs) >= 0 else -1.0
@@ -612,14 +647,7 @@ def _upright(hits: list[tuple[TapHit, Ringing]], warnings: list[str]) -> list[tu
         if sign != usual:
             warnings.append(f"{tap.recording}: the tap at {tap.onset_s:.4g} s begins the other way, and is left out")
             continue
-        tap = dataclasses.replace(
-            tap,
-            coefficient_m_per_s2=usual * tap.coefficient_m_per_s2,
-            first_peak_m_per_s2=usual * tap.first_peak_m_per_s2,
-            measured=usual * tap.measured,
-            modelled=usual * tap.modelled,
-        )
-        found.append((tap, ringing))
+        found.append((tap if usual > 0 else tap.turned(), ringing))
     other = len(hits) - len(found)
     if len(found) < LEAST_TAPS or (other > 1 and other > OTHER_WAY * len(hits)):
         raise FitError(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -22,6 +23,8 @@ NO_NOISE: Final = 1e-9
 COLOURED: Final = 1.3
 """A residual so many times the noise before the onset has more in it than noise."""
 CHANCE: Final = 0.01
+WELL_EXPLAINED: Final = 0.95
+"""Of the variance of the median tap: what explains less is told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,24 @@ class TapHit:
     measured: Floats
     modelled: Floats
     sensor: Sensor | None = None
+    pair: Ringing | None = None
+    """Two modes, where one explains too little and two explain more."""
+    alone: bool = True
+    """Whether one mode does for it."""
+
+    def turned(self) -> TapHit:
+        """With the sign of the acceleration turned."""
+        pair = self.pair
+        if pair is not None:
+            pair = dataclasses.replace(pair, coefficients=-pair.coefficients, residual=-pair.residual)
+        return dataclasses.replace(
+            self,
+            coefficient_m_per_s2=-self.coefficient_m_per_s2,
+            first_peak_m_per_s2=-self.first_peak_m_per_s2,
+            measured=-self.measured,
+            modelled=-self.modelled,
+            pair=pair,
+        )
 
     def to_dict(self) -> dict[str, Json]:
         return {
@@ -55,6 +76,10 @@ class TapHit:
             "decay_time_s": 1 / self.decay_rate_per_s,
             "variance_accounted_for": self.variance_accounted_for,
         }
+
+
+Hit: TypeAlias = tuple[TapHit, Ringing]
+"""A tap, and the mode that was fitted to it."""
 
 
 def noise_of(taps: Sequence[TapHit]) -> Floats:
@@ -114,7 +139,7 @@ class Figures:
     of_angular: Floats
 
     @classmethod
-    def of(cls, hits: Sequence[tuple[TapHit, Ringing]]) -> Figures:
+    def of(cls, hits: Sequence[Hit]) -> Figures:
         taps = [tap for tap, _ in hits]
         noise = noise_of(taps)
         decays = np.log([tap.decay_rate_per_s for tap in taps])

@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.regression import improbable
-from hapticd.fit.ringing import Ringing
-from hapticd.fit.tap_hit import CHANCE, COLOURED, TapHit, colour
+from hapticd.fit.tap_hit import CHANCE, COLOURED, Hit, colour
 
 MISSHAPEN: Final = 0.02
 """RMS over that of the ringing, from which on a shape of what is left over is told."""
@@ -41,7 +40,7 @@ class Doubts:
         return f"{'poor' if self.poor else 'fair'}: {share}, but {'; '.join(self.reasons)}"
 
 
-def misfit(hits: Sequence[tuple[TapHit, Ringing]]) -> tuple[str, str]:
+def misfit(hits: Sequence[Hit]) -> tuple[str, str]:
     """Whether what is left over has a shape that all taps have, and is no noise: the score test of the shapes that
     ringing.py tries beside the mode. Empty where it has none."""
     more = "the figures may be farther off than their intervals say"
