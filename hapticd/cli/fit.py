@@ -100,8 +100,12 @@ def _options(command: _F) -> _F:
     help="What the slope in the material means [default: coefficient].",
 )
 @click.option("--table", is_flag=True, help="Amplitudes over speed in the material, instead of a slope.")
-@click.option("--two-modes", is_flag=True, help="Two modes in the material, where the taps have two.")
-def tap_command(attack: Attack | None, table: bool, two_modes: bool, **options: Any) -> None:
+@click.option(
+    "--two-modes/--one-mode",
+    default=None,
+    help="Two modes in the material, or one [default: two where one explains too little].",
+)
+def tap_command(attack: Attack | None, table: bool, two_modes: bool | None, **options: Any) -> None:
     """Slope, frequency and decay of a tap, from recordings of taps and their speeds."""
     for option, given in (("--table", table), ("--two-modes", two_modes)):
         if given and attack == "first_peak":
@@ -117,15 +121,16 @@ def tap_command(attack: Attack | None, table: bool, two_modes: bool, **options: 
         notes = []
         if not found.linear and not table:
             notes.append("--table takes the amplitudes over speed into the material, instead of the slope")
-        if found.second is not None and not two_modes:
+        two = two_modes if two_modes is not None else found.second is not None and found.second.kept
+        if found.second is not None and not two:
             notes.append("--two-modes takes both modes into the material")
         # Intervals of what the material does not have would mislead.
         said = set(estimates(found))
         second = {name for name in said if name.startswith("second.")}
-        without = said - second if two_modes else second
+        without = said - second if two else second
         if table:
             without |= {name for name in said if "slope" in name or "offset" in name}
-        figures = found.material(attack or "coefficient", table, two_modes)
+        figures = found.material(attack or "coefficient", table, two)
         return _Fitted(found, figures, tuple(notes), without)
 
     _run("tap", fit, per_file=2, **options)

@@ -39,6 +39,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 class FakeSecond:
     frequency_hz: Estimate
     variance_accounted_for: float = 0.99
+    kept: bool = False
 
 
 @dataclass(frozen=True, slots=True)
