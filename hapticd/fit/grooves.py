@@ -26,6 +26,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import Line, common_lines, lines_beside
+from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
 from hapticd.fit.stretches import stretches_of
@@ -118,6 +120,10 @@ class Stroke:
     variance_accounted_for: float
     spacing_m: float
 
+    def lines(self, needed: int) -> list[Line]:
+        """Of what the model leaves."""
+        return lines_beside(self.acceleration_m_per_s2, self.model_m_per_s2, self.rate_hz, needed)
+
 
 @dataclass(frozen=True, slots=True)
 class GroovesFit:
@@ -193,6 +199,9 @@ def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) ->
     recordings = [row.recording for row in rows]
     for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
+    hum = common_lines(len(strokes), lambda place, needed: strokes[place].lines(needed))
+    if hum:
+        doubts.tell(lines_told(hum))
     for row in rows:
         doubts.at_least(
             "cycles from strike to strike",

@@ -16,6 +16,8 @@ import numpy as np
 
 from hapticd.fit.clipping import clipped
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import Line, common_lines, lines_beside
+from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, common, with_offset
 from hapticd.fit.ringing import fit_ringing
@@ -140,6 +142,12 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     recordings = [recording for recording in recordings if recording.name in used]
     for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
+    by_name = {recording.name: recording for recording in recordings}
+    hum = common_lines(
+        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed)
+    )
+    if hum:
+        doubts.tell(lines_told(hum))
     count = len(ruptures)
     doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
 
@@ -353,6 +361,16 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
         decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
         variance_accounted_for=float(ringing.variance_accounted_for),
     )
+
+
+def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[Line]:
+    """Of the acceleration before the rupture."""
+    seen = recording.acceleration_m_per_s2
+    assert seen is not None
+    model = np.full(len(seen), math.nan)
+    until = max(0, round((rupture.time_s - BEFORE_S) * recording.rate_hz))
+    model[:until] = np.median(seen[:until]) if until else 0.0
+    return lines_beside(seen, model, recording.rate_hz, needed)
 
 
 def _together(ruptures: list[Rupture], left: LeftOut) -> list[Rupture]:

@@ -15,6 +15,8 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
+from hapticd.fit.lines import Line, common_lines, lines_beside
+from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import (
     Estimate,
@@ -198,8 +200,11 @@ def fit_tap(
         second = second_mode(hits, explained)
     bent = bends(figures.speeds, figures.amplitudes, figures.noise)
     doubts = Doubts()
-    used = {tap.recording for tap in taps}
-    tell_few_samples([each for each in recordings if each.name in used], frequency.value, doubts)
+    of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
+    hum = common_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed))
+    if hum:
+        doubts.tell(lines_told(hum))
+    tell_few_samples(of_taps, frequency.value, doubts)
     _doubt_the_mode(doubts, hits, second, explained, warnings)
     _doubt_the_speed(doubts, taps, figures, bent, (line, shifted))
     doubts.add(False, most_are_left_out(left, len(taps), "tap"))
@@ -247,6 +252,19 @@ def _found(
     if len(hits) < LEAST_TAPS:
         raise left.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
     return _upright(hits, warnings, left), second
+
+
+def _lines(recording: Recording, taps: Sequence[TapHit], needed: int) -> list[Line]:
+    """Of what the taps leave of a recording."""
+    seen = recording.acceleration_m_per_s2
+    assert seen is not None
+    own = [tap for tap in taps if tap.recording == recording.name]
+    model = np.full(len(seen), np.median(seen))
+    for tap in own:
+        begin = round(tap.begin_s * tap.rate_hz)
+        sign = 1.0 if np.dot(seen[begin : begin + len(tap.measured)], tap.measured) >= 0 else -1.0
+        model[begin : begin + len(tap.measured)] = sign * tap.modelled
+    return lines_beside(seen, model, recording.rate_hz, needed)
 
 
 def _modes(second: SecondMode | None) -> str:

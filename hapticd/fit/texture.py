@@ -24,6 +24,8 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import common_lines, lines_of
+from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares
 from hapticd.fit.stretches import stretches_of
@@ -69,11 +71,6 @@ TONE_BINS: Final = 3
 """That hold half of the power are a tone."""
 UNSTEADY: Final = 0.3
 """Standard deviation of the logarithm of the mean frequency over the blocks of a recording that is no one texture."""
-MAINS_HZ: Final = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
-"""Lines of hum, that may be off by"""
-MAINS_OFF_HZ: Final = 0.5
-HUM: Final = (0.005, 5.0)
-"""A line with this part of the power is told if it is so many times what the spectrum about it has there."""
 SUNK: Final = 0.3
 """Of the hiss: a density below is not seen."""
 RMS_M_PER_S2: Final = (0.03, 300.0)
@@ -214,8 +211,13 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
     doubts = Doubts()
     weigh(left, recordings, doubts)
-    for line in (*(told for recording in recordings for told in gravity_of(recording)), *_hum(recordings)):
+    for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
+    hum = common_lines(
+        len(recordings), lambda place, needed: lines_of(acceleration_of(recordings[place]), rate_hz, needed)
+    )
+    if hum:
+        doubts.tell(lines_told(hum))
     varied_force(recordings, force, doubts)
     gains: tuple[Estimate | None, Estimate | None] = (None, None)
     correlation = math.nan
@@ -378,33 +380,6 @@ def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
             f"{name}: a tone at {frequency[whole][np.argmax(density[whole])]:.4g} Hz holds most of the power: hum, or "
             "something that rings, and no texture"
         )
-
-
-def _hum(recordings: Sequence[Recording]) -> list[str]:
-    """Lines at MAINS_HZ that the spectrum about them does not explain, as parts of the power."""
-    found = []
-    for line in MAINS_HZ:
-        if line + 10 > min(recording.rate_hz for recording in recordings) / 2:
-            break
-        held, due = [], []
-        for recording in recordings:
-            seen = acceleration_of(recording)
-            width = recording.rate_hz / len(seen)
-            frequency = np.fft.rfftfreq(len(seen), 1 / recording.rate_hz)
-            power = np.abs(np.fft.rfft(np.hanning(len(seen)) * (seen - seen.mean()))) ** 2
-            power /= power[frequency >= LOW_HZ].sum()
-            off = np.abs(frequency - line)
-            middle = int(np.argmax(np.where(off < max(MAINS_OFF_HZ, width), power, 0.0)))
-            # Hann's window spreads a line over four bins.
-            here = slice(max(0, middle - 2), middle + 3)
-            beside = power[(off > MAINS_OFF_HZ + 3 * width) & (off < MAINS_OFF_HZ + 3 * width + 8)]
-            held.append(float(power[here].sum()))
-            # The mean of an exponential distribution from its median, which other lines do not move.
-            due.append(len(power[here]) * float(np.median(beside)) / math.log(2))
-        part = float(np.mean(held)) - float(np.mean(due))
-        if part > HUM[0] and part > HUM[1] * float(np.mean(due)):
-            found.append(f"a line at {line:g} Hz holds {100 * part:.2g} % of the power: hum, which the figures take in")
-    return found
 
 
 def _top(frequency: Floats, shape: Floats, floor: float) -> tuple[float, _Tail | None]:
