@@ -8,6 +8,7 @@ again and again: magnitude and start with every renewal, direction, type, gain, 
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Final
 
@@ -33,4 +34,8 @@ def paced(plan: Plan, force_hz: float | None) -> Plan:
     held_up_s = (len(plan.force) + len(plan.renew) + 1 + strike) * report_s + SPARE_S
     count = max(1, len(plan.restore))
     gap_s = max((MOST_S - held_up_s) / count, report_s / SHARE, 1e-3)
-    return replace(plan, restore_s=gap_s, foreign_s=max(count * gap_s, plan.foreign_s) + held_up_s)
+    # On a link that is full, each pass has one such report, after the forces; some have the renewals as well.
+    full_s = count * (len(plan.force) + 1) * report_s
+    renewals = min(count, math.floor(full_s / plan.renew_s) + 1)
+    full_s += renewals * len(plan.renew) * report_s + SPARE_S
+    return replace(plan, restore_s=gap_s, foreign_s=max(max(count * gap_s, plan.foreign_s) + held_up_s, full_s))
