@@ -45,6 +45,8 @@ class Found:
     layout: Layout | None
     problem: str | None
     """Why its report descriptor cannot be read."""
+    port: str = ""
+    """Where it is plugged in."""
 
     @property
     def usable(self) -> bool:
@@ -58,6 +60,11 @@ class Found:
 
     def __str__(self) -> str:
         return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
+
+    @property
+    def identity(self) -> str:
+        """Tells it from any other device that may take its place; one without serial is known by its port, too."""
+        return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
 
     def why_not(self) -> str:
         """Why it cannot be driven without a description."""
@@ -173,6 +180,7 @@ def _look(entry: Path, node: Path) -> Found:
         permission="absent" if absent else "denied" if denied else "ok",
         layout=layout,
         problem=problem,
+        port=told.get("HID_PHYS", ""),
     )
 
 
