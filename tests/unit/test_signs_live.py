@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -16,8 +17,13 @@ from hapticd.core import SAMPLE_DTYPE, Fault, Flag, SignsState, records
 from hapticd.engine import Engine
 from hapticd.hid.config import Hid
 from hapticd.hid.connection import Opened
+from hapticd.hid.descriptor import parse
+from hapticd.hid.layout import layout_of
+from hapticd.hid.pid import PidDriver
 from hapticd.offline import Rerun
-from tests.unit.test_hid_connection import COUNTS, FULL_N, STIFFNESS, World
+from tests import firmware_descriptors as descriptors
+from tests.firmware import ARDUINO, FINO, OPENFFBOARD, Firmware, Variant
+from tests.unit.test_hid_connection import COUNTS, FULL_N, STIFFNESS, TRAVEL_M, World
 
 GIVES = 0.8
 """Of the half travel, for the full force: a spring-centred handle."""
@@ -77,6 +83,67 @@ def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[Sprung]:
     made = Sprung(monkeypatch)
     yield made
     made.close()
+
+
+class Flashed(Sprung):
+    """A simulated firmware, which shares nothing with the driver."""
+
+    firmware: Firmware
+
+    def flash(self, descriptor: bytes, variant: Variant) -> Firmware:
+        self.firmware = Firmware(descriptor, variant, clock=time.monotonic)
+        return self.firmware
+
+    def open(self) -> Opened:
+        hid = Hid(travel_m=TRAVEL_M, full_scale_force_n=FULL_N, **self.hid)
+        driver = PidDriver(layout_of(parse(self.firmware.descriptor)), hid)
+        return Opened(self.firmware.device, driver, "stick", 0.001, False)
+
+    def _move(self) -> None:
+        while not self._stop.wait(0.002):
+            if self.engine is not None:
+                self.engine.beat()
+            x, y = self.firmware.force()
+            self.firmware.position(self.gives * x, self.gives * y)
+
+    def close(self) -> None:
+        super().close()
+        self.firmware.close()
+
+
+@pytest.fixture
+def flashed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Flashed]:
+    made = Flashed(monkeypatch)
+    yield made
+    made.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("descriptor", "variant", "state"),
+    [
+        (descriptors.FINO, FINO, SignsState.RIGHT),
+        (descriptors.ARDUINO, ARDUINO, SignsState.WRONG),
+        (descriptors.OPENFFBOARD_2, OPENFFBOARD, SignsState.RIGHT),
+        (descriptors.SIDEWINDER_FF2, Variant(), SignsState.RIGHT),
+        (descriptors.SIDEWINDER_FF2, Variant(signs=(1, -1)), SignsState.WRONG),
+    ],
+    ids=["fino", "arduino", "openffboard", "sidewinder", "sidewinder with y reversed"],
+)
+def test_the_signs_of_known_firmware(flashed: Flashed, descriptor: bytes, variant: Variant, state: SignsState) -> None:
+    firmware = flashed.flash(descriptor, variant)
+    engine = flashed.start()
+    engine.set_forces(True)
+    flashed.comes_to(SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR)
+    signs = engine.counters().signs
+    assert signs.state == state, signs
+    if state == SignsState.WRONG:
+        assert signs.axis == ("x" if variant is ARDUINO else "y")
+        assert engine.faults() == Fault.SIGNS
+        last = int(np.flatnonzero(flashed.checked())[-1])
+        settled(flashed)
+        assert not flashed.samples["force_n"][last + 1 :].any()
+        flashed.until(lambda: firmware.force() == (0.0, 0.0))
 
 
 def settled(world: Sprung) -> None:
