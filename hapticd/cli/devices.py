@@ -209,7 +209,10 @@ def calibrate_command(
     finally:
         opened.device.close()
     section = {
-        "device": {"kind": "hid", "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict()}},
+        "device": {
+            "kind": "hid",
+            "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"},
+        },
     }
     text = yaml_text(section)
     # Whatever becomes of the file, what was found is told.

@@ -47,6 +47,8 @@ class Found:
     """Why its report descriptor cannot be read."""
     hid_name: str = ""
     """As /sys/bus/hid/devices has it."""
+    port: str = ""
+    """Where it is plugged in."""
 
     @property
     def usable(self) -> bool:
@@ -69,6 +71,11 @@ class Found:
 
     def __str__(self) -> str:
         return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
+
+    @property
+    def identity(self) -> str:
+        """Tells it from any other device that may take its place; one without serial is known by its port, too."""
+        return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
 
     def why_not(self) -> str:
         """Why it cannot be driven without a description."""
@@ -186,6 +193,7 @@ def _look(entry: Path, node: Path) -> Found:
         layout=layout,
         problem=problem,
         hid_name=device.resolve().name,
+        port=told.get("HID_PHYS", ""),
     )
 
 
