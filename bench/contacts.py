@@ -287,10 +287,10 @@ def run(options: Options, advance: Advance) -> Section:
             f"{count} synthetic materials, {TAPS} taps each at {RATE_HZ:g} Hz with {REST} samples of rest before the "
             "contact: modes of 30 to 480 Hz, two modes, pulses that do not ring, amplitudes that saturate, decays that "
             "grow with the speed, noise, hum, a few clipped. The fit is what `hapticd fit tap` makes of them without "
-            "options; its tap is rendered at each speed and compared with the recorded one. An independent fit (numpy, by "
-            "grids and linear least squares) says whether the form explains 95 % of the median tap and the speed 90 % of the "
-            "variance of the amplitudes' logarithms; *agree* is the part of the verdicts (poor or not) that say the "
-            "same.",
+            "options; its tap is rendered at each speed and compared with the recorded one. An independent fit "
+            "(numpy, by grids and linear least squares) says whether the form explains 95 % of the median tap, and the "
+            "speed 90 % of the variance of the amplitudes' logarithms; *agree* is the part of the verdicts (poor or "
+            "not) that say the same.",
             Table(
                 "Outcome by kind of contact",
                 ["kind", "materials", "refused", "one mode", "two", "waveform", "table", "agree, %", "rendered, %"],

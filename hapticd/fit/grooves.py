@@ -25,6 +25,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
 from hapticd.fit.lines import Line, common_lines, lines_beside
 from hapticd.fit.lines import told as lines_told
@@ -45,6 +46,7 @@ from hapticd.fit.strokes import (
     running_mean,
     tell_few_samples,
     told_apart,
+    told_of,
     too_slow,
     varied_force,
 )
@@ -182,9 +184,13 @@ def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) ->
     """
     left = LeftOut() if left is None else left
     refuse_twins(recordings)
-    rows = left.each(stretches_of(recordings, LEAST_S, left), _Row)
+    rows = left.each(stretches_of(recordings, LEAST_S, left), lambda each: _Row(without_impossible(each, "grooves")))
     if not rows:
         raise left.refused(f"none of {len(recordings)} recordings can be used")
+    doubts = Doubts()
+    told_of([row.kept for row in rows], doubts)
+    weigh(left, recordings, doubts)
+    recordings = [row.kept.recording for row in rows]
     _refuse_others(rows)
     each = [_mean_mode(row.groups) for row in rows]
     groups = [group for row in rows for group in row.groups]
@@ -194,9 +200,6 @@ def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) ->
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for row, mode in zip(rows, each, strict=True) for strike in row.strikes(mode))
     strokes = tuple(row.stroke(mode) for row, mode in zip(rows, each, strict=True))
-    doubts = Doubts()
-    weigh(left, recordings, doubts)
-    recordings = [row.recording for row in rows]
     for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
     hum = common_lines(len(strokes), lambda place, needed: strokes[place].lines(needed))
@@ -309,8 +312,10 @@ class _Group:
 class _Row:
     """The strikes of one recording."""
 
-    def __init__(self, recording: Recording) -> None:
-        self.recording = recording
+    def __init__(self, kept: Kept) -> None:
+        self.kept = kept
+        recording = kept.recording
+        self._replaced = np.concatenate(([0], np.cumsum(kept.replaced)))
         self.name = self._name = recording.name
         self._rate_hz = recording.rate_hz
         self._seen = acceleration_of(recording)
@@ -557,6 +562,11 @@ class _Row:
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
         """Amplitudes of all strikes, positive along the motion, and which of them have a ringing on either side."""
         jump, whole = self._jumps(mode, self._onsets)
+        # What was not measured so about a strike says nothing of it.
+        at = np.round(self._onsets * self._rate_hz).astype(np.int64)
+        reach = max(1, round(self._rate_hz / mode.frequency_hz))
+        low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, len(self._seen))
+        whole &= self._replaced[high] == self._replaced[low]
         along = jump * np.sign(np.interp(self._onsets, self._time_s, self._motion.speed_m_per_s))
         along *= np.sign(np.sum(along.real[whole])) or 1.0
         late = -np.angle(np.where(along.real < 0, -along, along)) / mode.angular_frequency_rad_per_s

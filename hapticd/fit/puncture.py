@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.clipping import clipped
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
 from hapticd.fit.lines import Line, common_lines, lines_beside
 from hapticd.fit.lines import told as lines_told
@@ -31,6 +32,7 @@ from hapticd.fit.strokes import (
     running_mean,
     slope_of,
     tell_few_samples,
+    told_of,
     too_slow,
 )
 from hapticd.fit.twins import refuse_twins
@@ -62,6 +64,8 @@ ACCOUNTED: Final = 0.7
 """A ringing of which one mode explains less is none."""
 ASTRAY: Final = (3.0, 0.25)
 """A ringing that is off the median of all by this factor is left out, and told; this part of them at most."""
+SPOILT: Final = 0.02
+"""Of the samples from the touch to the end of the ringing, replaced, and a recording is left out."""
 HELD: Final = 0.1
 """Part of the force that is left after the rupture and told."""
 FARTHEST_M: Final = 1.0
@@ -221,6 +225,9 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
 
 def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
     """The puncture of a recording. FitError where there is none, or it cannot be fitted."""
+    kept = without_impossible(recording, "puncture")
+    told_of([kept], doubts)
+    recording = kept.recording
     name, rate_hz = recording.name, recording.rate_hz
     force = force_of(recording)
     place = recording.position_m
@@ -303,6 +310,8 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
 
     first = max(0, at - round(BEFORE_S * rate_hz))
     end = min(len(seen), at + round(RINGING_S * rate_hz))
+    if np.mean(kept.replaced[begin:end]) > SPOILT:
+        raise FitError(f"{name}: much of the puncture was not measured")
     if clipped(seen)[first:end].any():
         raise FitError(
             f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record with "
@@ -329,11 +338,11 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
             f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
             f"{100 * ACCOUNTED:.0f} % are wanted"
         )
-    kept = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
-    if kept > HELD * (highest - rest):
+    left = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
+    if left > HELD * (highest - rest):
         doubts.case(
             "force is left after the rupture",
-            f"{name}: {100 * kept / (highest - rest):.0f} % of the force is left after the rupture: something holds "
+            f"{name}: {100 * left / (highest - rest):.0f} % of the force is left after the rupture: something holds "
             "what went in; the model has none of it",
         )
     for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):

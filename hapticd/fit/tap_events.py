@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.fit.clipping import clipped
+from hapticd.fit.impossible import ACCELERATION, without_impossible
 from hapticd.fit.left_out import LeftOut
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, Floats, MistakenError
@@ -25,8 +26,7 @@ from hapticd.mode import Mode
 Bools: TypeAlias = npt.NDArray[np.bool_]
 
 LEAST_M_PER_S2: Final = 1e-3
-MOST_M_PER_S2: Final = 1e6
-"""An acceleration whose largest is not between these is none."""
+"""An acceleration whose largest is less is none."""
 GLITCH: Final = 2.0
 """What falls to 1/e in fewer samples is none of a surface."""
 OUTSTANDING: Final = 8.0
@@ -74,6 +74,9 @@ MANY: Final = 5
 
 def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hit]:
     """The taps of a recording; those that cannot be used are told to `left`. FitError where none of it can be."""
+    whole = without_impossible(recording, "tap")
+    recording = whole.recording
+    warnings += whole.told
     acceleration = _checked(recording)
     warnings += gravity_of(recording)
     above = acceleration - _base(acceleration, recording.rate_hz)
@@ -94,11 +97,11 @@ def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hi
         events = kept
     found: list[Hit] = []
     refused: list[tuple[_Event, _No]] = []
-    at_the_end = clipped(acceleration)
+    faults = _Faults(clipped(acceleration), whole.replaced)
     for index, event in enumerate(events):
         given = None if speeds is None else float(speeds[index])
         try:
-            found.append(_hit_of(recording, event, _room(recording, events, index), at_the_end, given))
+            found.append(_hit_of(recording, event, _room(recording, events, index), faults, given))
         except _No as no:
             refused.append((event, no))
         _check_kind(recording.name, [no for _, no in refused], len(found), index + 1)
@@ -154,16 +157,24 @@ class _Event:
     """The largest that it is, above gravity and drift, m/s^2."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Faults:
+    """Samples of a recording that were not measured as they are, (n,) each."""
+
+    clipped: Bools
+    replaced: Bools
+
+
 def _checked(recording: Recording) -> Floats:
     """The acceleration, m/s^2. FitError for a recording that cannot be one of taps."""
     acceleration = recording.acceleration_m_per_s2
     if acceleration is None:
         raise FitError(f"{recording.name}: has no acceleration, which taps are fitted to")
     largest = float(np.abs(acceleration).max())
-    if largest > 0 and not LEAST_M_PER_S2 <= largest <= MOST_M_PER_S2:
-        raise (FitError if largest < LEAST_M_PER_S2 else MistakenError)(
+    if 0 < largest < LEAST_M_PER_S2:
+        raise FitError(
             f"{recording.name}: an acceleration of {largest:.3g} m/s^2 is none of a stylus ({LEAST_M_PER_S2:g} to "
-            f"{MOST_M_PER_S2:g}): is it in another unit, or another column?"
+            f"{ACCELERATION['tap'].most:g}): is it in another unit, or another column?"
         )
     if recording.force_n is not None:
         _check_force(recording.name, force_of(recording))
@@ -188,7 +199,7 @@ def _room(recording: Recording, events: Sequence[_Event], index: int) -> tuple[i
 
 
 def _hit_of(
-    recording: Recording, event: _Event, room: tuple[int, int], at_the_end: Bools, given_m_per_s: float | None
+    recording: Recording, event: _Event, room: tuple[int, int], faults: _Faults, given_m_per_s: float | None
 ) -> Hit:
     """A tap fitted within its room. Raises _No, with what was measured and what is wanted."""
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
@@ -201,9 +212,11 @@ def _hit_of(
     except FitError as error:
         raise _No(str(error)) from None
     span = slice(begin, begin + len(ringing.residual))
-    if at_the_end[span].any():
-        level = float(np.abs(acceleration[span][at_the_end[span]]).max())
+    if faults.clipped[span].any():
+        level = float(np.abs(acceleration[span][faults.clipped[span]]).max())
         raise _No(f"it is clipped at {level:.4g} m/s^2")
+    if faults.replaced[span].any():
+        raise _No(f"{np.count_nonzero(faults.replaced[span])} of its samples cannot be, and none may")
     share = ringing.variance_accounted_for
     fault: _No | None = None
     if share < EXPLAINED:

@@ -23,6 +23,7 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
 from hapticd.fit.lines import common_lines, lines_of
 from hapticd.fit.lines import told as lines_told
@@ -39,6 +40,7 @@ from hapticd.fit.strokes import (
     plain,
     pressed,
     told_apart,
+    told_of,
     varied_force,
 )
 from hapticd.fit.twins import refuse_twins
@@ -71,6 +73,12 @@ TONE_BINS: Final = 3
 """That hold half of the power are a tone."""
 UNSTEADY: Final = 0.3
 """Standard deviation of the logarithm of the mean frequency over the blocks of a recording that is no one texture."""
+SPOILT: Final = 0.02
+"""Of the samples of a block, replaced, and it does not count."""
+KNOCK: Final = 15.0
+"""Standard deviations of a block that noise does not reach."""
+KNOCKED: Final = 0.1
+"""Of the blocks of a recording; where more have knocks, they are part of the texture."""
 SUNK: Final = 0.3
 """Of the hiss: a density below is not seen."""
 RMS_M_PER_S2: Final = (0.03, 300.0)
@@ -181,11 +189,16 @@ def fit_texture(
 
 
 def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, left: LeftOut) -> TextureFit:
-    cut = left.each(stretches, lambda recording: _cut(recording, rate_hz))
+    doubts = Doubts()
+    cut = left.each(stretches, lambda recording: _cut(without_impossible(recording, "texture"), rate_hz, doubts))
     if not cut:
         raise left.refused("none of the recordings can be used")
-    used = {each.name for each in cut}
-    recordings = [recording for recording in stretches if recording.name in used]
+    told_of([each.kept for each in cut], doubts)
+    recordings = [each.kept.recording for each in cut]
+    weigh(left, recordings, doubts)
+    dropped = sum(each.lost for each in cut)
+    lost = dropped / (dropped + sum(len(each.density) for each in cut))
+    doubts.at_most("part left out", lost, f"{100 * lost:.0f} % of the strokes are left out")
     density = np.concatenate([each.density for each in cut])
     if len(density) < LEAST_BLOCKS:
         raise left.refused(
@@ -209,8 +222,6 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
     least, most = RMS_M_PER_S2
     if not least <= usual <= most:
         raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
-    doubts = Doubts()
-    weigh(left, recordings, doubts)
     for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
     hum = common_lines(
@@ -290,6 +301,9 @@ class _Cut:
     moments: Floats
     """(blocks, 3) means of the squares of speed and of force, and between them of their product."""
     floor: float
+    lost: int
+    """Blocks that do not count, as of `_spoilt`."""
+    kept: Kept
 
 
 def _slices(cut: Sequence[_Cut]) -> Iterator[tuple[_Cut, slice]]:
@@ -308,7 +322,8 @@ def _usual_rate(recordings: Sequence[Recording]) -> float:
     return max(rates, key=rates.count)
 
 
-def _cut(recording: Recording, usual_hz: float) -> _Cut:
+def _cut(kept: Kept, usual_hz: float, doubts: Doubts) -> _Cut:
+    recording = kept.recording
     if recording.rate_hz != usual_hz:
         raise FitError(
             f"{recording.name}: sampled at {recording.rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one "
@@ -327,8 +342,11 @@ def _cut(recording: Recording, usual_hz: float) -> _Cut:
     for first in (0, length // 2, block - length):
         weights[first : first + length] += window**2
     weights /= weights.sum()
+    spoilt = _spoilt(kept, seen, block, doubts)
     for start in range(0, len(seen) - block + 1, block):
         here = slice(start, start + block)
+        if start in spoilt:
+            continue
         speed = motion.speed_m_per_s[here]
         if np.abs(speed).min() < 0.2 * usual or force[here].mean() <= 0:
             continue
@@ -362,7 +380,38 @@ def _cut(recording: Recording, usual_hz: float) -> _Cut:
     density[:, frequency < LOW_HZ] = density[:, just].mean(axis=1)[:, None]
     # A sum over the bins is then the integral from 0 on.
     density[:, 0] /= 2
-    return _Cut(recording.name, frequency, density, np.array(speeds), np.array(forces), np.array(moments), floor)
+    return _Cut(
+        recording.name,
+        frequency,
+        density,
+        np.array(speeds),
+        np.array(forces),
+        np.array(moments),
+        floor,
+        len(spoilt),
+        kept,
+    )
+
+
+def _spoilt(kept: Kept, seen: Floats, block: int, doubts: Doubts) -> set[int]:
+    """First samples of the blocks that do not count: much of them was not measured so, or something knocked."""
+    starts = range(0, len(seen) - block + 1, block)
+    lost = {start for start in starts if np.mean(kept.replaced[start : start + block]) > SPOILT}
+    knocks = []
+    for start in starts:
+        part = np.abs(seen[start : start + block] - np.median(seen[start : start + block]))
+        if part.max() > KNOCK * 1.4826 * np.median(part):
+            knocks.append(start)
+    # Where there are many, it is a texture of knocks.
+    if 0 < len(knocks) <= max(1, KNOCKED * len(starts)):
+        at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
+        value = f"{seen[at]:.4g} m/s^2 at {at / kept.recording.rate_hz:.6g} s"
+        doubts.note(
+            f"{kept.recording.name}: the acceleration of {value} is a knock: {len(knocks) * BLOCK_S:g} s about such "
+            "are left out"
+        )
+        lost |= set(knocks)
+    return lost
 
 
 def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:

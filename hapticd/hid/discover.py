@@ -45,11 +45,24 @@ class Found:
     layout: Layout | None
     problem: str | None
     """Why its report descriptor cannot be read."""
+    hid_name: str = ""
+    """As /sys/bus/hid/devices has it."""
+    port: str = ""
+    """Where it is plugged in."""
 
     @property
     def usable(self) -> bool:
         """Whether its descriptor says all that is needed."""
         return self.layout is not None and self.layout.usable
+
+    @property
+    def resets_seen(self) -> bool | None:
+        """Whether it has a report that says which effects play: without, a reset by another program is not noticed.
+        None where it cannot be driven. A device with such a report may still not send it."""
+        if not self.usable or self.layout is None:
+            return None
+        state = self.layout.pid_state
+        return state is not None and state.effect_index is not None and state.effect_playing is not None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -58,6 +71,11 @@ class Found:
 
     def __str__(self) -> str:
         return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
+
+    @property
+    def identity(self) -> str:
+        """Tells it from any other device that may take its place; one without serial is known by its port, too."""
+        return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
 
     def why_not(self) -> str:
         """Why it cannot be driven without a description."""
@@ -78,6 +96,7 @@ class Found:
             "usable": self.usable,
             "missing": list(self.missing),
             "problem": self.problem,
+            "resets_seen": self.resets_seen,
             "permission": self.permission,
             "in_interval_s": self.in_interval_s,
             "out_interval_s": self.out_interval_s,
@@ -173,6 +192,8 @@ def _look(entry: Path, node: Path) -> Found:
         permission="absent" if absent else "denied" if denied else "ok",
         layout=layout,
         problem=problem,
+        hid_name=device.resolve().name,
+        port=told.get("HID_PHYS", ""),
     )
 
 
