@@ -210,7 +210,7 @@ def _run(
     library = _library(output) if merge and output is not None and os.path.exists(output) else {}
     onto = library.get(name)
 
-    recordings, fitted = _fit(files, fit, per_file, strict)
+    recordings, unused, fitted = _fit(files, fit, per_file, strict)
     notes = list(fitted.notes)
     given = stiffness_n_per_m
     if given is None:
@@ -235,7 +235,7 @@ def _run(
     if report is not None:
         from hapticd.fit.panels import page_of
 
-        picture = drawing.drawn(report, page_of(kind, f"{name}: {kind}", fitted.fit, recordings))
+        picture = drawing.drawn(report, page_of(kind, f"{name}: {kind}", fitted.fit, recordings, unused))
 
     fresh = {"materials": {name: material.to_dict()}}
     if output is not None:
@@ -294,8 +294,10 @@ def _library(path: str) -> dict[str, Material]:
     return {name: found[name] for name in given}
 
 
-def _fit(files: Sequence[str], fit: _Fitting, per_file: int, strict: bool) -> tuple[list[Recording], _Fitted]:
-    """The recordings that were used, and what was made of them."""
+def _fit(
+    files: Sequence[str], fit: _Fitting, per_file: int, strict: bool
+) -> tuple[list[Recording], list[Recording], _Fitted]:
+    """The recordings that were used, those that were left out, and what was made of them."""
     from hapticd.fit.left_out import LeftOut
     from hapticd.fit.recording import NoRecordingError, RecordingError, load
 
@@ -316,8 +318,11 @@ def _fit(files: Sequence[str], fit: _Fitting, per_file: int, strict: bool) -> tu
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
             fitted = fit(recordings, step, left)
-    gone = left.recordings
-    return [recording for recording in recordings if recording.name not in gone], fitted
+    used: list[Recording] = []
+    unused: list[Recording] = []
+    for recording in recordings:
+        (unused if recording.name in left.recordings else used).append(recording)
+    return used, unused, fitted
 
 
 @contextmanager

@@ -93,7 +93,7 @@ BAD: Final = (
     ("grooves", too_fast, "Hz, and is sampled at 10000 Hz, which is too low"),
     ("texture", clip, "clipped at"),
     ("texture", silent, "the acceleration moves by"),
-    ("texture", too_fast, "goes on beyond half the rate"),
+    ("texture", too_fast, "left out: "),
 )
 
 
