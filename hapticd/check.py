@@ -6,7 +6,7 @@ connected the report descriptor and the endpoint's interval are read, which the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Final
 
@@ -62,6 +62,8 @@ class Checked:
     used: bool
     stiffness_n_per_m: float
     sounds: tuple[Sound, ...]
+    verdict: Mapping[str, str]
+    """good, fair or poor, by the kind of fit; empty where it was not fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +132,7 @@ def check(config: Config) -> Report:
         refused=(*undrivable, *refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
         warnings=told,
-        notes=tuple(_gone_through(config)),
+        notes=(*_gone_through(config), *_doubtful(shown, materials)),
     )
 
 
@@ -149,6 +151,15 @@ def _gone_through(config: Config) -> Iterator[Problem]:
                 f"other side; with radius_m {most_n / stiffness:.3g} or {most_n / item.radius_m:.4g} N/m it holds "
                 f"device.max_force_n, {most_n:g} N",
             )
+
+
+def _doubtful(shown: Iterable[str], materials: Mapping[str, Material]) -> Iterator[Problem]:
+    """The materials of the scene whose fits are not good, and why."""
+    for name in shown:
+        for kind, verdict in materials[name].fitted.items():
+            if verdict.quality != "good":
+                where = path_text(("materials", name, "provenance", "verdict", kind))
+                yield Problem(where, f"the fit is {verdict.quality}: {'; '.join(verdict.reasons) or 'no reason given'}")
 
 
 def _driven(config: Config, loop: Loop | None, shown: Iterable[str]) -> list[Problem]:
@@ -219,4 +230,5 @@ def _checked(name: str, material: Material, used: bool, output: Output) -> Check
     if isinstance(material.texture, Stochastic):
         pair = displayed_pair(material.texture, output)
         sounds.append(Sound("texture", material.texture.peak_hz, None if pair is None else pair[0], None))
-    return Checked(name, used, material.stiffness_n_per_m, tuple(sounds))
+    fits = {kind: verdict.quality for kind, verdict in material.fitted.items()}
+    return Checked(name, used, material.stiffness_n_per_m, tuple(sounds), fits)

@@ -11,7 +11,7 @@ from functools import cache, partial
 from importlib import resources
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -54,6 +54,9 @@ MAX_TAP_POINTS: Final = 256
 """HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
 MAX_PROVENANCE_FILES: Final = 1000
+MAX_REASONS: Final = 64
+MAX_REASON: Final = 1000
+"""Characters of one."""
 
 TapPoint: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=1e-4, le=100)], Annotated[float, Field(ge=0, le=1e5)]], Strict(False)
@@ -204,6 +207,17 @@ class ProvenanceFile(Model):
     )
 
 
+class FitVerdict(Model):
+    """What a fit is worth: good; fair, where something speaks against it; poor, where it should not be used."""
+
+    quality: Literal["good", "fair", "poor"] = Field(description="Of the fit.")
+    reasons: Annotated[
+        tuple[Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON)], ...],
+        Strict(False),
+        Field(max_length=MAX_REASONS),
+    ] = Field(default=(), description="Why it is not good.")
+
+
 class Provenance(Model):
     """Where the figures of a material come from; nothing that is rendered."""
 
@@ -216,6 +230,9 @@ class Provenance(Model):
     version: Annotated[str, StringConstraints(min_length=1, max_length=64)] = Field(description="Of hapticd.")
     intervals: Annotated[dict[Words, Interval], Field(max_length=256)] | None = Field(
         default=None, description="95 % intervals, [low, high], by the name of the figure."
+    )
+    verdict: Annotated[dict[Words, FitVerdict], Field(max_length=16)] | None = Field(
+        default=None, description="What each fit is worth, by its kind: tap, grooves, texture, puncture."
     )
 
 
@@ -244,6 +261,11 @@ class Material(Model):
                 "needs a mode to ring with: frequency_hz and decay_time_s of its own, or a tap of the material"
             )
         return texture
+
+    @property
+    def fitted(self) -> Mapping[str, FitVerdict]:
+        """What each fit of it is worth, by its kind; empty where nothing was fitted."""
+        return {} if self.provenance is None else self.provenance.verdict or {}
 
     @property
     def groove_modes(self) -> tuple[Mode, ...]:
