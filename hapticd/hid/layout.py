@@ -723,6 +723,8 @@ def _create_new_effect(group: _Group) -> CreateNewEffect:
 def _block_load(group: _Group) -> BlockLoad:
     index = group.need("Effect Block Index", _PID | 0x22)
     status = group.choice(LOAD_STATUS)
+    if status is not None and "success" not in status.entries:
+        status = None  # it could never say that an effect is loaded: the index does
     return BlockLoad(group.report_id, group.report_bytes, index, status, group.find(_PID | 0xAC))
 
 
