@@ -83,6 +83,10 @@ class FieldFlag(enum.IntFlag):
     BUFFERED_BYTES = 0x100
 
 
+_CONSTANT: Final = int(FieldFlag.CONSTANT)
+_VARIABLE: Final = int(FieldFlag.VARIABLE)
+
+
 @dataclass(frozen=True, slots=True)
 class Collection:
     """A collection. `number` counts them in the order in which they open, so two of the same usage differ."""
@@ -141,11 +145,11 @@ class ReportField:
 
     @property
     def is_constant(self) -> bool:
-        return FieldFlag.CONSTANT in self.flags
+        return bool(int(self.flags) & _CONSTANT)
 
     @property
     def is_variable(self) -> bool:
-        return FieldFlag.VARIABLE in self.flags
+        return bool(int(self.flags) & _VARIABLE)
 
     @property
     def is_relative(self) -> bool:

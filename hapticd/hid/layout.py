@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from hapticd.core import lib
-from hapticd.hid.descriptor import CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.descriptor import Collection, CollectionType, Descriptor, ReportField, ReportKind
 from hapticd.hid.useful import angle_fault, axis_fault, magnitude_fault
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
@@ -495,6 +495,13 @@ class _Finder:
         self._missing: list[str] = []
         self._problems = [f"report descriptor, {told}" for told in descriptor.skipped]
         self._root: int | None = None
+        self._within: dict[int, list[tuple[Collection, ReportField]]] = {}
+        for field in descriptor.fields:
+            around = {
+                usage: one for one in field.path for usage in (one.usage, *one.aliases)
+            }  # the innermost one stays
+            for usage, collection in around.items():
+                self._within.setdefault(usage, []).append((collection, field))
 
     def layout(self) -> Layout:
         output, feature = ReportKind.OUTPUT, ReportKind.FEATURE
@@ -569,9 +576,8 @@ class _Finder:
         """Fields of this kind in collections of this usage, by collection and report id; the nearest ones first."""
         groups: dict[tuple[int, int], _Group] = {}
         for usage in (usages,) if isinstance(usages, int) else usages:
-            for field in self._descriptor.fields:
-                around = field.within(_PID | usage)
-                if field.kind == kind and around is not None:
+            for around, field in self._within.get(_PID | usage, ()):
+                if field.kind == kind:
                     self._put(groups, (around.number, field.report_id), field)
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
