@@ -17,13 +17,15 @@ from hapticd.displayable import (
     Use,
     displayed_mode,
     displayed_pair,
+    displayed_wave_rate,
     materials_in,
     modes_of,
     rate_faults,
     undisplayable,
     warnings,
+    waveform_of,
 )
-from hapticd.displayed import displayed_error
+from hapticd.displayed import displayed_error, waveform_error
 from hapticd.driven import driven
 from hapticd.engine import UNKNOWN_HANDLE, loop_of, output_of
 from hapticd.errors import HapticdError, Problem, path_text
@@ -37,16 +39,18 @@ from hapticd.materials import Material
 from hapticd.scene import Disc, field_ids
 from hapticd.stability import Loop
 from hapticd.texture import Stochastic
+from hapticd.waveform import Waveform
 
 _UNPLUGGED: Final = "the encoder's step is not known"
 
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A mode of a material, or the peak of its noise, and what becomes of it."""
+    """A mode or a waveform of a material, or the peak of its noise, and what becomes of it."""
 
     use: Use
     frequency_hz: float
+    """Of a waveform, the frequency below which half of its energy lies."""
     shown_hz: float | None
     """None: silent."""
     error: float | None
@@ -212,8 +216,21 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None,
     return told, loop, link_hz, None if loop is not None else UNKNOWN_HANDLE, []
 
 
+def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
+    middle_hz, rate_hz = waveform.middle_hz, displayed_wave_rate(waveform, output)
+    if rate_hz is None:
+        return Sound("tap", middle_hz, None, None)
+    error = None
+    if rate_hz == waveform.rate_hz and output.dynamics is not None and output.actuator is None:
+        error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg)
+    return Sound("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)
+
+
 def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
     sounds: list[Sound] = []
+    waveform = waveform_of(material)
+    if waveform is not None:
+        sounds.append(_waveform_sound(waveform, output))
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
         error = None

@@ -44,6 +44,7 @@ from hapticd.model import (
     refuse_many_keys,
 )
 from hapticd.texture import Grooves, Texture
+from hapticd.waveform import Waveform
 from hapticd.yaml_source import Document, load_bytes
 
 MAX_MATERIALS: Final = 2**20
@@ -93,14 +94,19 @@ class SecondMode(ModeKeys):
     ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
 
 
+_RINGING: Final = ("frequency_hz", "angular_frequency_rad_per_s", "decay_time_s", "decay_rate_per_s", "second")
+"""Keys of a tap that rings."""
+
+
 class Tap(AimedKeys):
-    """The ringing that begins when the surface is touched: its amplitude A follows the approach speed."""
+    """The vibration that begins when the surface is touched: its amplitude A follows the approach speed."""
 
     model_config = ConfigDict(
         json_schema_extra={
             "allOf": [
-                one_of("frequency_hz", "angular_frequency_rad_per_s"),
-                one_of("decay_time_s", "decay_rate_per_s"),
+                one_of("frequency_hz", "angular_frequency_rad_per_s", "waveform"),
+                one_of("decay_time_s", "decay_rate_per_s", "waveform"),
+                {"not": {"required": ["second", "waveform"]}},
                 one_of("attack_slope_per_s", "amplitudes"),
                 ONE_DIRECTION,
             ]
@@ -115,9 +121,26 @@ class Tap(AimedKeys):
     ) = Field(default=None, description="Instead of the slope: [approach speed in m/s, amplitude in m/s^2], rising.")
     attack: Attack = Field(
         default="coefficient",
-        description="What the amplitude means: A of eq. 1, or the largest acceleration of the first cycle.",
+        description="What the amplitude means: A of the equation, or the largest acceleration (of a mode: of its first "
+        "cycle).",
     )
     second: SecondMode | None = Field(default=None, description="A mode that is struck together with this one.")
+    waveform: Waveform | None = Field(default=None, description="A curve that is played, instead of a mode that rings.")
+
+    def mode_faults(self) -> list[str]:
+        if self.waveform is None:
+            return super().mode_faults()
+        given = [name for name in _RINGING if getattr(self, name) is not None]
+        return [f"has a waveform, and does not ring: leave out {' and '.join(given)}"] if given else []
+
+    @property
+    def ringing(self) -> Mode | None:
+        """The mode; None of a waveform."""
+        return None if self.waveform is not None else self.mode
+
+    def coefficient(self, amplitude: float) -> float:
+        """The A of the mode's or the waveform's equation for an amplitude as `attack` means it."""
+        return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
     def cross_faults(self) -> list[str]:
         faults = super().cross_faults()
@@ -256,10 +279,10 @@ class Material(Model):
         if not isinstance(texture, Grooves) or texture.display != "vibration" or texture.own_modes:
             return texture
         # A tap that is itself faulty is not in `data`; then its own fault is enough.
-        if info.data.get("tap", True) is None:
-            raise ValueError(
-                "needs a mode to ring with: frequency_hz and decay_time_s of its own, or a tap of the material"
-            )
+        tap = info.data.get("tap", True)
+        if tap is None or (isinstance(tap, Tap) and tap.ringing is None):
+            other = "or a tap of the material" if tap is None else "as the tap is a waveform"
+            raise ValueError(f"needs a mode to ring with: frequency_hz and decay_time_s of its own, {other}")
         return texture
 
     @property
