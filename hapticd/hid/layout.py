@@ -86,6 +86,18 @@ class Field:
     def is_signed(self) -> bool:
         return self.logical_min < 0
 
+    @property
+    def can_be_on(self) -> bool:
+        """Whether a flag can be set here. One of a single bit always can: some devices give it the range 0 to 0."""
+        return self.bit_size == 1 or (self.logical_min, self.logical_max) != (0, 0)
+
+    @property
+    def on(self) -> int:
+        """The number that sets a flag."""
+        if self.bit_size == 1:
+            return -1 if self.is_signed else 1
+        return 1 if self.logical_min <= 1 <= self.logical_max else self.logical_max or self.logical_min
+
     def seconds_per_count(self) -> float | None:
         """The physical size of a count where the unit is a time; None where the descriptor gives no time."""
         if self.unit not in (0x1001, 0x1002, 0x1003, 0x1004) or self.logical_max == self.logical_min:
@@ -468,9 +480,8 @@ class _Group:
                 bit = None
                 if field.is_variable and not self._is_fixed(field):
                     bit = self.element(field, index, scaled=False)
-                if bit is not None and (bit.logical_min, bit.logical_max) != (0, 0):
-                    on = 1 if bit.logical_min <= 1 <= bit.logical_max else bit.logical_max or bit.logical_min
-                    entries[name] = Entry(bit, on)
+                if bit is not None and bit.can_be_on:
+                    entries[name] = Entry(bit, bit.on)
                     break
         return Choice("bits", entries) if entries else None
 
@@ -653,7 +664,7 @@ def _set_effect(group: _Group) -> SetEffect:
     for name, usage in AXES.items():
         for field, element in group.every(_DESKTOP | usage, _PID | 0x55):
             place = group.element(field, element, scaled=False) if field.is_variable else None
-            if place is not None and not field.is_constant and place.logical_max >= 1:
+            if place is not None and not field.is_constant and place.can_be_on and place.on > 0:
                 enable[name] = place
                 break
     directions: list[Field] = []

@@ -6,8 +6,8 @@ number means). Reports are bytes with the report id first, 0 where reports are n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -86,7 +86,10 @@ class AxisPlan:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most."""
+    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most.
+
+    Of a force along one axis, the other axis's force times `counts_per_other_n` comes to it.
+    """
 
     bits: Bits
     quantity: HidQuantity
@@ -94,6 +97,7 @@ class Value:
     zero_counts: float
     least: float
     most: float
+    counts_per_other_n: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,11 +228,21 @@ class Plan:
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
     """Why there is none."""
+    leak: float = 0.0
+    """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
+    report_names: Mapping[int, str] = field(default_factory=dict)
+    """What output reports are called, by id, for those who look at what was sent."""
 
     @property
     def resolution_m(self) -> float:
         """The step of positions, the coarser axis's."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
+
+    @property
+    def pushes(self) -> tuple[bool, bool]:
+        """Whether a force along x, along y is sent at all."""
+        sent = {value.quantity for message in self.force for value in message.values}
+        return bool(sent & {HidQuantity.X, HidQuantity.MAGNITUDE}), bool(sent & {HidQuantity.Y, HidQuantity.MAGNITUDE})
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
@@ -306,4 +320,5 @@ def fill_message(into: CData, message: Message) -> None:
         _fill_bits(place.field, value.bits)
         place.quantity = value.quantity
         place.counts_per_unit, place.zero_counts = value.counts_per_unit, value.zero_counts
+        place.counts_per_other_n = value.counts_per_other_n
         place.least, place.most = value.least, value.most
