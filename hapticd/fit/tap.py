@@ -32,6 +32,7 @@ from hapticd.fit.regression import (
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.sensor import Sensor
 from hapticd.fit.strokes import LEAST_RATE, force_of, gravity_of
+from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
 
@@ -218,7 +219,11 @@ class TapFit:
     """Offered where one mode is not enough."""
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
-    verdict: str
+    judged: Verdict
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def material(self, attack: Attack = "coefficient", table: bool = False, two_modes: bool = False) -> dict[str, Json]:
         """Keys of a YAML material; with `table`, amplitudes over speed instead of a slope; with `two_modes`, both of
@@ -274,6 +279,7 @@ class TapFit:
             "taps": [tap.to_dict() for tap in self.taps],
             "warnings": list(self.warnings),
             "verdict": self.verdict,
+            "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},
         }
         return told
 
@@ -339,7 +345,7 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
             "amplitude is less certain than with more, and a filter of the sensor may have lowered it"
         )
 
-    doubts = _Doubts()
+    doubts = Doubts()
     second = _second_mode(hits, explained)
     bends = _bends(speeds, amplitudes, noise)
     astray = _astray(taps, speeds, amplitudes, noise)
@@ -387,31 +393,11 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
         second=second,
         sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings),
-        verdict=doubts.verdict(f"one mode explains {100 * explained:.1f} % of {len(taps)} taps", line.r_squared),
+        judged=doubts.judged(
+            f"one mode explains {100 * explained:.1f} % of {len(taps)} taps",
+            f"A(v) is a line through the origin (r^2 {line.r_squared:.3f})",
+        ),
     )
-
-
-@dataclass(slots=True)
-class _Doubts:
-    """What keeps a fit from being good."""
-
-    told: list[str] = dataclasses.field(default_factory=list)
-    reasons: list[str] = dataclasses.field(default_factory=list)
-    poor: bool = False
-
-    def add(self, poor: bool, reason: str, more: str) -> None:
-        """Of an empty reason nothing; what is told of it has `more`."""
-        if not reason:
-            return
-        self.poor |= poor
-        self.reasons.append(reason)
-        if more:
-            self.told.append(f"{reason}; {more}")
-
-    def verdict(self, share: str, r_squared: float) -> str:
-        if not self.reasons:
-            return f"good: {share}, A(v) is a line through the origin (r^2 {r_squared:.3f})"
-        return f"{'poor' if self.poor else 'fair'}: {share}, but {'; '.join(self.reasons)}"
 
 
 def _check_files(recordings: Sequence[Recording]) -> None:

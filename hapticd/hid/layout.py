@@ -23,6 +23,7 @@ from typing import Final, TypeVar
 
 from hapticd.core import lib
 from hapticd.hid.descriptor import CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.flags import number_of_on
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
 """The longest report that is driven, with its id."""
@@ -85,18 +86,6 @@ class Field:
     @property
     def is_signed(self) -> bool:
         return self.logical_min < 0
-
-    @property
-    def can_be_on(self) -> bool:
-        """Whether a flag can be set here. One of a single bit always can: some devices give it the range 0 to 0."""
-        return self.bit_size == 1 or (self.logical_min, self.logical_max) != (0, 0)
-
-    @property
-    def on(self) -> int:
-        """The number that sets a flag."""
-        if self.bit_size == 1:
-            return -1 if self.is_signed else 1
-        return 1 if self.logical_min <= 1 <= self.logical_max else self.logical_max or self.logical_min
 
     def seconds_per_count(self) -> float | None:
         """The physical size of a count where the unit is a time; None where the descriptor gives no time."""
@@ -480,8 +469,9 @@ class _Group:
                 bit = None
                 if field.is_variable and not self._is_fixed(field):
                     bit = self.element(field, index, scaled=False)
-                if bit is not None and bit.can_be_on:
-                    entries[name] = Entry(bit, bit.on)
+                on = number_of_on(bit) if bit is not None else None
+                if bit is not None and on is not None:
+                    entries[name] = Entry(bit, on)
                     break
         return Choice("bits", entries) if entries else None
 
@@ -496,7 +486,7 @@ class _Finder:
     def __init__(self, descriptor: Descriptor) -> None:
         self._descriptor = descriptor
         self._missing: list[str] = []
-        self._problems: list[str] = []
+        self._problems = [f"report descriptor, {told}" for told in descriptor.skipped]
         self._root: int | None = None
 
     def layout(self) -> Layout:
@@ -664,7 +654,7 @@ def _set_effect(group: _Group) -> SetEffect:
     for name, usage in AXES.items():
         for field, element in group.every(_DESKTOP | usage, _PID | 0x55):
             place = group.element(field, element, scaled=False) if field.is_variable else None
-            if place is not None and not field.is_constant and place.can_be_on and place.on > 0:
+            if place is not None and not field.is_constant and number_of_on(place) is not None:
                 enable[name] = place
                 break
     directions: list[Field] = []
