@@ -642,6 +642,9 @@ struct hd_hid_status {
     uint64_t strikes_lost; /* too late, overtaken by a silence, of an effect that is gone, or without room */
 };
 
+/* What hd_hid_connect checks of a plan: HD_OK, or HD_ERR_INVALID (hd_invalid_reason). */
+int hd_hid_check(const struct hd_hid_plan *plan);
+
 struct hd_hid; /* opaque: two mailboxes and, while connected, two threads */
 
 struct hd_hid *hd_hid_new(void); /* NULL without memory */

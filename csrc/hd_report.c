@@ -208,6 +208,10 @@ int hd_report_check(const struct hd_hid_plan *plan) {
     return HD_OK;
 }
 
+int hd_hid_check(const struct hd_hid_plan *plan) {
+    return hd_report_check(plan);
+}
+
 HD_RT int hd_report_numbered(const struct hd_hid_plan *plan) {
     return plan->axes[0].report_id != 0;
 }

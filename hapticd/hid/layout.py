@@ -24,6 +24,7 @@ from typing import Final, TypeVar
 from hapticd.core import lib
 from hapticd.hid.descriptor import CollectionType, Descriptor, ReportField, ReportKind
 from hapticd.hid.flags import number_of_on
+from hapticd.hid.useful import angle_fault, axis_fault, magnitude_fault
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
 """The longest report that is driven, with its id."""
@@ -404,6 +405,13 @@ class _Group:
         """Constant in a report that is written. In those that are read, it means that the device alone sets it."""
         return field.is_constant and field.kind == ReportKind.OUTPUT
 
+    def accept(self, field: Field, name: str, fault: str | None) -> bool:
+        """Whether there is no fault; else it is noted as a problem."""
+        if fault is not None:
+            kind = self.fields[0].kind
+            self.problems.append(f"{kind} report {field.report_id}, bit {field.bit_offset} ({name}): {fault}")
+        return fault is None
+
     def need(self, name: str, *usages: int, scaled: bool = False) -> Field:
         found = self.find(*usages, scaled=scaled)
         if found is None:
@@ -604,7 +612,7 @@ class _Finder:
             axes = {}
             for name, usage in AXES.items():
                 place = group.find(_DESKTOP | usage, scaled=True)
-                if place is not None:
+                if place is not None and group.accept(place, name.capitalize(), axis_fault(place)):
                     axes[name] = Axis(name, group.report_bytes, place)
             self._problems += group.problems
             found.append((group.root != self._root, not {"x", "y"} <= set(axes), axes))
@@ -631,7 +639,7 @@ def _needs(*names: str | None) -> None:
 
 def _constant_force(group: _Group) -> ConstantForce:
     index, magnitude = group.find(_PID | 0x22), group.find(_PID | 0x70, scaled=True)
-    if magnitude is not None and magnitude.logical_max <= 0:
+    if magnitude is not None and not group.accept(magnitude, "Magnitude", magnitude_fault(magnitude)):
         magnitude = None
     if index is None or magnitude is None:
         _needs(None if index else "Effect Block Index", None if magnitude else "Magnitude")
@@ -664,11 +672,13 @@ def _set_effect(group: _Group) -> SetEffect:
         inside = field.within(_PID | 0x57) or field.index_of(_PID | 0x57) is not None
         if inside and field.is_variable and not field.is_constant and field.usages:
             places = [group.element(field, element, scaled=True) for element in range(min(field.count, len(AXES)))]
-            if all(places):
-                directions += [place for place in places if place is not None]
-                # X, Y, Z, and the vectors Vx, Vy, Vz.
-                cartesian = (*range(0x30, 0x33), *range(0x40, 0x43))
-                is_cartesian |= field.logical_min < 0 and field.usage_at(0) in [_DESKTOP | one for one in cartesian]
+            # X, Y, Z, and the vectors Vx, Vy, Vz.
+            parts = [_DESKTOP | one for one in (*range(0x30, 0x33), *range(0x40, 0x43))]
+            is_vector = field.logical_min < 0 and field.usage_at(0) in parts
+            found = [place for place in places if place is not None] if all(places) else []
+            if found and (is_vector or group.accept(found[0], "Direction", angle_fault(found[0]))):
+                directions += found
+                is_cartesian |= is_vector
     return SetEffect(
         group.report_id,
         group.report_bytes,

@@ -24,6 +24,10 @@ class DeviceError(HapticdError):
     """A device that cannot be driven; `str` is one line that says which, why and what would be right."""
 
 
+class UndrivableError(DeviceError):
+    """A device that is there and that no plan can be made for, whatever happens to it later."""
+
+
 @dataclass(frozen=True, slots=True)
 class Bits:
     """Where a number lies in a report, counted from the lowest bit of the byte after the report id."""
