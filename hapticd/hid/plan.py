@@ -243,6 +243,13 @@ class Plan:
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
 
     @property
+    def leak_told(self) -> str:
+        """What `leak` means, for a person; empty where it is below a thousandth."""
+        if self.leak < 1e-3:
+            return ""
+        return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force comes out across it"
+
+    @property
     def pushes(self) -> tuple[bool, bool]:
         """Whether a force along x, along y is sent at all."""
         sent = {value.quantity for message in self.force for value in message.values}
