@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from hapticd.hid.config import ForceAxes
 from hapticd.hid.layout import Field, SetEffect
 
 _COARSE: Final = 0.5
@@ -22,6 +23,20 @@ def counts_of(angle: Field, turns: float) -> float:
     if per_turn <= 0.0:
         return angle.logical_min
     return angle.logical_min + (angle.counts_at_north() + per_turn * turns - angle.logical_min) % per_turn
+
+
+def mirrored(axes: ForceAxes) -> tuple[int, float]:
+    """What the device takes for a direction of d turns: slope * d + offset, by its signs and a swap of its axes.
+
+    A direction is an angle from +y towards +x. Taking x negative turns d into -d, y negative into 1/2 - d, and swapping
+    the axes into 1/4 - d; the swap comes first.
+    """
+    slope, offset = (-1, 0.25) if axes.swap else (1, 0.0)
+    if axes.x.sign < 0:
+        slope, offset = -slope, -offset
+    if axes.y.sign < 0:
+        slope, offset = -slope, 0.5 - offset
+    return slope, offset
 
 
 def parts(angle: Field, x_turns: float, y_turns: float) -> list[tuple[float, float]]:

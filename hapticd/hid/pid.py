@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -23,7 +23,7 @@ from typing import Final, Literal
 from hapticd.core import HidMeaning, HidQuantity, lib
 from hapticd.hid.config import HandleAxis, Hid
 from hapticd.hid.device import Device
-from hapticd.hid.directions import angle_of, counts_of, leak, parts
+from hapticd.hid.directions import angle_of, counts_of, leak, mirrored, parts
 from hapticd.hid.flags import number_of_on
 from hapticd.hid.layout import Axis, BlockLoad, Choice, Field, Layout, SetEffect
 from hapticd.hid.plan import (
@@ -47,6 +47,9 @@ from hapticd.hid.useful import duration_fault
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
 """A device that has not yet loaded an effect is asked again so often, after this time."""
+
+RENEWED_ENOUGH_S: Final = 0.05
+"""What is renewed so often needs no restoring."""
 
 _log = logging.getLogger("hapticd")
 
@@ -116,11 +119,7 @@ class PidDriver:
         for name in ("device_reset", "stop_all_effects", "enable_actuators"):
             if name != "device_reset" or "no_reset" not in quirks:
                 _send(device, _control(layout, name))
-        gain = layout.device_gain
-        if gain is not None and "no_device_gain" not in quirks:
-            report = _Report(gain.report_id, gain.report_bytes)
-            report.put(gain.gain, gain.gain.logical_max)
-            device.write(bytes(report.data))
+        _send(device, _gain(layout, self._hid))
 
     def _room(self, device: Device) -> int | None:
         """How many effects the device says that it plays, where more than one is wanted; None: not known."""
@@ -289,8 +288,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
     effects = _effects(way, hid)
     # The direction first: the new strength is never shown the old way.
     force = [_polar_effect(layout, hid, indices[0])] if way == "polar" else []
-    shares = _parts(layout, effects)
-    for effect, index, part in zip(effects, indices, shares, strict=True):
+    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
         force.append(_constant_force(layout, index, effect, hid, part))
     infinite = "infinite_duration" in hid.quirks
     _, duration_s = _duration(layout, hid)
@@ -301,6 +299,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         y=y,
         force=tuple(force),
         renew=tuple(_operation(layout, index, "start") for index in indices),
+        restore=tuple(_restore(layout, hid, way, indices, renew_s)),
         stop=_stop(layout, indices),
         # Most devices say that an effect plays when it begins to. The set-up began it before anybody listened; the
         # first renewal comes at once.
@@ -308,6 +307,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         effects=watched,
         states=_states(layout),
         renew_s=renew_s,
+        foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
         leak=_leak_of(layout) if way == "polar" else 0.0,
         report_names=_names(layout),
@@ -342,6 +342,26 @@ def _leak_of(layout: Layout) -> float:
     assert layout.set_effect is not None
     angle = angle_of(layout.set_effect)
     return 0.0 if angle is None else leak(angle)
+
+
+def _restore(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
+    """What an effect of another program changes in the place of ours, and is not renewed often enough anyway."""
+    effects = _effects(way, hid)
+    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
+        if way != "polar":
+            yield Message(set_effect_report(layout, hid, index, effect))
+        elif renew_s > RENEWED_ENOUGH_S:
+            yield _polar_effect(layout, hid, index)
+        if layout.set_envelope is not None:
+            lines = _Report(layout.set_envelope.report_id, layout.set_envelope.report_bytes)
+            lines.put(layout.set_envelope.effect_index, index)
+            yield Message(bytes(lines.data))
+        if renew_s > RENEWED_ENOUGH_S:
+            yield _constant_force(layout, index, effect, hid, part)
+            yield _operation(layout, index, "start")
+    gain = _gain(layout, hid)
+    if gain is not None:
+        yield Message(gain)
 
 
 def _stop(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]:
@@ -417,7 +437,7 @@ def _polar_effect(layout: Layout, hid: Hid, index: int) -> Message:
     field = angle_of(layout.set_effect)
     assert field is not None
     per_turn = field.counts_per_turn()
-    slope, turns = _mirrored(hid)
+    slope, turns = mirrored(hid.force_axes)
     # Within one turn of the range's begin, so that C has to take at most one away or add one.
     zero = counts_of(field, turns)
     value = Value(
@@ -429,21 +449,6 @@ def _polar_effect(layout: Layout, hid: Hid, index: int) -> Message:
         field.logical_max,
     )
     return Message(set_effect_report(layout, hid, index, None), (value,))
-
-
-def _mirrored(hid: Hid) -> tuple[int, float]:
-    """What the device takes for a direction of d turns: slope * d + offset, by its signs and a swap of its axes.
-
-    A direction is an angle from +y towards +x. Taking x negative turns d into -d, y negative into 1/2 - d, and swapping
-    the axes into 1/4 - d; the swap comes first.
-    """
-    axes = hid.force_axes
-    slope, offset = (-1, 0.25) if axes.swap else (1, 0.0)
-    if axes.x.sign < 0:
-        slope, offset = -slope, -offset
-    if axes.y.sign < 0:
-        slope, offset = -slope, 0.5 - offset
-    return slope, offset
 
 
 # ---- Effects that the device plays by itself -------------------------------------------------------------------------
@@ -652,6 +657,16 @@ def _control(layout: Layout, name: str) -> bytes | None:
         return None
     report = _Report(to.report_id, to.report_bytes)
     report.choose(to.command, name)
+    return bytes(report.data)
+
+
+def _gain(layout: Layout, hid: Hid) -> bytes | None:
+    """Device Gain at its maximum; None where the device has no such report, or does not take it."""
+    to = layout.device_gain
+    if to is None or "no_device_gain" in hid.quirks:
+        return None
+    report = _Report(to.report_id, to.report_bytes)
+    report.put(to.gain, to.gain.logical_max)
     return bytes(report.data)
 
 
