@@ -83,6 +83,8 @@ enum hd_texture {
 #define HD_TUNE_POINTS 16 /* of a groove's frequency over the speed, and over the force */
 #define HD_TUNE_NODES 64  /* of its compensation over the frequency, */
 #define HD_TUNE_NODE 11   /* each of so many numbers */
+#define HD_WAVE_SAMPLES 512
+#define HD_WAVE_PARTS 8
 
 /* What a surface is made of. Between the points of a tap's amplitude lie straight lines, from rest, where it is 0, to
  * the first point, and beyond the last one as the line before it, never below 0. */
@@ -97,6 +99,8 @@ struct hd_material {
     uint32_t tune_nodes;  /* of its compensation; 0: there is none */
     uint32_t tune_first;  /* index in the table's numbers */
     uint32_t tune_mutes;  /* a strike above tune_highest_rad_per_s is 0: lowered to that, 1: silent */
+    uint32_t wave_count;  /* samples of the tap's waveform, 3 to HD_WAVE_SAMPLES, see hd_wave.h; 0: it rings */
+    uint32_t wave_first;  /* index in the table's numbers */
     double stiffness_n_per_m;
     double damping_n_s_per_m;
     double rupture_depth_m;            /* membranes; 0: never ruptures */
@@ -109,9 +113,11 @@ struct hd_material {
     double velocity_gain_per_s;       /* HD_TEXTURE_STRIKES: A = velocity gain |v_t| + force gain F_n */
     double force_gain_m_per_s2_per_n; /* the same */
     double tune_highest_rad_per_s;
+    double wave_rate_hz;    /* samples a second */
     double tap_aim[2];      /* where a tap pushes first: along n and along t, of length 1; 0, 0: along n */
     double rupture_aim[2];  /* the same of a rupture, n on the side entered */
-    struct hd_mode tap;     /* per m/s of approach; per m/s^2 of A where tap_count is not 0 */
+    struct hd_mode tap;     /* per m/s of approach; per m/s^2 of A where tap_count is not 0. Of a waveform only its end,
+                               its peak and the units count */
     struct hd_mode second;  /* struck together with the tap, in its unit; none with a force per unit of 0 */
     struct hd_mode rupture; /* per rupture */
     struct hd_mode groove;  /* per m/s^2 of A */

@@ -18,6 +18,7 @@
 #include "hd_skin.h"
 #include "hd_tune.h"
 #include "hd_voice.h"
+#include "hd_wave.h"
 
 HD_RT static double at_least_0(double value) {
     return value > 0.0 ? value : 0.0;
@@ -148,6 +149,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         .units = units,
         .before_s = before,
         .growth_n = material->stiffness_n_per_m * approach * peak_s,
+        .wave = material->wave_count > 0 ? material : NULL,
     };
     hd_aim_strike(state, slot, material->tap_aim, normal, &strike);
     if (material->second.force_per_unit > 0.0) {
@@ -156,6 +158,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         const double longer_s = at_least_0(material->second.peak_time_s - before) - counted_s;
         strike.mode = &material->second;
         strike.use = HD_MODE_SECOND;
+        strike.wave = NULL;
         strike.growth_n = material->stiffness_n_per_m * approach * at_least_0(longer_s);
         hd_aim_strike(state, slot, material->tap_aim, normal, &strike);
     }
@@ -243,7 +246,11 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
         } else {
             const double force = strike->units * strike->mode->force_per_unit * scale;
             const double vector[2] = {force * strike->direction[0], force * strike->direction[1]};
-            hd_voices_strike(state, strike, vector, table->period_s);
+            if (strike->wave != NULL) {
+                hd_waves_strike(state, table, strike, vector);
+            } else {
+                hd_voices_strike(state, strike, vector, table->period_s);
+            }
         }
         if (strike->event < state->event_count) {
             state->events[strike->event].scale = scale;

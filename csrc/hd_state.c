@@ -33,13 +33,16 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
     state->near = calloc(capacity, sizeof *state->near);
     state->voices = calloc(HD_VOICE_CAPACITY, sizeof *state->voices);
     state->voice_ends = calloc(HD_VOICE_CAPACITY, sizeof *state->voice_ends);
+    state->waves = calloc(HD_WAVE_CAPACITY, sizeof *state->waves);
+    state->wave_blocks = calloc(HD_WAVE_CAPACITY, sizeof *state->wave_blocks);
     state->noises = calloc(HD_NOISE_CAPACITY, sizeof *state->noises);
     state->free_noises = calloc(HD_NOISE_CAPACITY, sizeof *state->free_noises);
     state->strikes = calloc(HD_STRIKE_CAPACITY, sizeof *state->strikes);
     state->events = calloc(HD_EVENT_CAPACITY, sizeof *state->events);
     if (state->slots == NULL || state->active == NULL || state->resumed == NULL || state->healing == NULL ||
-        state->near == NULL || state->voices == NULL || state->voice_ends == NULL || state->noises == NULL ||
-        state->free_noises == NULL || state->strikes == NULL || state->events == NULL) {
+        state->near == NULL || state->voices == NULL || state->voice_ends == NULL || state->waves == NULL ||
+        state->wave_blocks == NULL || state->noises == NULL || state->free_noises == NULL || state->strikes == NULL ||
+        state->events == NULL) {
         hd_state_free(state);
         return NULL;
     }
@@ -47,6 +50,9 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
         state->free_noises[i] = HD_NOISE_CAPACITY - 1u - i;
     }
     state->free_noise_count = HD_NOISE_CAPACITY;
+    for (uint32_t i = 0; i < HD_WAVE_CAPACITY; i++) {
+        state->waves[i].block = i;
+    }
     state->enabled = 1;
     state->gain = 1.0;
     state->noise_gain = 1.0;
@@ -66,6 +72,8 @@ void hd_state_free(struct hd_state *state) {
         free(state->near);
         free(state->voices);
         free(state->voice_ends);
+        free(state->waves);
+        free(state->wave_blocks);
         free(state->noises);
         free(state->free_noises);
         free(state->strikes);
@@ -96,6 +104,8 @@ size_t hd_state_regions(const struct hd_state *state, uint32_t from_slot, uint32
         regions[count++] = (struct hd_region){(void *)(uintptr_t)state, sizeof *state};
         regions[count++] = (struct hd_region){state->voices, HD_VOICE_CAPACITY * sizeof *state->voices};
         regions[count++] = (struct hd_region){state->voice_ends, HD_VOICE_CAPACITY * sizeof *state->voice_ends};
+        regions[count++] = (struct hd_region){state->waves, HD_WAVE_CAPACITY * sizeof *state->waves};
+        regions[count++] = (struct hd_region){state->wave_blocks, HD_WAVE_CAPACITY * sizeof *state->wave_blocks};
         regions[count++] = (struct hd_region){state->noises, HD_NOISE_CAPACITY * sizeof *state->noises};
         regions[count++] = (struct hd_region){state->free_noises, HD_NOISE_CAPACITY * sizeof *state->free_noises};
         regions[count++] = (struct hd_region){state->strikes, HD_STRIKE_CAPACITY * sizeof *state->strikes};
@@ -121,6 +131,8 @@ int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
     to->near = own.near;
     to->voices = own.voices;
     to->voice_ends = own.voice_ends;
+    to->waves = own.waves;
+    to->wave_blocks = own.wave_blocks;
     to->noises = own.noises;
     to->free_noises = own.free_noises;
     to->strikes = own.strikes;
@@ -133,6 +145,10 @@ int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
     memcpy(to->near, from->near, from->near_count * sizeof *to->near);
     memcpy(to->voices, from->voices, from->voice_count * sizeof *to->voices);
     memcpy(to->voice_ends, from->voice_ends, from->voice_count * sizeof *to->voice_ends);
+    memcpy(to->waves, from->waves, HD_WAVE_CAPACITY * sizeof *to->waves);
+    for (uint32_t i = 0; i < from->wave_count; i++) {
+        to->wave_blocks[from->waves[i].block] = from->wave_blocks[from->waves[i].block];
+    }
     memcpy(to->free_noises, from->free_noises, HD_NOISE_CAPACITY * sizeof *to->free_noises);
     memcpy(to->events, from->events, from->event_count * sizeof *to->events);
     for (uint32_t i = 0; i < from->active_count; i++) {

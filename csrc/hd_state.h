@@ -8,6 +8,8 @@
  *   voices[]  the modes that ring now, dense, in no order; behind them, to the end of a tick, those that ended since
  *             the last one; a slot knows the first of its own
  *   voice_ends[] what of a voice only strikes and ends need; chains the voices of a slot
+ *   waves[]   the waveforms that play now, dense, in no order, and behind them the free ones; each has a block of
+ *             wave_blocks[] for its samples
  *   noises[]  the noises that sound now; a slot knows its own, free ones are stacked in free_noises[]
  *   offloads[] strikes of this tick that the device plays by itself; taken by whoever called it
  *   reserves[] what those that were struck may still add to the command
@@ -35,6 +37,7 @@
 #define HD_NOISE_CAPACITY 256u   /* surfaces with noise that are touched at once; further ones are silent */
 #define HD_OFFLOAD_CAPACITY 8u   /* strikes of one tick that the device plays by itself */
 #define HD_RESERVE_CAPACITY 16u  /* effects that may play at once */
+#define HD_WAVE_CAPACITY 32u     /* waveforms that play at once; beyond that, the one nearest its end is given up */
 #define HD_STATE_REGIONS 16u
 
 enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_GROOVE = 2, HD_MODE_SECOND = 3, HD_MODE_USES = 4 };
@@ -131,6 +134,22 @@ struct hd_voice_end {
     uint32_t next; /* of the same slot and use, another mode: place in voices[] plus one, or 0 */
 };
 
+/* A waveform that plays: see hd_wave.h. */
+struct hd_wave {
+    double force_n[2]; /* per unit of the curve */
+    double step;       /* samples a tick */
+    double begin;      /* samples that had passed at the tick that struck it */
+    double end;        /* the last sample */
+    uint64_t ticks;    /* since that tick */
+    uint32_t block;    /* place in wave_blocks[] */
+    uint32_t unused;
+};
+
+struct hd_wave_block {
+    double samples[HD_WAVE_SAMPLES + 2]; /* with the 0 before the first and the one after the last */
+    double peaks[HD_WAVE_PARTS];
+};
+
 struct hd_strike {
     const struct hd_mode *mode;
     uint32_t slot;
@@ -146,6 +165,7 @@ struct hd_strike {
     double direction[2];
     const struct hd_material *tuned; /* whose groove it is, where that has a frequency of its own; NULL: the mode's */
     double tuned_rad_per_s;
+    const struct hd_material *wave; /* whose waveform it is; NULL: a mode */
 };
 
 /* A strike that the device plays by itself. */
@@ -167,6 +187,7 @@ struct hd_state {
     uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
     uint32_t voice_count;
     uint32_t ended_count; /* of voices, behind those that ring */
+    uint32_t wave_count;
     uint32_t active_count;
     uint32_t near_count;
     uint32_t resumed_count;
@@ -203,7 +224,7 @@ struct hd_state {
     struct hd_change change;     /* that commands made since the last tick, and in this one */
     struct hd_residual residual; /* what is left of that */
     uint64_t commanded_tick;     /* the last one that took in a command */
-    double ringing_n[2];         /* the sum of Im z over voices[], and of kicks_n[0] */
+    double ringing_n[2];         /* the sum of Im z over voices[], of kicks_n[0], and of waves[] */
     uint32_t kick_count;         /* of kicks_n[] that are not zero, from the first on */
     double kicks_n[HD_KICKS][2]; /* what strikes add to this tick and the next ones */
     double noise_gain;           /* what the limit left of noises, 0 to 1: hd_limit_noise */
@@ -226,6 +247,8 @@ struct hd_state {
     struct hd_near *near;
     struct hd_voice *voices;
     struct hd_voice_end *voice_ends;
+    struct hd_wave *waves;
+    struct hd_wave_block *wave_blocks;
     struct hd_noise_voice *noises;
     uint32_t *free_noises;
     struct hd_strike *strikes;

@@ -158,6 +158,10 @@ HD_RT static void hear_noise(const struct hd_walk *walk, const struct hd_ramped 
     state->noise_gain = gain;
 }
 
+HD_RT static inline int is_ringing(const struct hd_state *state) {
+    return (state->voice_count | state->wave_count) != 0;
+}
+
 HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const struct hd_input *input,
                    struct hd_sample *sample) {
     const struct hd_table *table = &world->table;
@@ -214,7 +218,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     }
 
     state->ended_count = 0;
-    if (state->voice_count > 0) {
+    if (is_ringing(state)) {
         hd_voices_advance(state, input->periods);
     }
     if (state->reserve_count > 0) {
@@ -276,7 +280,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     } else {
         state->noise_gain = 1.0;
     }
-    if (state->voice_count > 0) {
+    if (is_ringing(state)) {
         vibration[0] += state->ringing_n[0];
         vibration[1] += state->ringing_n[1];
         flags |= HD_FLAG_RINGING;
@@ -291,7 +295,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         double still[2];
         for (int axis = 0; axis < 2; axis++) {
             const double noise = noise_still[axis];
-            still[axis] = shown * (state->voice_count > 0 ? noise + state->ringing_n[axis] : noise);
+            still[axis] = shown * (is_ringing(state) ? noise + state->ringing_n[axis] : noise);
             ramped.held_n[axis] = 0.0;
         }
         hd_ramp_command(&walk, &ramped, contact, vibration, still, gain - state->gain, force, &flags);

@@ -16,6 +16,7 @@
 #include <math.h>
 
 #include "hd_kicks.h"
+#include "hd_wave.h"
 
 /* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
 #define HD_SMALLEST_SQUARE 1e-290
@@ -140,6 +141,9 @@ HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods) {
     if (state->kick_count > 0) {
         hd_kicks_advance(state, periods);
     }
+    if (state->wave_count > 0) {
+        hd_waves_advance(state, periods);
+    }
 }
 
 HD_RT double hd_voices_bound(const struct hd_state *state) {
@@ -151,7 +155,8 @@ HD_RT double hd_voices_bound(const struct hd_state *state) {
                       voice->im[1] * voice->im[1]);
         HD_RT_FOREIGN_END
     }
-    return state->kick_count > 0 ? bound + hd_kicks_bound(state) : bound;
+    bound = state->kick_count > 0 ? bound + hd_kicks_bound(state) : bound;
+    return state->wave_count > 0 ? bound + hd_waves_bound(state) : bound;
 }
 
 /* The end of a mode, with the rounding of a period, of 5/B and of their multiples: a tick at the very end sounds. */
@@ -350,6 +355,7 @@ HD_RT void hd_voices_scale(struct hd_state *state, double factor) {
         state->voices[i].im *= factor;
     }
     hd_kicks_scale(state, factor);
+    hd_waves_scale(state, factor);
     state->ringing_n[0] *= factor;
     state->ringing_n[1] *= factor;
 }
@@ -362,4 +368,5 @@ HD_RT void hd_voices_silence(struct hd_state *state) {
     state->ringing_n[0] = 0.0;
     state->ringing_n[1] = 0.0;
     state->kick_count = 0;
+    state->wave_count = 0;
 }

@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "hd_tune.h"
+#include "hd_wave.h"
 
 /* Far beyond anything felt; what keeps products and quotients of a few of them finite. */
 #define HD_LARGEST 1e9
@@ -236,7 +237,8 @@ static int material_check(const struct hd_material *material, uint32_t noise_cou
 static int parts_check(const struct hd_table *table) {
     for (uint32_t i = 0; i < table->material_count; i++) {
         if (material_check(&table->materials[i], table->noise_count, i) < 0 ||
-            tap_check(&table->materials[i], table, i) < 0 || hd_tune_check(&table->materials[i], table, i) < 0) {
+            tap_check(&table->materials[i], table, i) < 0 || hd_tune_check(&table->materials[i], table, i) < 0 ||
+            hd_wave_check(&table->materials[i], table, i) < 0) {
             return HD_ERR_INVALID;
         }
     }

@@ -110,6 +110,8 @@ class Lib:
     HD_SIM_FORCES: int
     HD_TUNE_NODE: int
     HD_TUNE_NODES: int
+    HD_WAVE_PARTS: int
+    HD_WAVE_SAMPLES: int
     HD_TUNE_POINTS: int
     HD_FAULT_NONFINITE: int
     HD_FAULT_CONTROL: int

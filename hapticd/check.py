@@ -6,7 +6,7 @@ connected the report descriptor and the endpoint's interval are read, which the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Final
 
@@ -17,13 +17,15 @@ from hapticd.displayable import (
     Use,
     displayed_mode,
     displayed_pair,
+    displayed_wave_rate,
     materials_in,
     modes_of,
     rate_faults,
     undisplayable,
     warnings,
+    waveform_of,
 )
-from hapticd.displayed import displayed_error
+from hapticd.displayed import displayed_error, waveform_error
 from hapticd.driven import driven
 from hapticd.engine import UNKNOWN_HANDLE, loop_of, output_of
 from hapticd.errors import HapticdError, Problem, path_text
@@ -36,16 +38,18 @@ from hapticd.materials import Material
 from hapticd.scene import Disc, field_ids
 from hapticd.stability import Loop
 from hapticd.texture import Stochastic
+from hapticd.waveform import Waveform
 
 _UNPLUGGED: Final = "the encoder's step is not known"
 
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """A mode of a material, or the peak of its noise, and what becomes of it."""
+    """A mode or a waveform of a material, or the peak of its noise, and what becomes of it."""
 
     use: Use
     frequency_hz: float
+    """Of a waveform, the frequency below which half of its energy lies."""
     shown_hz: float | None
     """None: silent."""
     error: float | None
@@ -61,6 +65,8 @@ class Checked:
     used: bool
     stiffness_n_per_m: float
     sounds: tuple[Sound, ...]
+    verdict: Mapping[str, str]
+    """good, fair or poor, by the kind of fit; empty where it was not fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +135,7 @@ def check(config: Config) -> Report:
         refused=tuple(refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
         warnings=told,
-        notes=tuple(_gone_through(config)),
+        notes=(*_gone_through(config), *_doubtful(shown, materials)),
     )
 
 
@@ -148,6 +154,15 @@ def _gone_through(config: Config) -> Iterator[Problem]:
                 f"other side; with radius_m {most_n / stiffness:.3g} or {most_n / item.radius_m:.4g} N/m it holds "
                 f"device.max_force_n, {most_n:g} N",
             )
+
+
+def _doubtful(shown: Iterable[str], materials: Mapping[str, Material]) -> Iterator[Problem]:
+    """The materials of the scene whose fits are not good, and why."""
+    for name in shown:
+        for kind, verdict in materials[name].fitted.items():
+            if verdict.quality != "good":
+                where = path_text(("materials", name, "provenance", "verdict", kind))
+                yield Problem(where, f"the fit is {verdict.quality}: {'; '.join(verdict.reasons) or 'no reason given'}")
 
 
 def _driven(config: Config, loop: Loop | None, shown: Iterable[str]) -> list[Problem]:
@@ -196,8 +211,21 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None]
     return told, loop, link_hz, None if loop is not None else UNKNOWN_HANDLE
 
 
+def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
+    middle_hz, rate_hz = waveform.middle_hz, displayed_wave_rate(waveform, output)
+    if rate_hz is None:
+        return Sound("tap", middle_hz, None, None)
+    error = None
+    if rate_hz == waveform.rate_hz and output.dynamics is not None and output.actuator is None:
+        error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg)
+    return Sound("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)
+
+
 def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
     sounds: list[Sound] = []
+    waveform = waveform_of(material)
+    if waveform is not None:
+        sounds.append(_waveform_sound(waveform, output))
     for use, mode in modes_of(material):
         shown, _ = displayed_mode(mode, output)
         error = None
@@ -214,4 +242,5 @@ def _checked(name: str, material: Material, used: bool, output: Output) -> Check
     if isinstance(material.texture, Stochastic):
         pair = displayed_pair(material.texture, output)
         sounds.append(Sound("texture", material.texture.peak_hz, None if pair is None else pair[0], None))
-    return Checked(name, used, material.stiffness_n_per_m, tuple(sounds))
+    fits = {kind: verdict.quality for kind, verdict in material.fitted.items()}
+    return Checked(name, used, material.stiffness_n_per_m, tuple(sounds), fits)

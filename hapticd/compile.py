@@ -52,9 +52,11 @@ from hapticd.displayable import (
     Touched,
     displayed_mode,
     displayed_pair,
+    displayed_wave_rate,
     modes_of,
     struck_shapes,
     touched_by,
+    waveform_of,
 )
 from hapticd.gone import Gone
 from hapticd.materials import Material, TapPoint
@@ -64,6 +66,7 @@ from hapticd.scene import Scene, SceneObject, Surface, Wall
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
 from hapticd.tuning import Tuning, shapes_needed, tuning_of
+from hapticd.waveform import Waveform
 
 _RECORD = struct.Struct("=8I6d")
 if _RECORD.size != OBJECT_DTYPE.itemsize:
@@ -193,10 +196,23 @@ def _tail_record(tail: Ringing, period_s: float) -> tuple[float, ...]:
 
 def _struck(material: Material) -> Iterator[Mode]:
     """The modes that a device may play by itself."""
-    if material.tap is not None:
-        yield material.tap.mode
+    if material.tap is not None and material.tap.ringing is not None:
+        yield material.tap.ringing
     if material.rupture is not None:
         yield material.rupture.mode
+
+
+def _play(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
+    """A tap that plays a waveform; where its numbers lie is not known yet."""
+    rate_hz = displayed_wave_rate(waveform, output)
+    shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
+    tap, slowed = record.tap, waveform.rate_hz / shown_hz
+    tap.end_s = waveform.length_s * slowed
+    tap.peak, tap.peak_time_s = waveform.curve.peak, waveform.curve.peak_time_s * slowed
+    tap.amplitude_per_unit = slope
+    tap.force_per_unit = 0.0 if rate_hz is None else output.effective_mass_kg * coefficient
+    tap.gain_re = 1.0
+    record.wave_rate_hz = shown_hz
 
 
 def material_record(
@@ -209,13 +225,16 @@ def material_record(
     record.damping_n_s_per_m = material.damping_n_s_per_m
     touched = touched_by(material, "tap")
     if material.tap is not None:
-        mode, slope = material.tap.mode, material.tap.attack_slope_per_s
+        mode, slope = material.tap.ringing, material.tap.attack_slope_per_s
         if slope is None:  # the points give A itself
             slope = 1.0
-        coefficient = mode.coefficient(slope, material.tap.attack)
+        coefficient = material.tap.coefficient(slope)
         if material.tap.aim != _ACROSS:
             record.tap_aim = material.tap.aim
-        record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode), touched)
+        if material.tap.waveform is not None:
+            _play(record, material.tap.waveform, slope, coefficient, output)
+        elif mode is not None:
+            record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode), touched)
         if material.tap.second is not None:
             ratio = material.tap.second.ratio
             record.second = mode_record(
@@ -428,6 +447,8 @@ class _Materials:
         """Material to what its noise is made of, the version of that, and its filters."""
         self._points: dict[int, tuple[TapPoint, ...]] = {}
         """Material to the amplitudes of its tap over speed, where they are given so."""
+        self._waveforms: dict[int, Waveform] = {}
+        """Material to what its tap plays, where that does not ring."""
         self._tunings: dict[int, Tuning] = {}
         """Material to the frequencies of its grooves, where they follow speed and force."""
         self.prepared: Mapping[_Noise, _Design] = {}
@@ -511,6 +532,10 @@ class _Materials:
         if material.tap is not None and material.tap.amplitudes is not None:
             self._points[index] = material.tap.amplitudes
             self._numbers_changed = True
+        waveform = waveform_of(material)
+        if waveform is not None:
+            self._waveforms[index] = waveform
+            self._numbers_changed = True
         tuning = tuning_of(material, self.output)
         if tuning is not None:
             self._tunings[index] = tuning
@@ -524,6 +549,7 @@ class _Materials:
     def _let_go(self, index: int) -> None:
         self._numbers_changed |= self._points.pop(index, None) is not None
         self._numbers_changed |= self._tunings.pop(index, None) is not None
+        self._numbers_changed |= self._waveforms.pop(index, None) is not None
         for mode in self._struck.pop(index, ()):
             self._effects.give(mode)
 
@@ -581,7 +607,7 @@ class _Materials:
         self.changed = self._numbers_changed = False
 
     def _rebuild_numbers(self) -> None:
-        """All noises, the points of all taps, and their numbers. At a place that is free there is silence."""
+        """All noises, the points and waveforms of all taps, and their numbers. A place that is free is silent."""
         self._noises = records(NOISE_DTYPE, self._noise_places.count)
         used = {place: index for index, place in self._noise_of.items()}
         numbers: list[npt.NDArray[np.float64]] = []
@@ -610,6 +636,11 @@ class _Materials:
         for index, tuning in self._tunings.items():
             self._rows.pointer[index].tune_first = first
             numbers.append(tuning.numbers())
+            first += len(numbers[-1])
+        for index, waveform in self._waveforms.items():
+            material = self._rows.pointer[index]
+            material.wave_count, material.wave_first = len(waveform.samples), first
+            numbers.append(waveform.curve.numbers())
             first += len(numbers[-1])
         self._numbers = np.concatenate(numbers) if numbers else np.zeros(0)
 

@@ -38,6 +38,8 @@ __all__ = [
     "SIM_FORCES",
     "TABLE_DTYPE",
     "TUNE_NODE",
+    "WAVE_PARTS",
+    "WAVE_SAMPLES",
     "CData",
     "ClockSource",
     "CommandKind",
@@ -128,6 +130,10 @@ KICKS: int = lib.HD_KICKS
 """So many samples of a strike may be corrected one by one."""
 TUNE_NODE: int = lib.HD_TUNE_NODE
 """So many numbers say what compensation makes of a frequency: enum hd_tune_number in csrc/hd_tune.h."""
+WAVE_SAMPLES: int = lib.HD_WAVE_SAMPLES
+"""The most samples of a tap's waveform."""
+WAVE_PARTS: int = lib.HD_WAVE_PARTS
+"""So many parts of a waveform have a peak of their own: csrc/hd_wave.h."""
 SIM_FORCES: int = lib.HD_SIM_FORCES
 """So many frames a force may be under way to the simulated joystick."""
 

@@ -22,6 +22,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Final
 
 from hapticd import descriptors, journal, memory, notify, server, threads, words
 from hapticd.config import Config, chosen_config
@@ -44,6 +45,10 @@ from hapticd.runtime import Owned, owned
 from hapticd.stopper import StopFile, stop_device
 from hapticd.telemetry import TOPICS, Telemetry
 
+SWITCH_S: Final = 0.0005
+"""A thread that computes in the interpreter gives it to another one after so long, instead of 5 ms. The thread that
+serves commands waits for it after each system call."""
+
 _SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 
 _log = logging.getLogger("hapticd")
@@ -65,6 +70,7 @@ def run(
     """
     with ExitStack() as stack:
         memory.settle()
+        sys.setswitchinterval(SWITCH_S)
         connections = descriptors.settle()
         stack.enter_context(journal.attached(log_level))
         stack.push(_told)

@@ -33,7 +33,7 @@ BRIEF_BODY: Final = 16 * 1024
 
 _log = logging.getLogger("hapticd.server")
 
-Reply = Callable[[bytes], None]
+Reply = Callable[[bytes | wire.Encoded], None]
 """Sends the body of an answer to who asked."""
 
 

@@ -23,6 +23,7 @@ from hapticd.noise import power_above, reflection_of, resampled, stochastic_filt
 from hapticd.patches import TOUCHING_M, Patches, patches_of
 from hapticd.scene import SceneObject, Wall, used_materials
 from hapticd.texture import Autoregressive, Grooves, Stochastic
+from hapticd.waveform import Waveform
 
 DISPLAYABLE: Final = 0.4
 """What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""
@@ -70,7 +71,7 @@ Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
 
 @dataclass(frozen=True, slots=True)
 class Undisplayable:
-    """A mode, or the peak of a texture's spectrum, that the rate cannot carry.
+    """A mode, the middle of a waveform's spectrum or the peak of a texture's, that the rate cannot carry.
 
     `shown_hz` is what is displayed in its place, None if nothing is.
     """
@@ -137,6 +138,20 @@ def struck_shapes(mode: Mode, output: Output, touched: Touched = UNTOUCHED) -> t
     return shapes_of(mode, output.dynamics, output.carried_hz, output.compensation, load, touched.own)
 
 
+def waveform_of(material: Material) -> Waveform | None:
+    """What the material's tap plays, if it does not ring."""
+    return None if material.tap is None else material.tap.waveform
+
+
+def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
+    """Samples a second with which a waveform is played: its own, if half of its energy lies below 0.4 of the rate (the
+    link's if that is lower). Otherwise it is muted (None), or slowed down until half of it does."""
+    highest, middle = DISPLAYABLE * output.carried_hz, waveform.middle_hz
+    if middle <= highest:
+        return waveform.rate_hz
+    return None if output.undisplayable == "mute" else waveform.rate_hz * highest / middle
+
+
 def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] | None:
     """Peak and mean (Hz) that the texture's filter is designed for; None where it is muted.
 
@@ -153,7 +168,7 @@ def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] |
 def modes_of(material: Material) -> list[tuple[Use, Mode]]:
     """The modes of a material, and what strikes them."""
     modes: tuple[tuple[Use, Mode | None], ...] = (
-        ("tap", None if material.tap is None else material.tap.mode),
+        ("tap", None if material.tap is None else material.tap.ringing),
         ("second", None if material.tap is None or material.tap.second is None else material.tap.second.mode),
         ("rupture", None if material.rupture is None else material.rupture.mode),
         *(("groove", mode) for mode in material.groove_modes),
@@ -175,6 +190,12 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
             shown, _ = displayed_mode(mode, output)
             if shown is not mode:
                 found.append(Undisplayable(name, use, mode.frequency_hz, None if shown is None else shown.frequency_hz))
+        waveform = waveform_of(material)
+        if waveform is not None:
+            rate_hz, middle_hz = displayed_wave_rate(waveform, output), waveform.middle_hz
+            if rate_hz != waveform.rate_hz:
+                slowed_hz = None if rate_hz is None else middle_hz * rate_hz / waveform.rate_hz
+                found.append(Undisplayable(name, "tap", middle_hz, slowed_hz))
         texture = material.texture
         if isinstance(texture, Stochastic) and texture.peak_hz > DISPLAYABLE * output.carried_hz:
             pair = displayed_pair(texture, output)
@@ -217,7 +238,7 @@ def warnings(objects: Mapping[str, SceneObject], materials: Mapping[str, Materia
 
 def material_warnings(name: str, material: Material, output: Output) -> list[Problem]:
     """As warnings, of one material."""
-    found = list(_compensation_warnings(name, material, output))
+    found = [*_compensation_warnings(name, material, output), *_waveform_warnings(name, material, output)]
     match material.texture:
         case Grooves() as texture:
             found += _groove_warnings(name, texture, output)
@@ -254,6 +275,27 @@ def _compensation_warnings(name: str, material: Material, output: Output) -> Ite
                 f"that; its acceleration is off by {100 * shape.error:.2g} %"
             )
             yield Problem(path_text(("materials", name, *mode_path(use))), problem)
+
+
+def _waveform_warnings(name: str, material: Material, output: Output) -> Iterator[Problem]:
+    waveform = waveform_of(material)
+    if waveform is None:
+        return
+    place = path_text(("materials", name, "tap", "waveform"))
+    above = waveform.energy_above(DISPLAYABLE * output.carried_hz)
+    if above > MAX_LOSS and displayed_wave_rate(waveform, output) == waveform.rate_hz:
+        what = "the link's" if output.carried_hz < output.rate_hz else "a rate of"
+        problem = (
+            f"has {100 * above:.3g} % of its energy above {_hz(DISPLAYABLE * output.carried_hz)}, which {what} "
+            f"{_hz(output.carried_hz)} cannot carry as it is"
+        )
+        yield Problem(place, problem)
+    if output.compensation != "off":
+        yield Problem(
+            place,
+            f"is not compensated for handle, hand and hold: compensation: {output.compensation} is for modes; it is "
+            "played as with compensation: off",
+        )
 
 
 def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Problem]:

@@ -21,11 +21,14 @@ from hapticd.actuator import Actuator
 from hapticd.compensation import HIGH, LOW_HZ, Compensation, Load, pole_of, pole_shape, shape_of
 from hapticd.dynamics import Dynamics, held_motion
 from hapticd.mode import Mode
+from hapticd.waveform import Waveform
 
 Floats = npt.NDArray[np.float64]
 
 FINER: Final = 16
 """A period is cut into so many parts, to see what a held force does within it."""
+_SETTLED_S: Final = 0.05
+"""So long the handle is looked at after a waveform has ended."""
 
 
 def handle_acceleration(force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = FINER) -> Floats:
@@ -95,6 +98,16 @@ def band_error(
     if not wanted > 0:
         raise ValueError(f"the reference has no energy from {low_hz:g} to {high:g} Hz")
     return float(np.linalg.norm(band_lines(one - other, sample_rate_hz, low_hz, high))) / wanted
+
+
+def waveform_error(waveform: Waveform, dynamics: Dynamics, rate_hz: float, effective_mass_kg: float) -> float:
+    """Displayed error of a tap that is a waveform and begins at a tick, as displayed_error has it; nothing is
+    compensated for, and the actuator follows at once."""
+    ticks = math.ceil((waveform.length_s + _SETTLED_S) * rate_hz)
+    force = effective_mass_kg * waveform.curve.at(np.arange(ticks) / rate_hz)
+    middles = (np.arange(ticks * FINER) + 0.5) / (rate_hz * FINER)
+    moved = handle_acceleration(force, dynamics, rate_hz)
+    return band_error(moved, waveform.curve.at(middles), rate_hz * FINER, LOW_HZ, HIGH * rate_hz)
 
 
 def displayed_error(

@@ -12,7 +12,6 @@ import logging
 import os
 import queue
 import re
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -40,8 +39,6 @@ CHUNK: Final = 3200
 """Samples that are written at once: 360 kB."""
 _PLAIN: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
 """A sample without its members, which numpy would copy one by one."""
-SWITCH_S: Final = 0.0005
-"""While a file is written, other threads wait at most about so long for the interpreter, instead of 5 ms."""
 CLOCK_EVERY_NS: Final = 1_000_000_000
 """So often the clocks are read, for a file's beginning."""
 MOST_GAPS: Final = 1000
@@ -233,15 +230,11 @@ class Flight:
         self._repeats.finish()
 
     def _carry_out(self, job: _Job) -> None:
-        before = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_S)
         try:
             self._write(job)
             problem = None
         except (HapticdError, OSError) as error:
             problem = str(error)
-        finally:
-            sys.setswitchinterval(before)
         with self._lock:
             self._under_way -= 1
             if job.asked.reason == "asked":

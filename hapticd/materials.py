@@ -11,7 +11,7 @@ from functools import cache, partial
 from importlib import resources
 from itertools import pairwise
 from types import MappingProxyType
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, Final, Literal, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -44,6 +44,7 @@ from hapticd.model import (
     refuse_many_keys,
 )
 from hapticd.texture import Grooves, Texture
+from hapticd.waveform import Waveform
 from hapticd.yaml_source import Document, load_bytes
 
 MAX_MATERIALS: Final = 2**20
@@ -54,6 +55,9 @@ MAX_TAP_POINTS: Final = 256
 """HD_TAP_POINTS."""
 MIN_TAP_STEP_M_PER_S: Final = 1e-6
 MAX_PROVENANCE_FILES: Final = 1000
+MAX_REASONS: Final = 64
+MAX_REASON: Final = 1000
+"""Characters of one."""
 
 TapPoint: TypeAlias = Annotated[
     tuple[Annotated[float, Field(ge=1e-4, le=100)], Annotated[float, Field(ge=0, le=1e5)]], Strict(False)
@@ -90,14 +94,19 @@ class SecondMode(ModeKeys):
     ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
 
 
+_RINGING: Final = ("frequency_hz", "angular_frequency_rad_per_s", "decay_time_s", "decay_rate_per_s", "second")
+"""Keys of a tap that rings."""
+
+
 class Tap(AimedKeys):
-    """The ringing that begins when the surface is touched: its amplitude A follows the approach speed."""
+    """The vibration that begins when the surface is touched: its amplitude A follows the approach speed."""
 
     model_config = ConfigDict(
         json_schema_extra={
             "allOf": [
-                one_of("frequency_hz", "angular_frequency_rad_per_s"),
-                one_of("decay_time_s", "decay_rate_per_s"),
+                one_of("frequency_hz", "angular_frequency_rad_per_s", "waveform"),
+                one_of("decay_time_s", "decay_rate_per_s", "waveform"),
+                {"not": {"required": ["second", "waveform"]}},
                 one_of("attack_slope_per_s", "amplitudes"),
                 ONE_DIRECTION,
             ]
@@ -112,9 +121,26 @@ class Tap(AimedKeys):
     ) = Field(default=None, description="Instead of the slope: [approach speed in m/s, amplitude in m/s^2], rising.")
     attack: Attack = Field(
         default="coefficient",
-        description="What the amplitude means: A of eq. 1, or the largest acceleration of the first cycle.",
+        description="What the amplitude means: A of the equation, or the largest acceleration (of a mode: of its first "
+        "cycle).",
     )
     second: SecondMode | None = Field(default=None, description="A mode that is struck together with this one.")
+    waveform: Waveform | None = Field(default=None, description="A curve that is played, instead of a mode that rings.")
+
+    def mode_faults(self) -> list[str]:
+        if self.waveform is None:
+            return super().mode_faults()
+        given = [name for name in _RINGING if getattr(self, name) is not None]
+        return [f"has a waveform, and does not ring: leave out {' and '.join(given)}"] if given else []
+
+    @property
+    def ringing(self) -> Mode | None:
+        """The mode; None of a waveform."""
+        return None if self.waveform is not None else self.mode
+
+    def coefficient(self, amplitude: float) -> float:
+        """The A of the mode's or the waveform's equation for an amplitude as `attack` means it."""
+        return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
     def cross_faults(self) -> list[str]:
         faults = super().cross_faults()
@@ -204,6 +230,17 @@ class ProvenanceFile(Model):
     )
 
 
+class FitVerdict(Model):
+    """What a fit is worth: good; fair, where something speaks against it; poor, where it should not be used."""
+
+    quality: Literal["good", "fair", "poor"] = Field(description="Of the fit.")
+    reasons: Annotated[
+        tuple[Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON)], ...],
+        Strict(False),
+        Field(max_length=MAX_REASONS),
+    ] = Field(default=(), description="Why it is not good.")
+
+
 class Provenance(Model):
     """Where the figures of a material come from; nothing that is rendered."""
 
@@ -216,6 +253,9 @@ class Provenance(Model):
     version: Annotated[str, StringConstraints(min_length=1, max_length=64)] = Field(description="Of hapticd.")
     intervals: Annotated[dict[Words, Interval], Field(max_length=256)] | None = Field(
         default=None, description="95 % intervals, [low, high], by the name of the figure."
+    )
+    verdict: Annotated[dict[Words, FitVerdict], Field(max_length=16)] | None = Field(
+        default=None, description="What each fit is worth, by its kind: tap, grooves, texture, puncture."
     )
 
 
@@ -239,11 +279,16 @@ class Material(Model):
         if not isinstance(texture, Grooves) or texture.display != "vibration" or texture.own_modes:
             return texture
         # A tap that is itself faulty is not in `data`; then its own fault is enough.
-        if info.data.get("tap", True) is None:
-            raise ValueError(
-                "needs a mode to ring with: frequency_hz and decay_time_s of its own, or a tap of the material"
-            )
+        tap = info.data.get("tap", True)
+        if tap is None or (isinstance(tap, Tap) and tap.ringing is None):
+            other = "or a tap of the material" if tap is None else "as the tap is a waveform"
+            raise ValueError(f"needs a mode to ring with: frequency_hz and decay_time_s of its own, {other}")
         return texture
+
+    @property
+    def fitted(self) -> Mapping[str, FitVerdict]:
+        """What each fit of it is worth, by its kind; empty where nothing was fitted."""
+        return {} if self.provenance is None else self.provenance.verdict or {}
 
     @property
     def groove_modes(self) -> tuple[Mode, ...]:

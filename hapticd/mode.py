@@ -82,6 +82,10 @@ class ModeKeys(CheckedTogether):
 
     def cross_faults(self) -> list[str]:
         """Faults between keys that are each sound."""
+        return self.mode_faults()
+
+    def mode_faults(self) -> list[str]:
+        """Those of the keys of the mode."""
         faults = []
         for one, other in (
             ("frequency_hz", "angular_frequency_rad_per_s"),

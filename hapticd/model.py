@@ -301,7 +301,8 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
         case "too_long":
             return path, f"must hold at most {context['max_length']} entries, holds {len(value)}"
         case "too_short":
-            return path, f"must hold at least {context['min_length']} entry, holds {len(value)}"
+            entries = "entry" if context["min_length"] == 1 else "entries"
+            return path, f"must hold at least {context['min_length']} {entries}, holds {len(value)}"
         case "extra_forbidden":
             return path, f"unknown key; {key_hint(str(path[-1]), value)}{known_names(str(path[-1]), known)}"
         case "union_tag_invalid":

@@ -83,12 +83,10 @@ class Patches(Sequence[Patch]):
         """The name of a patch's material."""
         return self._names[self._material[index]]
 
-    def texts(self) -> list[dict[str, Json]]:
-        """Each as plain data."""
-        return [
-            {"from_m": from_m, "to_m": to_m, "material": self._names[number]}
-            for from_m, to_m, number in zip(self.begins_m, self.ends_m, self._material, strict=True)
-        ]
+    def texts(self) -> Iterator[dict[str, Json]]:
+        """Each as plain data, one at a time: no list of all of them is made."""
+        for from_m, to_m, number in zip(self.begins_m, self.ends_m, self._material, strict=True):
+            yield {"from_m": from_m, "to_m": to_m, "material": self._names[number]}
 
     def __len__(self) -> int:
         return len(self.begins_m)
@@ -176,7 +174,7 @@ def _apart(patches: Patches) -> Patches:
 
 
 def _texts(patches: Any) -> list[dict[str, Json]]:
-    return patches_of(patches).texts()
+    return list(patches_of(patches).texts())
 
 
 if TYPE_CHECKING:

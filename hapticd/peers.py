@@ -29,7 +29,7 @@ UNSENT_BYTES: Final = 256 * 1024
 READ_BYTES: Final = 64 * 1024
 """What is read from a peer in one turn."""
 
-_ACCEPTED_AT_ONCE: Final = 16
+_ACCEPTED_AT_ONCE: Final = 2
 _REFUSED_PAUSE_S: Final = 0.01
 _NO_DESCRIPTOR_PAUSE_S: Final = 0.1
 _WRITTEN_AT_ONCE: Final = 1024 * 1024
@@ -238,7 +238,7 @@ class Peers:
 
     # ---- out -------------------------------------------------------------------------------------------------------
 
-    def _send(self, peer: Peer, data: bytes) -> None:
+    def _send(self, peer: Peer, data: bytes, *more: bytes) -> None:
         """Sends bytes after those that were sent before; whatever the peer does not take at once waits."""
         if peer.closed:
             return
@@ -250,14 +250,17 @@ class Peers:
             except OSError:
                 self._end(peer)
                 return
-            if sent == len(data):
+            if sent < len(data):
+                peer.out.append(memoryview(data)[sent:])
+            elif not more:
                 return
-            peer.out.append(memoryview(data)[sent:])
             peer.unsent = len(data) - sent
             self._epoll.modify(peer.sock, _IN_AND_OUT)
         else:
             peer.out.append(data)
             peer.unsent += len(data)
+        peer.out += more
+        peer.unsent += sum(map(len, more))
         self._account(peer)
 
     def _write(self, peer: Peer) -> None:

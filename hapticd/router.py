@@ -66,9 +66,13 @@ class Router(Peers):
                 self._repeats.flush()
                 return None
 
-    def send(self, peer: Peer, delimited: bool, body: bytes) -> None:
+    def send(self, peer: Peer, delimited: bool, body: bytes | wire.Encoded) -> None:
         """An answer, after those that were sent to this peer before. It is dropped if the peer has gone."""
         if peer.closed:
             self.undelivered += 1
             return
-        self._send(peer, zmtp.message(wire.close_envelope(delimited, body)))
+        if isinstance(body, bytes):
+            self._send(peer, zmtp.message(wire.close_envelope(delimited, body)))
+        else:
+            head = zmtp.header(0, zmtp.MORE) if delimited else b""
+            self._send(peer, head + zmtp.header(len(body), 0), *body.parts)

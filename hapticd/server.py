@@ -39,7 +39,7 @@ def serve(
         if stop.is_set():
             break
 
-        def reply(answer: bytes, request: Request = request) -> None:
+        def reply(answer: bytes | wire.Encoded, request: Request = request) -> None:
             router.send(request.peer, request.delimited, answer)
 
         if request.too_long:

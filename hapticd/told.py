@@ -10,7 +10,7 @@ from hapticd.materials import Material, Materials
 from hapticd.model import AT_ONCE
 from hapticd.patches import Patches
 from hapticd.scene import Scene, SceneObject, Wall
-from hapticd.wire import Encoded, encode, encoded_list, encoded_map
+from hapticd.wire import Encoded, encoded, encoded_list, encoded_map
 
 
 class Told:
@@ -30,14 +30,14 @@ class Told:
         for name, material in materials.items():
             known = before.get(name)
             same = known is not None and known[0] is material
-            found[name] = known if known and same else (material, Encoded(encode(material.to_dict())))
+            found[name] = known if known and same else (material, encoded(material.to_dict()))
         self._materials = found
-        return encoded_map({name: encoded for name, (_, encoded) in found.items()})
+        return encoded_map({name: told for name, (_, told) in found.items()})
 
     def _object(self, item: SceneObject) -> object:
         if not isinstance(item, Wall) or not isinstance(item.patches, Patches) or len(item.patches) <= AT_ONCE:
             return item.to_dict()
         patches = item.patches
         if patches.encoded is None:
-            patches.encoded = encoded_list(patches.texts())
+            patches.encoded = encoded_list(len(patches), patches.texts())
         return encoded_map({**item.to_dict(without={"patches"}), "patches": patches.encoded})

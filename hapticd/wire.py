@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from sys import intern
 from typing import Final, TypeAlias, TypeGuard, cast
 
 import msgpack
@@ -30,6 +31,12 @@ MAX_DEPTH: Final = 32
 
 MAX_MEMBERS: Final = 65_536
 """Largest map of a body: building one is a single call, in which no other thread runs."""
+
+LARGE_PART: Final = 16 * 1024
+"""Bytes; a part of an answer that is as large, and encoded already, is sent from where it stands."""
+
+_OFTEN: Final = 64
+"""Strings of so many characters at most, names of materials above all, are kept once."""
 
 # Up to this size a header can claim at most this many elements, which is cheap enough to try.
 _SMALL: Final = 4096
@@ -92,7 +99,7 @@ def _map(pairs: list[tuple[str, object]]) -> dict[str, object]:
     for key, value in pairs:
         if key.__class__ is not str:
             raise _bad(f"a key is of type {type(key).__name__}: keys are strings")
-        result[key] = value
+        result[key] = intern(value) if type(value) is str and len(value) <= _OFTEN else value
     if len(result) != len(pairs):
         seen = set[str]()
         for key, _ in pairs:
@@ -209,22 +216,46 @@ def encode(value: object) -> bytes:
         raise WireError(Code.INTERNAL, f"cannot be encoded: {error}") from None
 
 
-class Encoded(bytes):
-    """A value that is encoded already."""
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """A value that is encoded already, in parts that follow each other. Large parts are shared, never copied."""
+
+    parts: tuple[bytes, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.parts))
+
+    def __bytes__(self) -> bytes:
+        return b"".join(self.parts)
+
+
+def encoded(value: object) -> Encoded:
+    """Any value. Raises as encode does."""
+    return Encoded((encode(value),))
 
 
 def encoded_map(members: Mapping[str, object]) -> Encoded:
     """A map of these members, of which some may be encoded already. Raises as encode does."""
-    parts = [msgpack.Packer().pack_map_header(len(members))]
+    found: list[bytes] = []
+    small = bytearray(msgpack.Packer().pack_map_header(len(members)))
     for key, value in members.items():
-        parts += encode(key), value if isinstance(value, Encoded) else encode(value)
-    return Encoded(b"".join(parts))
+        small += encode(key)
+        for part in value.parts if isinstance(value, Encoded) else (encode(value),):
+            if len(part) < LARGE_PART:
+                small += part
+            else:
+                found += bytes(small), part
+                small.clear()
+    return Encoded((*found, bytes(small)))
 
 
-def encoded_list(items: Sequence[object]) -> Encoded:
-    """A list, its items one by one: nobody waits for all of them."""
+def encoded_list(count: int, items: Iterable[object]) -> Encoded:
+    """A list of so many items, encoded one by one: nobody waits for all of them."""
     packer = msgpack.Packer()
-    return Encoded(packer.pack_array_header(len(items)) + b"".join([packer.pack(item) for item in items]))
+    data = bytearray(packer.pack_array_header(count))
+    for item in items:
+        data += packer.pack(item)
+    return Encoded((bytes(data),))
 
 
 # ---- requests and replies ----------------------------------------------------------------------------------
@@ -298,10 +329,11 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
     return encode(message)
 
 
-def result_reply(id: Id, result: object) -> bytes:
+def result_reply(id: Id, result: object) -> bytes | Encoded:
     """The body that answers call `id` with its result, a map's members encoded already or not."""
     if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
-        return encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
+        reply = encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
+        return reply if len(reply.parts) > 1 else reply.parts[0]
     return encode({"jsonrpc": "2.0", "id": id, "result": result})
 
 

@@ -89,7 +89,7 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M
     found = []
     for name, material in materials.items():
         tap, rupture, texture = material.tap, material.rupture, material.texture
-        if tap is not None and (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
+        if tap is not None and tap.ringing is not None and (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
             mode = tap.mode
             coefficient = mode.coefficient(amplitude, tap.attack)
             found.append(Strike(name, "tap", mode, coefficient))

@@ -20,6 +20,7 @@ from hapticd.displayable import Output, displayed_mode
 from hapticd.displayed import FINER, waveform
 from hapticd.engine import output_of
 from hapticd.joystick import new_sim
+from hapticd.materials import Material
 from hapticd.offline import render
 from hapticd.scene import Scene, Wall
 
@@ -28,8 +29,12 @@ AT_TICK: Final = 2.0**-20
 
 
 def walls_of(config: Config) -> list[str]:
-    """The materials that have a tap and push."""
-    return [name for name, each in config.materials.items() if each.tap is not None and each.stiffness_n_per_m > 0]
+    """The materials that have a tap which rings, and push."""
+    return [name for name, each in config.materials.items() if _rings(each) and each.stiffness_n_per_m > 0]
+
+
+def _rings(material: Material) -> bool:
+    return material.tap is not None and material.tap.ringing is not None
 
 
 def verdicts_on_walls(config: Config, speed_m_per_s: float = SPEED_M_PER_S, axis: Axis = "y") -> list[Verdict]:

@@ -62,7 +62,10 @@ def _print(report: Report, console: Console) -> None:
             markup=False,
         )
     table = _table("Materials")
-    columns = ("", "left"), ("in the scene", "left"), ("N/m", "right"), ("sounds", "left"), ("error", "right")
+    columns = [("", "left"), ("in the scene", "left"), ("N/m", "right"), ("sounds", "left"), ("error", "right")]
+    fitted = any(material.verdict for material in report.materials)
+    if fitted:
+        columns.append(("fit", "left"))
     for name, justify in columns:
         table.add_column(name, justify="right" if justify == "right" else "left")
     for material in sorted(report.materials, key=lambda material: not material.used):
@@ -74,7 +77,9 @@ def _print(report: Report, console: Console) -> None:
         used = "yes" if material.used else ""
         errors = ["" if sound.error is None else f"{100 * sound.error:.0f} %" for sound in material.sounds]
         stiffness = f"{material.stiffness_n_per_m:g}"
-        table.add_row(material.name, used, stiffness, ", ".join(sounds) or "none", ", ".join(filter(None, errors)))
+        cells = [material.name, used, stiffness, ", ".join(sounds) or "none", ", ".join(filter(None, errors))]
+        fits = ", ".join(f"{kind} {quality}" for kind, quality in material.verdict.items())
+        table.add_row(*cells, *([fits] if fitted else []))
     console.print(table)
     if output.dynamics is not None:
         console.print(

@@ -118,6 +118,8 @@ def tap_command(name: str, speeds: tuple[float, ...], **options: Any) -> None:
             raise ValueError("it has no tap")
         if tap.second is not None:
             raise ValueError("synthetic taps ring with one mode, and it has two")
+        if tap.waveform is not None:
+            raise ValueError("synthetic taps ring, and its tap is a waveform")
         recording, truth = taps(tap, speeds or TAP_SPEEDS, stylus)
         mode = truth.mode
         return [recording], {

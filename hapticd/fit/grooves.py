@@ -44,6 +44,7 @@ from hapticd.fit.strokes import (
     told_apart,
     varied_force,
 )
+from hapticd.fit.verdict import AT_LEAST, Doubts, Verdict
 from hapticd.mode import Mode
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
@@ -64,8 +65,7 @@ EVEN: Final = 0.05
 """Where they lie off by less, no other damping is tried."""
 SCATTERED: Final = 0.22
 """Where they lie off by more, nothing is refined; places at random are off by 0.29."""
-NEAR: Final = 2.5
-"""Cycles from strike to strike, fewer of which are told."""
+NEAR: Final = AT_LEAST["cycles from strike to strike"].fair
 BETTER: Final = 0.7
 """A mode that leaves so much less than the one at hand takes its place."""
 ECHO: Final = 2.0
@@ -133,7 +133,11 @@ class GroovesFit:
     strikes: tuple[Strike, ...]
     strokes: tuple[Stroke, ...]
     warnings: tuple[str, ...]
-    verdict: str
+    judged: Verdict
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def material(self) -> dict[str, object]:
         """The keys of a material: its texture. Stiffness is not measured by strokes."""
@@ -156,7 +160,7 @@ class GroovesFit:
         assert isinstance(found, dict)
         for stroke in found["strokes"]:
             del stroke["acceleration_m_per_s2"], stroke["model_m_per_s2"]
-        return found
+        return {**found, "verdict": self.verdict}
 
 
 def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
@@ -173,15 +177,17 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for row, mode in zip(rows, each, strict=True) for strike in row.strikes(mode))
     strokes = tuple(row.stroke(mode) for row, mode in zip(rows, each, strict=True))
-    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
-
+    doubts = Doubts()
+    for line in (told for recording in recordings for told in gravity_of(recording)):
+        doubts.tell(line)
     for row in rows:
-        if row.cycles < NEAR:
-            warnings.append(
-                f"{row.name}: strikes follow within {row.cycles:.1f} cycles: their mode is hard to tell, stroke more "
-                "slowly"
-            )
-    tell_few_samples(recordings, frequency.value, warnings)
+        doubts.at_least(
+            "cycles from strike to strike",
+            row.cycles,
+            f"{row.name}: strikes follow within {row.cycles:.1f} cycles: their mode is hard to tell",
+            "stroke more slowly",
+        )
+    tell_few_samples(recordings, frequency.value, doubts)
     spacing = _spacing(rows)
     speed = np.array([abs(strike.speed_m_per_s) for strike in strikes])
     force = np.array([strike.force_n for strike in strikes])
@@ -192,7 +198,7 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
         raise FitError(
             f"strikes of {usual:.3g} m/s^2 are no grooves' ({least:g} to {most:g}): is its unit another one?"
         )
-    varied_force(recordings, force, warnings)
+    varied_force(recordings, force, doubts)
     if not told_apart(np.column_stack((speed, force)), 20):
         raise FitError(
             f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
@@ -210,30 +216,42 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
                 "strikes that weaken are not of this model; is a column swapped?"
             )
         if gain.low <= 0:
-            warnings.append(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+            doubts.tell(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+        else:
+            doubts.gain(name, gain, float(np.median(both[:, which])), usual)
         if gain.value < 0:
             alone = robust(both[:, [1 - which]], amplitude, shifts)
             kept, none = alone.coefficients[0], Estimate(0.0, 0.0, max(0.0, gain.high))
             velocity_gain, force_gain = (none, kept) if which == 0 else (kept, none)
             correlation = alone.correlation
-    _tell_outliers(law, strikes, warnings)
+    _tell_outliers(law, strikes, doubts)
     offset = _offset(speed, force, amplitude, shifts)
-    if offset is not None and excludes_zero(offset) and abs(offset.value) > 0.1 * amplitude.mean():
-        warnings.append(
-            f"amplitudes have an offset of {offset.value:.3g} m/s^2 ({offset.low:.3g} to {offset.high:.3g}) that "
-            "the two gains do not have"
+    if offset is not None and excludes_zero(offset):
+        doubts.at_most(
+            "offset",
+            abs(offset.value) / float(amplitude.mean()),
+            f"amplitudes have an offset of {offset.value:.3g} m/s^2 ({offset.low:.3g} to {offset.high:.3g})",
+            "the two gains do not have it",
         )
-    if correlation < 0.7:
-        warnings.append(f"speed and force explain the amplitudes poorly: correlation {correlation:.2f}")
-
-    by_speed, by_force = _moved(groups, frequency.value, warnings)
+    doubts.at_least(
+        "correlation of the law",
+        correlation,
+        f"speed and force explain the amplitudes poorly: correlation {correlation:.2f}",
+        "the gains in the material say little",
+    )
+    by_speed, by_force = _moved(groups, frequency.value, doubts)
     accounted = _accounted(strokes)
-    if accounted < 0.8:
-        warnings.append(f"one mode accounts for {100 * accounted:.0f} % of the variance: grooves ring with more")
-    verdict = (
+    doubts.at_least(
+        "variance that grooves explain",
+        accounted,
+        f"one mode accounts for {100 * accounted:.0f} % of the variance",
+        "grooves ring with more",
+    )
+    for what, figure in (("spacing", spacing), ("frequency", frequency), ("decay time", decay)):
+        doubts.known(what, figure)
+    summary = (
         f"{len(strikes)} strikes {1e3 * spacing.value:.4g} mm apart, {frequency.value:.4g} Hz, decay time "
         f"{1e3 * decay.value:.3g} ms, amplitudes with a correlation of {correlation:.2f}"
-        + (f"; {len(warnings)} to note" if warnings else "; sound")
     )
     return GroovesFit(
         spacing_m=spacing,
@@ -248,8 +266,8 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
         variance_accounted_for=accounted,
         strikes=strikes,
         strokes=strokes,
-        warnings=tuple(warnings),
-        verdict=verdict,
+        warnings=tuple(doubts.told),
+        judged=doubts.judged(summary),
     )
 
 
@@ -779,13 +797,12 @@ def _offset(speed: Floats, force: Floats, amplitude: Floats, shifts: Floats) -> 
     return robust(columns, amplitude, shifts).coefficients[2]
 
 
-def _tell_outliers(law: Robust, strikes: Sequence[Strike], warnings: list[str]) -> None:
+def _tell_outliers(law: Robust, strikes: Sequence[Strike], doubts: Doubts) -> None:
     if law.outliers:
         first = strikes[law.outliers[0]]
-        warnings.append(
-            f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count; the first: "
-            f"{first.recording} at {first.time_s:.4g} s"
-        )
+        reason = f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count"
+        doubts.note(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
+        doubts.at_most("part left out", len(law.outliers) / len(strikes), reason)
 
 
 def _refuse_others(rows: Sequence[_Row]) -> None:
@@ -806,22 +823,20 @@ def _refuse_others(rows: Sequence[_Row]) -> None:
             )
 
 
-def _moved(
-    groups: Sequence[_Group], frequency_hz: float, warnings: list[str]
-) -> tuple[Estimate | None, Estimate | None]:
+def _moved(groups: Sequence[_Group], frequency_hz: float, doubts: Doubts) -> tuple[Estimate | None, Estimate | None]:
     """Slopes of the frequency over speed and force, where both vary apart from each other and from a constant."""
     speed = np.array([group.speed_m_per_s for group in groups])
     force = np.array([group.force_n for group in groups])
     columns = np.column_stack((speed, force, np.ones_like(speed)))
     if len(groups) < 6 or not told_apart(columns):
-        warnings.append("too few strokes at different speeds and forces to tell whether the frequency moves with them")
+        doubts.note("too few strokes at different speeds and forces to tell whether the frequency moves with them")
         return None, None
     frequencies = np.array([group.mode.frequency_hz for group in groups])
     by_speed, by_force, _ = least_squares(columns, frequencies).coefficients
     for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
         change = slope.value * float(np.ptp(values))
         if excludes_zero(slope) and abs(change) > MOVES * frequency_hz:
-            warnings.append(
+            doubts.tell(
                 f"the frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
                 f"{values.max():.3g} {unit}; "
                 "the material has the mean"

@@ -13,7 +13,8 @@ from hapticd._version import __version__
 from hapticd.errors import InvalidError, Problem
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate
-from hapticd.materials import Material, validate_materials
+from hapticd.fit.verdict import Verdict
+from hapticd.materials import MAX_REASON, MAX_REASONS, Material, validate_materials
 
 Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
 KEY_OF: Final[Mapping[Kind, str]] = {
@@ -35,6 +36,9 @@ class Fit(Protocol):
 
     @property
     def verdict(self) -> str: ...
+
+    @property
+    def judged(self) -> Verdict: ...
 
     def material(self) -> Mapping[str, object]: ...
 
@@ -66,7 +70,7 @@ def plain_figures(fit: Fit) -> dict[str, float]:
 def provenance(
     fit: Fit, recordings: Sequence[Recording], day: datetime.date, *, kind: Kind = "tap", without: Collection[str] = ()
 ) -> dict[str, object]:
-    """`provenance` of a material: the files, the day, the version of hapticd and the intervals, by kind and name.
+    """`provenance` of a material: files, day, version of hapticd, intervals by kind and name, and the verdict.
 
     A figure whose interval has no end on one side is not among them, nor are those that are named in `without`.
     """
@@ -81,7 +85,13 @@ def provenance(
         "date": day.isoformat(),
         "version": __version__,
         **({"intervals": intervals} if intervals else {}),
+        "verdict": {kind: _verdict(fit.judged)},
     }
+
+
+def _verdict(judged: Verdict) -> dict[str, object]:
+    reasons = [reason[:MAX_REASON] for reason in judged.reasons[:MAX_REASONS]]
+    return {"quality": judged.quality, **({"reasons": reasons} if reasons else {})}
 
 
 def material(
@@ -122,15 +132,18 @@ def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[st
     """Two provenances as one: all files, and the intervals of what the material still has."""
     if not isinstance(before, Mapping):
         return dict(origin)
-    files, intervals = origin["files"], origin.get("intervals", {})
+    files, intervals, verdict = origin["files"], origin.get("intervals", {}), origin["verdict"]
     assert isinstance(files, list)
     assert isinstance(intervals, Mapping)
-    replaced = tuple(f"{other}." for other, key in KEY_OF.items() if key == KEY_OF[kind])
-    kept = {name: ends for name, ends in before.get("intervals", {}).items() if not name.startswith(replaced)}
+    assert isinstance(verdict, Mapping)
+    replaced = tuple(other for other, key in KEY_OF.items() if key == KEY_OF[kind])
+    kept = {name: ends for name, ends in before.get("intervals", {}).items() if name.partition(".")[0] not in replaced}
+    judged = {other: each for other, each in before.get("verdict", {}).items() if other not in replaced}
     return {
         **origin,
         "files": [*(file for file in before["files"] if file not in files), *files],
         **({"intervals": {**kept, **intervals}} if kept or intervals else {}),
+        "verdict": {**judged, **verdict},
     }
 
 

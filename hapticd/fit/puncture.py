@@ -28,6 +28,7 @@ from hapticd.fit.strokes import (
     slope_of,
     tell_few_samples,
 )
+from hapticd.fit.verdict import Doubts, Verdict
 
 DROP_S: Final = 0.002
 """A rupture takes less than this."""
@@ -91,7 +92,11 @@ class PunctureFit:
     """Slope of the amplitude over speed; None for fewer than four punctures, or all at one speed."""
     ruptures: tuple[Rupture, ...]
     warnings: tuple[str, ...]
-    verdict: str
+    judged: Verdict
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def material(self) -> dict[str, object]:
         """The keys of a material."""
@@ -108,7 +113,7 @@ class PunctureFit:
     def to_dict(self) -> dict[str, object]:
         found = plain(self)
         assert isinstance(found, dict)
-        return found
+        return {**found, "verdict": self.verdict}
 
 
 def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
@@ -116,11 +121,13 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
 
     Recordings without a puncture beside others with one are told in `warnings`.
     """
-    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
+    doubts = Doubts()
+    for line in (told for recording in recordings for told in gravity_of(recording)):
+        doubts.tell(line)
     ruptures: list[Rupture] = []
     without: list[str] = []
     for recording in recordings:
-        found = _rupture(recording, warnings)
+        found = _rupture(recording, doubts)
         if isinstance(found, str):
             without.append(found)
         else:
@@ -131,7 +138,14 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
     without += astray
     if len(ruptures) < 2:
         raise FitError("one puncture has no interval: needs two recordings of a puncture at least")
-    warnings = without + warnings
+    doubts.told[:0] = without
+    doubts.at_most(
+        "part left out",
+        len(without) / len(recordings),
+        f"{len(without)} of {len(recordings)} recordings are left out",
+    )
+    count = len(ruptures)
+    doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
 
     def over(values: Sequence[float]) -> Estimate:
         return common(np.array(values))
@@ -147,14 +161,14 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
     depth = over([each.depth_m for each in ruptures])
     amplitude = over([each.amplitude_m_per_s2 for each in ruptures])
     frequency = over([each.frequency_hz for each in ruptures])
-    tell_few_samples(recordings, frequency.value, warnings)
+    tell_few_samples(recordings, frequency.value, doubts)
     speed = np.array([each.speed_m_per_s for each in ruptures])
     by_speed: Estimate | None = None
     if len(ruptures) >= 4 and np.ptp(speed) > 0.2 * speed.mean():
         by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
         change = by_speed.value * float(np.ptp(speed))
         if excludes_zero(by_speed) and abs(change) > 0.1 * amplitude.value:
-            warnings.append(
+            doubts.tell(
                 f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to "
                 f"{speed.max():.3g} m/s; "
                 "the material has the mean"
@@ -166,10 +180,25 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
                 f"the punctures do not agree on the {what}: {figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
             )
     if depth.low <= 0 or depth.high - depth.low > depth.value:
-        warnings.append(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
-    verdict = (
+        doubts.note(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
+    for what, figure in (
+        ("rupture depth", depth),
+        ("stiffness", stiffness),
+        ("amplitude", amplitude),
+        ("frequency", frequency),
+        ("decay rate", decay),
+    ):
+        doubts.known(what, figure)
+    explained = float(np.median([each.variance_accounted_for for each in ruptures]))
+    doubts.at_least(
+        "variance that a rupture's mode explains",
+        explained,
+        f"one mode explains {100 * explained:.0f} % of the ringing",
+        "membranes ring with more",
+    )
+    summary = (
         f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
-        f"{frequency.value:.4g} Hz" + (f"; {len(warnings)} to note" if warnings else "; sound")
+        f"{frequency.value:.4g} Hz"
     )
     return PunctureFit(
         stiffness_n_per_m=stiffness,
@@ -180,12 +209,12 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
         decay_rate_per_s=decay,
         amplitude_per_speed_per_s=by_speed,
         ruptures=tuple(ruptures),
-        warnings=tuple(warnings),
-        verdict=verdict,
+        warnings=tuple(doubts.told),
+        judged=doubts.judged(summary),
     )
 
 
-def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
+def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
     """The puncture of a recording; where there is none, a line that says so."""
     name, rate_hz = recording.name, recording.rate_hz
     force = force_of(recording)
@@ -226,7 +255,10 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
     near = way < np.median(way)
     below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
     if abs(above - below) > BENT * stiffness:
-        warnings.append(f"{name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in")
+        doubts.case(
+            "the stiffness changes on the way",
+            f"{name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
+        )
     # Before the touch the sensor may read other than 0.
     rest, surface, quiet = 0.0, 0.0, np.zeros(0)
     for _ in range(3):
@@ -235,7 +267,9 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
         quiet = force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
         rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
     if len(quiet) < 20:
-        warnings.append(f"{name}: begins in contact: what the sensor reads without force is taken to be 0")
+        doubts.case(
+            "begun in contact", f"{name}: begins in contact: what the sensor reads without force is taken to be 0"
+        )
     soft = max(SOFT[0] * (highest - rest), SEEN * _noise(force) / math.sqrt(2 * half + 1))
     touched = np.flatnonzero(smooth[: at - half] - rest > soft)
     if len(touched):
@@ -243,9 +277,10 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
         due = surface + soft / stiffness
         early_m = due - float(np.mean(place[max(0, touched[0] - half) : touched[0] + half + 1]))
         if early_m > SOFT[1] * (highest - rest) / stiffness:
-            warnings.append(
+            doubts.case(
+                "softer at first",
                 f"{name}: it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more "
-                "behind the touch, and depth is counted from there"
+                "behind the touch, and depth is counted from there",
             )
     last = slice(max(0, at - 4 * half), at + 1)
     index = np.arange(last.start, last.stop)
@@ -277,9 +312,10 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
         return f"{name}: left out: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing"
     kept = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
     if kept > HELD * (highest - rest):
-        warnings.append(
+        doubts.case(
+            "force is left after the rupture",
             f"{name}: {100 * kept / (highest - rest):.0f} % of the force is left after the rupture: something holds "
-            "what went in; the model has none of it"
+            "what went in; the model has none of it",
         )
     for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
         other = _drop(part, rate_hz)
@@ -293,7 +329,7 @@ def _rupture(recording: Recording, warnings: list[str]) -> Rupture | str:
                 f"{max(at, start + other) / rate_hz:.4g} s: give each puncture its own file"
             )
     if ringing.variance_accounted_for < 0.8:
-        warnings.append(f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
+        doubts.note(f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
     return Rupture(
         recording=name,
         time_s=(at + 0.5) / rate_hz,

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, student_t
+from hapticd.fit.verdict import Doubts
 
 Ints = npt.NDArray[np.int64]
 
@@ -31,8 +32,6 @@ CLIPPED_RUN: Final = 3
 """So many equal samples at the largest or the smallest value are a clipped peak."""
 LEAST_RATE: Final = 2.5
 """Samples in a cycle, below which nothing is fitted."""
-FEW_SAMPLES: Final = 8.0
-"""Samples in a cycle, below which it is said that they are few."""
 
 
 # ---- Checks ---------------------------------------------------------------------------------------------------
@@ -114,26 +113,28 @@ def gravity_of(recording: Recording) -> list[str]:
     return []
 
 
-def varied_force(recordings: Sequence[Recording], force: Floats, warnings: list[str]) -> None:
+def varied_force(recordings: Sequence[Recording], force: Floats, doubts: Doubts) -> None:
     """FitError where every sample of all recordings has the same force; told where they hardly differ."""
     every = [recording.force_n for recording in recordings if recording.force_n is not None]
     if max(float(each.max()) for each in every) == min(float(each.min()) for each in every):
         raise FitError(f"the force is {every[0][0]:g} N in every sample: was the sensor connected?")
     if float(np.ptp(force)) < HARDLY * abs(float(np.mean(force))):
-        warnings.append(
+        doubts.tell(
             f"the force hardly varies ({force.min():.3g} to {force.max():.3g} N): its gain takes in all that does not "
             "go with speed"
         )
 
 
-def tell_few_samples(recordings: Sequence[Recording], frequency_hz: float, warnings: list[str]) -> None:
+def tell_few_samples(recordings: Sequence[Recording], frequency_hz: float, doubts: Doubts) -> None:
     """Where the slowest recording has few samples in a cycle."""
     slowest = min(recording.rate_hz for recording in recordings)
-    if slowest < FEW_SAMPLES * frequency_hz:
-        warnings.append(
-            f"{slowest:g} Hz are {slowest / frequency_hz:.1f} samples in a cycle of {frequency_hz:.4g} Hz: amplitude "
-            "and decay are less certain than their intervals say; record at a higher rate"
-        )
+    doubts.at_least(
+        "samples in a cycle",
+        slowest / frequency_hz,
+        f"{slowest:g} Hz are {slowest / frequency_hz:.1f} samples in a cycle of {frequency_hz:.4g} Hz: amplitude "
+        "and decay are less certain than their intervals say",
+        "record at a higher rate",
+    )
 
 
 # ---- Motion ---------------------------------------------------------------------------------------------------

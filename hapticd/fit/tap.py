@@ -41,8 +41,9 @@ from hapticd.fit.tap_law import (
     table,
 )
 from hapticd.fit.tap_law import TABLE as TABLE
+from hapticd.fit.tap_misfit import misfit
 from hapticd.fit.tap_second import EXPLAINED, SecondMode, as_pairs, pair_of, second_mode
-from hapticd.fit.tap_verdict import Doubts, misfit
+from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
 
@@ -130,7 +131,11 @@ class TapFit:
     """Offered where one mode is not enough."""
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
-    verdict: str
+    judged: Verdict
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def material(
         self, attack: Attack = "coefficient", table: bool = False, two_modes: bool | None = None
@@ -191,6 +196,7 @@ class TapFit:
             "taps": [tap.to_dict() for tap in self.taps],
             "warnings": list(self.warnings),
             "verdict": self.verdict,
+            "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},
         }
         return told
 
@@ -243,7 +249,10 @@ def fit_tap(recordings: Sequence[Recording], progress: Callable[[Recording], Non
         second=second,
         sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings),
-        verdict=doubts.verdict(f"{_modes(second)} {100 * explained:.1f} % of {len(taps)} taps", line.r_squared),
+        judged=doubts.judged(
+            f"{_modes(second)} {100 * explained:.1f} % of {len(taps)} taps",
+            f"A(v) is a line through the origin (r^2 {line.r_squared:.3f})",
+        ),
     )
 
 

@@ -37,6 +37,7 @@ from hapticd.fit.strokes import (
     told_apart,
     varied_force,
 )
+from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.noise import coefficients_of, power_spectrum
 
 BLOCK_S: Final = 0.5
@@ -121,7 +122,11 @@ class TextureFit:
     """Empty unless they were asked for."""
     blocks: tuple[Block, ...]
     warnings: tuple[str, ...]
-    verdict: str
+    judged: Verdict
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def material(self) -> dict[str, object]:
         """The keys of a material: its texture. Stiffness is not measured by strokes."""
@@ -151,7 +156,7 @@ class TextureFit:
     def to_dict(self) -> dict[str, object]:
         found = plain(self)
         assert isinstance(found, dict)
-        return found
+        return {**found, "verdict": self.verdict}
 
 
 def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -> TextureFit:
@@ -189,16 +194,17 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
     least, most = RMS_M_PER_S2
     if not least <= usual <= most:
         raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
-    warnings: list[str] = [told for recording in recordings for told in gravity_of(recording)]
-    warnings += _hum(recordings)
-    varied_force(recordings, force, warnings)
+    doubts = Doubts()
+    for line in (*(told for recording in recordings for told in gravity_of(recording)), *_hum(recordings)):
+        doubts.tell(line)
+    varied_force(recordings, force, doubts)
     gains: tuple[Estimate | None, Estimate | None] = (None, None)
     correlation = math.nan
     law = np.concatenate([np.full(len(each.density), float(np.mean(rms[here]))) for each, here in _slices(cut)])
     if told_apart(np.column_stack((speed, force)), 20):
-        law, gains, correlation = _law(moments, rms, warnings)
+        law, gains, correlation = _law(moments, rms, doubts)
     elif autoregressive:
-        warnings.append("speed and force vary too little, or together: no gains")
+        doubts.note("speed and force vary too little, or together: no gains")
     else:
         raise FitError(
             f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
@@ -214,7 +220,7 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
     for each, here in _slices(cut):
         members.append(list(range(here.start, here.stop)))
         _refuse_two(each.name, np.log(np.maximum(centroid[here], 1.0)), np.log(rms[here] / law[here]))
-    by_speed, by_force = _moved(speed, force, centroid, mean.value, warnings)
+    by_speed, by_force = _moved(speed, force, centroid, mean.value, doubts)
     ar_rate: float | None = None
     models: tuple[ArModel, ...] = ()
     if autoregressive:
@@ -224,10 +230,12 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
         Block(name, float(v), float(f), float(r), float(c))
         for name, v, f, r, c in zip(names, speed, force, rms, centroid, strict=True)
     )
-    verdict = (
+    if not autoregressive:
+        doubts.known("peak frequency", peak)
+    doubts.known("mean frequency", mean)
+    summary = (
         f"{len(blocks) * BLOCK_S:g} s of noise with its peak at {peak.value:.4g} Hz and its mean at {mean.value:.4g} Hz"
         + (f", {len(models)} autoregressive models" if models else "")
-        + (f"; {len(warnings)} to note" if warnings else "; sound")
     )
     return TextureFit(
         peak_hz=peak,
@@ -240,8 +248,8 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
         ar_rate_hz=ar_rate,
         ar_models=models,
         blocks=blocks,
-        warnings=tuple(warnings),
-        verdict=verdict,
+        warnings=tuple(doubts.told),
+        judged=doubts.judged(summary),
     )
 
 
@@ -472,7 +480,7 @@ def _jackknifed(frequency: Floats, shape: Floats, tail: _Tail | None) -> tuple[E
 # ---- Laws -----------------------------------------------------------------------------------------------------
 
 
-def _law(moments: Floats, rms: Floats, warnings: list[str]) -> tuple[Floats, tuple[Estimate, Estimate], float]:
+def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, tuple[Estimate, Estimate], float]:
     """RMS as the law has it, gains, and their correlation. The mean power of a block is g' M g, with the gains g and
     the block's moments M; its derivative 2 M g, relative to the power, gives the columns."""
     squares = moments[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
@@ -488,17 +496,30 @@ def _law(moments: Floats, rms: Floats, warnings: list[str]) -> tuple[Floats, tup
             break
     velocity_gain, force_gain = fit.coefficients
     law = np.sqrt(np.einsum("i,kij,j->k", gains, squares, gains))
-    for name, gain in (("velocity", velocity_gain), ("force", force_gain)):
+    for name, gain, square in (("velocity", velocity_gain, moments[:, 0]), ("force", force_gain, moments[:, 2])):
         if gain.high < 0:
-            warnings.append(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
+            doubts.tell(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
         elif gain.low <= 0:
-            warnings.append(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+            doubts.tell(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+        else:
+            doubts.gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
     if max(velocity_gain.value, force_gain.value) <= 0:
         raise FitError("neither speed nor force makes it louder: is a column swapped?")
     scatter = float(np.std(np.log(rms / law)))
-    if scatter > 0.3:
-        warnings.append(f"loudness is off the law by {100 * scatter:.0f} %: it depends on more than speed and force")
-    return law, (velocity_gain, force_gain), float(np.corrcoef(law, rms)[0, 1])
+    correlation = float(np.corrcoef(law, rms)[0, 1]) if np.ptp(law) > 0 and np.ptp(rms) > 0 else math.nan
+    doubts.at_most(
+        "distance from the law",
+        scatter,
+        f"loudness is off the law by {100 * scatter:.0f} %",
+        "it depends on more than speed and force",
+    )
+    doubts.at_least(
+        "correlation of the law",
+        correlation,
+        f"speed and force explain the loudness poorly: correlation {correlation:.2f}",
+        "the gains in the material say little",
+    )
+    return law, (velocity_gain, force_gain), correlation
 
 
 def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
@@ -524,18 +545,18 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
 
 
 def _moved(
-    speed: Floats, force: Floats, centroid: Floats, mean_hz: float, warnings: list[str]
+    speed: Floats, force: Floats, centroid: Floats, mean_hz: float, doubts: Doubts
 ) -> tuple[Estimate | None, Estimate | None]:
     """Slopes of the mean frequency over speed and force."""
     columns = np.column_stack((speed, force, np.ones_like(speed)))
     if not told_apart(columns):
-        warnings.append("too few speeds and forces to tell whether the frequency moves with them")
+        doubts.note("too few speeds and forces to tell whether the frequency moves with them")
         return None, None
     by_speed, by_force, _ = least_squares(columns, centroid).coefficients
     for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
         change = slope.value * float(np.ptp(values))
         if excludes_zero(slope) and abs(change) > MOVES * mean_hz:
-            warnings.append(
+            doubts.tell(
                 f"the mean frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
                 f"{values.max():.3g} {unit}"
             )

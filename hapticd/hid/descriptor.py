@@ -1,7 +1,9 @@
 """HID report descriptors, read item by item as the HID specification 1.11 (chapters 5 and 6.2.2) has it.
 
-Nothing is guessed: what cannot be read is refused, with the byte at which the item stands. Where the specification
-leaves room, this is how Linux reads (drivers/hid/hid-core.c), since Linux has read the descriptor before we do:
+Nothing is guessed: what cannot be read is refused, with the byte at which the item stands. What Linux skips or takes
+although the specification does not have it is skipped or taken here, too, and named in `Descriptor.skipped`. Where the
+specification leaves room, this is how Linux reads (drivers/hid/hid-core.c), since Linux has read the descriptor before
+we do:
 
 - Minima are signed numbers. A maximum is signed if its minimum is negative, and unsigned if not: `15 00 25 FF` is
   0 to 255. This is decided where the field is declared, so the order of the two items does not matter.
@@ -10,9 +12,14 @@ leaves room, this is how Linux reads (drivers/hid/hid-core.c), since Linux has r
 - Usages are dealt to the elements of a field in the order in which they stand, single ones and ranges alike. If there
   are fewer, the last one repeats; if there are more, the rest is dropped.
 - Of the usages between delimiters the first is the preferred one; the others are kept as its aliases.
+- A collection has the first of the usages before it.
 - A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is none, and the logical one counts.
 
-Long items are skipped; the specification defines none. Zero bytes after the last collection are padding.
+Skipped are reserved items (type 3), unknown local items, unknown main items (which end the local state as any main item
+does), long items (the specification defines none; Linux refuses them) and a Usage Minimum without its maximum. A Usage
+Maximum without its minimum is a range from 0 on. A range that ends before it begins, or on another page, goes on to the
+end of its page, 12,288 usages at most. A usage page keeps its lowest 16 bits. A set of alternatives that is open at a
+main item ends there. Unknown global items are refused, as by Linux. Zero bytes after the last collection are padding.
 """
 
 from __future__ import annotations
@@ -33,6 +40,9 @@ MAX_DEPTH: Final = 64
 """Of collections, and of Push."""
 
 _LONG_ITEM: Final = 0xFE
+_MAX_USAGES: Final = 12288
+"""Linux takes no more of one field."""
+_MOST_TOLD: Final = 16
 
 
 class DescriptorError(HapticdError):
@@ -177,6 +187,8 @@ class Descriptor:
     collections: tuple[Collection, ...]
     report_bits: dict[tuple[ReportKind, int], int]
     """How long each report is by kind and id, without the id."""
+    skipped: tuple[str, ...] = ()
+    """What is not as the specification has it and does not matter, one line each: which byte, and what became of it."""
 
     def numbered(self, kind: ReportKind) -> bool:
         """Whether reports of this kind begin with their id."""
@@ -240,8 +252,8 @@ class _Locals:
     """The preferred usage of the open set."""
     open_since: int | None = None
     """The byte at which the open set of alternatives began."""
-    fault: tuple[int, str, str] | None = None
-    """A range that is wrong: of no matter to what has no use for it."""
+    begun_at: int = 0
+    """The byte of the last Usage Minimum or Maximum."""
 
 
 _MAIN: Final = {0x8: "Input", 0x9: "Output", 0xA: "Collection", 0xB: "Feature", 0xC: "End Collection"}
@@ -272,6 +284,8 @@ _LOCAL: Final = {
     0xA: "Delimiter",
 }
 _NAMES: Final[tuple[dict[int, str], ...]] = (_MAIN, _GLOBAL, _LOCAL, {})
+_UNKNOWN: Final = ("unknown main item", "", "unknown local item", "reserved item")
+"""What is skipped, by type; unknown global items are refused."""
 _KINDS: Final = {"Input": ReportKind.INPUT, "Output": ReportKind.OUTPUT, "Feature": ReportKind.FEATURE}
 
 
@@ -299,17 +313,17 @@ def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _Number]]:
         prefix = data[at]
         if prefix == 0 and parser.closed and not any(data[at:]):
             return
-        name = "long item" if prefix == _LONG_ITEM else _NAMES[prefix >> 2 & 3].get(prefix >> 4, "")
+        kind = prefix >> 2 & 3
+        name = "long item" if prefix == _LONG_ITEM else _NAMES[kind].get(prefix >> 4, _UNKNOWN[kind])
         if not name:
-            raise _error(at, f"{prefix:02X}", "the HID specification knows no such item")
+            raise _error(at, f"{prefix:02X}", "the HID specification knows no such global item, and Linux refuses it")
         size = (0, 1, 2, 4)[prefix & 3]
         if prefix == _LONG_ITEM:
             size = 2 + data[at + 1] if at + 1 < len(data) else 2
         body = data[at + 1 : at + 1 + size]
         if len(body) < size:
             raise _error(at, name, f"the descriptor ends after {len(body)} of its {size} bytes")
-        if prefix != _LONG_ITEM:
-            yield at, name, _Number(int.from_bytes(body, "little"), size)
+        yield at, name, _Number(int.from_bytes(body, "little") if size <= 4 else 0, size)
         at += 1 + size
 
 
@@ -325,6 +339,7 @@ class _Parser:
         self._collections: list[Collection] = []
         self._fields: list[ReportField] = []
         self._bits: dict[tuple[ReportKind, int], int] = {}
+        self._skipped: list[str] = []
 
     @property
     def closed(self) -> bool:
@@ -336,15 +351,15 @@ class _Parser:
         state, value = self._global, number.raw
         match name:
             case "Input" | "Output" | "Feature":
-                self._end_locals(at, name)
+                self._end_locals()
                 self._add_field(at, name, value)
                 self._local = _Locals()
             case "Collection":
-                self._end_locals(at, name)
+                self._end_locals()
                 self._open(at, value)
                 self._local = _Locals()
             case "End Collection":
-                self._end_locals(at, name)
+                self._end_locals()
                 if not self._path:
                     raise _error(at, name, "no collection is open")
                 self._path = self._path[:-1]
@@ -352,8 +367,8 @@ class _Parser:
                 self._local = _Locals()
             case "Usage Page":
                 if value > 0xFFFF:
-                    raise _error(at, name, f"{value:#x} has more than 16 bits")
-                state.usage_page = value
+                    self._skip(at, name, f"{value:#x} has more than 16 bits: taken for {value & 0xFFFF:#x}")
+                state.usage_page = value & 0xFFFF
             case "Logical Minimum":
                 state.logical_min = number
             case "Logical Maximum":
@@ -389,8 +404,17 @@ class _Parser:
                 self._add_usage(at, name, _Usage(value, value, page))
             case "Delimiter":
                 self._delimit(at, value)
+            case "unknown main item":
+                self._skip(at, name, "skipped")
+                self._local = _Locals()
+            case "unknown local item" | "reserved item" | "long item":
+                self._skip(at, name, "skipped")
             case _:
                 pass  # designators and strings: where a hand is, and words
+
+    def _skip(self, at: int, name: str, what: str) -> None:
+        """Notes what Linux does not mind either."""
+        self._skipped.append(f"byte {at} ({name}): {what}")
 
     def finish(self, end: int) -> Descriptor:
         """What was read, if nothing is left open."""
@@ -400,7 +424,10 @@ class _Parser:
             raise _error(self._opened[-1], "Collection", f"still open where the descriptor ends (byte {end})")
         if not self._collections:
             raise DescriptorError("the report descriptor declares no collection, so there is no device in it")
-        return Descriptor(tuple(self._fields), tuple(self._collections), self._bits)
+        told = self._skipped[:_MOST_TOLD]
+        if len(self._skipped) > _MOST_TOLD:
+            told.append(f"{len(self._skipped) - _MOST_TOLD} more items")
+        return Descriptor(tuple(self._fields), tuple(self._collections), self._bits, tuple(told))
 
     # ---- usages ------------------------------------------------------------------------------------------------------
 
@@ -414,35 +441,39 @@ class _Parser:
             else:
                 local.delimited.aliases.append(usage)
             return
-        if local.open_since is not None:
-            raise _error(at, name, "a range between delimiters has no one meaning")
+        local.begun_at = at
         if name == "Usage Minimum":
             local.minimum = usage
         else:
             local.maximum = usage
-        if local.minimum is None or local.maximum is None:
-            return
-        first, last = local.minimum, local.maximum
+        if local.minimum is not None and local.maximum is not None:
+            self._add_range(at, local.minimum, local.maximum)
+
+    def _add_range(self, at: int, first: _Usage, last: _Usage) -> None:
+        """The usages of a range, unless it stands where alternatives to another usage are meant."""
+        local = self._local
         local.minimum = local.maximum = None
         if (first.page is None) != (last.page is None):
-            # One end names its page: that one holds, if the other end's page is the same.
-            whole, short = (first, last) if first.page is None else (last, first)
-            if whole.first >> 16 != short.page:
-                local.fault = (at, name, "the two ends of the range are of different usage pages")
+            # One end names its page; the other one has the page that holds where it stands.
+            short = last if first.page is None else first
             short.first |= (short.page or 0) << 16
             short.page = None
-        elif first.page is None and first.first >> 16 != last.first >> 16:
-            local.fault = (at, name, "the two ends of the range are of different usage pages")
-        if last.first < first.first:
-            local.fault = (at, name, f"the range ends ({last.first:#x}) before it begins ({first.first:#x})")
-            return
-        local.usages.append(_Usage(first.first, last.first, last.page))
+        end = last.first
+        if end < first.first or end >> 16 != first.first >> 16:
+            end = min(first.first | 0xFFFF, first.first + _MAX_USAGES - 1)
+            told = f"the range from {first.first:#x} to {last.first:#x} is none: it is taken to go on to {end:#x}"
+            self._skip(at, "Usage Maximum", told)
+        found = _Usage(first.first, end, last.page)
+        if local.open_since is None or local.delimited is None:
+            local.usages.append(found)
+            if local.open_since is not None:
+                local.delimited = found
+        else:
+            self._skip(at, "Usage Maximum", "a range among alternatives: skipped")
 
     def _delimit(self, at: int, value: int) -> None:
         local = self._local
-        if value not in (0, 1):
-            raise _error(at, "Delimiter", f"{value} neither opens (1) nor closes (0)")
-        if value == 1:
+        if value:
             if local.open_since is not None:
                 raise _error(at, "Delimiter", "another set is open")
             local.open_since = at
@@ -451,19 +482,24 @@ class _Parser:
                 raise _error(at, "Delimiter", "no set is open")
             local.open_since = local.delimited = None
 
-    def _end_locals(self, at: int, name: str) -> None:
+    def _end_locals(self) -> None:
+        """What usages stand before a main item is known now; what was left open is told."""
         local = self._local
         if local.open_since is not None:
-            raise _error(at, name, f"the delimiter of byte {local.open_since} is still open")
-        if local.fault is None and (local.minimum or local.maximum):
-            absent = "Maximum" if local.minimum else "Minimum"
-            local.fault = (at, name, f"a usage range before it has no Usage {absent}")
-        page = self._global.usage_page
+            self._skip(local.open_since, "Delimiter", "the set is open at the next main item: it ends there")
+        if local.minimum is not None:
+            self._skip(local.begun_at, "Usage Minimum", "a range without Usage Maximum: skipped")
+        elif local.maximum is not None:
+            self._skip(local.begun_at, "Usage Maximum", "a range without Usage Minimum: taken to begin at 0")
+            last = local.maximum
+            begin = last.first & ~0xFFFF if last.page is None else 0
+            self._add_range(local.begun_at, _Usage(begin, begin, last.page), last)
+        page_now = self._global.usage_page
         for usage in reversed(local.usages):
-            if usage.page == page:
+            if usage.page == page_now:
                 break
             if usage.page is not None:
-                usage.page = page
+                usage.page = page_now
         for usage in local.usages:
             for alias in usage.aliases:
                 if alias.page is not None:
@@ -474,7 +510,7 @@ class _Parser:
     def _open(self, at: int, kind: int) -> None:
         if len(self._path) >= MAX_DEPTH:
             raise _error(at, "Collection", f"more than {MAX_DEPTH} are nested")
-        usage = self._local.usages[-1].complete() if self._local.usages else UsageRange(0, 0)
+        usage = self._local.usages[0].complete() if self._local.usages else UsageRange(0, 0)
         collection = Collection(len(self._collections), usage.first, kind, usage.aliases)
         self._collections.append(collection)
         self._path = (*self._path, collection)
@@ -491,8 +527,6 @@ class _Parser:
             return
         self._bits[report] = offset + bits
         flags = FieldFlag(value & 0x1FF)
-        if self._local.fault is not None and FieldFlag.CONSTANT not in flags:
-            raise _error(*self._local.fault)
         logical = _range(state.logical_min, state.logical_max)
         if logical[0] > logical[1] and FieldFlag.CONSTANT not in flags:
             raise _error(at, name, f"its logical minimum {logical[0]} lies above its maximum {logical[1]}")

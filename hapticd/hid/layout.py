@@ -485,7 +485,7 @@ class _Finder:
     def __init__(self, descriptor: Descriptor) -> None:
         self._descriptor = descriptor
         self._missing: list[str] = []
-        self._problems: list[str] = []
+        self._problems = [f"report descriptor, {told}" for told in descriptor.skipped]
         self._root: int | None = None
 
     def layout(self) -> Layout:

@@ -29,6 +29,7 @@ from hapticd.errors import HapticdError, offload_text
 from hapticd.hid.plan import Message, Numbers, Periodic, Scale, Value, fill_message
 from hapticd.materials import Material
 from hapticd.mode import Mode
+from hapticd.waveform import Waveform
 
 MOST_ERROR: Final = 0.2
 """An effect that differs by more from its mode (RMS of the difference over RMS) is none of it."""
@@ -347,10 +348,19 @@ class Offload:
         """What became of the taps and ruptures of these materials, which are all used."""
         found: list[Offloaded] = []
         for name, material in materials.items():
-            for use, of in (("tap", material.tap), ("rupture", material.rupture)):
-                if of is not None:
-                    found.append(self._tell(name, use, of.mode))
+            if material.tap is not None:
+                ringing, waveform = material.tap.ringing, material.tap.waveform
+                found.append(self._tell(name, "tap", ringing) if ringing else self._tell_waveform(name, waveform))
+            if material.rupture is not None:
+                found.append(self._tell(name, "rupture", material.rupture.mode))
         return found
+
+    def _tell_waveform(self, material: str, waveform: Waveform | None) -> Offloaded:
+        assert waveform is not None
+        middle_hz = waveform.middle_hz
+        streamed = 100.0 * streamed_error(Mode(1.0, 2.0 * math.pi * middle_hz), self._carried_hz)
+        why = "it is a waveform, which no effect plays"
+        return Offloaded(material, "tap", middle_hz, None, None, None, None, streamed, why)
 
     def _tell(self, material: str, use: str, mode: Mode) -> Offloaded:
         with self._lock:

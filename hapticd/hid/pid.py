@@ -39,6 +39,7 @@ from hapticd.hid.plan import (
     StateBit,
     Value,
 )
+from hapticd.hid.pool import Pool, number_in, read_feature
 
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
@@ -79,20 +80,30 @@ class PidDriver:
         self._hid = hid
         self._ways = ways_of(layout, hid)
         self._indices: list[int] = []
+        self._pool = Pool(layout, hid)
         axes_of(layout, hid)
 
     def set_up(self, device: Device) -> Plan:
         """Resets the device, enables it, and leaves its effects running with a force of zero."""
-        for way in self._ways:
+        self._prepare(device)
+        ways, most = self._ways, self._room(device)
+        needed = len(_effects(ways[0], self._hid))
+        if most is not None and most < needed:
+            other = "one effect with direction is used" if len(ways) > 1 else "PID Block Load decides"
+            self._pool.tell(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
+            ways = ways[1:] or ways
+        for way in ways:
             try:
-                return self._set_up(device, way)
+                return self._set_up(device, way, most)
             except _FullError as error:
-                if way == self._ways[-1]:
+                if way == ways[-1]:
                     raise
                 _log.warning("%s; one effect with direction is used", error)
+                self._prepare(device)
         raise AssertionError("there is always a way")
 
-    def _set_up(self, device: Device, way: Way) -> Plan:
+    def _prepare(self, device: Device) -> None:
+        """Resets it and enables it: without effects, at full gain."""
         layout, quirks = self._layout, self._hid.quirks
         if self._indices and ("no_reset" in quirks or _control(layout, "device_reset") is None):
             # Nothing else would free what the last set-up made.
@@ -106,11 +117,18 @@ class PidDriver:
             report = _Report(gain.report_id, gain.report_bytes)
             report.put(gain.gain, gain.gain.logical_max)
             device.write(bytes(report.data))
+
+    def _room(self, device: Device) -> int | None:
+        """How many effects the device says that it plays, where more than one is wanted; None: not known."""
+        several = len(_effects(self._ways[0], self._hid)) > 1
+        wanted = several or periodic_problem(self._layout, self._hid) is None
+        return self._pool.simultaneous(device) if wanted else None
+
+    def _set_up(self, device: Device, way: Way, most: int | None) -> Plan:
+        layout = self._layout
         effects = _effects(way, self._hid)
         indices: list[int] = []
         try:
-            if len(effects) > 1:
-                self._check_pool(device, len(effects))
             for effect in effects:
                 index = self._create(device)
                 if index in indices:
@@ -124,9 +142,9 @@ class PidDriver:
             raise
         self._indices = list(indices)
         plan = plan_of(layout, self._hid, way, indices)
-        return self._with_periodic(device, plan, indices)
+        return self._with_periodic(device, plan, indices, most)
 
-    def _with_periodic(self, device: Device, plan: Plan, constant: Sequence[int]) -> Plan:
+    def _with_periodic(self, device: Device, plan: Plan, constant: Sequence[int], room: int | None) -> Plan:
         """The plan, and what periodic effects there is room for beside the constant ones."""
         layout, hid = self._layout, self._hid
         problem = periodic_problem(layout, hid)
@@ -134,7 +152,7 @@ class PidDriver:
             return replace(plan, no_periodic=problem)
         made: list[int] = []
         try:
-            most = self._simultaneous(device) or len(constant) + lib.HD_HID_OFFERS
+            most = room or len(constant) + lib.HD_HID_OFFERS
             while len(made) < min(lib.HD_HID_OFFERS, most - len(constant)):
                 index = self._create(device, "sine")
                 if index in self._indices:
@@ -156,20 +174,6 @@ class PidDriver:
         # Last of all: an effect that is not freed costs room, no force.
         return replace(plan, stop=(*stops, *plan.stop, *frees), periodic=periodic)
 
-    def _simultaneous(self, device: Device) -> int | None:
-        """How many effects it plays at a time; None where it does not say."""
-        pool = self._layout.pool
-        if pool is None or pool.simultaneous_effects_max is None or "no_pid_pool" in self._hid.quirks:
-            return None
-        answer = _feature(device, pool.report_id, pool.report_bytes, "PID Pool")
-        most = _get(answer, pool.simultaneous_effects_max, "PID Pool", device)
-        return most if most > 0 else None
-
-    def _check_pool(self, device: Device, count: int) -> None:
-        most = self._simultaneous(device)
-        if most is not None and most < count:
-            raise _FullError(f"{device.path}: plays {most} effect at a time, {count} are needed")
-
     def _create(self, device: Device, kind: str = "constant_force") -> int:
         """A new effect; its block index."""
         create, load = self._layout.create_new_effect, self._layout.block_load
@@ -178,10 +182,10 @@ class PidDriver:
         report.choose(create.effect_type, kind)
         device.send_feature(bytes(report.data))
         for _ in range(LOAD_TRIES):
-            answer = _feature(device, load.report_id, load.report_bytes, "PID Block Load")
+            answer = read_feature(device, load.report_id, load.report_bytes, "PID Block Load")
             status = _load_status(load, answer, device)
             if status == "success":
-                index = _get(answer, load.effect_index, "PID Block Load", device)
+                index = number_in(answer, load.effect_index, "PID Block Load", device)
                 first, last = self._layout.effect_indices or (1, 0)
                 if not first <= index <= last:
                     raise DeviceError(
@@ -601,30 +605,14 @@ def _send(device: Device, report: bytes | None) -> None:
         device.write(report)
 
 
-def _feature(device: Device, report_id: int, report_bytes: int, name: str) -> bytes:
-    """The answer to a feature report, its id first. Raises DeviceError where it is another report."""
-    answer = device.get_feature(report_id, report_bytes + (report_id == 0))
-    if answer[:1] != bytes([report_id]):
-        other = f"report {answer[0]}" if answer else "nothing"
-        raise DeviceError(f"{device.path}: asked for {name}, report {report_id}, the device answers {other}")
-    return answer
-
-
 def _load_status(load: BlockLoad, answer: bytes, device: Device) -> str | None:
     """success, full or error; None: not yet known."""
     if load.status is None:
-        return "success" if _get(answer, load.effect_index, "PID Block Load", device) else "full"
+        return "success" if number_in(answer, load.effect_index, "PID Block Load", device) else "full"
     for name, entry in load.status.entries.items():
-        if _get(answer, entry.field, "PID Block Load", device) == entry.value:
+        if number_in(answer, entry.field, "PID Block Load", device) == entry.value:
             return name
     return None
-
-
-def _get(answer: bytes, field: Field, name: str, device: Device) -> int:
-    try:
-        return _bits(field).get(answer)
-    except ValueError:
-        raise DeviceError(f"{device.path}: {name} is too short: {len(answer)} bytes") from None
 
 
 def _bits(field: Field) -> Bits:

@@ -19,7 +19,10 @@
 #define NUMBERS 96u
 #define POINTS 3u
 #define TUNED (2u + 2u + 4u + 2u * HD_TUNE_NODE)
-#define ALL_NUMBERS (NUMBERS + 2u * POINTS + TUNED) /* of the noises, then of a tap, then of a groove's frequencies */
+#define WAVED 6u /* samples */
+#define WAVE_FIRST (NUMBERS + 2u * POINTS + TUNED)
+/* of the noises, then of a tap, then of a groove's frequencies, then of a waveform */
+#define ALL_NUMBERS (WAVE_FIRST + WAVED + HD_WAVE_PARTS)
 #define TICKS 48
 #define EVENTS 64
 
@@ -176,6 +179,11 @@ static void take_material(struct source *source, double period_s, struct hd_mate
         material->tune_mutes = take_count(source, 2);
         material->tune_highest_rad_per_s = take_number(source, 1.0, 200.0);
     }
+    if (choice % 16 >= 13) {
+        material->wave_count = choice % 16 == 13 ? take_count(source, WAVED + 2u) : WAVED;
+        material->wave_first = choice % 16 == 14 ? take_count(source, ALL_NUMBERS) : WAVE_FIRST;
+        material->wave_rate_hz = take_number(source, 100.0, 20000.0);
+    }
     take_mode(source, period_s, &material->tap);
     take_mode(source, period_s, &material->rupture);
     take_mode(source, period_s, &material->groove);
@@ -306,6 +314,8 @@ static void take_scene(struct source *source, double period_s, uint32_t run, str
         take_noise(source, i * (NUMBERS / NOISES), scene->numbers, &scene->noises[i]);
     for (uint32_t i = 0; i < 2u * POINTS + TUNED; i++)
         scene->numbers[NUMBERS + i] = take_number(source, 0.0, 0.5) + i;
+    for (uint32_t i = 1; i < WAVED + HD_WAVE_PARTS; i++) /* the first and the last sample are 0 */
+        scene->numbers[WAVE_FIRST + i] = i == WAVED - 1u ? 0.0 : take_number(source, i < WAVED ? -2.0 : 0.0, 2.0);
     for (uint32_t i = 0; i < OBJECTS; i++)
         scene->changed[i] = take_count(source, OBJECTS + 1);
     switch (take_byte(source)) {

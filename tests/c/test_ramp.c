@@ -20,6 +20,8 @@
 #define PIECES 24u
 #define NOISES 2u
 #define NUMBERS 32u
+#define WAVED 12u /* samples of a waveform, behind the numbers of the noises */
+#define ALL_NUMBERS (NUMBERS + WAVED + HD_WAVE_PARTS)
 #define LIMIT_N 8.9
 #define ROUNDING_N 1e-9
 #define MOVING 4.0 /* the first order of a step of the hand, on flanks and edges */
@@ -58,7 +60,7 @@ struct scene {
     struct hd_material materials[MATERIALS];
     struct hd_piece pieces[PIECES];
     struct hd_noise noises[NOISES];
-    double numbers[NUMBERS];
+    double numbers[ALL_NUMBERS];
 };
 
 struct torture {
@@ -138,6 +140,19 @@ static void make_material(struct torture *torture, struct hd_material *material)
         return;
     }
     make_mode(torture, 20.0, &material->tap);
+    if (one_in(random, 3)) {
+        material->wave_count = WAVED;
+        material->wave_first = NUMBERS;
+        material->wave_rate_hz = between(random, 300.0, 3000.0);
+        material->tap = (struct hd_mode){
+            .end_s = (double)(WAVED - 1u) / material->wave_rate_hz,
+            .peak = 1.25,
+            .peak_time_s = 0.001,
+            .amplitude_per_unit = 1.0,
+            .force_per_unit = 20.0 * between(random, 0.1, 1.0),
+            .gain_re = 1.0,
+        };
+    }
     make_mode(torture, 2.0, &material->rupture);
     make_mode(torture, 0.05, &material->groove);
 }
@@ -265,7 +280,7 @@ static void begin(struct torture *torture) {
         .material_count = MATERIALS,
         .piece_count = PIECES,
         .noise_count = NOISES,
-        .number_count = NUMBERS,
+        .number_count = ALL_NUMBERS,
         .display_force = 1,
         .display_vibration = 1,
         .period_s = torture->period_s,
@@ -281,6 +296,8 @@ static void begin(struct torture *torture) {
     };
     for (uint32_t i = 0; i < NOISES; i++)
         make_noise(torture, i);
+    for (uint32_t i = 1; i < WAVED + HD_WAVE_PARTS; i++) /* peaks: no cubic is larger than 1.25 of its samples */
+        scene->numbers[NUMBERS + i] = i < WAVED - 1u ? between(&torture->random, -1.0, 1.0) : i < WAVED ? 0.0 : 1.25;
     for (uint32_t i = 0; i < MATERIALS; i++)
         make_material(torture, &scene->materials[i]);
     for (uint32_t i = 0; i < OBJECTS; i++)

@@ -83,10 +83,15 @@ size_t hd_world_near(const struct hd_world *world, const double point_m[2], doub
 #define WITH_TAP (bad.table.number_count = NUMBERS, material->tap_count = 3, material->tap_first = TAP_FIRST)
 #define TUNE_FIRST NUMBERS /* of one speed, two forces and one node */
 #define TUNE_NUMBERS (1u + 2u + 2u + HD_TUNE_NODE)
-#define ALL_NUMBERS (NUMBERS + TUNE_NUMBERS)
+#define WAVE_FIRST (NUMBERS + TUNE_NUMBERS) /* of four samples */
+#define ALL_NUMBERS (WAVE_FIRST + 4u + HD_WAVE_PARTS)
+#define WAVE(i) bad.numbers[WAVE_FIRST + (i)]
+#define WITH_WAVE                                                                                       \
+    (bad.table.number_count = ALL_NUMBERS, material->wave_count = 4, material->wave_first = WAVE_FIRST, \
+     material->wave_rate_hz = 2000.0)
 #define TUNE(i) bad.numbers[TUNE_FIRST + (i)]
-#define WITH_TUNE                                                                                        \
-    (bad.table.number_count = ALL_NUMBERS, material->tune_first = TUNE_FIRST, material->tune_speeds = 1, \
+#define WITH_TUNE                                                                                       \
+    (bad.table.number_count = WAVE_FIRST, material->tune_first = TUNE_FIRST, material->tune_speeds = 1, \
      material->tune_forces = 2, material->tune_nodes = 1, material->tune_highest_rad_per_s = 4000.0)
 #define SEQUENCES 40
 #define STEPS 60
@@ -175,6 +180,7 @@ static void make_scene(struct scene *scene) {
         (struct hd_noise){.order = 1, .taps = 1, .speed_count = 1, .force_count = 1, .force_per_unit = 0.05};
     memcpy(scene->numbers, (const double[]){0.0, 0.0, 3.0, -0.5, 0.6, 0.8}, 6 * sizeof(double));
     memcpy(scene->numbers + TAP_FIRST, (const double[]){0.1, 0.2, 0.4, 30.0, 0.0, 90.0}, 6 * sizeof(double));
+    memcpy(scene->numbers + WAVE_FIRST, (const double[]){0.0, 1.0, -0.5, 0.0, 1.0}, 5 * sizeof(double));
     memcpy(scene->numbers + TUNE_FIRST,
            (const double[]){0.1, 0.5, 1.0, 900.0, 1200.0, 1000.0, 1.0, 0.5, -0.3, 0.2, 1.0, 0.4, -0.2, 0.1, 0.8, 0.7},
            TUNE_NUMBERS * sizeof(double));
@@ -435,6 +441,19 @@ static void refuses_materials(struct hd_world *world) {
     REFUSED((WITH_TAP, bad.numbers[TAP_FIRST + 5] = (double)INFINITY), "point 2");
     TAKEN(WITH_TAP);
     TAKEN((material->tap_count = 0, material->tap_first = UINT32_MAX));
+    TAKEN(WITH_WAVE);
+    TAKEN((material->wave_count = 0, material->wave_first = UINT32_MAX));
+    REFUSED((WITH_WAVE, material->wave_count = 2), "a waveform of 2 samples");
+    REFUSED((WITH_WAVE, material->wave_count = HD_WAVE_SAMPLES + 1), "3 to 512");
+    REFUSED((WITH_WAVE, material->wave_first++), "do not fit");
+    REFUSED((WITH_WAVE, material->wave_first = UINT32_MAX), "do not fit");
+    REFUSED((WITH_WAVE, material->wave_rate_hz = 0.0), "samples a second");
+    REFUSED((WITH_WAVE, material->wave_rate_hz = (double)NAN), "samples a second");
+    REFUSED((WITH_WAVE, WAVE(1) = (double)NAN), "number 1 of its waveform");
+    REFUSED((WITH_WAVE, WAVE(2) = 2e9), "number 2 of its waveform");
+    REFUSED((WITH_WAVE, WAVE(4) = -1.0), "number 4 of its waveform");
+    REFUSED((WITH_WAVE, WAVE(0) = 0.1), "begins and ends with 0");
+    REFUSED((WITH_WAVE, WAVE(3) = 0.1), "begins and ends with 0");
     TAKEN(WITH_TUNE);
     TAKEN((WITH_TUNE, material->tune_mutes = 1, material->tune_nodes = 0));
     REFUSED((WITH_TUNE, material->tune_speeds = HD_TUNE_POINTS + 1), "1 to 16");

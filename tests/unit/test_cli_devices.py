@@ -69,6 +69,18 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told == "cannot be driven; missing: Set Constant Force, Device Control"
 
 
+def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(STICK[:6] + bytes([0x0D, 7]) + STICK[6:])
+    assert main(["devices", "parse", str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "can be driven"
+    assert lines[-1] == "not used: report descriptor, byte 6 (reserved item): skipped"
+    assert main(["devices", "parse", str(file), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["usable"] and told["problems"] == ["report descriptor, byte 6 (reserved item): skipped"]
+
+
 @pytest.mark.parametrize(
     ("content", "told"),
     [

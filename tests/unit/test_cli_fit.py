@@ -26,10 +26,12 @@ from hapticd.errors import HapticdError
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.regression import Estimate
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
+from hapticd.fit.verdict import Verdict
 from hapticd.materials import validate_materials
 from hapticd.texture import Autoregressive, Grooves
 from tests.unit.test_cli import said
 
+JUDGED = Verdict("fair", "one mode, well fitted <&>", ("the first tap is weak",))
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -48,7 +50,7 @@ class FakeFit:
     r_squared: float = float("nan")
     nothing: Estimate | None = None
     warnings: tuple[str, ...] = ("the first tap is weak",)
-    verdict: str = "one mode, well fitted <&>"
+    judged: Verdict = JUDGED
     found: tuple[tuple[str, object], ...] = ()
     linear: bool = True
     second: object = None
@@ -70,6 +72,10 @@ class FakeFit:
             assert isinstance(self.second, FakeSecond)
             tap["second"] = {"frequency_hz": self.second.frequency_hz.value, "decay_time_s": 0.002, "ratio": 0.3}
         return {"tap": tap, **dict(self.found)}
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def to_dict(self) -> dict[str, object]:
         return {"frequency_hz": self.frequency_hz.to_dict(), "r_squared": self.r_squared, "taps": [1.0, float("inf")]}

@@ -15,8 +15,10 @@ from hapticd.fit.panels import compared, density, law, level, overlay, page_of
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import Estimate
 from hapticd.fit.report import Panel
+from hapticd.fit.verdict import Verdict
 from hapticd.noise import stochastic_filter
 
+JUDGED = Verdict("good", "all of it")
 RATE = 25_000.0
 Floats = npt.NDArray[np.float64]
 
@@ -28,10 +30,14 @@ class Fitted:
     figures: Mapping[str, object]
     parts: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ("careful",)
-    verdict: str = "good"
+    judged: Verdict = JUDGED
 
     def material(self) -> Mapping[str, object]:
         return self.figures
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
 
     def to_dict(self) -> Mapping[str, object]:
         return {}
@@ -142,7 +148,7 @@ def test_taps() -> None:
         "offset_m_per_s2": Estimate(2.0, 0.0, 4.0),
     }
     page = page_of("tap", "pine: tap", Fitted({}, parts), [recording("a", None), recording("a", None)])
-    assert (page.title, page.verdict, page.warnings) == ("pine: tap", "good", ("careful",))
+    assert (page.title, page.verdict, page.warnings) == ("pine: tap", "good: all of it", ("careful",))
     assert page.sources == (("a.csv", "ab" * 32),)
     ((first, less, hertz), *rest) = page.rows
     x, y = curves(first)["offset"]

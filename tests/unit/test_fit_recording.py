@@ -19,9 +19,11 @@ import pytest
 from scipy.io import wavfile
 
 from hapticd.errors import HapticdError, InvalidError
-from hapticd.fit.recording import MAX_BYTES, NAMES, UNITS, Quantity, Recording, RecordingError, load, save
+from hapticd.fit.quantities import NAMES, UNITS, Quantity
+from hapticd.fit.recording import Recording, RecordingError, load, save
 from hapticd.fit.regression import Floats
 from hapticd.fit.synthesize import Stylus, taps
+from hapticd.fit.table import MAX_BYTES
 from hapticd.materials import shipped_materials
 
 DOCS = (Path(__file__).parents[2] / "docs" / "fit.md").read_text()

@@ -267,7 +267,7 @@ def test_block_load_gives_what_cannot_be() -> None:
     ("answers_as", "without", "told"),
     [
         (1, {0x7F}, "fake0: asked for PID Block Load, report 2, the device answers report 1"),
-        (9, set(), "fake0: asked for PID Pool, report 3, the device answers report 9"),
+        (9, set(), "fake0: asked for PID Block Load, report 2, the device answers report 9"),
     ],
 )
 def test_another_report_is_no_answer(answers_as: int, without: set[int], told: str) -> None:

@@ -20,6 +20,7 @@ from hapticd.peers import Peer, Peers
 from hapticd.publisher import Publisher
 from hapticd.router import Router
 from hapticd.turns import Turns
+from hapticd.wire import Encoded
 
 DIALLED: list[zmq.Socket[bytes]] = []
 RAW: list[socket.socket] = []
@@ -183,6 +184,30 @@ def test_a_client_that_reads_late_loses_no_answer(path: Path) -> None:
             parser.feed(client.socket.recv(65536))
             while (event := parser.next()) is not None:
                 came += isinstance(event, zmtp.Message)
+
+
+@pytest.mark.parametrize("kind", [zmq.REQ, zmq.DEALER])
+def test_an_answer_in_parts_arrives_whole_however_late_it_is_read(
+    path: Path, context: zmq.Context[Any], kind: int
+) -> None:
+    large = bytes(range(256)) * 4_000
+    answer = Encoded((b"head", large, b"middle", large, b"end"))
+    made = Router(listening(path))
+    client = zeromq(context, kind, path)
+    client.send(b"1")
+    request = made.receive(30)
+    assert request is not None
+    made.send(request.peer, request.delimited, answer)
+    made.send(request.peer, request.delimited, b"next")
+    assert request.peer.unsent > len(large)
+    if kind == zmq.DEALER:
+        client.send(b"2")
+    while request.peer.out:
+        made.receive(0.01)
+    assert client.recv() == b"head" + large + b"middle" + large + b"end"
+    if kind == zmq.DEALER:
+        assert client.recv() == b"next"
+    made.close()
 
 
 def test_an_answer_to_one_who_has_gone_is_dropped(path: Path) -> None:

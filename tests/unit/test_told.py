@@ -22,7 +22,7 @@ def scene(count: int) -> Scene:
 @pytest.mark.parametrize("count", [0, 3, 2000])
 def test_a_scene_is_told_as_it_is(count: int) -> None:
     made = scene(count)
-    assert msgpack.unpackb(Told().scene(made)) == made.to_dict()
+    assert msgpack.unpackb(bytes(Told().scene(made))) == made.to_dict()
 
 
 def test_many_patches_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,7 +46,9 @@ def test_materials_are_encoded_once_and_let_go(monkeypatch: pytest.MonkeyPatch) 
         lambda self, **options: asked.append(self.stiffness_n_per_m) or to_dict(self, **options),
     )
     told = Told()
-    assert msgpack.unpackb(told.materials(materials)) == {name: to_dict(each) for name, each in materials.items()}
+    assert msgpack.unpackb(bytes(told.materials(materials))) == {
+        name: to_dict(each) for name, each in materials.items()
+    }
     told.materials(materials)
     assert asked == [300, 90]
     other = validate_materials({"cork": {"stiffness_n_per_m": 80}})["cork"]
@@ -60,6 +62,18 @@ def test_materials_are_encoded_once_and_let_go(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("id", [7, "seven", None])
 def test_an_answer_is_the_same_to_the_byte(id: int | str | None) -> None:
     result = {"scene": {"objects": {"a": [1, 2.5, None]}}, "revision": 3}
-    encoded = {**result, "scene": wire.Encoded(wire.encode(result["scene"]))}
+    encoded = {**result, "scene": wire.encoded(result["scene"])}
     assert wire.result_reply(id, encoded) == wire.result_reply(id, result)
-    assert wire.encoded_list([1, "b"]) == wire.encode([1, "b"])
+    assert bytes(wire.encoded_list(2, iter([1, "b"]))) == wire.encode([1, "b"])
+
+
+def test_a_large_part_of_an_answer_is_sent_from_where_it_stands() -> None:
+    patches = [[n, 0.5 * n] for n in range(5_000)]
+    large, small = wire.encoded_list(len(patches), patches), wire.encoded({"x": 1})
+    scene = wire.encoded_map({"first": small, "patches": large, "last": small})
+    reply = wire.result_reply(3, {"scene": scene, "revision": 9})
+    assert isinstance(reply, wire.Encoded) and any(part is large.parts[0] for part in reply.parts)
+    assert bytes(reply) == wire.result_reply(
+        3, {"scene": {"first": {"x": 1}, "patches": patches, "last": {"x": 1}}, "revision": 9}
+    )
+    assert len(reply) == len(bytes(reply)) > wire.LARGE_PART

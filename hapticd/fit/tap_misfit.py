@@ -1,11 +1,9 @@
-"""What keeps the figures of taps from being good, or from being figures of taps at all."""
+"""Whether what taps leave over has a shape."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -15,29 +13,6 @@ from hapticd.fit.tap_hit import CHANCE, COLOURED, Hit, colour
 
 MISSHAPEN: Final = 0.02
 """RMS over that of the ringing, from which on a shape of what is left over is told."""
-
-
-@dataclass(slots=True)
-class Doubts:
-    """What keeps a fit from being good."""
-
-    told: list[str] = dataclasses.field(default_factory=list)
-    reasons: list[str] = dataclasses.field(default_factory=list)
-    poor: bool = False
-
-    def add(self, poor: bool, reason: str, more: str) -> None:
-        """Of an empty reason nothing; what is told of it has `more`."""
-        if not reason:
-            return
-        self.poor |= poor
-        self.reasons.append(reason)
-        if more:
-            self.told.append(f"{reason}; {more}")
-
-    def verdict(self, share: str, r_squared: float) -> str:
-        if not self.reasons:
-            return f"good: {share}, A(v) is a line through the origin (r^2 {r_squared:.3f})"
-        return f"{'poor' if self.poor else 'fair'}: {share}, but {'; '.join(self.reasons)}"
 
 
 def misfit(hits: Sequence[Hit]) -> tuple[str, str]:
