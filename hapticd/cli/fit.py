@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from hapticd.fit.left_out import LeftOut
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
+    from hapticd.fit.tap_amplitude import LawKind
     from hapticd.materials import Material
     from hapticd.mode import Attack
 
@@ -99,15 +100,26 @@ def _options(command: _F) -> _F:
     type=Choice(["coefficient", "first_peak"]),
     help="What the slope in the material means [default: coefficient].",
 )
-@click.option("--table", is_flag=True, help="Amplitudes over speed in the material, instead of a slope.")
+@click.option(
+    "--law",
+    type=Choice(["line", "power", "table"]),
+    help="How the amplitude of the material follows the speed [default: as the taps have it, by AICc].",
+)
+@click.option("--table", is_flag=True, help="The same as --law table: amplitudes over speed, instead of a slope.")
 @click.option(
     "--two-modes/--one-mode",
     default=None,
     help="Two modes in the material, or one [default: two where one explains too little].",
 )
-def tap_command(attack: Attack | None, table: bool, two_modes: bool | None, **options: Any) -> None:
+def tap_command(
+    attack: Attack | None, law: LawKind | None, table: bool, two_modes: bool | None, **options: Any
+) -> None:
     """Slope, frequency and decay of a tap, from recordings of taps and their speeds."""
-    for option, given in (("--table", table), ("--two-modes", two_modes)):
+    if table and law not in (None, "table"):
+        raise click.UsageError(f"--table and --law {law} do not go together: leave out one")
+    taken: LawKind | None = "table" if table else law
+    bent = taken not in (None, "line")
+    for option, given in (("--table" if table else f"--law {law}", bent), ("--two-modes", two_modes)):
         if given and attack == "first_peak":
             raise click.UsageError(
                 f"{option} and --attack do not go together: leave out one, {option} is of coefficients"
@@ -119,8 +131,13 @@ def tap_command(attack: Attack | None, table: bool, two_modes: bool | None, **op
 
         found = fit_tap(recordings, lambda recording: step(f"fitting {recording.name}"), left=left)
         notes = []
-        if not found.linear and not table:
-            notes.append("--table takes the amplitudes over speed into the material, instead of the slope")
+        kind = taken or found.law.kind
+        if kind == "power" and found.law.power is not None:
+            notes.append(
+                f"the power law is written as {len(found.law.power.points)} amplitudes over speed, which are within "
+                f"{100 * found.law.power.off:.2g} % of it from {found.law.power.points[0][0]:.3g} to "
+                f"{found.law.power.points[-1][0]:.3g} m/s"
+            )
         two = two_modes if two_modes is not None else found.second is not None and found.second.kept
         if found.second is not None and not two:
             notes.append("--two-modes takes both modes into the material")
@@ -128,9 +145,11 @@ def tap_command(attack: Attack | None, table: bool, two_modes: bool | None, **op
         said = set(estimates(found))
         second = {name for name in said if name.startswith("second.")}
         without = said - second if two else second
-        if table:
+        if kind != "line":
             without |= {name for name in said if "slope" in name or "offset" in name}
-        figures = found.material(attack or "coefficient", table, two)
+        if kind != "power":
+            without |= {name for name in said if name.startswith("power.")}
+        figures = found.material(attack or "coefficient", taken, two)
         return _Fitted(found, figures, tuple(notes), without)
 
     _run("tap", fit, per_file=2, **options)

@@ -21,32 +21,30 @@ from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import (
     Estimate,
     FitError,
-    Regression,
     common,
     require_scipy,
     through_origin,
     with_offset,
 )
 from hapticd.fit.strokes import tell_few_samples
+from hapticd.fit.tap_amplitude import Law, LawKind, Power, law_of
 from hapticd.fit.tap_events import hits_of
 from hapticd.fit.tap_hit import LEAST_SPEED_M_PER_S, LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit
 from hapticd.fit.tap_law import (
     MOVED_DECAY,
     MOVED_FREQUENCY,
     Amplitudes,
-    astray,
-    bends,
     json_of,
     json_table,
     moves,
-    table,
+    one_astray,
 )
 from hapticd.fit.tap_law import TABLE as TABLE
+from hapticd.fit.tap_misfit import misfit
 from hapticd.fit.tap_second import SecondMode, as_pairs, second_mode
-from hapticd.fit.tap_verdict import misfit
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
-from hapticd.mode import Attack
+from hapticd.mode import Attack, Mode
 from hapticd.yaml_source import Json
 
 LEAST_HZ: Final = 15.0
@@ -61,6 +59,8 @@ HARDEST: Final = 10.0
 """Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
 WELL_LINEAR: Final = 0.9
 """r^2 of A(v)."""
+WELL_KNOWN: Final = 0.15
+"""What taps are off a law that is no line, as a part of the amplitude."""
 SCATTERED: Final = 0.05
 """Frequencies that scatter more are told."""
 
@@ -84,11 +84,10 @@ class TapFit:
     """Of A(v) with an offset."""
     variance_accounted_for: float
     """By the mode, median over the taps."""
-    linear: bool
-    """Whether a line through the origin does for A(v)."""
-    amplitudes: Amplitudes
-    """The coefficient over the speed, as `amplitudes` of a material has it: straight lines from rest to the first speed
-    and from one to the next."""
+    law: Law
+    """What A(v) is: the line, a power law or a table."""
+    power: Power | None
+    """The power law, where A(v) is one."""
     second: SecondMode | None
     """Offered where one mode is not enough."""
     sources: tuple[Source, ...]
@@ -100,30 +99,33 @@ class TapFit:
     def verdict(self) -> str:
         return str(self.judged)
 
+    @property
+    def choices(self) -> dict[str, str]:
+        """What was chosen of several models, and why."""
+        return {"amplitude": f"{self.law.named}: {self.law.why}"}
+
+    @property
+    def linear(self) -> bool:
+        """Whether a line through the origin does for A(v)."""
+        return self.law.kind == "line"
+
+    @property
+    def amplitudes(self) -> Amplitudes:
+        """The coefficient over the speed, as `amplitudes` of a material has it: straight lines from rest to the first
+        speed and from one to the next; those of the power law, where A(v) is one."""
+        return self.law.table if self.power is None else self.power.points
+
     def material(
-        self, attack: Attack = "coefficient", table: bool = False, two_modes: bool | None = None
+        self, attack: Attack = "coefficient", law: LawKind | None = None, two_modes: bool | None = None
     ) -> dict[str, Json]:
-        """Keys of a YAML material; with `table`, amplitudes over speed instead of a slope; with `two_modes`, both of
-        them, by default where one does not do. Raises FitError where no second mode was found, and for a first peak
-        where A alone is known."""
-        if two_modes is None:
-            two_modes = self.second is not None and self.second.kept
-        if attack != "coefficient" and (table or two_modes):
+        """Keys of a YAML material. `law` and `two_modes` are as the taps have them, unless they are given. Raises
+        FitError where no second mode or no power law was found, and for a first peak where A alone is known."""
+        second = self.second if two_modes or (two_modes is None and self.second and self.second.kept) else None
+        if attack != "coefficient" and (law not in (None, "line") or second is not None):
             raise FitError("a table, and two modes, are of coefficients: leave out the first peak")
-        second = self.second if two_modes else None
         if two_modes and second is None:
             raise FitError("no second mode was found: one is enough, or the taps differ")
-        tap: dict[str, Json] = {}
-        if table:
-            amplitudes = self.amplitudes if second is None else second.amplitudes
-            tap["amplitudes"] = [[speed, amplitude.value] for speed, amplitude in amplitudes]
-        elif second is not None:
-            tap["attack_slope_per_s"] = second.first_slope_per_s.value
-        elif attack == "coefficient":
-            tap["attack_slope_per_s"] = self.slope_per_s.value
-        else:
-            tap["attack_slope_per_s"] = self.first_peak_slope_per_s.value
-            tap["attack"] = "first_peak"
+        tap = self._amplitude(attack, law or self.law.kind, second)
         if second is None:
             tap["frequency_hz"] = self.frequency_hz.value
             tap["decay_time_s"] = self.decay_time_s.value
@@ -136,6 +138,25 @@ class TapFit:
             "ratio": second.ratio.value,
         }
         return {"tap": tap}
+
+    def _amplitude(self, attack: Attack, law: LawKind, second: SecondMode | None) -> dict[str, Json]:
+        if law == "line":
+            slope = self.slope_per_s if attack == "coefficient" else self.first_peak_slope_per_s
+            if second is not None:
+                slope = second.first_slope_per_s
+            told: dict[str, Json] = {"attack_slope_per_s": slope.value}
+        else:
+            if law == "power" and self.law.power is None:
+                raise FitError("no power law was found: the amplitude does not rise with the speed")
+            points = self.law.power.points if law == "power" and self.law.power is not None else self.law.table
+            if second is not None and not second.kept:
+                # Beside the other mode the first one has other amplitudes.
+                points = second.amplitudes
+            # A first peak is that part of A which the mode has.
+            mode = Mode(1 / self.decay_time_s.value, 2 * math.pi * self.frequency_hz.value)
+            part = 1.0 if attack == "coefficient" else mode.peak
+            told = {"amplitudes": [[speed, part * amplitude.value] for speed, amplitude in points]}
+        return told if attack == "coefficient" else {**told, "attack": attack}
 
     def to_dict(self) -> dict[str, Json]:
         """As JSON has it, without the stretches."""
@@ -154,6 +175,7 @@ class TapFit:
             "r_squared_offset": self.r_squared_offset,
             "variance_accounted_for": self.variance_accounted_for,
             "linear": self.linear,
+            "law": self.law.to_dict(),
             "amplitudes": json_table(self.amplitudes),
             "second": None if self.second is None else self.second.to_dict(),
             "taps": [tap.to_dict() for tap in self.taps],
@@ -198,7 +220,8 @@ def fit_tap(
     _check_ringing(frequency.value, math.exp(-decay.value), taps)
     if second is None:
         second = second_mode(hits, explained)
-    bent = bends(figures.speeds, figures.amplitudes, figures.noise)
+    astray = one_astray(taps, figures.speeds, figures.amplitudes, figures.noise)
+    law = law_of(figures.speeds, figures.amplitudes, figures.of_amplitude, "line" if astray else None)
     doubts = Doubts()
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
     hum = common_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed))
@@ -206,7 +229,8 @@ def fit_tap(
         doubts.tell(lines_told(hum))
     tell_few_samples(of_taps, frequency.value, doubts)
     _doubt_the_mode(doubts, hits, second, explained, warnings)
-    _doubt_the_speed(doubts, taps, figures, bent, (line, shifted))
+    _doubt_the_speed(doubts, figures)
+    _doubt_the_law(doubts, law, astray, line.r_squared)
     doubts.add(False, most_are_left_out(left, len(taps), "tap"))
     warnings += doubts.told
     return TapFit(
@@ -220,14 +244,14 @@ def fit_tap(
         offset_m_per_s2=shifted.coefficients[1],
         r_squared_offset=shifted.r_squared,
         variance_accounted_for=explained,
-        linear=not bent,
-        amplitudes=table(figures.speeds, figures.amplitudes, figures.of_amplitude),
+        law=law,
+        power=law.power if law.kind == "power" else None,
         second=second,
         sources=tuple(recording.source for recording in recordings),
         warnings=tuple(warnings),
         judged=doubts.judged(
             f"{_modes(second)} {100 * explained:.1f} % of {len(taps)} taps",
-            f"A(v) is a line through the origin (r^2 {line.r_squared:.3f})",
+            f"A(v) is {law.named} (r^2 {law.r_squared if law.kind != 'line' else line.r_squared:.3f})",
         ),
         left_out=tuple(left.items),
     )
@@ -295,11 +319,8 @@ def _doubt_the_mode(
         doubts.add(False, *misfit(hits))
 
 
-def _doubt_the_speed(
-    doubts: Doubts, taps: Sequence[TapHit], figures: Figures, bent: str, lines: tuple[Regression, Regression]
-) -> None:
-    """What does not follow the speed as it should; `lines` of A(v), through the origin and with an offset."""
-    speeds, line, shifted = figures.speeds, *lines
+def _doubt_the_speed(doubts: Doubts, figures: Figures) -> None:
+    """Whether frequency and decay are the same for all speeds."""
     scatter = float(np.std(figures.angulars))
     if scatter > SCATTERED:
         doubts.add(
@@ -308,18 +329,26 @@ def _doubt_the_speed(
             "is it one material, held alike?",
         )
     moved = (
-        moves(speeds, figures.angulars, figures.of_angular, "frequency", MOVED_FREQUENCY),
-        moves(speeds, -figures.decays, figures.of_decay, "decay time", MOVED_DECAY),
+        moves(figures.speeds, figures.angulars, figures.of_angular, "frequency", MOVED_FREQUENCY),
+        moves(figures.speeds, -figures.decays, figures.of_decay, "decay time", MOVED_DECAY),
     )
     for reason in moved:
         doubts.add(False, reason, "the material has the mean")
-    off = astray(taps, speeds, figures.amplitudes, figures.noise)
-    if off:
-        doubts.add(False, off, "is its speed right?")
+
+
+def _doubt_the_law(doubts: Doubts, law: Law, astray: str, r_squared: float) -> None:
+    """Whether the speed says what the amplitude is; `r_squared` of the line."""
+    if astray:
+        doubts.add(False, astray, "is its speed right?")
+        return
+    if law.kind != "line":
+        doubts.note(f"A(v) is {law.named}, no line through the origin: {law.why}")
+        # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
+        little = law.r_squared < WELL_LINEAR and law.left > WELL_KNOWN
     else:
-        doubts.add(False, bent, "a table of amplitudes over speed is offered")
-    if (shifted.correlation if bent else line.r_squared) < WELL_LINEAR and not off:
-        doubts.add(True, f"the speed says little of the amplitude (r^2 {line.r_squared:.2f})", "")
+        little = r_squared < WELL_LINEAR
+    told = r_squared if law.kind == "line" else law.r_squared
+    doubts.add(little, f"the speed says little of the amplitude (r^2 {told:.2f})" if little else "", "")
 
 
 def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:

@@ -37,10 +37,10 @@ Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 """Speeds in m/s, rising, and m/s^2."""
 
 
-def table(speeds: Floats, amplitudes: Floats, variances: Floats) -> Amplitudes:
+def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = TABLE) -> Amplitudes:
     """The straight lines between so many of the speeds that are nearest to the amplitudes, none below 0."""
     order = np.sort(speeds)
-    count = min(TABLE, max(2, len(speeds) - 2))
+    count = min(most, max(2, len(speeds) - 2))
     knots: list[float] = []
     for place in np.linspace(0, len(speeds) - 1, count).round().astype(int):
         if not knots or order[place] > (1 + APART) * knots[-1]:
@@ -86,7 +86,7 @@ def bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
     return ""
 
 
-def astray(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
+def one_astray(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
     """The one tap without which A(v) is a line through the origin; empty where there is none."""
     if len(speeds) < LEAST_TAPS + 3:
         return ""

@@ -43,6 +43,12 @@ class FakeSecond:
 
 
 @dataclass(frozen=True, slots=True)
+class FakeLaw:
+    kind: str
+    power: None = None
+
+
+@dataclass(frozen=True, slots=True)
 class FakeFit:
     slope_per_s: Estimate
     frequency_hz: Estimate
@@ -55,7 +61,13 @@ class FakeFit:
     linear: bool = True
     second: object = None
 
-    def material(self, attack: str = "coefficient", table: bool = False, two_modes: bool = False) -> dict[str, object]:
+    @property
+    def law(self) -> FakeLaw:
+        return FakeLaw("line" if self.linear else "table")
+
+    def material(
+        self, attack: str = "coefficient", law: str | None = None, two_modes: bool = False
+    ) -> dict[str, object]:
         tap: dict[str, object] = {
             "attack_slope_per_s": self.slope_per_s.value,
             "frequency_hz": self.frequency_hz.value,
@@ -63,7 +75,7 @@ class FakeFit:
         }
         if attack != "coefficient":
             tap["attack"] = attack
-        if table:
+        if (law or self.law.kind) == "table":
             del tap["attack_slope_per_s"]
             tap["amplitudes"] = [[0.1, 30.0]]
         if two_modes:
@@ -193,8 +205,13 @@ def test_what_a_fit_offers_is_told_by_its_option(fits: Fits, capsys: pytest.Capt
     assert "second.frequency_hz" in captured.out and "499 to 502" in captured.out
     origin = load_config("one.yaml").materials["one"].provenance
     assert origin is not None and origin.intervals is not None
-    assert set(origin.intervals) == {"tap.slope_per_s", "tap.frequency_hz"}
-    assert "hapticd: --table takes" in told and "hapticd: --two-modes takes" in told
+    # The amplitudes are a table, as the taps have it: the slope is not in the material.
+    assert set(origin.intervals) == {"tap.frequency_hz"}
+    assert "hapticd: --two-modes takes" in told
+    assert main(["fit", "tap", "a.csv", "--law", "line", "-o", "line.yaml"]) == 0
+    assert load_config("line.yaml").materials["line"].tap.attack_slope_per_s == 300.0  # type: ignore[union-attr]
+    capsys.readouterr()
+    assert "do not go together: leave out one" in said(capsys, 2, "fit", "tap", "a.csv", "--law", "line", "--table")
     assert main(["fit", "tap", "a.csv", "--table"]) == 0
     told = capsys.readouterr().err
     assert "--table" not in told and "hapticd: --two-modes takes" in told

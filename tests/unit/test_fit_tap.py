@@ -285,7 +285,7 @@ def test_the_material_is_one_that_the_library_takes() -> None:
     assert json.loads(json.dumps(fit.to_dict()))["frequency_hz"]["value"] == fit.frequency_hz.value
     with pytest.raises(FitError, match="no second mode"):
         fit.material(two_modes=True)
-    assert fit.material(table=True)["tap"]["amplitudes"] == [  # type: ignore[index,call-overload]
+    assert fit.material(law="table")["tap"]["amplitudes"] == [  # type: ignore[index,call-overload]
         [speed, amplitude.value] for speed, amplitude in fit.amplitudes
     ]
 
@@ -446,23 +446,32 @@ def test_a_knock_with_other_modes_than_the_rest_is_left_out_and_told() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bent", "told"),
+    ("bent", "kind"),
     [
-        (lambda v: v**2 / 0.25, "A(v) is not linear"),
-        (lambda v: v + 0.1, "A(v) does not go through the origin"),
+        (lambda v: v**2 / 0.25, "power"),
+        (lambda v: v**0.5 / 4, "power"),
+        (lambda v: v + 0.1, "table"),
+        (lambda v: np.minimum(v, 0.2), "table"),
     ],
+    ids=["square", "saturating", "offset", "corner"],
 )
-def test_an_amplitude_that_is_no_line_is_told_and_a_table_offered(bent: object, told: str) -> None:
-    assert callable(bent)
-    as_if = np.asarray(bent(SPEEDS))
-    recording, truth = made("delrin", as_if, noise_rms=0.005)
-    fit = fit_tap([dataclasses.replace(recording, speed_m_per_s=SPEEDS)])
-    assert not fit.linear
-    assert told in fit.warnings[0]
-    assert "table" in fit.warnings[0]
-    speeds, amplitudes = np.array([(speed, amplitude.value) for speed, amplitude in fit.amplitudes]).T
-    assert len(speeds) <= 8
-    assert amplitudes == pytest.approx(truth.slope_per_s * np.interp(speeds, SPEEDS, as_if), rel=0.05)
+def test_an_amplitude_that_is_no_line_has_its_own_law(bent: Callable[[Floats], Floats], kind: str) -> None:
+    speeds = np.linspace(0.1, 0.4, 16)
+    recording, truth = made("delrin", bent(speeds), noise_rms=0.005)
+    fit = fit_tap([dataclasses.replace(recording, speed_m_per_s=speeds)])
+    assert fit.law.kind == kind and not fit.linear
+    # It is a law as good as a line.
+    assert fit.verdict.startswith(
+        f"good: one mode explains {100 * fit.variance_accounted_for:.1f} % of 16 taps, A(v) is a"
+    )
+    assert "no line through the origin: AICc is higher by" in fit.warnings[0]
+    tap = Tap.model_validate(fit.material()["tap"])
+    for speed in np.linspace(0.1, 0.4, 61):
+        # Of a table: between its points.
+        assert tap.amplitude_m_per_s2(speed) == pytest.approx(truth.slope_per_s * bent(speed), rel=0.03)
+    first_peak = Tap.model_validate(fit.material("first_peak")["tap"])
+    assert first_peak.coefficient(first_peak.amplitude_m_per_s2(0.25)) == pytest.approx(tap.amplitude_m_per_s2(0.25))
+    assert fit.choices["amplitude"].startswith("a power law of exponent" if kind == "power" else "a table of")
 
 
 @pytest.mark.parametrize("name", rest_slow(SEVEN, fast=2))
@@ -616,7 +625,7 @@ def test_the_second_mode_has_intervals_and_a_table() -> None:
         assert off(estimate, truth) < 0.05
         assert estimate.low < estimate.value < estimate.high
         assert estimate.high - estimate.low < 0.3 * truth
-    figures = fit.material(table=True, two_modes=True)
+    figures = fit.material(law="table", two_modes=True)
     loaded = Tap.model_validate(figures["tap"])
     assert loaded.second is not None and loaded.amplitudes is not None
     assert loaded.amplitude_m_per_s2(0.25) == pytest.approx(0.25 * tap_truth("delrin"), rel=0.03)

@@ -1,4 +1,4 @@
-"""What keeps the figures of taps from being good, or from being figures of taps at all."""
+"""Whether what taps leave over has a shape."""
 
 from __future__ import annotations
 
