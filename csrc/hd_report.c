@@ -180,6 +180,13 @@ int hd_report_check(const struct hd_hid_plan *plan) {
             return hd_invalid("plan: state %u: meaning %u", i, state->meaning);
         }
     }
+    const struct hd_hid_signs *signs = &plan->signs;
+    if (signs->number != 0 && !(signs->axes >= 1 && signs->axes <= 3 && signs->force_n > 0.0 &&
+                                signs->force_n <= 1e6 && signs->least_m > 0.0 && signs->least_m <= signs->enough_m &&
+                                signs->enough_m <= 1e6)) {
+        return hd_invalid("plan: signs of axes %u: %g N, %g to %g m", signs->axes, signs->force_n, signs->least_m,
+                          signs->enough_m);
+    }
     const struct hd_hid_effects *effects = &plan->effects;
     if (effects->count > HD_HID_EFFECTS || (effects->count > 0 && effects->proof < 1)) {
         return hd_invalid("plan: %u effects, at most %d; proven by %u renewals", effects->count, HD_HID_EFFECTS,
@@ -191,16 +198,24 @@ int hd_report_check(const struct hd_hid_plan *plan) {
         return HD_ERR_INVALID;
     }
     if (check_script(&plan->begin, "begin") != HD_OK || check_script(&plan->force, "force") != HD_OK ||
-        check_script(&plan->renew, "renew") != HD_OK || check_script(&plan->stop, "stop") != HD_OK) {
+        check_script(&plan->renew, "renew") != HD_OK || check_script(&plan->restore, "restore") != HD_OK ||
+        check_script(&plan->stop, "stop") != HD_OK) {
         return HD_ERR_INVALID;
     }
     if (plan->renew_ns < 0 || (plan->renew.count > 0 && plan->renew_ns == 0)) {
         return hd_invalid("plan: renewed every %lld ns", (long long)plan->renew_ns);
     }
+    if (plan->restore_ns < 0 || (plan->restore.count > 0 && plan->restore_ns == 0)) {
+        return hd_invalid("plan: restored every %lld ns", (long long)plan->restore_ns);
+    }
     if (plan->write_interval_ns < 0 || plan->write_interval_ns > HD_WRITE_INTERVAL_MAX_NS) {
         return hd_invalid("plan: %lld ns between writes", (long long)plan->write_interval_ns);
     }
     return HD_OK;
+}
+
+int hd_hid_check(const struct hd_hid_plan *plan) {
+    return hd_report_check(plan);
 }
 
 HD_RT int hd_report_numbered(const struct hd_hid_plan *plan) {

@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -40,10 +40,14 @@ from hapticd.hid.plan import (
     Value,
 )
 from hapticd.hid.pool import Pool, number_in, read_feature
+from hapticd.hid.useful import duration_fault
 
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
 """A device that has not yet loaded an effect is asked again so often, after this time."""
+
+RENEWED_ENOUGH_S: Final = 0.05
+"""What is renewed so often needs no restoring."""
 
 _log = logging.getLogger("hapticd")
 
@@ -82,6 +86,7 @@ class PidDriver:
         self._indices: list[int] = []
         self._pool = Pool(layout, hid)
         axes_of(layout, hid)
+        _duration(layout, hid)
 
     def set_up(self, device: Device) -> Plan:
         """Resets the device, enables it, and leaves its effects running with a force of zero."""
@@ -112,11 +117,7 @@ class PidDriver:
         for name in ("device_reset", "stop_all_effects", "enable_actuators"):
             if name != "device_reset" or "no_reset" not in quirks:
                 _send(device, _control(layout, name))
-        gain = layout.device_gain
-        if gain is not None and "no_device_gain" not in quirks:
-            report = _Report(gain.report_id, gain.report_bytes)
-            report.put(gain.gain, gain.gain.logical_max)
-            device.write(bytes(report.data))
+        _send(device, _gain(layout, self._hid))
 
     def _room(self, device: Device) -> int | None:
         """How many effects the device says that it plays, where more than one is wanted; None: not known."""
@@ -300,6 +301,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         y=y,
         force=tuple(force),
         renew=tuple(_operation(layout, index, "start") for index in indices),
+        restore=tuple(_restore(layout, hid, way, indices, renew_s)),
         stop=_stop(layout, indices),
         # Most devices say that an effect plays when it begins to. The set-up began it before anybody listened; the
         # first renewal comes at once.
@@ -307,8 +309,28 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         effects=watched,
         states=_states(layout),
         renew_s=renew_s,
+        foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
     )
+
+
+def _restore(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
+    """What an effect of another program changes in the place of ours, and is not renewed often enough anyway."""
+    for effect, index in zip(_effects(way, hid), indices, strict=True):
+        if way != "polar":
+            yield Message(set_effect_report(layout, hid, index, effect))
+        elif renew_s > RENEWED_ENOUGH_S:
+            yield _polar_effect(layout, hid, index)
+        if layout.set_envelope is not None:
+            lines = _Report(layout.set_envelope.report_id, layout.set_envelope.report_bytes)
+            lines.put(layout.set_envelope.effect_index, index)
+            yield Message(bytes(lines.data))
+        if renew_s > RENEWED_ENOUGH_S:
+            yield _constant_force(layout, index, effect, hid)
+            yield _operation(layout, index, "start")
+    gain = _gain(layout, hid)
+    if gain is not None:
+        yield Message(gain)
 
 
 def _stop(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]:
@@ -424,8 +446,13 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
     if absent:
         return f"the device has no {', no '.join(absent)}"
     assert layout.set_periodic is not None and layout.set_envelope is not None
-    if layout.set_periodic.magnitude.logical_max <= 0 or layout.set_envelope.attack_level.logical_max <= 0:
+    lines = layout.set_envelope
+    if min(level.logical_max for level in (layout.set_periodic.magnitude, lines.attack_level, lines.fade_level)) <= 0:
         return "the device has no levels above zero"
+    first, last = layout.effect_indices or (1, 0)
+    indices = (layout.set_periodic.effect_index, lines.effect_index)
+    if any(index.logical_min > first or index.logical_max < last for index in indices):
+        return "Set Periodic or Set Envelope does not take every Effect Block Index"
     if "infinite_duration" in hid.quirks:
         return "the device ignores finite durations"
     return None
@@ -561,13 +588,20 @@ def _angle_counts(angle: Field, turns: float) -> float:
 
 
 def _duration(layout: Layout, hid: Hid) -> tuple[int, float]:
-    """The duration of an effect, in counts and as the device understands them, s."""
+    """The duration of an effect, in counts and as the device understands them, s; of endless ones, what is asked for.
+    Raises DeviceError where the device has none that would do.
+    """
     assert layout.set_effect is not None
     field = layout.set_effect.duration
-    # The specification's own unit, where the descriptor names none.
-    step_s = field.seconds_per_count() or 1e-3
-    counts = min(max(round(hid.effect_duration_s / step_s), field.logical_min, 1), field.logical_max)
-    return counts, counts * step_s
+    if "infinite_duration" in hid.quirks:
+        return field.logical_max, hid.effect_duration_s
+    scale = _time_scale(field)
+    counts = min(max(scale.counts(hid.effect_duration_s), 1), field.logical_max)
+    duration_s = scale.quantity(counts)
+    fault = duration_fault(field, scale.resolution, duration_s, hid.effect_duration_s)
+    if fault is not None:
+        raise DeviceError(fault)
+    return counts, duration_s
 
 
 def _operation(layout: Layout, index: int, name: str) -> Message:
@@ -582,7 +616,7 @@ def _operation(layout: Layout, index: int, name: str) -> Message:
 
 def _block_free(layout: Layout, index: int) -> Message | None:
     to = layout.block_free
-    if to is None:
+    if to is None or not to.effect_index.logical_min <= index <= to.effect_index.logical_max:
         return None
     report = _Report(to.report_id, to.report_bytes)
     report.put(to.effect_index, index)
@@ -597,6 +631,16 @@ def _control(layout: Layout, name: str) -> bytes | None:
         return None
     report = _Report(to.report_id, to.report_bytes)
     report.choose(to.command, name)
+    return bytes(report.data)
+
+
+def _gain(layout: Layout, hid: Hid) -> bytes | None:
+    """Device Gain at its maximum; None where the device has no such report, or does not take it."""
+    to = layout.device_gain
+    if to is None or "no_device_gain" in hid.quirks:
+        return None
+    report = _Report(to.report_id, to.report_bytes)
+    report.put(to.gain, to.gain.logical_max)
     return bytes(report.data)
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from hapticd.core import CData, HidMeaning, HidQuantity, ffi, lib
 from hapticd.errors import HapticdError
+from hapticd.hid.signs import Signs
 
 STILL_M_PER_COUNT: Final = 1e-15
 """A handle with one axis: its other one moves by nothing that matters."""
@@ -22,6 +23,10 @@ STILL_M_PER_COUNT: Final = 1e-15
 
 class DeviceError(HapticdError):
     """A device that cannot be driven; `str` is one line that says which, why and what would be right."""
+
+
+class UndrivableError(DeviceError):
+    """A device that is there and that no plan can be made for, whatever happens to it later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,22 +218,41 @@ class Plan:
     """Sent at an orderly end, after a force of zero."""
     begin: tuple[Message, ...] = ()
     """Sent once, before the first force."""
+    restore: tuple[Message, ...] = ()
+    """What another program may have changed of the effects: sent one by one, in turn, to a device that does not say
+    that they play."""
     effects: PlayingBits | None = None
     """What tells that the device has forgotten an effect; None: nothing does."""
     states: tuple[StateBit, ...] = ()
     on_change: bool = False
     """The device reports only what changes."""
     renew_s: float = 0.04
+    restore_s: float = 0.04
+    """Between two messages of `restore`."""
+    foreign_s: float | None = None
+    """So long an effect of another program lasts in the place of ours at most, where it cannot be seen: as far as the
+    renewals are concerned, and once the link is known altogether. None: the device keeps no effects."""
     write_interval_s: float = 0.0
     """Between two writes at least; 0: as fast as the device takes them."""
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
     """Why there is none."""
+    signs: Signs | None = None
+    """What is checked before the first force of the scene; None: the signs are trusted."""
 
     @property
     def resolution_m(self) -> float:
         """The step of positions, the coarser axis's."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
+
+    @property
+    def driven_axes(self) -> tuple[bool, bool]:
+        """Whether the device both moves and pushes along x, and along y."""
+        steps_n = self.force_steps_n
+        return (
+            self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
+            self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
+        )
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
@@ -251,6 +275,7 @@ class Plan:
             (plan.begin, self.begin),
             (plan.force, self.force),
             (plan.renew, self.renew),
+            (plan.restore, self.restore),
             (plan.stop, self.stop),
         ):
             _fill_script(script, messages)
@@ -262,8 +287,11 @@ class Plan:
             _fill_bits(into.field, state.bits)
             into.report_id, into.meaning = state.report_id, state.meaning
         plan.state_count = len(self.states)
+        if self.signs is not None:
+            self.signs.fill(plan.signs)
         plan.on_change = self.on_change
         plan.renew_ns = round(self.renew_s * 1e9)
+        plan.restore_ns = round(self.restore_s * 1e9)
         plan.write_interval_ns = round(self.write_interval_s * 1e9)
         return plan
 
