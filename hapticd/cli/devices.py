@@ -94,6 +94,8 @@ def _verdict(item: Found) -> str:
     said = "can be driven"
     if item.out_interval_s:
         said += f", a report every {words.si(item.out_interval_s, 's')}"
+    if item.verdict.plan is not None and item.verdict.plan.leak_told:
+        said += f"; {item.verdict.plan.leak_told}"
     return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
 
 
@@ -296,8 +298,8 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
 def _lines(verdict: Verdict) -> list[str]:
     """What a person wants to know of a layout."""
     layout = verdict.layout
-    if verdict.drivable:
-        lines = ["can be driven"]
+    if verdict.plan is not None:
+        lines = ["can be driven", *filter(None, [verdict.plan.leak_told])]
     elif layout is None or layout.usable:
         lines = [f"cannot be driven: {verdict.why_not}"]
     else:
