@@ -8,19 +8,25 @@ judged on each tap by the other taps: the comparison favours the mode.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Final, Literal, TypeAlias, cast
 
 import numpy as np
 
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.pulse_shape import Pulse
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, require_scipy
+from hapticd.fit.strokes import force_of, gravity_of
 from hapticd.fit.tap import (
+    HARDEST,
+    SOFTEST,
     TapFit,
     TapHit,
     _base,
     _check_files,
+    _check_force,
     _check_speeds,
     _clipped,
     _events,
@@ -30,7 +36,7 @@ from hapticd.fit.tap import (
     fit_tap,
 )
 from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
-from hapticd.waveform import LONGEST_S
+from hapticd.waveform import LONGEST_S, middle_hz
 
 TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
 ENOUGH: Final = 0.95
@@ -89,6 +95,13 @@ def _waveform(recordings: Sequence[Recording]) -> WaveformFit:
     pulses = pulses_of(recordings, warnings)
     found = fit_waveform(pulses, tuple(recording.source for recording in recordings), warnings)
     _check_speeds(cast(Sequence[TapHit], found.taps))
+    ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
+    if not SOFTEST <= ratio <= HARDEST:
+        raise FitError(
+            f"the amplitude over speed is {found.first_peak_slope_per_s.value:.4g} 1/s, {ratio:.2g} times the angular "
+            f"frequency of the pulses; a touch has {SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by "
+            "a thousand (mm, g)?"
+        )
     return found
 
 
@@ -98,9 +111,15 @@ def pulses_of(recordings: Sequence[Recording], warnings: list[str]) -> list[Puls
 
 
 def _of(recording: Recording, warnings: list[str]) -> list[Pulse]:
+    whole = without_impossible(recording, "tap")
+    recording = whole.recording
+    warnings += whole.told
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     if acceleration is None:
         raise FitError(f"{recording.name}: has no acceleration, which taps are fitted to")
+    if recording.force_n is not None:
+        _check_force(recording.name, force_of(recording))
+    warnings += gravity_of(recording)
     above = acceleration - _base(acceleration, rate_hz)
     events = _events(recording, above)
     speeds = _given_speeds(recording, events, above)

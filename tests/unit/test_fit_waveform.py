@@ -29,7 +29,7 @@ SPEEDS = np.array([0.05, 0.31, 0.12, 0.44, 0.2, 0.08, 0.5, 0.26, 0.36, 0.16, 0.4
 
 def push(x: Floats) -> Floats:
     """A push of one sign, over x from 0 to 1, with a peak of 1."""
-    return np.where((x > 0) & (x < 1), np.sin(np.pi * np.clip(x, 0, 1)) ** 1.5, 0.0)
+    return np.asarray(np.where((x > 0) & (x < 1), np.sin(np.pi * np.clip(x, 0, 1)) ** 1.5, 0.0))
 
 
 def thud(x: Floats) -> Floats:
@@ -37,7 +37,7 @@ def thud(x: Floats) -> Floats:
     rise = np.sin(np.pi / 2 * np.clip(4 * x, 0, 1)) ** 2
     fall = np.cos(np.pi / 2 * np.clip((x - 0.25) / 0.75, 0, 1)) ** 2
     pull = np.sin(np.pi * np.clip((x - 1) / 0.6, 0, 1)) ** 2
-    return rise * fall - 0.2 * pull
+    return np.asarray(rise * fall - 0.2 * pull)
 
 
 def recorded(
