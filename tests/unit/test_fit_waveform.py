@@ -20,6 +20,7 @@ from hapticd.fit.tap import TapFit
 from hapticd.fit.tap_kind import fit_taps
 from hapticd.fit.waveform import WaveformFit
 from hapticd.materials import shipped_materials, validate_materials
+from tests.marks import rest_slow
 
 Floats = npt.NDArray[np.float64]
 GAP_S = 0.2
@@ -76,8 +77,10 @@ def explained(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: fl
 # ---- What is found ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("shape", [push, thud])
-@pytest.mark.parametrize(("rate_hz", "width_s"), [(1000.0, 0.01), (5000.0, 0.006)])
+@pytest.mark.parametrize(
+    ("shape", "rate_hz", "width_s"),
+    rest_slow([(push, 1000.0, 0.01), (thud, 1000.0, 0.01), (push, 5000.0, 0.006), (thud, 5000.0, 0.006)]),
+)
 def test_the_waveform_is_the_curve_that_was_recorded(
     shape: Callable[[Floats], Floats], rate_hz: float, width_s: float
 ) -> None:
@@ -218,6 +221,7 @@ def test_what_is_no_waveform_is_refused_in_a_line() -> None:
 # ---- Mode or waveform ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [push, thud])
 def test_pulses_are_given_a_waveform(shape: Callable[[Floats], Floats]) -> None:
     recording, _ = recorded(shape)
@@ -225,7 +229,7 @@ def test_pulses_are_given_a_waveform(shape: Callable[[Floats], Floats]) -> None:
     assert isinstance(fit_taps([recording], "mode"), TapFit)
 
 
-@pytest.mark.parametrize("name", ["wood", "acrylic", "glass"])
+@pytest.mark.parametrize("name", rest_slow(["wood", "acrylic", "glass"]))
 def test_what_rings_is_given_a_mode(name: str) -> None:
     tap = shipped_materials()[name].tap
     assert tap is not None
