@@ -19,7 +19,9 @@ import hapticd
 from bench.report import Advance, Floats, Options, Section, Table, verdict
 from hapticd.errors import HapticdError
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.tap import TapFit, fit_tap
+from hapticd.fit.tap import TapFit
+from hapticd.fit.tap_kind import fit_taps
+from hapticd.fit.waveform import WaveformFit
 from hapticd.materials import validate_materials
 
 Kind: TypeAlias = Literal["one mode", "two modes", "pulse", "pulse and mode"]
@@ -236,7 +238,7 @@ class Outcome:
 
     given: Contact
     judged: Judged
-    fit: TapFit | None
+    fit: TapFit | WaveformFit | None
     refused: str
     form: str
     """What of the tap was made: one mode, two, or a waveform; a slope or a table."""
@@ -253,7 +255,7 @@ class Outcome:
         return usable == (not self.fit.verdict.startswith("poor"))
 
 
-def outcome(given: Contact, fitted: Callable[[list[Recording]], TapFit] = fit_tap) -> Outcome:
+def outcome(given: Contact, fitted: Callable[[list[Recording]], TapFit | WaveformFit] = fit_taps) -> Outcome:
     """Fits, renders and judges a contact."""
     said = judged(given)
     try:

@@ -34,10 +34,12 @@ if TYPE_CHECKING:
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
     from hapticd.fit.tap_amplitude import LawKind
+    from hapticd.fit.tap_kind import TapKind
     from hapticd.materials import Material
     from hapticd.mode import Attack
 
 _F = TypeVar("_F", bound=Callable[..., Any])
+AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
 STIFFNESS_N_PER_M: Final = 800.0
 """As most of the library's."""
 
@@ -111,13 +113,35 @@ def _options(command: _F) -> _F:
     default=None,
     help="Two modes in the material, or one [default: two where one explains too little].",
 )
+@click.option(
+    "--as",
+    "form",
+    type=Choice(["auto", "mode", "waveform"]),
+    help="A mode that rings, a waveform of a pulse, or what says more of the taps [default: auto].",
+)
 def tap_command(
-    attack: Attack | None, law: LawKind | None, table: bool, two_modes: bool | None, **options: Any
+    attack: Attack | None,
+    law: LawKind | None,
+    table: bool,
+    two_modes: bool | None,
+    form: TapKind | None,
+    **options: Any,
 ) -> None:
-    """Slope, frequency and decay of a tap, from recordings of taps and their speeds."""
+    """Slope, frequency and decay of a tap, or its waveform, from recordings of taps and their speeds."""
     if table and law not in (None, "table"):
         raise click.UsageError(f"--table and --law {law} do not go together: leave out one")
     taken: LawKind | None = "table" if table else law
+    of_modes = {
+        "--table": table,
+        "--law": law is not None,
+        "--two-modes": two_modes is True,
+        "--one-mode": two_modes is False,
+        "--attack": attack is not None,
+    }
+    given_modes = [option for option, given in of_modes.items() if given]
+    if form == "waveform" and given_modes:
+        raise click.UsageError(f"{given_modes[0]} is of modes, and --as waveform makes none: leave out one")
+    as_form: TapKind = form if form is not None else "mode" if given_modes else "auto"
     bent = taken not in (None, "line")
     for option, given in (("--table" if table else f"--law {law}", bent), ("--two-modes", two_modes)):
         if given and attack == "first_peak":
@@ -127,9 +151,13 @@ def tap_command(
 
     def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.provenance import estimates
-        from hapticd.fit.tap import fit_tap
+        from hapticd.fit.tap_kind import fit_taps
+        from hapticd.fit.waveform import WaveformFit
 
-        found = fit_tap(recordings, lambda recording: step(f"fitting {recording.name}"), left=left)
+        found = fit_taps(recordings, as_form, lambda recording: step(f"fitting {recording.name}"), left)
+        if isinstance(found, WaveformFit):
+            told = () if as_form == "waveform" else (AS_WAVEFORM,)
+            return _Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
         notes = []
         kind = taken or found.law.kind
         if kind == "power" and found.law.power is not None:

@@ -59,6 +59,18 @@ class LeftOut:
             raise Strict(f"{left}; --strict refuses that")
         self.items.append(left)
 
+    def apart(self) -> LeftOut:
+        """For a fit that may not be taken: what was left out before it, and never strict."""
+        other = LeftOut()
+        other.items, other.unused = list(self.items), set(self.unused)
+        return other
+
+    def take(self, other: LeftOut) -> None:
+        """What the fit left out that is taken, after `apart`."""
+        for left in other.items[len(self.items) :]:
+            self.add(left.recording, left.reason, left.what, left.time_s)
+        self.unused |= other.unused
+
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
         """What `fitted` makes of every recording; one that it refuses is left out with its reason.
 

@@ -204,7 +204,7 @@ def fit_tap(
     hits, second = _found(recordings, progress, warnings, left)
     warnings = left.lines() + warnings
     taps = tuple(tap for tap, _ in hits)
-    _check_speeds(taps)
+    check_speeds(taps)
     figures = Figures.of(hits)
     decay = common(figures.decays, figures.of_decay)
     angular = common(figures.angulars, figures.of_angular)
@@ -372,7 +372,7 @@ def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:
     return found
 
 
-def _check_speeds(taps: Sequence[TapHit]) -> None:
+def check_speeds(taps: Sequence[TapHit]) -> None:
     slowest, fastest = min(taps, key=lambda tap: tap.speed_m_per_s), max(taps, key=lambda tap: tap.speed_m_per_s)
     for tap, allowed, unit in (
         (fastest, fastest.speed_m_per_s <= MOST_SPEED_M_PER_S, "is it in mm/s, or are columns swapped?"),

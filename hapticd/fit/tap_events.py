@@ -72,8 +72,52 @@ MANY: Final = 5
 """Where so many are not used, and fewer are, the recording is none of taps."""
 
 
-def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hit]:
-    """The taps of a recording; those that cannot be used are told to `left`. FitError where none of it can be."""
+@dataclass(frozen=True, slots=True)
+class Event:
+    """Something loud in a recording."""
+
+    first: int
+    """Loud sample."""
+    last: int
+    noise: float
+    """Standard deviation of what is quiet in its stretch of the recording, m/s^2."""
+    peak: float
+    """The largest that it is, above gravity and drift, m/s^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loud:
+    """What is loud in a recording, without what bounced."""
+
+    recording: Recording
+    """Without samples that cannot be."""
+    events: list[Event]
+    speeds: Floats | None
+    """(events,), where they are given."""
+    clipped: Bools
+    """(n,) samples."""
+    replaced: Bools
+    """(n,) samples that were not measured as they are."""
+
+    def room(self, index: int) -> tuple[int, int]:
+        """First sample, and the one after the last, between the taps and the gaps about this one."""
+        first, samples = self.events[index].first, len(self.clipped)
+        begin = self.events[index - 1].last + 1 if index else 0
+        end = self.events[index + 1].first if index + 1 < len(self.events) else samples
+        for low, high in between_gaps(self.recording, samples):
+            if low <= first < high:
+                return max(begin, low), min(end, high)
+        return begin, end
+
+    def speed(self, index: int, onset_s: float) -> float:
+        """Of the approach, m/s. Raises No."""
+        if self.speeds is not None:
+            return float(self.speeds[index])
+        return _speed_of(self.recording, onset_s, self.room(index)[0])
+
+
+def loud_in(recording: Recording, warnings: list[str]) -> Loud:
+    """Raises FitError for a recording that is none of taps."""
     whole = without_impossible(recording, "tap")
     recording = whole.recording
     warnings += whole.told
@@ -95,14 +139,19 @@ def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hi
         if len(kept) < len(events):
             warnings.append(f"{recording.name}: {len(events) - len(kept)} bounces after taps are left out")
         events = kept
+    return Loud(recording, events, speeds, clipped(acceleration), whole.replaced)
+
+
+def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hit]:
+    """The taps of a recording; those that cannot be used are told to `left`. FitError where none of it can be."""
+    loud = loud_in(recording, warnings)
+    recording, events = loud.recording, loud.events
     found: list[Hit] = []
-    refused: list[tuple[_Event, _No]] = []
-    faults = _Faults(clipped(acceleration), whole.replaced)
+    refused: list[tuple[Event, No]] = []
     for index, event in enumerate(events):
-        given = None if speeds is None else float(speeds[index])
         try:
-            found.append(_hit_of(recording, event, _room(recording, events, index), faults, given))
-        except _No as no:
+            found.append(_hit_of(loud, index))
+        except No as no:
             refused.append((event, no))
         _check_kind(recording.name, [no for _, no in refused], len(found), index + 1)
     for kind, least in ((_TooFast, 1), (_Wayless, LEAST_TAPS)):
@@ -117,52 +166,31 @@ def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hi
     return found
 
 
-def _check_kind(name: str, refused: Sequence[_No], found: int, tried: int) -> None:
+def _check_kind(name: str, refused: Sequence[No], found: int, tried: int) -> None:
     """Raises FitError where most of what was tried of a recording has the shape of no tap."""
     count = sum(isinstance(no, _NoTap) for no in refused)
     if count >= MANY and count > found:
         raise FitError(f"{name}: most of what stands out is no tap, {count} of the first {tried}; of one: {refused[0]}")
 
 
-class _No(FitError):
+class No(FitError):
     """Why a tap cannot be used, without its place."""
 
 
-class _TooFast(_No):
+class _TooFast(No):
     """It rings too fast for the sampling rate."""
 
     hint = "record faster."
 
 
-class _Wayless(_No):
+class _Wayless(No):
     """The position does not tell its speed."""
 
     hint = "is the position the right column?"
 
 
-class _NoTap(_No):
+class _NoTap(No):
     """It has the shape of no tap."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Event:
-    """Something loud in a recording."""
-
-    first: int
-    """Loud sample."""
-    last: int
-    noise: float
-    """Standard deviation of what is quiet in its stretch of the recording, m/s^2."""
-    peak: float
-    """The largest that it is, above gravity and drift, m/s^2."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Faults:
-    """Samples of a recording that were not measured as they are, (n,) each."""
-
-    clipped: Bools
-    replaced: Bools
 
 
 def _checked(recording: Recording) -> Floats:
@@ -186,39 +214,26 @@ def _checked(recording: Recording) -> Floats:
     return acceleration
 
 
-def _room(recording: Recording, events: Sequence[_Event], index: int) -> tuple[int, int]:
-    """First sample, and the one after the last, between the taps and the gaps about this one."""
-    assert recording.acceleration_m_per_s2 is not None
-    first = events[index].first
-    begin = events[index - 1].last + 1 if index else 0
-    end = events[index + 1].first if index + 1 < len(events) else len(recording.acceleration_m_per_s2)
-    for low, high in between_gaps(recording, len(recording.acceleration_m_per_s2)):
-        if low <= first < high:
-            return max(begin, low), min(end, high)
-    return begin, end
-
-
-def _hit_of(
-    recording: Recording, event: _Event, room: tuple[int, int], faults: _Faults, given_m_per_s: float | None
-) -> Hit:
-    """A tap fitted within its room. Raises _No, with what was measured and what is wanted."""
+def _hit_of(loud: Loud, index: int) -> Hit:
+    """A tap fitted within its room. Raises No, with what was measured and what is wanted."""
+    recording, event, room = loud.recording, loud.events[index], loud.room(index)
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     assert acceleration is not None
     rest = event.first - room[0]
     if rest < LEAST_REST:
-        raise _No(f"{rest} samples of rest before it, {LEAST_REST} are wanted")
+        raise No(f"{rest} samples of rest before it, {LEAST_REST} are wanted")
     try:
         ringing, begin = _fitted(recording, event.first, event.last, *room)
     except FitError as error:
-        raise _No(str(error)) from None
+        raise No(str(error)) from None
     span = slice(begin, begin + len(ringing.residual))
-    if faults.clipped[span].any():
-        level = float(np.abs(acceleration[span][faults.clipped[span]]).max())
-        raise _No(f"it is clipped at {level:.4g} m/s^2")
-    if faults.replaced[span].any():
-        raise _No(f"{np.count_nonzero(faults.replaced[span])} of its samples cannot be, and none may")
+    if loud.clipped[span].any():
+        level = float(np.abs(acceleration[span][loud.clipped[span]]).max())
+        raise No(f"it is clipped at {level:.4g} m/s^2")
+    if loud.replaced[span].any():
+        raise No(f"{np.count_nonzero(loud.replaced[span])} of its samples cannot be, and none may")
     share = ringing.variance_accounted_for
-    fault: _No | None = None
+    fault: No | None = None
     if share < EXPLAINED:
         fault = _NoTap(f"a decaying sinusoid explains {100 * share:.0f} % of it, {100 * EXPLAINED:.0f} % are wanted")
     else:
@@ -230,17 +245,16 @@ def _hit_of(
         off = math.sqrt(float(ringing.covariance[-1, -1])) * rate_hz
         place = begin - room[0] + ringing.onset_s * rate_hz
         if place < 0 or off > CLEAR:
-            raise _No(
+            raise No(
                 f"{rest} samples of rest before it, and its onset is {place:.1f} samples behind the first of them, "
                 f"give or take {off:.2g}: {REST} samples are wanted, or an onset that is uncertain by {CLEAR:g} at most"
             )
     onset_s = begin / rate_hz + ringing.onset_s
-    speed = _speed_of(recording, onset_s, room[0]) if given_m_per_s is None else given_m_per_s
-    tap = _hit(recording, ringing, begin, onset_s, speed)
+    tap = _hit(recording, ringing, begin, onset_s, loud.speed(index, onset_s))
     return dataclasses.replace(tap, pair=pair, alone=fault is None), ringing
 
 
-def _fault_of(recording: Recording, event: _Event, ringing: Ringing) -> _No | None:
+def _fault_of(recording: Recording, event: Event, ringing: Ringing) -> No | None:
     """Why the modes are none that a tap could have."""
     for angular in ringing.angular_frequency_rad_per_s:
         if slow := too_slow(recording.rate_hz, float(angular) / (2 * math.pi)):
@@ -251,17 +265,17 @@ def _fault_of(recording: Recording, event: _Event, ringing: Ringing) -> _No | No
         known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * UNCERTAIN:.0f} % is the most"
         if times > FAINT * OUTSTANDING:
             return _NoTap(f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}")
-        return _No(
+        return No(
             f"it is too weak for its noise: it stands {times:.1f} times out of it, {FAINT * OUTSTANDING:g} are wanted, "
             f"and {known}"
         )
     lasts = recording.rate_hz / float(ringing.decay_rate_per_s.max())
     if lasts < GLITCH:
-        return _No(f"a glitch: it falls to 1/e within {lasts:.2g} samples, {GLITCH:g} are wanted")
+        return No(f"a glitch: it falls to 1/e within {lasts:.2g} samples, {GLITCH:g} are wanted")
     return None
 
 
-def _pair_of(recording: Recording, event: _Event, ringing: Ringing, begin: int) -> Ringing | None:
+def _pair_of(recording: Recording, event: Event, ringing: Ringing, begin: int) -> Ringing | None:
     """Two modes of a tap that one explains too little of; None where they do not explain it, either."""
     if ringing.variance_accounted_for >= WELL_EXPLAINED:
         return None
@@ -289,9 +303,9 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
     return np.asarray(np.interp(np.arange(len(acceleration)), middles, [np.median(block) for block in blocks]))
 
 
-def _events(recording: Recording, above: Floats) -> list[_Event]:
+def _events(recording: Recording, above: Floats) -> list[Event]:
     """What is loud, by stretches without gaps. Raises FitError where nothing stands out."""
-    found: list[_Event] = []
+    found: list[Event] = []
     refused: list[FitError] = []
     stretches = between_gaps(recording, len(above))
     longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
@@ -310,7 +324,7 @@ def _events(recording: Recording, above: Floats) -> list[_Event]:
     return found
 
 
-def _events_in(recording: Recording, above: Floats) -> list[_Event]:
+def _events_in(recording: Recording, above: Floats) -> list[Event]:
     length = _samples(BLOCK_S, recording.rate_hz, BLOCK)
     blocks = above[: len(above) // length * length].reshape(-1, length)
     noise = float(np.percentile(blocks.std(axis=1), CALM)) if len(blocks) else 0.0
@@ -328,12 +342,12 @@ def _events_in(recording: Recording, above: Floats) -> list[_Event]:
     firsts = np.concatenate(([loud[0]], loud[gaps + 1]))
     lasts = np.concatenate((loud[gaps], [loud[-1]]))
     return [
-        _Event(int(first), int(last), noise, float(np.abs(above[first : last + 1]).max()))
+        Event(int(first), int(last), noise, float(np.abs(above[first : last + 1]).max()))
         for first, last in zip(firsts, lasts, strict=True)
     ]
 
 
-def _given_speeds(recording: Recording, events: Sequence[_Event], above: Floats) -> Floats | None:
+def _given_speeds(recording: Recording, events: Sequence[Event], above: Floats) -> Floats | None:
     """One a tap; None where they are to be taken from the position, or one holds for all."""
     speed = recording.speed_m_per_s
     if isinstance(speed, np.ndarray) and len(speed) == len(above):
@@ -342,8 +356,8 @@ def _given_speeds(recording: Recording, events: Sequence[_Event], above: Floats)
     return np.abs(speed) if isinstance(speed, np.ndarray) else None
 
 
-def _without_bounces(recording: Recording, events: Sequence[_Event], above: Floats) -> list[_Event]:
-    kept: list[_Event] = []
+def _without_bounces(recording: Recording, events: Sequence[Event], above: Floats) -> list[Event]:
+    kept: list[Event] = []
     size_before, before = 0.0, 0
     for event in events:
         first, size = event.first, event.peak
@@ -396,11 +410,11 @@ def _fitted(recording: Recording, first: int, last: int, least: int, most: int) 
         start = dataclasses.replace(ringing, onset_s=ringing.onset_s + (begin - again) / rate_hz)
         return fit_ringing(acceleration[again:end], rate_hz, start=start, sensor=recording.sensor), again
     except FitError as error:
-        raise _No(str(error)) from None
+        raise No(str(error)) from None
 
 
 def _speed_of(recording: Recording, onset_s: float, least: int) -> float:
-    """The speed, from the position's samples from `least` on where there is no other. Raises _No."""
+    """The speed, from the position's samples from `least` on where there is no other. Raises No."""
     if recording.speed_m_per_s is not None:
         assert not isinstance(recording.speed_m_per_s, np.ndarray)
         return abs(recording.speed_m_per_s)
@@ -409,7 +423,7 @@ def _speed_of(recording: Recording, onset_s: float, least: int) -> float:
     wanted = _samples(APPROACH_S, recording.rate_hz, LEAST_WAY)
     begin = max(least, end - wanted)
     if end - begin < LEAST_WAY:
-        raise _No(f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted")
+        raise No(f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted")
     way = recording.position_m[begin:end]
     time_s = np.arange(len(way)) / recording.rate_hz
     line = np.polyfit(time_s, way - way[0], 1)

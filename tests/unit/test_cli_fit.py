@@ -96,6 +96,9 @@ class FakeFit:
 FIT = FakeFit(Estimate(300.0, 290.0, 310.0), Estimate(67.0, 66.5, 67.5), Estimate(0.0065, 0.006, float("inf")))
 
 
+Progress = Callable[[Recording], None]
+
+
 class Fits:
     """What was asked of the replaced fits."""
 
@@ -126,6 +129,13 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
         module = ModuleType(f"hapticd.fit.{kind}")
         setattr(module, f"fit_{kind}", found.fit)
         monkeypatch.setitem(sys.modules, module.__name__, module)
+    kinds = ModuleType("hapticd.fit.tap_kind")
+
+    def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, left: object) -> FakeFit:
+        return found.fit(recordings, progress, left=left)
+
+    kinds.fit_taps = fit_taps  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, kinds.__name__, kinds)
     for name, seed in (("a.csv", 1), ("b.csv", 2)):
         values = np.random.default_rng(seed).standard_normal(100)
         lines = [f"{i / 1000:.3f},{value:.6f}" for i, value in enumerate(values)]
