@@ -110,13 +110,14 @@ def varied_force(recordings: Sequence[Recording], force: Floats, doubts: Doubts)
         )
 
 
-def too_slow(rate_hz: float, frequency_hz: float) -> str:
-    """Why what rings at a frequency is not fitted at a rate; empty where it is."""
-    if rate_hz >= LEAST_RATE * frequency_hz:
+def too_slow(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
+    """Why what rings at a frequency is not fitted at a rate, with fewer than `least` samples in a cycle; empty where it
+    is."""
+    if rate_hz >= least * frequency_hz:
         return ""
     return (
         f"rings at {frequency_hz:.4g} Hz, and is sampled at {rate_hz:g} Hz, which is too low: less than "
-        f"{LEAST_RATE:g} times that; {math.ceil(LEAST_RATE * frequency_hz)} Hz are wanted"
+        f"{least:g} times that; {math.ceil(least * frequency_hz)} Hz are wanted"
     )
 
 

@@ -47,6 +47,8 @@ BLOCK: Final = 16
 CALM: Final = 20.0
 CALMER: Final = 0.842
 """The noise is taken where it is calm: this percentile of the blocks, so many of their deviations below the middle."""
+LEAST_RATE: Final = 2.05
+"""Samples in a cycle. Of a mode whose onset is known so few are enough; at 2 the amplitude cannot be told from it."""
 REST: Final = 8
 """Samples of rest before a tap, with which its onset is never asked for;"""
 LEAST_REST: Final = 2
@@ -257,7 +259,7 @@ def _hit_of(loud: Loud, index: int) -> Hit:
 def _fault_of(recording: Recording, event: Event, ringing: Ringing) -> No | None:
     """Why the modes are none that a tap could have."""
     for angular in ringing.angular_frequency_rad_per_s:
-        if slow := too_slow(recording.rate_hz, float(angular) / (2 * math.pi)):
+        if slow := too_slow(recording.rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
             return _TooFast(f"it {slow}")
     uncertain, figure = _uncertainty(ringing)
     if not uncertain < UNCERTAIN:

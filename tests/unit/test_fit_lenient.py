@@ -187,6 +187,17 @@ def test_a_short_rest_does_where_the_onset_is_clear(rest: int) -> None:
     assert fit.frequency_hz.value == pytest.approx(300, rel=0.01)
 
 
+def test_few_samples_in_a_cycle_are_enough_where_the_onset_is_known() -> None:
+    """300 Hz at 660 Hz: 2.2 samples in a cycle."""
+    speeds = (0.1, 0.15, 0.2, 0.3, 0.25, 0.12, 0.18, 0.35)
+    taps = [one_tap(speed, seed, rest=20, rate_hz=660.0) for seed, speed in enumerate(speeds)]
+    fit = fit_tap([of(each, str(place), 660.0) for place, each in enumerate(taps)])
+    assert fit.slope_per_s.value == pytest.approx(400, rel=0.03)
+    assert fit.frequency_hz.value == pytest.approx(300, rel=0.003)
+    assert fit.decay_time_s.value == pytest.approx(0.01, rel=0.03)
+    assert any("2.2 samples in a cycle" in warning for warning in fit.warnings) and fit.verdict.startswith("fair")
+
+
 def test_no_rest_is_told_with_what_there_is_and_what_is_wanted() -> None:
     late = one_tap(0.2, 3, rest=30)
     cut = {name: values[30:] for name, values in late.items()}

@@ -172,7 +172,7 @@ DAMAGED: Final[list[tuple[str, str, Damage, str]]] = [
     ("tap", "no onset", noise, "no onset: its largest acceleration is"),
     ("tap", "one speed", lambda each: {**without(NORMAL)(each), SPEED: np.full(6, 0.2)}, "have about one speed"),
     ("tap", "clipped", clipped, "clipped"),
-    ("tap", "rate too low", every(15), "less than 2.5 times that; 751 Hz are wanted"),
+    ("tap", "rate too low", every(17), "less than 2.05 times that;"),
     ("tap", "acceleration in mm/s^2", times(SEEN, 1e3), "off by a thousand"),
     ("tap", "acceleration in km/s^2", times(SEEN, 1e-3), "off by a thousand"),
     ("tap", "position in mm", times(NORMAL, 1e3), "m/s, taps have 0.001 to 10"),
