@@ -598,13 +598,16 @@ struct hd_hid_plan {
     struct hd_hid_script force; /* sent for each new force, in this order; a message that did not change is left out */
     struct hd_hid_script renew; /* sent every renew_ns while connected: restarts effects of finite duration, keeps
                                    watchdogs quiet; force values may stand in it */
-    struct hd_hid_script stop;  /* sent when the connection is closed in an orderly way, after a force of zero */
+    struct hd_hid_script restore; /* what another program may have changed of the effects: one message every restore_ns,
+                                     in turn, after the forces; not to a device that says that they play */
+    struct hd_hid_script stop;    /* sent when the connection is closed in an orderly way, after a force of zero */
     struct hd_hid_effects effects;
     struct hd_hid_state states[HD_HID_STATES];
     struct hd_hid_signs signs;
     uint32_t state_count;
     uint32_t on_change;        /* the device reports only what changes: silence says nothing */
     int64_t renew_ns;          /* the force messages are sent again, too; 0: never */
+    int64_t restore_ns;        /* 0: never */
     int64_t write_interval_ns; /* between two writes at least, up to 0.1 s, shorter at the end: the endpoint's interval;
                                   0: as fast as they are taken */
 };
@@ -638,9 +641,10 @@ struct hd_hid_status {
                               off, or it has forgotten an effect: set it up again */
     uint32_t states;       /* bit (meaning - 1): the number is not 0 */
     uint32_t states_known; /* bit (meaning - 1): a report has said it */
-    uint32_t unused;
-    uint64_t reports;       /* input reports read, of any id; what they said is in the other numbers, and published */
-    uint64_t positions;     /* of them, positions */
+    uint32_t effects_told; /* the device has said, since hd_hid_connect, that an effect of ours plays: it would say that
+                              one is gone */
+    uint64_t reports;      /* input reports read, of any id; what they said is in the other numbers, and published */
+    uint64_t positions;    /* of them, positions */
     uint64_t short_reports; /* too short for what the plan reads of them: ignored */
     uint64_t writes;
     uint64_t forces;           /* forces that were sent; those that were overtaken are not */

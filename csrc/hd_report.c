@@ -198,11 +198,15 @@ int hd_report_check(const struct hd_hid_plan *plan) {
         return HD_ERR_INVALID;
     }
     if (check_script(&plan->begin, "begin") != HD_OK || check_script(&plan->force, "force") != HD_OK ||
-        check_script(&plan->renew, "renew") != HD_OK || check_script(&plan->stop, "stop") != HD_OK) {
+        check_script(&plan->renew, "renew") != HD_OK || check_script(&plan->restore, "restore") != HD_OK ||
+        check_script(&plan->stop, "stop") != HD_OK) {
         return HD_ERR_INVALID;
     }
     if (plan->renew_ns < 0 || (plan->renew.count > 0 && plan->renew_ns == 0)) {
         return hd_invalid("plan: renewed every %lld ns", (long long)plan->renew_ns);
+    }
+    if (plan->restore_ns < 0 || (plan->restore.count > 0 && plan->restore_ns == 0)) {
+        return hd_invalid("plan: restored every %lld ns", (long long)plan->restore_ns);
     }
     if (plan->write_interval_ns < 0 || plan->write_interval_ns > HD_WRITE_INTERVAL_MAX_NS) {
         return hd_invalid("plan: %lld ns between writes", (long long)plan->write_interval_ns);

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from hapticd import words
-from hapticd.errors import offload_text, undisplayable_text
+from hapticd.errors import offload_text, undisplayable_text, unseen_text
 from hapticd.stability_words import stability_words
 
 if TYPE_CHECKING:
@@ -191,3 +191,7 @@ def _connection(told: object) -> Iterator[Line]:
         yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in told["states"].items())
     if told["resets"]:
         yield "resets", words.number(told["resets"])
+    if told.get("resets_seen") is False:
+        condition, action = unseen_text(told["path"], told["foreign_effect_s"])
+        yield "unseen", condition
+        yield "", action

@@ -21,6 +21,7 @@ from hapticd.errors import HapticdError
 from hapticd.hid.device import Device, Driver
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
+from hapticd.hid.restore import paced
 from hapticd.hid.signs import Check
 from hapticd.repeats import STATE_S, Repeats
 from hapticd.stopper import StopFile
@@ -33,6 +34,8 @@ SETTLE_S: Final = 0.02
 """So long what it says of its own set-up may be under way."""
 LISTEN_S: Final = 0.15
 """So long a device is listened to, to find out whether it reports without being moved."""
+TELL_S: Final = 1.0
+"""A device whose reports have room for it has this long to say that an effect plays."""
 STOP_S: Final = 2.0
 """So long the end waits for a set-up that is under way."""
 _MEASURED_ROUNDS: Final = 8
@@ -94,6 +97,16 @@ class _Live:
     opened: Opened
     plan: Plan
     link: Link
+    since_s: float
+    """time.monotonic()"""
+
+    def resets_seen(self, told: bool) -> bool | None:
+        """Whether a reset by another program would be seen; None: not known yet, or it has no effects to lose. `told`:
+        the device has said that an effect of ours plays."""
+        if self.plan.foreign_s is None:
+            return None
+        asked = self.plan.effects is not None and time.monotonic() - self.since_s < TELL_S
+        return True if told else None if asked else False
 
 
 class Connection:
@@ -180,6 +193,7 @@ class Connection:
         problem = self._problem or (None if connected else _why(raw))
         report_hz, force_hz = self._rates
         link = None if live is None else live.link
+        seen = live.resets_seen(bool(raw.effects_told)) if live is not None and connected else None
         return {
             "name": None if live is None else live.opened.name,
             "path": None if live is None else live.opened.device.path,
@@ -197,6 +211,8 @@ class Connection:
             "strikes": raw.strikes,
             "strikes_lost": raw.strikes_lost,
             "resets": self._resets,
+            "resets_seen": seen,
+            "foreign_effect_s": live.plan.foreign_s if live is not None and seen is False else None,
             "connects": self._connects,
             "states": states,
         }
@@ -267,7 +283,7 @@ class Connection:
             signs = None
             if self._check is not None:
                 signs = self._check.of(opened.identity, plan.driven_axes, plan.resolution_m)
-            plan = replace(plan, on_change=on_change, signs=signs)
+            plan = paced(replace(plan, on_change=on_change, signs=signs), link.rate_hz)
             self._hand_over(opened.device, plan)
         except BaseException:
             if self._stop_file is not None:
@@ -282,7 +298,7 @@ class Connection:
             )
         self._problem = None
         # Last: whoever hears that it is connected hears of no problem, and has it counted.
-        self._live = live = _Live(opened, plan, link)
+        self._live = live = _Live(opened, plan, link, time.monotonic())
         return live
 
     def _keep_last(self, device: Device, plan: Plan) -> None:
@@ -328,9 +344,10 @@ class Connection:
             )
         plan = live.opened.driver.set_up(live.opened.device)
         plan = replace(plan, on_change=live.plan.on_change, signs=live.plan.signs)
+        plan = paced(plan, live.link.rate_hz)
         if plan != live.plan:
             self._hand_over(live.opened.device, plan)
-            self._live, self._problem = _Live(live.opened, plan, live.link), None
+            self._live, self._problem = _Live(live.opened, plan, live.link, time.monotonic()), None
             return
         # The set-up itself resets the device, which it reports too.
         deadline = time.monotonic() + RECOVERY_S

@@ -45,6 +45,8 @@ class Found:
     layout: Layout | None
     problem: str | None
     """Why its report descriptor cannot be read."""
+    hid_name: str = ""
+    """As /sys/bus/hid/devices has it."""
     port: str = ""
     """Where it is plugged in."""
 
@@ -52,6 +54,15 @@ class Found:
     def usable(self) -> bool:
         """Whether its descriptor says all that is needed."""
         return self.layout is not None and self.layout.usable
+
+    @property
+    def resets_seen(self) -> bool | None:
+        """Whether it has a report that says which effects play: without, a reset by another program is not noticed.
+        None where it cannot be driven. A device with such a report may still not send it."""
+        if not self.usable or self.layout is None:
+            return None
+        state = self.layout.pid_state
+        return state is not None and state.effect_index is not None and state.effect_playing is not None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -85,6 +96,7 @@ class Found:
             "usable": self.usable,
             "missing": list(self.missing),
             "problem": self.problem,
+            "resets_seen": self.resets_seen,
             "permission": self.permission,
             "in_interval_s": self.in_interval_s,
             "out_interval_s": self.out_interval_s,
@@ -180,6 +192,7 @@ def _look(entry: Path, node: Path) -> Found:
         permission="absent" if absent else "denied" if denied else "ok",
         layout=layout,
         problem=problem,
+        hid_name=device.resolve().name,
         port=told.get("HID_PHYS", ""),
     )
 

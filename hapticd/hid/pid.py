@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -44,6 +44,9 @@ from hapticd.hid.pool import Pool, number_in, read_feature
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
 """A device that has not yet loaded an effect is asked again so often, after this time."""
+
+RENEWED_ENOUGH_S: Final = 0.05
+"""What is renewed so often needs no restoring."""
 
 _log = logging.getLogger("hapticd")
 
@@ -112,11 +115,7 @@ class PidDriver:
         for name in ("device_reset", "stop_all_effects", "enable_actuators"):
             if name != "device_reset" or "no_reset" not in quirks:
                 _send(device, _control(layout, name))
-        gain = layout.device_gain
-        if gain is not None and "no_device_gain" not in quirks:
-            report = _Report(gain.report_id, gain.report_bytes)
-            report.put(gain.gain, gain.gain.logical_max)
-            device.write(bytes(report.data))
+        _send(device, _gain(layout, self._hid))
 
     def _room(self, device: Device) -> int | None:
         """How many effects the device says that it plays, where more than one is wanted; None: not known."""
@@ -300,6 +299,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         y=y,
         force=tuple(force),
         renew=tuple(_operation(layout, index, "start") for index in indices),
+        restore=tuple(_restore(layout, hid, way, indices, renew_s)),
         stop=_stop(layout, indices),
         # Most devices say that an effect plays when it begins to. The set-up began it before anybody listened; the
         # first renewal comes at once.
@@ -307,8 +307,28 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         effects=watched,
         states=_states(layout),
         renew_s=renew_s,
+        foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
     )
+
+
+def _restore(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
+    """What an effect of another program changes in the place of ours, and is not renewed often enough anyway."""
+    for effect, index in zip(_effects(way, hid), indices, strict=True):
+        if way != "polar":
+            yield Message(set_effect_report(layout, hid, index, effect))
+        elif renew_s > RENEWED_ENOUGH_S:
+            yield _polar_effect(layout, hid, index)
+        if layout.set_envelope is not None:
+            lines = _Report(layout.set_envelope.report_id, layout.set_envelope.report_bytes)
+            lines.put(layout.set_envelope.effect_index, index)
+            yield Message(bytes(lines.data))
+        if renew_s > RENEWED_ENOUGH_S:
+            yield _constant_force(layout, index, effect, hid)
+            yield _operation(layout, index, "start")
+    gain = _gain(layout, hid)
+    if gain is not None:
+        yield Message(gain)
 
 
 def _stop(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]:
@@ -597,6 +617,16 @@ def _control(layout: Layout, name: str) -> bytes | None:
         return None
     report = _Report(to.report_id, to.report_bytes)
     report.choose(to.command, name)
+    return bytes(report.data)
+
+
+def _gain(layout: Layout, hid: Hid) -> bytes | None:
+    """Device Gain at its maximum; None where the device has no such report, or does not take it."""
+    to = layout.device_gain
+    if to is None or "no_device_gain" in hid.quirks:
+        return None
+    report = _Report(to.report_id, to.report_bytes)
+    report.put(to.gain, to.gain.logical_max)
     return bytes(report.data)
 
 

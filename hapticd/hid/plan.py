@@ -214,12 +214,20 @@ class Plan:
     """Sent at an orderly end, after a force of zero."""
     begin: tuple[Message, ...] = ()
     """Sent once, before the first force."""
+    restore: tuple[Message, ...] = ()
+    """What another program may have changed of the effects: sent one by one, in turn, to a device that does not say
+    that they play."""
     effects: PlayingBits | None = None
     """What tells that the device has forgotten an effect; None: nothing does."""
     states: tuple[StateBit, ...] = ()
     on_change: bool = False
     """The device reports only what changes."""
     renew_s: float = 0.04
+    restore_s: float = 0.04
+    """Between two messages of `restore`."""
+    foreign_s: float | None = None
+    """So long an effect of another program lasts in the place of ours at most, where it cannot be seen: as far as the
+    renewals are concerned, and once the link is known altogether. None: the device keeps no effects."""
     write_interval_s: float = 0.0
     """Between two writes at least; 0: as fast as the device takes them."""
     periodic: Periodic | None = None
@@ -263,6 +271,7 @@ class Plan:
             (plan.begin, self.begin),
             (plan.force, self.force),
             (plan.renew, self.renew),
+            (plan.restore, self.restore),
             (plan.stop, self.stop),
         ):
             _fill_script(script, messages)
@@ -278,6 +287,7 @@ class Plan:
             self.signs.fill(plan.signs)
         plan.on_change = self.on_change
         plan.renew_ns = round(self.renew_s * 1e9)
+        plan.restore_ns = round(self.restore_s * 1e9)
         plan.write_interval_ns = round(self.write_interval_s * 1e9)
         return plan
 

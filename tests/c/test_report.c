@@ -273,6 +273,9 @@ static void refusals(void) {
     REFUSES(plan.stop.count = 1);
     REFUSES(plan.renew = plan.force; plan.renew_ns = 0);
     REFUSES(plan.renew_ns = -1);
+    REFUSES(plan.restore = plan.force; plan.restore_ns = 0);
+    REFUSES(plan.restore_ns = -1);
+    REFUSES(plan.restore.count = HD_HID_MESSAGES + 1);
     REFUSES(plan.write_interval_ns = 100000001);
 }
 
