@@ -527,7 +527,9 @@ enum hd_hid_quantity {
 };
 
 /* counts = quantity * counts_per_unit + zero_counts, rounded to nearest, limited to least .. most, which hold
- * zero_counts; HD_HID_DIRECTION is taken modulo a full turn instead where that lies within them. */
+ * zero_counts; HD_HID_DIRECTION is taken modulo a full turn instead where that lies within them. HD_HID_X and HD_HID_Y
+ * take the other axis's force times counts_per_other_n, too: what two effects push whose directions, whole counts, are
+ * not quite along the axes. */
 struct hd_hid_value {
     struct hd_hid_field field;
     uint32_t quantity; /* enum hd_hid_quantity */
@@ -536,6 +538,7 @@ struct hd_hid_value {
     double zero_counts;
     double least;
     double most;
+    double counts_per_other_n;
 };
 
 /* An output report: bytes as they are, report id first (0 where reports are not numbered), with numbers written into
@@ -654,6 +657,9 @@ struct hd_hid_status {
     uint64_t strikes;      /* that the device was told to play by itself */
     uint64_t strikes_lost; /* too late, overtaken by a silence, of an effect that is gone, or without room */
 };
+
+/* What hd_hid_connect checks of a plan: HD_OK, or HD_ERR_INVALID (hd_invalid_reason). */
+int hd_hid_check(const struct hd_hid_plan *plan);
 
 struct hd_hid; /* opaque: two mailboxes and, while connected, two threads */
 

@@ -239,6 +239,11 @@ class Hid(Model):
             return {**data, "signs": "trust"}
         return data
 
+    @property
+    def names_one(self) -> bool:
+        """Whether it names a device rather than taking any."""
+        return any(key is not None for key in (self.vendor, self.product, self.serial, self.path))
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if self.renew_s > 0.8 * self.effect_duration_s:

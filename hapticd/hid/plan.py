@@ -6,8 +6,8 @@ number means). Reports are bytes with the report id first, 0 where reports are n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,10 @@ STILL_M_PER_COUNT: Final = 1e-15
 
 class DeviceError(HapticdError):
     """A device that cannot be driven; `str` is one line that says which, why and what would be right."""
+
+
+class UndrivableError(DeviceError):
+    """A device that is there and that no plan can be made for, whatever happens to it later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +91,10 @@ class AxisPlan:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most."""
+    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most.
+
+    Of a force along one axis, the other axis's force times `counts_per_other_n` comes to it.
+    """
 
     bits: Bits
     quantity: HidQuantity
@@ -95,6 +102,7 @@ class Value:
     zero_counts: float
     least: float
     most: float
+    counts_per_other_n: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,6 +243,10 @@ class Plan:
     """Why there is none."""
     signs: Signs | None = None
     """What is checked before the first force of the scene; None: the signs are trusted."""
+    leak: float = 0.0
+    """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
+    report_names: Mapping[int, str] = field(default_factory=dict)
+    """What output reports are called, by id, for those who look at what was sent."""
 
     @property
     def resolution_m(self) -> float:
@@ -249,6 +261,19 @@ class Plan:
             self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
             self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
         )
+
+    @property
+    def leak_told(self) -> str:
+        """What `leak` means, for a person; empty where it is below a thousandth."""
+        if self.leak < 1e-3:
+            return ""
+        return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force comes out across it"
+
+    @property
+    def pushes(self) -> tuple[bool, bool]:
+        """Whether a force along x, along y is sent at all."""
+        sent = {value.quantity for message in self.force for value in message.values}
+        return bool(sent & {HidQuantity.X, HidQuantity.MAGNITUDE}), bool(sent & {HidQuantity.Y, HidQuantity.MAGNITUDE})
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
@@ -330,4 +355,5 @@ def fill_message(into: CData, message: Message) -> None:
         _fill_bits(place.field, value.bits)
         place.quantity = value.quantity
         place.counts_per_unit, place.zero_counts = value.counts_per_unit, value.zero_counts
+        place.counts_per_other_n = value.counts_per_other_n
         place.least, place.most = value.least, value.most
