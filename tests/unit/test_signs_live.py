@@ -27,7 +27,7 @@ from hapticd.hid.pid import PidDriver
 from hapticd.offline import Rerun
 from hapticd.replayed import replay
 from tests import firmware_descriptors as descriptors
-from tests.firmware import ARDUINO, FINO, OPENFFBOARD, Firmware, Variant
+from tests.firmware import ARDUINO, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
 from tests.unit.test_hid_connection import COUNTS, FULL_N, STIFFNESS, TRAVEL_M, World
 from tests.unit.test_replayed import write
 
@@ -131,10 +131,12 @@ def flashed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Flashed]:
         (descriptors.FINO, FINO, SignsState.RIGHT),
         (descriptors.ARDUINO, ARDUINO, SignsState.WRONG),
         (descriptors.OPENFFBOARD_2, OPENFFBOARD, SignsState.RIGHT),
+        (descriptors.OPENFFBOARD_1, OPENFFBOARD_1, SignsState.RIGHT),
+        (descriptors.OPENFFBOARD_1, replace(OPENFFBOARD_1, signs=(-1, 1)), SignsState.WRONG),
         (descriptors.SIDEWINDER_FF2, Variant(), SignsState.RIGHT),
         (descriptors.SIDEWINDER_FF2, Variant(signs=(1, -1)), SignsState.WRONG),
     ],
-    ids=["fino", "arduino", "openffboard", "sidewinder", "sidewinder with y reversed"],
+    ids=["fino", "arduino", "openffboard", "one axis", "one axis reversed", "sidewinder", "sidewinder with y reversed"],
 )
 def test_the_signs_of_known_firmware(flashed: Flashed, descriptor: bytes, variant: Variant, state: SignsState) -> None:
     firmware = flashed.flash(descriptor, variant)
@@ -144,7 +146,7 @@ def test_the_signs_of_known_firmware(flashed: Flashed, descriptor: bytes, varian
     signs = engine.counters().signs
     assert signs.state == state, signs
     if state == SignsState.WRONG:
-        assert signs.axis == ("x" if variant is ARDUINO else "y")
+        assert signs.axis == ("x" if variant.signs[0] < 0 else "y")
         assert engine.faults() == Fault.SIGNS
         last = int(np.flatnonzero(flashed.checked())[-1])
         settled(flashed)
