@@ -27,24 +27,31 @@ from hapticd.errors import HapticdError, quoted, unseen_text
 
 if TYPE_CHECKING:
     from hapticd.hid.claim import Claims
+    from hapticd.hid.config import Hid
     from hapticd.hid.discover import Found
-    from hapticd.hid.layout import Layout
+    from hapticd.hid.verdict import Verdict
 
 _MAX_FILE_BYTES: Final = 1 << 20
 """More than any report descriptor is as text; what lies behind is not read."""
 
 
 @click.group("devices", invoke_without_command=True, short_help="HID devices, and which can be driven.")
+@config_option
 @json_option
 @click.pass_context
-def devices_command(ctx: click.Context, as_json: bool) -> None:
-    """List HID devices, and say which of them can be driven; or do what a command below says."""
+def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> None:
+    """List HID devices, and say which of them can be driven; or do what a command below says.
+
+    The devices that the configuration may mean are judged by its device.hid, the others by the defaults.
+    """
     if ctx.invoked_subcommand is not None:
         return
     from hapticd.hid.claim import Claims
     from hapticd.hid.discover import find
 
-    found, claimed = find(), Claims().names()
+    hid = _hid_of(configs)
+    found = [item.judged_by(hid) for item in find()]
+    claimed = Claims().names()
     if as_json:
         print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])
     elif not found:
@@ -60,11 +67,30 @@ def devices_command(ctx: click.Context, as_json: bool) -> None:
             click.echo(f"    claimed: `hapticd devices release {item.path}` lets other programs at it again")
 
 
+def _hid_of(configs: tuple[str, ...]) -> Hid:
+    """What the daemon would be started with: `device.hid` of a configuration for a HID device, else the defaults.
+
+    A faulty configuration is an error where it was named, and a note where it was only found.
+    """
+    from hapticd.config import config_of
+    from hapticd.hid.config import Hid
+
+    try:
+        device = config_of(configs).device
+    except HapticdError as error:
+        if configs:
+            raise
+        note(f"judged by the defaults, as the configuration is faulty: {error}")
+        return Hid()
+    return device.hid if device.kind == "hid" else Hid()
+
+
 def _verdict(item: Found) -> str:
     from hapticd.hid.device import RULE
 
-    if not item.usable:
-        return f"cannot be driven without a description: {item.why_not()}"
+    why_not = item.verdict.why_not
+    if why_not is not None:
+        return f"cannot be driven{' without a description' if item.is_other else ''}: {why_not}"
     said = "can be driven"
     if item.out_interval_s:
         said += f", a report every {words.si(item.out_interval_s, 's')}"
@@ -209,7 +235,10 @@ def calibrate_command(
     finally:
         opened.device.close()
     section = {
-        "device": {"kind": "hid", "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict()}},
+        "device": {
+            "kind": "hid",
+            "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"},
+        },
     }
     text = yaml_text(section)
     # Whatever becomes of the file, what was found is told.
@@ -223,19 +252,25 @@ def calibrate_command(
 
 @devices_command.command("parse", short_help="Say what of a report descriptor is driven.")
 @click.argument("file", metavar="FILE", type=click.Path(dir_okay=False))
+@config_option
 @json_option
-def parse_command(file: str, as_json: bool) -> None:
-    """Say what would be driven of a device with the report descriptor in FILE, binary or hex text; - is the input."""
-    from hapticd.hid.descriptor import parse
-    from hapticd.hid.layout import layout_of
+def parse_command(file: str, configs: tuple[str, ...], as_json: bool) -> None:
+    """Say what would be driven of a device with the report descriptor in FILE, binary or hex text; - is the input.
+
+    It is judged as `hapticd run` would judge it with the same configuration.
+    """
+    from hapticd.hid.verdict import verdict_of
 
     with click.open_file(file, "rb") as stream:
         data = stream.read(_MAX_FILE_BYTES)
-    layout = layout_of(parse(descriptor_bytes(data, "the standard input" if file == "-" else Path(file).name)))
+    descriptor = descriptor_bytes(data, "the standard input" if file == "-" else Path(file).name)
+    verdict = verdict_of(_hid_of(configs), descriptor)
+    if verdict.layout is None and not verdict.drivable:
+        raise HapticdError(str(verdict.problem))
     if as_json:
-        print_json(layout.to_dict())
+        print_json(verdict.to_dict())
     else:
-        click.echo("\n".join(_lines(layout)))
+        click.echo("\n".join(_lines(verdict)))
 
 
 def descriptor_bytes(data: bytes, name: str) -> bytes:
@@ -258,9 +293,17 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
     return bytes.fromhex("".join(digits))
 
 
-def _lines(layout: Layout) -> list[str]:
+def _lines(verdict: Verdict) -> list[str]:
     """What a person wants to know of a layout."""
-    lines = ["can be driven" if layout.usable else f"cannot be driven; missing: {', '.join(layout.missing)}"]
+    layout = verdict.layout
+    if verdict.drivable:
+        lines = ["can be driven"]
+    elif layout is None or layout.usable:
+        lines = [f"cannot be driven: {verdict.why_not}"]
+    else:
+        lines = [f"cannot be driven; missing: {', '.join(layout.missing)}"]
+    if layout is None:
+        return [*lines, f"the report descriptor is not valid: {verdict.problem}"]
     for name, axis in layout.input.items():
         place = axis.field
         lines.append(

@@ -40,6 +40,7 @@ from hapticd.hid.plan import (
     Value,
 )
 from hapticd.hid.pool import Pool, number_in, read_feature
+from hapticd.hid.useful import duration_fault
 
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
@@ -85,6 +86,7 @@ class PidDriver:
         self._indices: list[int] = []
         self._pool = Pool(layout, hid)
         axes_of(layout, hid)
+        _duration(layout, hid)
 
     def set_up(self, device: Device) -> Plan:
         """Resets the device, enables it, and leaves its effects running with a force of zero."""
@@ -444,8 +446,13 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
     if absent:
         return f"the device has no {', no '.join(absent)}"
     assert layout.set_periodic is not None and layout.set_envelope is not None
-    if layout.set_periodic.magnitude.logical_max <= 0 or layout.set_envelope.attack_level.logical_max <= 0:
+    lines = layout.set_envelope
+    if min(level.logical_max for level in (layout.set_periodic.magnitude, lines.attack_level, lines.fade_level)) <= 0:
         return "the device has no levels above zero"
+    first, last = layout.effect_indices or (1, 0)
+    indices = (layout.set_periodic.effect_index, lines.effect_index)
+    if any(index.logical_min > first or index.logical_max < last for index in indices):
+        return "Set Periodic or Set Envelope does not take every Effect Block Index"
     if "infinite_duration" in hid.quirks:
         return "the device ignores finite durations"
     return None
@@ -581,13 +588,20 @@ def _angle_counts(angle: Field, turns: float) -> float:
 
 
 def _duration(layout: Layout, hid: Hid) -> tuple[int, float]:
-    """The duration of an effect, in counts and as the device understands them, s."""
+    """The duration of an effect, in counts and as the device understands them, s; of endless ones, what is asked for.
+    Raises DeviceError where the device has none that would do.
+    """
     assert layout.set_effect is not None
     field = layout.set_effect.duration
-    # The specification's own unit, where the descriptor names none.
-    step_s = field.seconds_per_count() or 1e-3
-    counts = min(max(round(hid.effect_duration_s / step_s), field.logical_min, 1), field.logical_max)
-    return counts, counts * step_s
+    if "infinite_duration" in hid.quirks:
+        return field.logical_max, hid.effect_duration_s
+    scale = _time_scale(field)
+    counts = min(max(scale.counts(hid.effect_duration_s), 1), field.logical_max)
+    duration_s = scale.quantity(counts)
+    fault = duration_fault(field, scale.resolution, duration_s, hid.effect_duration_s)
+    if fault is not None:
+        raise DeviceError(fault)
+    return counts, duration_s
 
 
 def _operation(layout: Layout, index: int, name: str) -> Message:
@@ -602,7 +616,7 @@ def _operation(layout: Layout, index: int, name: str) -> Message:
 
 def _block_free(layout: Layout, index: int) -> Message | None:
     to = layout.block_free
-    if to is None:
+    if to is None or not to.effect_index.logical_min <= index <= to.effect_index.logical_max:
         return None
     report = _Report(to.report_id, to.report_bytes)
     report.put(to.effect_index, index)

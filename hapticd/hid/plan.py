@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from hapticd.core import CData, HidMeaning, HidQuantity, ffi, lib
 from hapticd.errors import HapticdError
+from hapticd.hid.signs import Signs
 
 STILL_M_PER_COUNT: Final = 1e-15
 """A handle with one axis: its other one moves by nothing that matters."""
@@ -22,6 +23,10 @@ STILL_M_PER_COUNT: Final = 1e-15
 
 class DeviceError(HapticdError):
     """A device that cannot be driven; `str` is one line that says which, why and what would be right."""
+
+
+class UndrivableError(DeviceError):
+    """A device that is there and that no plan can be made for, whatever happens to it later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,11 +237,22 @@ class Plan:
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
     """Why there is none."""
+    signs: Signs | None = None
+    """What is checked before the first force of the scene; None: the signs are trusted."""
 
     @property
     def resolution_m(self) -> float:
         """The step of positions, the coarser axis's."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
+
+    @property
+    def driven_axes(self) -> tuple[bool, bool]:
+        """Whether the device both moves and pushes along x, and along y."""
+        steps_n = self.force_steps_n
+        return (
+            self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
+            self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
+        )
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
@@ -271,6 +287,8 @@ class Plan:
             _fill_bits(into.field, state.bits)
             into.report_id, into.meaning = state.report_id, state.meaning
         plan.state_count = len(self.states)
+        if self.signs is not None:
+            self.signs.fill(plan.signs)
         plan.on_change = self.on_change
         plan.renew_ns = round(self.renew_s * 1e9)
         plan.restore_ns = round(self.restore_s * 1e9)
