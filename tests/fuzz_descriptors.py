@@ -297,7 +297,7 @@ def check_plan(reports: Reports, plan: Plan, *, endless: bool) -> None:
     """Everything that a connection would send."""
     described = plan.to_c()
     assert lib.hd_hid_check(described) == lib.HD_OK
-    for script in (plan.begin, plan.force, plan.renew, plan.stop):
+    for script in (plan.begin, plan.force, plan.renew, plan.restore, plan.stop):
         for message in script:
             check_report(reports, OUTPUT, message.at_rest(), endless=endless)
     check_messages(
