@@ -23,6 +23,7 @@ from typing import Final, TypeVar
 
 from hapticd.core import lib
 from hapticd.hid.descriptor import Collection, CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.flags import number_of_on
 from hapticd.hid.usages import AXES, COMMANDS, EFFECT_TYPES, LOAD_STATUS, OPERATIONS
 from hapticd.hid.useful import angle_fault, axis_fault, magnitude_fault
 
@@ -450,8 +451,8 @@ class _Group:
                 bit = None
                 if field.is_variable and not self._is_fixed(field):
                     bit = self.element(field, index, scaled=False)
-                if bit is not None and (bit.logical_min, bit.logical_max) != (0, 0):
-                    on = 1 if bit.logical_min <= 1 <= bit.logical_max else bit.logical_max or bit.logical_min
+                on = number_of_on(bit) if bit is not None else None
+                if bit is not None and on is not None:
                     entries[name] = Entry(bit, on)
                     break
         return Choice("bits", entries) if entries else None
@@ -641,7 +642,7 @@ def _set_effect(group: _Group) -> SetEffect:
     for name, usage in AXES.items():
         for field, element in group.every(_DESKTOP | usage, _PID | 0x55):
             place = group.element(field, element, scaled=False) if field.is_variable else None
-            if place is not None and not field.is_constant and place.logical_max >= 1:
+            if place is not None and not field.is_constant and number_of_on(place) is not None:
                 enable[name] = place
                 break
     directions: list[Field] = []

@@ -49,7 +49,8 @@ class Verdict:
     def to_dict(self) -> dict[str, object]:
         """As JSON: the layout, and the verdict."""
         told = {} if self.layout is None else self.layout.to_dict()
-        return {**told, "usable": self.drivable, "why_not": self.why_not}
+        leak = None if self.plan is None else self.plan.leak
+        return {**told, "usable": self.drivable, "why_not": self.why_not, "leak": leak}
 
 
 def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
