@@ -22,8 +22,9 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from hapticd.core import lib
-from hapticd.hid.descriptor import CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.descriptor import Collection, CollectionType, Descriptor, ReportField, ReportKind
 from hapticd.hid.flags import number_of_on
+from hapticd.hid.usages import AXES, COMMANDS, EFFECT_TYPES, LOAD_STATUS, OPERATIONS
 from hapticd.hid.useful import angle_fault, axis_fault, magnitude_fault
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
@@ -35,33 +36,6 @@ _PID: Final = 0x000F0000
 _DESKTOP: Final = 0x00010000
 _SIMULATION_PAGE: Final = 0x0002
 _JOYSTICKS: Final = (_DESKTOP | 0x04, _DESKTOP | 0x05, _DESKTOP | 0x08)
-AXES: Final = {"x": 0x30, "y": 0x31, "z": 0x32, "rx": 0x33, "ry": 0x34, "rz": 0x35}
-"""Usages of the axes on the page Generic Desktop."""
-
-EFFECT_TYPES: Final = {
-    "constant_force": 0x26,
-    "ramp": 0x27,
-    "custom_force": 0x28,
-    "square": 0x30,
-    "sine": 0x31,
-    "triangle": 0x32,
-    "sawtooth_up": 0x33,
-    "sawtooth_down": 0x34,
-    "spring": 0x40,
-    "damper": 0x41,
-    "inertia": 0x42,
-    "friction": 0x43,
-}
-OPERATIONS: Final = {"start": 0x79, "start_solo": 0x7A, "stop": 0x7B}
-COMMANDS: Final = {
-    "enable_actuators": 0x97,
-    "disable_actuators": 0x98,
-    "stop_all_effects": 0x99,
-    "device_reset": 0x9A,
-    "device_pause": 0x9B,
-    "device_continue": 0x9C,
-}
-LOAD_STATUS: Final = {"success": 0x8C, "full": 0x8D, "error": 0x8E}
 
 
 @dataclass(frozen=True, slots=True)
@@ -496,6 +470,13 @@ class _Finder:
         self._missing: list[str] = []
         self._problems = [f"report descriptor, {told}" for told in descriptor.skipped]
         self._root: int | None = None
+        self._within: dict[int, list[tuple[Collection, ReportField]]] = {}
+        for field in descriptor.fields:
+            around = {
+                usage: one for one in field.path for usage in (one.usage, *one.aliases)
+            }  # the innermost one stays
+            for usage, collection in around.items():
+                self._within.setdefault(usage, []).append((collection, field))
 
     def layout(self) -> Layout:
         output, feature = ReportKind.OUTPUT, ReportKind.FEATURE
@@ -570,9 +551,8 @@ class _Finder:
         """Fields of this kind in collections of this usage, by collection and report id; the nearest ones first."""
         groups: dict[tuple[int, int], _Group] = {}
         for usage in (usages,) if isinstance(usages, int) else usages:
-            for field in self._descriptor.fields:
-                around = field.within(_PID | usage)
-                if field.kind == kind and around is not None:
+            for around, field in self._within.get(_PID | usage, ()):
+                if field.kind == kind:
                     self._put(groups, (around.number, field.report_id), field)
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
@@ -724,6 +704,8 @@ def _create_new_effect(group: _Group) -> CreateNewEffect:
 def _block_load(group: _Group) -> BlockLoad:
     index = group.need("Effect Block Index", _PID | 0x22)
     status = group.choice(LOAD_STATUS)
+    if status is not None and "success" not in status.entries:
+        status = None  # it could never say that an effect is loaded: the index does
     return BlockLoad(group.report_id, group.report_bytes, index, status, group.find(_PID | 0xAC))
 
 
