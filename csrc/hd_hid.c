@@ -82,6 +82,7 @@ struct hd_position {
     uint64_t number;     /* positions of this connection so far */
     uint32_t connection; /* its number, from 1 */
     uint32_t on_change;
+    struct hd_hid_signs signs;
 };
 
 struct hd_force {
@@ -171,6 +172,7 @@ struct hd_hid {
     uint32_t seen_connection;
     uint32_t seen_arrivals;
     uint32_t seen_on_change;
+    struct hd_hid_signs seen_signs;
     double usual_s;   /* between two reports */
     int64_t usual_ns; /* with usual_number, of a device that reports what changes: learned from up to here */
     uint64_t usual_number;
@@ -218,6 +220,7 @@ HD_RT static void see(struct hd_hid *hid, const struct hd_position *position) {
     if (first) {
         hid->seen_connection = position->connection;
         hid->seen_on_change = position->on_change;
+        hid->seen_signs = position->signs;
         hid->usual_s = 0.0;
         hid->usual_ns = position->time_ns;
         hid->usual_number = position->number;
@@ -269,6 +272,7 @@ HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *
     }
     look->reading = hid->seen;
     look->connection = hid->seen_connection;
+    look->signs = &hid->seen_signs;
 }
 
 HD_RT void hd_hid_step_put(struct hd_hid *hid, int64_t now_ns, const double force_n[2]) {
@@ -900,6 +904,7 @@ static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_
     connection->start_ns = connection->restore_ns = hd_clock_now_ns();
     connection->parting_ns = hid->parting_ns;
     connection->known.on_change = plan->on_change;
+    connection->known.signs = plan->signs;
     hd_player_init(&connection->player, &hid->orders);
     if (connection->fd < 0 || connection->end_fd < 0 || connection->left_fd < 0) {
         const int error = errno;

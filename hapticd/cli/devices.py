@@ -23,9 +23,10 @@ from hapticd.cli.common import (
     write_whole,
     yaml_text,
 )
-from hapticd.errors import HapticdError, quoted
+from hapticd.errors import HapticdError, quoted, unseen_text
 
 if TYPE_CHECKING:
+    from hapticd.hid.claim import Claims
     from hapticd.hid.config import Hid
     from hapticd.hid.discover import Found
     from hapticd.hid.verdict import Verdict
@@ -45,17 +46,25 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
     """
     if ctx.invoked_subcommand is not None:
         return
+    from hapticd.hid.claim import Claims
     from hapticd.hid.discover import find
 
     hid = _hid_of(configs)
     found = [item.judged_by(hid) for item in find()]
+    claimed = Claims().names()
     if as_json:
-        print_json([item.to_dict() for item in found])
+        print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])
     elif not found:
         note("no HID device is connected, or the kernel has no hidraw")
     for item in () if as_json else found:
         click.echo(f"{item}, {item.bus}")
         click.echo(f"    {_verdict(item)}")
+        mine = item.hid_name in claimed
+        if item.resets_seen is False:
+            condition, action = unseen_text(item.path)
+            click.echo(f"    {condition}" if mine else f"    {condition}\n    {action}")
+        if mine:
+            click.echo(f"    claimed: `hapticd devices release {item.path}` lets other programs at it again")
 
 
 def _hid_of(configs: tuple[str, ...]) -> Hid:
@@ -128,6 +137,61 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
 
 
+def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
+    """The device that is named, or the only one."""
+    if device is not None:
+        return _named(device, found)
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(map(str, found))
+    raise HapticdError(
+        f"{len(found)} devices {what}, name one by its path: {listed}" if found else f"no device {what}; name one"
+    )
+
+
+@devices_command.command("claim", short_help="Keep other programs off a device.")
+@click.argument("device", metavar="[DEVICE]", required=False)
+@json_option
+def claim_command(device: str | None, as_json: bool) -> None:
+    """Keep other programs off DEVICE (its path, or VENDOR:PRODUCT in hex; by default the only one that can be driven),
+    until it is released or unplugged. Needs root.
+
+    It is taken from the kernel's driver, which ends what programs have open of it, and bound again with event and
+    joystick nodes that belong to root alone. A daemon that drives it sets it up again; forces are off then.
+    """
+    from hapticd.hid.claim import Claims
+    from hapticd.hid.discover import find
+
+    claims, found = Claims(), find()
+    item = _one(device, [one for one in found if one.usable] if device is None else found, "can be driven")
+    driver = claims.claim(item)
+    _tell_driver(claims, item, driver, as_json, "claimed: other programs have no access to its event nodes")
+
+
+@devices_command.command("release", short_help="Let other programs at a device again.")
+@click.argument("device", metavar="[DEVICE]", required=False)
+@json_option
+def release_command(device: str | None, as_json: bool) -> None:
+    """Let other programs at DEVICE again (its path, or VENDOR:PRODUCT in hex; by default the only one that is claimed).
+    Needs root."""
+    from hapticd.hid.claim import Claims
+    from hapticd.hid.discover import find
+
+    claims, found = Claims(), find()
+    names = claims.names()
+    item = _one(device, [one for one in found if one.hid_name in names] if device is None else found, "is claimed")
+    driver = claims.release(item)
+    _tell_driver(claims, item, driver, as_json, "released: other programs may use it")
+
+
+def _tell_driver(claims: Claims, item: Found, driver: str, as_json: bool, what: str) -> None:
+    path = claims.path(item.hid_name)
+    if as_json:
+        print_json({"device": item.hid_name, "path": path, "driver": driver})
+    else:
+        click.echo(f"{path} ({item.name or 'no name'}) is {what}; its driver is {driver}")
+
+
 @devices_command.command("calibrate", short_help="Find out which way a device pushes.")
 @config_option
 @click.option(
@@ -173,7 +237,10 @@ def calibrate_command(
     finally:
         opened.device.close()
     section = {
-        "device": {"kind": "hid", "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict()}},
+        "device": {
+            "kind": "hid",
+            "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"},
+        },
     }
     text = yaml_text(section)
     # Whatever becomes of the file, what was found is told.

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs
+from hapticd.errors import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.hid.discover import Found
@@ -132,10 +133,13 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
                 "competitors",
                 "warn",
                 f"the kernel's own driver offers effects of {node} to other programs, at {', '.join(loose[:_SHOWN])}",
-                f"list the joystick in {RULE}, which hides these nodes",
+                f"`hapticd devices claim {node}` hides these nodes, and so does its line in {RULE}",
             )
         elif not holders:
             yield Finding("competitors", "warn" if hidden else "ok", f"nobody else uses {node}{blind}")
+        if device.resets_seen is False:
+            condition, action = unseen_text(node)
+            yield Finding("resets", "warn" if loose else "ok", condition, action if loose else "")
 
 
 def _users(machine: Machine) -> tuple[dict[str, set[str]], int]:

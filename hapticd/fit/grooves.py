@@ -25,6 +25,7 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
 from hapticd.fit.strokes import (
@@ -42,6 +43,7 @@ from hapticd.fit.strokes import (
     running_mean,
     tell_few_samples,
     told_apart,
+    told_of,
     varied_force,
 )
 from hapticd.fit.verdict import AT_LEAST, Doubts, Verdict
@@ -167,7 +169,11 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
     """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it."""
     if not recordings:
         raise FitError("no recordings")
-    rows = [_Row(recording) for recording in recordings]
+    doubts = Doubts()
+    whole = [without_impossible(recording, "grooves") for recording in recordings]
+    told_of(whole, doubts)
+    recordings = [each.recording for each in whole]
+    rows = [_Row(each) for each in whole]
     _refuse_others(rows)
     each = [_mean_mode(row.groups) for row in rows]
     groups = [group for row in rows for group in row.groups]
@@ -177,7 +183,6 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for row, mode in zip(rows, each, strict=True) for strike in row.strikes(mode))
     strokes = tuple(row.stroke(mode) for row, mode in zip(rows, each, strict=True))
-    doubts = Doubts()
     for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
     for row in rows:
@@ -286,7 +291,9 @@ class _Group:
 class _Row:
     """The strikes of one recording."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, kept: Kept) -> None:
+        recording = kept.recording
+        self._replaced = np.concatenate(([0], np.cumsum(kept.replaced)))
         self.name = self._name = recording.name
         self._rate_hz = recording.rate_hz
         self._seen = acceleration_of(recording)
@@ -536,6 +543,11 @@ class _Row:
     def _sizes(self, mode: Mode) -> tuple[Floats, Bools]:
         """Amplitudes of all strikes, positive along the motion, and which of them have a ringing on either side."""
         jump, whole = self._jumps(mode, self._onsets)
+        # What was not measured so about a strike says nothing of it.
+        at = np.round(self._onsets * self._rate_hz).astype(np.int64)
+        reach = max(1, round(self._rate_hz / mode.frequency_hz))
+        low, high = np.maximum(at - reach, 0), np.minimum(at + reach + 1, len(self._seen))
+        whole &= self._replaced[high] == self._replaced[low]
         along = jump * np.sign(np.interp(self._onsets, self._time_s, self._motion.speed_m_per_s))
         along *= np.sign(np.sum(along.real[whole])) or 1.0
         late = -np.angle(np.where(along.real < 0, -along, along)) / mode.angular_frequency_rad_per_s

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, with_offset
 from hapticd.fit.ringing import fit_ringing
@@ -27,6 +28,7 @@ from hapticd.fit.strokes import (
     running_mean,
     slope_of,
     tell_few_samples,
+    told_of,
 )
 from hapticd.fit.verdict import Doubts, Verdict
 
@@ -56,6 +58,8 @@ ACCOUNTED: Final = 0.7
 """A ringing of which one mode explains less is none."""
 ASTRAY: Final = (3.0, 0.25)
 """A ringing that is off the median of all by this factor is left out, and told; this part of them at most."""
+SPOILT: Final = 0.02
+"""Of the samples from the touch to the end of the ringing, replaced, and a recording is left out."""
 HELD: Final = 0.1
 """Part of the force that is left after the rupture and told."""
 FARTHEST_M: Final = 1.0
@@ -216,6 +220,9 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
 
 def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
     """The puncture of a recording; where there is none, a line that says so."""
+    kept = without_impossible(recording, "puncture")
+    told_of([kept], doubts)
+    recording = kept.recording
     name, rate_hz = recording.name, recording.rate_hz
     force = force_of(recording)
     place = recording.position_m
@@ -294,6 +301,8 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
 
     first = max(0, at - round(BEFORE_S * rate_hz))
     end = min(len(seen), at + round(RINGING_S * rate_hz))
+    if np.mean(kept.replaced[begin:end]) > SPOILT:
+        return f"{name}: left out: much of the puncture was not measured"
     try:
         # A slow sensor of force tells the rupture late.
         ringing = min(
@@ -310,11 +319,11 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
         raise FitError(f"{name}: rings at {frequency:.4g} Hz, sampled at {rate_hz:g} Hz: too low")
     if ringing.variance_accounted_for < ACCOUNTED:
         return f"{name}: left out: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing"
-    kept = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
-    if kept > HELD * (highest - rest):
+    left = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
+    if left > HELD * (highest - rest):
         doubts.case(
             "force is left after the rupture",
-            f"{name}: {100 * kept / (highest - rest):.0f} % of the force is left after the rupture: something holds "
+            f"{name}: {100 * left / (highest - rest):.0f} % of the force is left after the rupture: something holds "
             "what went in; the model has none of it",
         )
     for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.fit.impossible import SPEED, Kept
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, student_t
 from hapticd.fit.verdict import Doubts
@@ -18,9 +19,8 @@ from hapticd.fit.verdict import Doubts
 Ints = npt.NDArray[np.int64]
 
 GRAVITY_M_PER_S2: Final = 9.80665
-FASTEST_M_PER_S: Final = 5.0
+FASTEST_M_PER_S: Final = SPEED["texture"].most
 SLOWEST_M_PER_S: Final = 1e-4
-MOST_FORCE_N: Final = 200.0
 LEAST_FORCE_N: Final = 1e-3
 FARTHEST_M: Final = 5.0
 SPEED_WINDOW_S: Final = 0.02
@@ -69,11 +69,6 @@ def force_of(recording: Recording) -> Floats:
     if not np.any(values):
         raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
     largest = float(np.percentile(np.abs(values), 99.9))
-    if largest > MOST_FORCE_N:
-        raise FitError(
-            f"{recording.name}: a force of {largest:.4g} N is not a hand's (at most {MOST_FORCE_N:g}): is it in mN, or "
-            "swapped with the acceleration?"
-        )
     if largest < LEAST_FORCE_N:
         raise FitError(f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?")
     return values
@@ -111,6 +106,15 @@ def gravity_of(recording: Recording) -> list[str]:
         if abs(rest / usual - 1) < 0.02:
             return [f"{recording.name}: rests at {rest:.3g} m/s^2: is the acceleration in {unit}?"]
     return []
+
+
+def told_of(kept: Sequence[Kept], doubts: Doubts) -> None:
+    """What was left out of recordings, and where that is a doubt."""
+    for line in (line for each in kept for line in each.told):
+        doubts.note(line)
+    count = sum(each.replaced.size for each in kept)
+    part = sum(int(np.count_nonzero(each.replaced)) for each in kept) / max(1, count)
+    doubts.at_most("part left out", part, f"{100 * part:.0f} % of the samples are left out")
 
 
 def varied_force(recordings: Sequence[Recording], force: Floats, doubts: Doubts) -> None:
@@ -189,6 +193,13 @@ def _refuse_speed(recording: Recording, speed: Floats) -> None:
     usual = float(np.percentile(np.abs(speed), 90))
     if usual > FASTEST_M_PER_S:
         raise FitError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
+    fastest = int(np.argmax(np.abs(speed)))
+    if not abs(speed[fastest]) <= FASTEST_M_PER_S:
+        at_s = fastest / recording.rate_hz
+        raise FitError(
+            f"{recording.name}: a speed of {abs(speed[fastest]):.4g} m/s at {at_s:.6g} s is not a hand's (at most "
+            f"{FASTEST_M_PER_S:g}): what is the position there?"
+        )
     if usual < SLOWEST_M_PER_S:
         raise FitError(f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?")
 

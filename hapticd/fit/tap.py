@@ -15,6 +15,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from hapticd.fit.impossible import ACCELERATION, without_impossible
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import (
     Estimate,
@@ -38,8 +39,7 @@ from hapticd.yaml_source import Json
 
 LEAST_TAPS: Final = 3
 LEAST_M_PER_S2: Final = 1e-3
-MOST_M_PER_S2: Final = 1e6
-"""An acceleration whose largest is not between these is none."""
+"""An acceleration whose largest is less is none."""
 LEAST_HZ: Final = 15.0
 """What is slower than this is a hand's motion."""
 GLITCH: Final = 2.0
@@ -413,14 +413,17 @@ def _check_files(recordings: Sequence[Recording]) -> None:
 
 
 def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ringing]]:
+    whole = without_impossible(recording, "tap")
+    recording = whole.recording
+    warnings += whole.told
     acceleration = recording.acceleration_m_per_s2
     if acceleration is None:
         raise FitError(f"{recording.name}: has no acceleration, which taps are fitted to")
     largest = float(np.abs(acceleration).max())
-    if largest > 0 and not LEAST_M_PER_S2 <= largest <= MOST_M_PER_S2:
+    if 0 < largest < LEAST_M_PER_S2:
         raise FitError(
             f"{recording.name}: an acceleration of {largest:.3g} m/s^2 is none of a stylus ({LEAST_M_PER_S2:g} to "
-            f"{MOST_M_PER_S2:g}): is it in another unit, or another column?"
+            f"{ACCELERATION['tap'].most:g}): is it in another unit, or another column?"
         )
     if recording.force_n is not None:
         _check_force(recording.name, force_of(recording))
@@ -455,6 +458,9 @@ def _hits_of(recording: Recording, warnings: list[str]) -> list[tuple[TapHit, Ri
         ringing, begin = _fitted(recording, first, last, begins[index], ends[index])
         if clipped[begin : begin + len(ringing.residual)].any():
             warnings.append(f"{place} is clipped, and left out")
+            continue
+        if whole.replaced[begin : begin + len(ringing.residual)].any():
+            warnings.append(f"{place} has samples that cannot be, and is left out")
             continue
         if ringing.variance_accounted_for < EXPLAINED:
             share = 100 * ringing.variance_accounted_for

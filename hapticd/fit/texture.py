@@ -23,6 +23,7 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares
 from hapticd.fit.strokes import (
@@ -35,6 +36,7 @@ from hapticd.fit.strokes import (
     plain,
     pressed,
     told_apart,
+    told_of,
     varied_force,
 )
 from hapticd.fit.verdict import Doubts, Verdict
@@ -71,6 +73,12 @@ MAINS_HZ: Final = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 MAINS_OFF_HZ: Final = 0.5
 HUM: Final = (0.005, 5.0)
 """A line with this part of the power is told if it is so many times what the spectrum about it has there."""
+SPOILT: Final = 0.02
+"""Of the samples of a block, replaced, and it does not count."""
+KNOCK: Final = 15.0
+"""Standard deviations of a block that noise does not reach."""
+KNOCKED: Final = 0.1
+"""Of the blocks of a recording; where more have knocks, they are part of the texture."""
 SUNK: Final = 0.3
 """Of the hiss: a density below is not seen."""
 RMS_M_PER_S2: Final = (0.03, 300.0)
@@ -170,7 +178,14 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
                 f"{recording.name}: sampled at {recording.rate_hz:g} Hz, {recordings[0].name} at {rate_hz:g} Hz: "
                 "strokes of one texture need one rate"
             )
-    cut = [_cut(recording) for recording in recordings]
+    doubts = Doubts()
+    kept = [without_impossible(recording, "texture") for recording in recordings]
+    told_of(kept, doubts)
+    recordings = [each.recording for each in kept]
+    cut = [_cut(each, doubts) for each in kept]
+    dropped = sum(each.lost for each in cut)
+    lost = dropped / (dropped + sum(len(each.density) for each in cut))
+    doubts.at_most("part left out", lost, f"{100 * lost:.0f} % of the strokes are left out")
     density = np.concatenate([each.density for each in cut])
     if len(density) < LEAST_BLOCKS:
         raise FitError(
@@ -194,7 +209,6 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
     least, most = RMS_M_PER_S2
     if not least <= usual <= most:
         raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
-    doubts = Doubts()
     for line in (*(told for recording in recordings for told in gravity_of(recording)), *_hum(recordings)):
         doubts.tell(line)
     varied_force(recordings, force, doubts)
@@ -268,6 +282,8 @@ class _Cut:
     moments: Floats
     """(blocks, 3) means of the squares of speed and of force, and between them of their product."""
     floor: float
+    lost: int
+    """Blocks that do not count, as of `_spoilt`."""
 
 
 def _slices(cut: Sequence[_Cut]) -> Iterator[tuple[_Cut, slice]]:
@@ -278,7 +294,8 @@ def _slices(cut: Sequence[_Cut]) -> Iterator[tuple[_Cut, slice]]:
         start += len(each.density)
 
 
-def _cut(recording: Recording) -> _Cut:
+def _cut(kept: Kept, doubts: Doubts) -> _Cut:
+    recording = kept.recording
     seen, force = acceleration_of(recording), pressed(recording)
     motion = motion_of(recording, len(seen))
     rate_hz = recording.rate_hz
@@ -292,8 +309,11 @@ def _cut(recording: Recording) -> _Cut:
     for first in (0, length // 2, block - length):
         weights[first : first + length] += window**2
     weights /= weights.sum()
+    spoilt = _spoilt(kept, seen, block, doubts)
     for start in range(0, len(seen) - block + 1, block):
         here = slice(start, start + block)
+        if start in spoilt:
+            continue
         speed = motion.speed_m_per_s[here]
         if np.abs(speed).min() < 0.2 * usual or force[here].mean() <= 0:
             continue
@@ -327,7 +347,30 @@ def _cut(recording: Recording) -> _Cut:
     density[:, frequency < LOW_HZ] = density[:, just].mean(axis=1)[:, None]
     # A sum over the bins is then the integral from 0 on.
     density[:, 0] /= 2
-    return _Cut(recording.name, frequency, density, np.array(speeds), np.array(forces), np.array(moments), floor)
+    return _Cut(
+        recording.name, frequency, density, np.array(speeds), np.array(forces), np.array(moments), floor, len(spoilt)
+    )
+
+
+def _spoilt(kept: Kept, seen: Floats, block: int, doubts: Doubts) -> set[int]:
+    """First samples of the blocks that do not count: much of them was not measured so, or something knocked."""
+    starts = range(0, len(seen) - block + 1, block)
+    lost = {start for start in starts if np.mean(kept.replaced[start : start + block]) > SPOILT}
+    knocks = []
+    for start in starts:
+        part = np.abs(seen[start : start + block] - np.median(seen[start : start + block]))
+        if part.max() > KNOCK * 1.4826 * np.median(part):
+            knocks.append(start)
+    # Where there are many, it is a texture of knocks.
+    if 0 < len(knocks) <= max(1, KNOCKED * len(starts)):
+        at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
+        value = f"{seen[at]:.4g} m/s^2 at {at / kept.recording.rate_hz:.6g} s"
+        doubts.note(
+            f"{kept.recording.name}: the acceleration of {value} is a knock: {len(knocks) * BLOCK_S:g} s about such "
+            "are left out"
+        )
+        lost |= set(knocks)
+    return lost
 
 
 def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:

@@ -22,6 +22,7 @@ from hapticd.hid.device import Device, Driver
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.hid.restore import paced
+from hapticd.hid.signs import Check
 from hapticd.repeats import STATE_S, Repeats
 from hapticd.stopper import StopFile
 
@@ -57,6 +58,8 @@ class Opened:
     """The device reports only what changes; None: listen to it."""
     measure: bool = True
     """Whether it is measured how long reports take."""
+    identity: str = ""
+    """Which device it is, where there may be several."""
 
 
 Source = Callable[[], Opened]
@@ -109,8 +112,11 @@ class _Live:
 class Connection:
     """One device, found and found again. `open` and `stop` are for one thread; `status` for any."""
 
-    def __init__(self, source: Source, priority: int = 0, stop_file: StopFile | None = None) -> None:
-        """`priority`: of C's threads, 0 for none. `stop_file`: where to write what stops a device that is driven."""
+    def __init__(
+        self, source: Source, priority: int = 0, stop_file: StopFile | None = None, check: Check | None = None
+    ) -> None:
+        """`priority`: of C's threads, 0 for none. `stop_file`: where to write what stops a device that is driven.
+        `check`: of signs, of each device before its first force; None: they are trusted."""
         made = lib.hd_hid_new()
         if made == ffi.NULL:
             raise MemoryError("no memory for a connection")
@@ -122,6 +128,7 @@ class Connection:
         self._source = source
         self._priority = priority
         self._stop_file = stop_file
+        self._check = check
         self._live: _Live | None = None
         self._problem: str | None = None
         self._resets = 0
@@ -273,7 +280,10 @@ class Connection:
             on_change = opened.on_change
             if on_change is None:
                 on_change = not _reports_steadily(opened.device, plan.x.report_id != 0, self._stop)
-            plan = paced(replace(plan, on_change=on_change), link.rate_hz)
+            signs = None
+            if self._check is not None:
+                signs = self._check.of(opened.identity, plan.driven_axes, plan.resolution_m)
+            plan = paced(replace(plan, on_change=on_change, signs=signs), link.rate_hz)
             self._hand_over(opened.device, plan)
         except BaseException:
             if self._stop_file is not None:
@@ -332,7 +342,8 @@ class Connection:
             self._repeats.note(
                 "reset", lambda since: _log.warning("device reset: %s is set up anew%s", name, since.more)
             )
-        plan = replace(live.opened.driver.set_up(live.opened.device), on_change=live.plan.on_change)
+        plan = live.opened.driver.set_up(live.opened.device)
+        plan = replace(plan, on_change=live.plan.on_change, signs=live.plan.signs)
         plan = paced(plan, live.link.rate_hz)
         if plan != live.plan:
             self._hand_over(live.opened.device, plan)

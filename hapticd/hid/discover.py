@@ -45,6 +45,10 @@ class Found:
     layout: Layout | None
     problem: str | None
     """Why its report descriptor cannot be read."""
+    hid_name: str = ""
+    """As /sys/bus/hid/devices has it."""
+    port: str = ""
+    """Where it is plugged in."""
     hid: Hid = field(default=Hid(), kw_only=True)
     """The configuration by which it is judged."""
 
@@ -59,12 +63,26 @@ class Found:
         return self.verdict.drivable
 
     @property
+    def resets_seen(self) -> bool | None:
+        """Whether it has a report that says which effects play: without, a reset by another program is not noticed.
+        None where it cannot be driven. A device with such a report may still not send it."""
+        if not self.usable or self.layout is None:
+            return None
+        state = self.layout.pid_state
+        return state is not None and state.effect_index is not None and state.effect_playing is not None
+
+    @property
     def missing(self) -> tuple[str, ...]:
         """What its descriptor lacks, by the specification's names."""
         return () if self.layout is None else tuple(self.layout.missing)
 
     def __str__(self) -> str:
         return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
+
+    @property
+    def identity(self) -> str:
+        """Tells it from any other device that may take its place; one without serial is known by its port, too."""
+        return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
 
     @property
     def is_other(self) -> bool:
@@ -90,6 +108,7 @@ class Found:
             "why_not": why_not,
             "missing": list(self.missing),
             "problem": self.problem,
+            "resets_seen": self.resets_seen,
             "permission": self.permission,
             "in_interval_s": self.in_interval_s,
             "out_interval_s": self.out_interval_s,
@@ -186,6 +205,8 @@ def _look(entry: Path, node: Path) -> Found:
         permission="absent" if absent else "denied" if denied else "ok",
         layout=verdict.layout,
         problem=verdict.problem,
+        hid_name=device.resolve().name,
+        port=told.get("HID_PHYS", ""),
     )
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from hapticd.core import CData, HidMeaning, HidQuantity, ffi, lib
 from hapticd.errors import HapticdError
+from hapticd.hid.signs import Signs
 
 STILL_M_PER_COUNT: Final = 1e-15
 """A handle with one axis: its other one moves by nothing that matters."""
@@ -244,6 +245,8 @@ class Plan:
     """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
     report_names: Mapping[int, str] = field(default_factory=dict)
     """What output reports are called, by id, for those who look at what was sent."""
+    signs: Signs | None = None
+    """What is checked before the first force of the scene; None: the signs are trusted."""
 
     @property
     def resolution_m(self) -> float:
@@ -258,10 +261,13 @@ class Plan:
         return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force comes out across it"
 
     @property
-    def pushes(self) -> tuple[bool, bool]:
-        """Whether a force along x, along y is sent at all."""
-        sent = {value.quantity for message in self.force for value in message.values}
-        return bool(sent & {HidQuantity.X, HidQuantity.MAGNITUDE}), bool(sent & {HidQuantity.Y, HidQuantity.MAGNITUDE})
+    def driven_axes(self) -> tuple[bool, bool]:
+        """Whether the device both moves and pushes along x, and along y."""
+        steps_n = self.force_steps_n
+        return (
+            self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
+            self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
+        )
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
@@ -296,6 +302,8 @@ class Plan:
             _fill_bits(into.field, state.bits)
             into.report_id, into.meaning = state.report_id, state.meaning
         plan.state_count = len(self.states)
+        if self.signs is not None:
+            self.signs.fill(plan.signs)
         plan.on_change = self.on_change
         plan.renew_ns = round(self.renew_s * 1e9)
         plan.restore_ns = round(self.restore_s * 1e9)

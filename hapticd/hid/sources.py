@@ -25,7 +25,9 @@ def open_hid(hid: Hid) -> Opened:
     found = choose(hid, find())
     driver = driver_of(hid, found.descriptor)
     on_change = True if "reports_on_change" in hid.quirks else False if "reports_steadily" in hid.quirks else None
-    return Opened(HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change)
+    return Opened(
+        HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change, identity=found.identity
+    )
 
 
 def replay_source(replay: Replay, hid: Hid) -> Source:

@@ -412,6 +412,18 @@ def test_the_kernels_own_effects_are_told_where_others_may_use_them(tmp_path: Pa
     assert told(tmp_path, devices.competitors).startswith("ok nobody else")
 
 
+def test_a_device_whose_resets_nobody_sees(tmp_path: Path) -> None:
+    joystick(tmp_path)
+    (tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor").write_bytes(
+        bytes(Joystick(without=frozenset({0x92})))
+    )
+    condition = "/dev/hidraw0 does not report which of its effects play: a reset by another program is not noticed"
+    assert told(tmp_path, devices.competitors).endswith(f"ok {condition} -> ")
+    (tmp_path / "dev" / "input" / "event5").chmod(0o660)
+    action = "`hapticd devices claim /dev/hidraw0` keeps other programs off"
+    assert told(tmp_path, devices.competitors).endswith(f"warn {condition} -> {action}")
+
+
 # ---- Service and daemon ----------------------------------------------------------------------------------------------
 
 
@@ -449,6 +461,9 @@ def test_the_daemon(tmp_path: Path) -> None:
     said = told(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
     assert "warn it was not granted: SCHED_FIFO priority 80" in said
     assert "warn a fault holds the forces off: device" in said
+    status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
+    said = told(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
+    assert "is not noticed; what it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps" in said
 
     def silent() -> None:
         raise HapticdError("the daemon did not answer within 2 s")

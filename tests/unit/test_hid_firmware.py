@@ -157,7 +157,7 @@ def test_one_axis_whose_flags_have_the_range_0_to_0() -> None:
         (set_effect,) = stick.sent("set_effect")
         # Id, index, type, four times of two bytes, gain, trigger button, then the flags: X, Direction Enable.
         assert set_effect[13] == 0x02
-        assert len(plan.force) == 1 and plan.pushes == (True, False)
+        assert len(plan.force) == 1 and plan.driven_axes == (True, False)
         for force_n in FORCES:
             before = len(stick.sent("constant_force"))
             send(stick, plan, force_n)
