@@ -13,7 +13,7 @@ from hapticd.hid.connection import Opened
 from hapticd.hid.descriptor import parse
 from hapticd.hid.discover import Found
 from hapticd.hid.layout import layout_of
-from hapticd.hid.sources import driver_of
+from hapticd.hid.verdict import driver_of
 from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid
 
