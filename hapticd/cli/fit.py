@@ -32,10 +32,12 @@ from hapticd.errors import HapticdError
 if TYPE_CHECKING:
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
+    from hapticd.fit.tap_kind import TapKind
     from hapticd.materials import Material
     from hapticd.mode import Attack
 
 _F = TypeVar("_F", bound=Callable[..., Any])
+AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
 STIFFNESS_N_PER_M: Final = 800.0
 """As most of the library's."""
 
@@ -99,8 +101,19 @@ def _options(command: _F) -> _F:
 )
 @click.option("--table", is_flag=True, help="Amplitudes over speed in the material, instead of a slope.")
 @click.option("--two-modes", is_flag=True, help="Two modes in the material, where the taps have two.")
-def tap_command(attack: Attack | None, table: bool, two_modes: bool, **options: Any) -> None:
-    """Slope, frequency and decay of a tap, from recordings of taps and their speeds."""
+@click.option(
+    "--as",
+    "kind",
+    type=Choice(["auto", "mode", "waveform"]),
+    help="A mode that rings, a waveform of a pulse, or what says more of the taps [default: auto].",
+)
+def tap_command(attack: Attack | None, table: bool, two_modes: bool, kind: TapKind | None, **options: Any) -> None:
+    """Slope, frequency and decay of a tap, or its waveform, from recordings of taps and their speeds."""
+    if kind == "waveform" and (attack or table or two_modes):
+        other = "--table" if table else "--two-modes" if two_modes else "--attack"
+        raise click.UsageError(f"{other} is of modes, and --as waveform makes none: leave out one")
+    if kind is None:
+        kind = "mode" if attack or table or two_modes else "auto"
     for option, given in (("--table", table), ("--two-modes", two_modes)):
         if given and attack == "first_peak":
             raise click.UsageError(
@@ -109,9 +122,13 @@ def tap_command(attack: Attack | None, table: bool, two_modes: bool, **options: 
 
     def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
         from hapticd.fit.provenance import estimates
-        from hapticd.fit.tap import fit_tap
+        from hapticd.fit.tap_kind import fit_taps
+        from hapticd.fit.waveform import WaveformFit
 
-        found = fit_tap(recordings, lambda recording: step(f"fitting {recording.name}"))
+        found = fit_taps(recordings, kind, lambda recording: step(f"fitting {recording.name}"))
+        if isinstance(found, WaveformFit):
+            told = () if kind == "waveform" else (AS_WAVEFORM,)
+            return _Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
         notes = []
         if not found.linear and not table:
             notes.append("--table takes the amplitudes over speed into the material, instead of the slope")

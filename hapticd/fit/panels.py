@@ -18,6 +18,7 @@ from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError
 from hapticd.fit.report import Curve, Page, Panel
 from hapticd.fit.ringing import fit_ringing
+from hapticd.fit.waveform import WaveformFit
 from hapticd.materials import Material, validate_materials
 from hapticd.noise import power_spectrum, reflection_of, stochastic_filter
 from hapticd.texture import Autoregressive, AutoregressiveModel, Stochastic
@@ -112,7 +113,30 @@ def compared(title: str, unit: str, modelled: Floats, recorded: Floats) -> Panel
     return Panel(title, f"model, {unit}", f"recording, {unit}", curves)
 
 
-def _tap(fit: TapFit, recordings: Sequence[Recording]) -> Iterator[Row]:
+def _tap(fit: TapFit | WaveformFit, recordings: Sequence[Recording]) -> Iterator[Row]:
+    return _waveform(fit) if isinstance(fit, WaveformFit) else _ringing(fit)
+
+
+def _waveform(fit: WaveformFit) -> Iterator[Row]:
+    speed, peak = (np.array([getattr(tap, name) for tap in fit.taps]) for name in ("speed_m_per_s", "peak_m_per_s2"))
+    lines = law("largest acceleration of each tap", "m/s", speed, peak, fit.first_peak_slope_per_s)
+    if fit.amplitudes:
+        points, heights = np.array([(0.0, 0.0), *((place, height.value) for place, height in fit.amplitudes)]).T
+        lines = dataclasses.replace(lines, curves=(*lines.curves, Curve("table", points, heights, dashed=True)))
+    samples, half = np.array(fit.samples), np.array(fit.deviations)
+    ms: Floats = np.asarray(1e3 * np.arange(len(samples)) / fit.rate_hz, dtype=np.float64)
+    fine = np.linspace(0.0, fit.length_s, 500)
+    curves = (
+        Curve("curve", 1e3 * fine, fit.curve.at(fine)),
+        Curve("samples", ms, samples, low=samples - half, high=samples + half, points=True),
+    )
+    yield (lines, Panel("waveform", "ms", "over the largest acceleration", curves))
+    for tap in sorted(fit.taps, key=lambda tap: -tap.speed_m_per_s)[:DRAWN]:
+        name = f"{os.path.basename(tap.recording)}, {tap.speed_m_per_s:.3g} m/s"
+        yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
+
+
+def _ringing(fit: TapFit) -> Iterator[Row]:
     speed = np.array([tap.speed_m_per_s for tap in fit.taps])
     amplitude = np.array([tap.coefficient_m_per_s2 for tap in fit.taps])
     lines = law("amplitude of each tap", "m/s", speed, amplitude, fit.slope_per_s)

@@ -111,6 +111,9 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
         module = ModuleType(f"hapticd.fit.{kind}")
         setattr(module, f"fit_{kind}", found.fit)
         monkeypatch.setitem(sys.modules, module.__name__, module)
+    kinds = ModuleType("hapticd.fit.tap_kind")
+    kinds.fit_taps = lambda recordings, kind, progress: found.fit(recordings, progress)  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, kinds.__name__, kinds)
     for name, seed in (("a.csv", 1), ("b.csv", 2)):
         values = np.random.default_rng(seed).standard_normal(100)
         lines = [f"{i / 1000:.3f},{value:.6f}" for i, value in enumerate(values)]
