@@ -39,6 +39,9 @@ class Verdict:
     why_not: str | None
     """One line; None where it can be driven."""
 
+    is_lacking: bool = False
+    """Whether that is what the descriptor lacks (`Layout.missing`)."""
+
     @property
     def drivable(self) -> bool:
         return self.why_not is None
@@ -62,8 +65,10 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
             # What a descriptor says of effects is of no matter to reports of its own.
             vendor = VendorDriver(hid, descriptor)
             return Verdict(layout, problem, vendor, _checked(vendor_plan_of(hid, hid.report)), None)
-        if layout is None or not layout.usable:
-            raise DeviceError(_lacking(layout) if layout else f"its report descriptor is not valid: {problem}")
+        if layout is None:
+            raise DeviceError(f"its report descriptor is not valid: {problem}")
+        if not layout.usable:
+            return Verdict(layout, problem, None, None, _lacking(layout), True)
         driver = PidDriver(layout, hid)
         first, last = layout.effect_indices or (1, 1)
         # Set-up goes on to the next way where the device has no room for the first one.
