@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.left_out import Left
 from hapticd.fit.pulse_shape import (
     Equations,
     Placed,
@@ -110,6 +111,7 @@ class WaveformFit:
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
     judged: Verdict
+    left_out: tuple[Left, ...] = ()
 
     @property
     def verdict(self) -> str:
