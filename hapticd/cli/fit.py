@@ -109,8 +109,18 @@ def _options(command: _F) -> _F:
     default=None,
     help="Two modes in the material, or one [default: two where one explains too little].",
 )
+@click.option(
+    "--mode-table/--no-mode-table",
+    default=None,
+    help="Frequency and decay over the speed, or one of each [default: as the taps have it].",
+)
 def tap_command(
-    attack: Attack | None, law: LawKind | None, table: bool, two_modes: bool | None, **options: Any
+    attack: Attack | None,
+    law: LawKind | None,
+    table: bool,
+    two_modes: bool | None,
+    mode_table: bool | None,
+    **options: Any,
 ) -> None:
     """Slope, frequency and decay of a tap, from recordings of taps and their speeds."""
     if table and law not in (None, "table"):
@@ -147,7 +157,10 @@ def tap_command(
             without |= {name for name in said if "slope" in name or "offset" in name}
         if kind != "power":
             without |= {name for name in said if name.startswith("power.")}
-        figures = found.material(attack or "coefficient", taken, two)
+        figures = found.material(attack or "coefficient", taken, two, mode_table)
+        tap = figures["tap"]
+        if isinstance(tap, dict) and "mode_table" in tap:
+            without |= {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
         return _Fitted(found, figures, tuple(notes), without)
 
     _run("tap", fit, per_file=2, **options)
