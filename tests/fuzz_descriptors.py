@@ -15,6 +15,7 @@ import argparse
 import math
 import random
 import time
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -418,7 +419,8 @@ def fuzz(source: random.Random, runs: int, every: int = 0) -> tuple[Counter[str]
     items = [items_of(descriptor) for descriptor in DEVICES]
     outcomes: Counter[str] = Counter()
     worst_s = 0.0
-    with without_pauses():
+    with without_pauses(), warnings.catch_warnings():
+        warnings.simplefilter("error")
         for number in range(runs):
             which = source.choice(_SMALL) if source.random() < 0.7 else source.randrange(len(DEVICES))
             if source.random() < SPLIT:

@@ -12,7 +12,7 @@ from hapticd.core import Status, invalid_reason, lib
 from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import DescriptorError, parse
 from hapticd.hid.device import Driver
-from hapticd.hid.layout import Layout, layout_of
+from hapticd.hid.layout import SKIPPED, Layout, layout_of
 from hapticd.hid.pid import PidDriver, plan_of, ways_of
 from hapticd.hid.plan import DeviceError, Plan, UndrivableError
 from hapticd.hid.vendor import VendorDriver
@@ -78,7 +78,10 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
         ]
         return Verdict(layout, problem, driver, plans[0], None)
     except DeviceError as error:
-        return Verdict(layout, problem, None, None, str(error))
+        told = str(error)
+        if layout is not None and not told.startswith("device.hid."):
+            told += _unused(layout)
+        return Verdict(layout, problem, None, None, told)
 
 
 def driver_of(hid: Hid, descriptor: bytes) -> Driver:
@@ -101,12 +104,17 @@ def _sound(verdict: Verdict) -> tuple[Driver, Plan]:
 
 
 def _lacking(layout: Layout) -> str:
-    """What the descriptor lacks, by the specification's names, and what of it is there and cannot be used."""
-    told = f"its report descriptor has no {', no '.join(layout.missing)}"
-    if not layout.problems:
-        return told
-    more = f", and {len(layout.problems) - _SHOWN} more" if len(layout.problems) > _SHOWN else ""
-    return f"{told} (not used: {'; '.join(layout.problems[:_SHOWN])}{more})"
+    """What the descriptor lacks, by the specification's names."""
+    return f"its report descriptor has no {', no '.join(layout.missing)}{_unused(layout)}"
+
+
+def _unused(layout: Layout) -> str:
+    """What fields are there and cannot be used: one of them may be the cause."""
+    fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED)]
+    if not fields:
+        return ""
+    more = f", and {len(fields) - _SHOWN} more" if len(fields) > _SHOWN else ""
+    return f" (not used: {'; '.join(fields[:_SHOWN])}{more})"
 
 
 def _checked(plan: Plan) -> Plan:

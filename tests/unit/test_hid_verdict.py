@@ -123,7 +123,7 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
     ),
     "a digital stick": ("its range, -1 to 1, has fewer than 32 counts", bytes(Joystick(axis_range=(-1, 1))), {}),
     "a direction of one bit": (
-        "neither Direction nor Axes Enable",
+        "(Direction): its range, 0 to 1, has fewer than 32 counts a turn",
         instead(
             logical(0, 255) + physical(0, 36000), logical(0, 1) + physical(0, 36000), bytes(Joystick(force_axes=()))
         ),
