@@ -118,6 +118,17 @@ def test_reversed_devices_are_right_with_their_signs(name: str, signs: tuple[int
             assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
 
 
+@pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (1, -1)])
+def test_swapped_axes(signs: tuple[int, int]) -> None:
+    """The device's first axis shows the force along y, its second one that along x, each with its sign."""
+    axes = {"swap": True, "x": {"sign": signs[0]}, "y": {"sign": signs[1]}}
+    with driven(descriptors.SIDEWINDER_FF2, force_axes=axes) as (stick, plan):
+        for x_n, y_n in FORCES:
+            send(stick, plan, (x_n, y_n))
+            wanted = (signs[0] * y_n / FULL_N, signs[1] * x_n / FULL_N)
+            assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), (x_n, y_n)
+
+
 def test_one_effect_for_both_axes_says_what_leaks() -> None:
     """255 counts a turn: half a count off is 1.2 % of the force, across it."""
     with driven(bytes(Joystick(is_magnitude_signed=False))) as (stick, plan):

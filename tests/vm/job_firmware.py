@@ -26,9 +26,8 @@ TOLERANCE_N = 0.03
 
 
 def config(**hid: Any) -> dict[str, Any]:
-    known = {"full_scale_force_n": usb.FULL_SCALE_N, "travel_m": usb.TRAVEL_M, "signs": "trust"}
     return {
-        "device": {"kind": "hid", "hid": {**known, **hid}},
+        "device": {"kind": "hid", "hid": {"full_scale_force_n": usb.FULL_SCALE_N, "travel_m": usb.TRAVEL_M, **hid}},
         "servo": {"rate_hz": 1000},
         "materials": {"soft": {"stiffness_n_per_m": STIFFNESS}},
         "scene": {
