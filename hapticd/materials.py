@@ -88,6 +88,9 @@ Interval: TypeAlias = Annotated[
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
 
 
+Reason: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON)]
+
+
 class SecondMode(ModeKeys):
     """A second ringing that begins with the tap's."""
 
@@ -235,7 +238,7 @@ class FitVerdict(Model):
 
     quality: Literal["good", "fair", "poor"] = Field(description="Of the fit.")
     reasons: Annotated[
-        tuple[Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON)], ...],
+        tuple[Reason, ...],
         Strict(False),
         Field(max_length=MAX_REASONS),
     ] = Field(default=(), description="Why it is not good.")
@@ -256,6 +259,9 @@ class Provenance(Model):
     )
     verdict: Annotated[dict[Words, FitVerdict], Field(max_length=16)] | None = Field(
         default=None, description="What each fit is worth, by its kind: tap, grooves, texture, puncture."
+    )
+    choices: Annotated[dict[Words, Reason], Field(max_length=64)] | None = Field(
+        default=None, description="Which of several models was chosen, and why, by the name of the figure."
     )
 
 
