@@ -239,16 +239,17 @@ struct hd_table {
 /* ---- What a tick gives --------------------------------------------------------------------------------------- */
 
 enum hd_flag {
-    HD_FLAG_SKIPPED = 1,     /* periods were missed before this tick */
-    HD_FLAG_CONTACT = 2,     /* something is touched */
-    HD_FLAG_RINGING = 4,     /* a mode sounds */
-    HD_FLAG_SATURATED = 8,   /* the force limit changed the command or scaled a strike */
-    HD_FLAG_RAMPING = 16,    /* a ramp is under way */
-    HD_FLAG_FORCES_ON = 32,  /* forces are enabled */
-    HD_FLAG_FAULT = 64,      /* a fault is latched */
-    HD_FLAG_GLITCH = 128,    /* the position jumped; contacts were resynchronised */
-    HD_FLAG_REPEATED = 256,  /* no new sample came from the device */
-    HD_FLAG_RESTRAINED = 512 /* the passivity controller changed the contact force */
+    HD_FLAG_SKIPPED = 1,      /* periods were missed before this tick */
+    HD_FLAG_CONTACT = 2,      /* something is touched */
+    HD_FLAG_RINGING = 4,      /* a mode sounds */
+    HD_FLAG_SATURATED = 8,    /* the force limit changed the command or scaled a strike */
+    HD_FLAG_RAMPING = 16,     /* a ramp is under way */
+    HD_FLAG_FORCES_ON = 32,   /* forces are enabled */
+    HD_FLAG_FAULT = 64,       /* a fault is latched */
+    HD_FLAG_GLITCH = 128,     /* the position jumped; contacts were resynchronised */
+    HD_FLAG_REPEATED = 256,   /* no new sample came from the device */
+    HD_FLAG_RESTRAINED = 512, /* the passivity controller changed the contact force */
+    HD_FLAG_CHECKING = 1024   /* the signs of the device are checked: the force is the check's, none the scene's */
 };
 
 /* One tick as telemetry carries it.
@@ -321,7 +322,8 @@ enum hd_fault {
     HD_FAULT_LEASE = 4,     /* a lease was not renewed in time */
     HD_FAULT_DEVICE = 8,    /* the device does not report */
     HD_FAULT_OVERRUN = 16,  /* too many periods were missed */
-    HD_FAULT_FROZEN = 32    /* the device reports the same position all the time, under force */
+    HD_FAULT_FROZEN = 32,   /* the device reports the same position all the time, under force */
+    HD_FAULT_SIGNS = 64     /* the check of the device's signs found them wrong, or nothing */
 };
 
 /* ---- Memory -------------------------------------------------------------------------------------------------- */
@@ -529,7 +531,9 @@ enum hd_hid_quantity {
 };
 
 /* counts = quantity * counts_per_unit + zero_counts, rounded to nearest, limited to least .. most, which hold
- * zero_counts; HD_HID_DIRECTION is taken modulo a full turn instead where that lies within them. */
+ * zero_counts; HD_HID_DIRECTION is taken modulo a full turn instead where that lies within them. HD_HID_X and HD_HID_Y
+ * take the other axis's force times counts_per_other_n, too: what two effects push whose directions, whole counts, are
+ * not quite along the axes. */
 struct hd_hid_value {
     struct hd_hid_field field;
     uint32_t quantity; /* enum hd_hid_quantity */
@@ -538,6 +542,7 @@ struct hd_hid_value {
     double zero_counts;
     double least;
     double most;
+    double counts_per_other_n;
 };
 
 /* An output report: bytes as they are, report id first (0 where reports are not numbered), with numbers written into
@@ -584,6 +589,15 @@ struct hd_hid_effects {
     uint32_t unused;
 };
 
+/* The check of a device's signs before the first force of the scene: see hd_signs.h. */
+struct hd_hid_signs {
+    uint32_t number; /* of this device and its configuration, checked once; 0: they are trusted */
+    uint32_t axes;   /* that are checked: bit 0 x, bit 1 y */
+    double force_n;  /* of a pulse */
+    double least_m;  /* a handle that moved by less, on average over a pulse, was not moved by it */
+    double enough_m; /* a pulse ends early once the handle is so far away */
+};
+
 /* What a connection does, compiled once. Checked by hd_hid_connect; the caller may forget it then. */
 struct hd_hid_plan {
     struct hd_hid_axis axes[2]; /* x, y */
@@ -591,12 +605,16 @@ struct hd_hid_plan {
     struct hd_hid_script force; /* sent for each new force, in this order; a message that did not change is left out */
     struct hd_hid_script renew; /* sent every renew_ns while connected: restarts effects of finite duration, keeps
                                    watchdogs quiet; force values may stand in it */
-    struct hd_hid_script stop;  /* sent when the connection is closed in an orderly way, after a force of zero */
+    struct hd_hid_script restore; /* what another program may have changed of the effects: one message every restore_ns,
+                                     in turn, after the forces; not to a device that says that they play */
+    struct hd_hid_script stop;    /* sent when the connection is closed in an orderly way, after a force of zero */
     struct hd_hid_effects effects;
     struct hd_hid_state states[HD_HID_STATES];
+    struct hd_hid_signs signs;
     uint32_t state_count;
     uint32_t on_change;        /* the device reports only what changes: silence says nothing */
     int64_t renew_ns;          /* the force messages are sent again, too; 0: never */
+    int64_t restore_ns;        /* 0: never */
     int64_t write_interval_ns; /* between two writes at least, up to 0.1 s, shorter at the end: the endpoint's interval;
                                   0: as fast as they are taken */
 };
@@ -630,9 +648,10 @@ struct hd_hid_status {
                               off, or it has forgotten an effect: set it up again */
     uint32_t states;       /* bit (meaning - 1): the number is not 0 */
     uint32_t states_known; /* bit (meaning - 1): a report has said it */
-    uint32_t unused;
-    uint64_t reports;       /* input reports read, of any id; what they said is in the other numbers, and published */
-    uint64_t positions;     /* of them, positions */
+    uint32_t effects_told; /* the device has said, since hd_hid_connect, that an effect of ours plays: it would say that
+                              one is gone */
+    uint64_t reports;      /* input reports read, of any id; what they said is in the other numbers, and published */
+    uint64_t positions;    /* of them, positions */
     uint64_t short_reports; /* too short for what the plan reads of them: ignored */
     uint64_t writes;
     uint64_t forces;           /* forces that were sent; those that were overtaken are not */
@@ -642,6 +661,9 @@ struct hd_hid_status {
     uint64_t strikes;      /* that the device was told to play by itself */
     uint64_t strikes_lost; /* too late, overtaken by a silence, of an effect that is gone, or without room */
 };
+
+/* What hd_hid_connect checks of a plan: HD_OK, or HD_ERR_INVALID (hd_invalid_reason). */
+int hd_hid_check(const struct hd_hid_plan *plan);
 
 struct hd_hid; /* opaque: two mailboxes and, while connected, two threads */
 
@@ -681,6 +703,52 @@ int hd_field_read(const struct hd_hid_field *field, const uint8_t *report, size_
 int hd_field_write(const struct hd_hid_field *field, uint8_t *report, size_t length, int64_t counts);
 /* What `message` becomes with this force, for tests. */
 void hd_hid_compose(const struct hd_hid_message *message, const double force_n[2], uint8_t *bytes);
+
+/* ---- The check of signs ------------------------------------------------------------------------------------------ */
+
+enum hd_signs_state {
+    HD_SIGNS_UNCHECKED = 0, /* forces have not been on */
+    HD_SIGNS_TRUSTED = 1,   /* by the configuration */
+    HD_SIGNS_CHECKING = 2,
+    HD_SIGNS_WAITING = 3, /* for what `problem` says to end */
+    HD_SIGNS_RIGHT = 4,
+    HD_SIGNS_WRONG = 5,  /* no force until the device is another one */
+    HD_SIGNS_UNCLEAR = 6 /* no force until somebody turns forces on again, which begins the check again */
+};
+
+enum hd_signs_problem {
+    HD_SIGNS_FINE = 0,
+    HD_SIGNS_REVERSED = 1,  /* the handle moves the other way */
+    HD_SIGNS_SWAPPED = 2,   /* it moves along the other axis */
+    HD_SIGNS_STILL = 3,     /* it does not move */
+    HD_SIGNS_UNCERTAIN = 4, /* the pulses do not agree */
+    HD_SIGNS_MOVING = 5,    /* it does not rest, so that nothing is pushed */
+    HD_SIGNS_CONTACT = 6    /* something of the scene is touched, so that nothing is pushed */
+};
+
+/* State, problem and axis in one number. */
+#define HD_SIGNS_PROBLEM_SHIFT 8
+#define HD_SIGNS_AXIS_SHIFT 16
+
+/* What a tick of the check is told. */
+struct hd_signs_input {
+    double position_m[2];
+    double elapsed_s; /* since the tick before */
+    double gain;      /* of the scene's force, which fades out first */
+    double max_force_n;
+    double ramp_s;
+    uint32_t enabled; /* forces are wanted */
+    uint32_t contact; /* something is touched */
+    uint32_t jumped;  /* where the handle was says nothing about where it is */
+    uint32_t unused;
+};
+
+/* The check without a servo, for tests: one tick, its force, and what hd_counters.signs says after it. */
+struct hd_signs; /* opaque */
+struct hd_signs *hd_signs_new(void);
+void hd_signs_free(struct hd_signs *signs);
+uint32_t hd_signs_try(struct hd_signs *signs, const struct hd_hid_signs *of, const struct hd_signs_input *input,
+                      double force_n[2]);
 
 /* ---- The servo --------------------------------------------------------------------------------------------------- */
 
@@ -765,6 +833,8 @@ struct hd_counters {
     uint64_t overloads;      /* seconds in which more than the threshold was missed */
     uint64_t suspends;       /* of the machine */
     double missed_share;     /* of the last whole second's periods */
+    uint32_t signs;          /* of a HID device: enum hd_signs_state, problem and axis above it */
+    uint32_t unused;
     struct hd_energy energy; /* as of the last tick that was watched */
 };
 

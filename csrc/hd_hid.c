@@ -29,7 +29,7 @@
  *   forces, orders                                 the servo writes, the writer reads while its phase is IDLE
  *   seen_* and what follows in struct hd_hid       the servo's own
  *   the writer's counters                          the writer, while its phase is IDLE
- *   playing, ended in struct hd_connection         the reader writes, the writer reads
+ *   playing, ended, told in struct hd_connection   the reader writes, the writer reads
  *   connection, parting_ns                         control's own: one thread at a time connects and disconnects
  *   connected, error, reset, returns_ns, event_fd  anybody
  *
@@ -69,6 +69,7 @@
 #define HD_MEAN_SHIFT 5           /* running means are over 32 */
 #define HD_UNUSUAL_S 0.05         /* longer intervals between reports are pauses */
 #define HD_USUAL_REPORTS 4        /* of a device that reports what changes: as many together say what is usual */
+#define HD_UNTOLD_NS 100000000    /* so long a device has to say that its effects play */
 #define HD_FRAME_S 1e-3           /* the shortest time between two reports of a full-speed device */
 #define HD_USUAL_FIRST_S 0.01     /* before there were two reports; low-speed devices have it */
 
@@ -81,6 +82,7 @@ struct hd_position {
     uint64_t number;     /* positions of this connection so far */
     uint32_t connection; /* its number, from 1 */
     uint32_t on_change;
+    struct hd_hid_signs signs;
 };
 
 struct hd_force {
@@ -108,6 +110,7 @@ struct hd_connection {
 
     struct hd_atomic_u32 playing; /* bit i: the device says that effect i plays */
     struct hd_atomic_u32 ended;   /* bit i: it played, and does not */
+    struct hd_atomic_u32 told;    /* it has said that one plays */
 
     uint8_t sent[HD_HID_MESSAGES][HD_HID_REPORT_BYTES]; /* the writer's own, from here on */
     uint32_t sent_once;                                 /* bit: that message was sent */
@@ -119,7 +122,9 @@ struct hd_connection {
     int64_t written_ns;     /* when the last write was done */
     int64_t fresh_until_ns; /* until then a force newer than that is waited for */
     int64_t last_pass_ns;
-    int64_t idle_ns; /* since the last pass */
+    int64_t idle_ns;    /* since the last pass */
+    int64_t restore_ns; /* when the next message of that script is due, */
+    uint32_t restored;  /* and which */
     struct hd_renewals renewals;
     struct hd_player player;
 };
@@ -139,6 +144,7 @@ struct hd_hid {
     struct hd_atomic_u32 states;
     struct hd_atomic_u32 states_known;
     struct hd_atomic_u32 states_seen; /* were not 0 once */
+    struct hd_atomic_u32 effects_told;
     struct hd_atomic_u64 reports;
     struct hd_atomic_u64 read_positions;
     struct hd_atomic_u64 short_reports;
@@ -166,6 +172,7 @@ struct hd_hid {
     uint32_t seen_connection;
     uint32_t seen_arrivals;
     uint32_t seen_on_change;
+    struct hd_hid_signs seen_signs;
     double usual_s;   /* between two reports */
     int64_t usual_ns; /* with usual_number, of a device that reports what changes: learned from up to here */
     uint64_t usual_number;
@@ -213,6 +220,7 @@ HD_RT static void see(struct hd_hid *hid, const struct hd_position *position) {
     if (first) {
         hid->seen_connection = position->connection;
         hid->seen_on_change = position->on_change;
+        hid->seen_signs = position->signs;
         hid->usual_s = 0.0;
         hid->usual_ns = position->time_ns;
         hid->usual_number = position->number;
@@ -264,6 +272,7 @@ HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *
     }
     look->reading = hid->seen;
     look->connection = hid->seen_connection;
+    look->signs = &hid->seen_signs;
 }
 
 HD_RT void hd_hid_step_put(struct hd_hid *hid, int64_t now_ns, const double force_n[2]) {
@@ -370,6 +379,8 @@ static void take_effects(struct hd_connection *connection, const struct hd_repor
     if (news->playing) {
         hd_atomic_u32_store_relaxed(&connection->ended, ended & ~news->effects);
         hd_atomic_u32_store_relaxed(&connection->playing, playing | news->effects);
+        hd_atomic_u32_store_relaxed(&connection->told, 1);
+        hd_atomic_u32_store_relaxed(&connection->hid->effects_told, 1);
     } else {
         hd_atomic_u32_store_relaxed(&connection->ended, ended | (watching ? playing & news->effects : 0u));
         hd_atomic_u32_store_relaxed(&connection->playing, playing & ~news->effects);
@@ -631,16 +642,40 @@ static int write_forces(struct hd_connection *connection, int all, uint32_t *cha
     return 0;
 }
 
+static int write_message(struct hd_connection *connection, const struct hd_hid_message *message) {
+    uint8_t bytes[HD_HID_REPORT_BYTES];
+    compose_now(connection, message, bytes);
+    return write_report(connection, bytes, message->length);
+}
+
 static int write_script(struct hd_connection *connection, const struct hd_hid_script *script) {
     for (uint32_t i = 0; i < script->count; i++) {
-        uint8_t bytes[HD_HID_REPORT_BYTES];
-        compose_now(connection, &script->messages[i], bytes);
-        const int error = write_report(connection, bytes, script->messages[i].length);
+        const int error = write_message(connection, &script->messages[i]);
         if (error != 0) {
             return error;
         }
     }
     return 0;
+}
+
+/* Whether a reset, or an effect of another program's in the place of ours, would not be seen. */
+static int is_untold(const struct hd_connection *connection, int64_t now_ns) {
+    const int watched = connection->plan.effects.count > 0;
+    return !hd_atomic_u32_load_relaxed(&connection->told) && (!watched || now_ns - connection->start_ns > HD_UNTOLD_NS);
+}
+
+/* One message at most: forces come in between. */
+static int write_restore(struct hd_connection *connection) {
+    const struct hd_hid_plan *plan = &connection->plan;
+    const int64_t now_ns = hd_clock_now_ns();
+    if (plan->restore.count == 0 || now_ns < connection->restore_ns || !is_untold(connection, now_ns)) {
+        return 0;
+    }
+    const int64_t next_ns = connection->restore_ns + plan->restore_ns;
+    connection->restore_ns = next_ns > now_ns ? next_ns : now_ns;
+    const uint32_t which = connection->restored % plan->restore.count;
+    connection->restored = which + 1;
+    return write_message(connection, &plan->restore.messages[which]);
 }
 
 /* What the device is to play by itself: all of one strike at most, so that the next force comes in between. */
@@ -654,6 +689,7 @@ static int write_orders(struct hd_connection *connection) {
         const int64_t now_ns = hd_clock_now_ns();
         const int64_t returns_ns = hd_atomic_i64_load_relaxed(&hid->returns_ns);
         const int64_t since_ns = returns_ns > connection->start_ns ? returns_ns : connection->start_ns;
+        connection->player.unsure = connection->plan.restore.count > 0 && is_untold(connection, now_ns);
         const uint32_t length =
             hd_player_next(&connection->player, &hid->orders, now_ns, since_ns, returned(hid, now_ns) == 1.0, bytes);
         const int error = length > 0 ? write_report(connection, bytes, length) : 0;
@@ -728,6 +764,7 @@ static int write_on(struct hd_connection *connection) {
             renew_ns = hd_clock_now_ns() + plan->renew_ns;
             error = write_script(connection, &plan->renew);
         }
+        error = error == 0 ? write_restore(connection) : error;
         error = error == 0 ? write_orders(connection) : error;
         if (error == 0 && hd_atomic_u32_load_acquire(&connection->end) != HD_END_NOT) {
             error = ECANCELED;
@@ -864,9 +901,10 @@ static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_
     connection->fd = fcntl(fd, F_DUPFD_CLOEXEC, 0);
     connection->end_fd = eventfd(0, EFD_CLOEXEC);
     connection->left_fd = eventfd(0, EFD_CLOEXEC);
-    connection->start_ns = hd_clock_now_ns();
+    connection->start_ns = connection->restore_ns = hd_clock_now_ns();
     connection->parting_ns = hid->parting_ns;
     connection->known.on_change = plan->on_change;
+    connection->known.signs = plan->signs;
     hd_player_init(&connection->player, &hid->orders);
     if (connection->fd < 0 || connection->end_fd < 0 || connection->left_fd < 0) {
         const int error = errno;
@@ -886,6 +924,7 @@ static void forget(struct hd_hid *hid) {
     hd_atomic_u32_store_relaxed(&hid->states, 0);
     hd_atomic_u32_store_relaxed(&hid->states_known, 0);
     hd_atomic_u32_store_relaxed(&hid->states_seen, 0);
+    hd_atomic_u32_store_relaxed(&hid->effects_told, 0);
     hd_atomic_u64_store_relaxed(&hid->reports, 0);
     hd_atomic_u64_store_relaxed(&hid->read_positions, 0);
     hd_atomic_u64_store_relaxed(&hid->short_reports, 0);
@@ -1033,6 +1072,7 @@ void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status) {
         .reset = hd_atomic_u32_load_acquire(&hid->reset),
         .states = hd_atomic_u32_load_relaxed(&hid->states),
         .states_known = hd_atomic_u32_load_relaxed(&hid->states_known),
+        .effects_told = hd_atomic_u32_load_relaxed(&hid->effects_told),
         .reports = reports,
         .positions = hd_atomic_u64_load_relaxed(&hid->read_positions),
         .short_reports = hd_atomic_u64_load_relaxed(&hid->short_reports),

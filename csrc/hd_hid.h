@@ -12,6 +12,7 @@ struct hd_look {
     uint32_t connection; /* number of the connection that the position is of; 0: none yet */
     uint32_t fresh;      /* 1: the device has said where it is since the last look */
     uint32_t gone;       /* 1: there is no connection, or it has not yet said where it is and an earlier one had */
+    const struct hd_hid_signs *signs; /* of that connection */
 };
 
 /* The newest position. The first of a connection has interval 0: nothing is known of what was before it. A device that

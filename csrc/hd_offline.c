@@ -92,6 +92,8 @@ int hd_replay(const struct hd_world *world, struct hd_state *state, const struct
             .true_velocity_m_per_s = {(double)NAN, (double)NAN},
             .interval_s = interval_s[i],
             .periods = periods[i],
+            .checking = (was->flags & HD_FLAG_CHECKING) != 0,
+            .check_n = {was->force_n[0], was->force_n[1]},
         };
         if (input.periods == 0) {
             return hd_invalid("periods[%zu]: at least 1 period lies between two ticks", i);

@@ -139,6 +139,7 @@ static int take_order(struct hd_player *player, struct hd_orders *orders) {
             played->aimed = 1;
             played->direction_rad = direction_rad;
         }
+        played->known = player->unsure ? 0 : played->known;
         player->effect = effect;
         player->next = 0;
         return 1;

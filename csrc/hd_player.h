@@ -70,6 +70,7 @@ struct hd_player {
     uint32_t silence;                       /* how many were answered */
     uint32_t stopping;                      /* bit: place that is to be stopped */
     uint32_t started;                       /* bit: place whose start came last */
+    uint32_t unsure; /* the writer sets it: what was sent may be gone, each order is sent whole */
     int64_t since_ns;
 };
 

@@ -96,6 +96,11 @@ static int check_value(const struct hd_hid_value *value, uint32_t length, const 
     if (value->quantity < HD_HID_X || value->quantity > HD_HID_DIRECTION) {
         return hd_invalid("plan: %s[%u]: quantity %u", script, index, value->quantity);
     }
+    const int is_axis = value->quantity == HD_HID_X || value->quantity == HD_HID_Y;
+    if (!isfinite(value->counts_per_other_n) || (!is_axis && value->counts_per_other_n != 0.0)) {
+        return hd_invalid("plan: %s[%u]: %g counts per newton of the other axis, of quantity %u", script, index,
+                          value->counts_per_other_n, value->quantity);
+    }
     if (!isfinite(value->counts_per_unit) || !isfinite(value->zero_counts)) {
         return hd_invalid("plan: %s[%u]: %g counts per unit, zero at %g", script, index, value->counts_per_unit,
                           value->zero_counts);
@@ -180,6 +185,13 @@ int hd_report_check(const struct hd_hid_plan *plan) {
             return hd_invalid("plan: state %u: meaning %u", i, state->meaning);
         }
     }
+    const struct hd_hid_signs *signs = &plan->signs;
+    if (signs->number != 0 && !(signs->axes >= 1 && signs->axes <= 3 && signs->force_n > 0.0 &&
+                                signs->force_n <= 1e6 && signs->least_m > 0.0 && signs->least_m <= signs->enough_m &&
+                                signs->enough_m <= 1e6)) {
+        return hd_invalid("plan: signs of axes %u: %g N, %g to %g m", signs->axes, signs->force_n, signs->least_m,
+                          signs->enough_m);
+    }
     const struct hd_hid_effects *effects = &plan->effects;
     if (effects->count > HD_HID_EFFECTS || (effects->count > 0 && effects->proof < 1)) {
         return hd_invalid("plan: %u effects, at most %d; proven by %u renewals", effects->count, HD_HID_EFFECTS,
@@ -191,16 +203,24 @@ int hd_report_check(const struct hd_hid_plan *plan) {
         return HD_ERR_INVALID;
     }
     if (check_script(&plan->begin, "begin") != HD_OK || check_script(&plan->force, "force") != HD_OK ||
-        check_script(&plan->renew, "renew") != HD_OK || check_script(&plan->stop, "stop") != HD_OK) {
+        check_script(&plan->renew, "renew") != HD_OK || check_script(&plan->restore, "restore") != HD_OK ||
+        check_script(&plan->stop, "stop") != HD_OK) {
         return HD_ERR_INVALID;
     }
     if (plan->renew_ns < 0 || (plan->renew.count > 0 && plan->renew_ns == 0)) {
         return hd_invalid("plan: renewed every %lld ns", (long long)plan->renew_ns);
     }
+    if (plan->restore_ns < 0 || (plan->restore.count > 0 && plan->restore_ns == 0)) {
+        return hd_invalid("plan: restored every %lld ns", (long long)plan->restore_ns);
+    }
     if (plan->write_interval_ns < 0 || plan->write_interval_ns > HD_WRITE_INTERVAL_MAX_NS) {
         return hd_invalid("plan: %lld ns between writes", (long long)plan->write_interval_ns);
     }
     return HD_OK;
+}
+
+int hd_hid_check(const struct hd_hid_plan *plan) {
+    return hd_report_check(plan);
 }
 
 HD_RT int hd_report_numbered(const struct hd_hid_plan *plan) {
@@ -261,12 +281,15 @@ double hd_report_direction(const double force_n[2]) {
 
 static double counts_of(const struct hd_hid_value *value, const double force_n[2], double direction_rad) {
     double quantity = 0.0;
+    double other_n = 0.0;
     switch (value->quantity) {
     case HD_HID_X:
         quantity = force_n[0];
+        other_n = force_n[1];
         break;
     case HD_HID_Y:
         quantity = force_n[1];
+        other_n = force_n[0];
         break;
     case HD_HID_MAGNITUDE:
         quantity = hypot(force_n[0], force_n[1]);
@@ -276,6 +299,11 @@ static double counts_of(const struct hd_hid_value *value, const double force_n[2
         break;
     }
     double counts = quantity * value->counts_per_unit + value->zero_counts;
+    if (value->counts_per_other_n != 0.0) {
+        /* The other effect shows no more than the full force, either. */
+        const double full_n = (value->most - value->zero_counts) / fabs(value->counts_per_unit);
+        counts += fmin(fmax(other_n, -full_n), full_n) * value->counts_per_other_n;
+    }
     if (value->quantity == HD_HID_DIRECTION) {
         /* Just short of a full turn is nearest to none. */
         const double turn = fabs(value->counts_per_unit) * HD_FULL_TURN_RAD;

@@ -2,8 +2,8 @@
  *
  * One period, top to bottom: sleep until the deadline (the last part of it spinning, if asked for) or until the device
  * reports; count and skip the periods that were missed; take the newest table, then the commands of its revision or
- * older; read the device, tick, put the force; leave the sample and the events in their rings. The thread never
- * allocates, locks, logs or blocks, and its only system calls are the clock and the sleep.
+ * older; read the device, check its signs, tick, put the force; leave the sample and the events in their rings. The
+ * thread never allocates, locks, logs or blocks, and its only system calls are the clock and the sleep.
  *
  * Who touches what:
  *   config, device, rings' memory     made by hd_servo_new, constant while the thread runs
@@ -37,6 +37,7 @@
 #include "hd_histogram.h"
 #include "hd_memory.h"
 #include "hd_ring.h"
+#include "hd_signs.h"
 #include "hd_tick.h"
 #include "hd_triple.h"
 #include "hd_vector.h"
@@ -122,6 +123,7 @@ struct hd_servo {
     struct hd_atomic_u64 overloads;
     struct hd_atomic_u64 suspends;
     struct hd_atomic_u64 missed_share; /* the bits of a double */
+    struct hd_atomic_u32 signs;
     struct hd_histogram_counts lateness;
     struct hd_histogram_counts work;
     struct hd_atomic_u64 taken; /* commands taken; the tick that took each is in taken_tick */
@@ -153,6 +155,7 @@ struct hd_servo {
     double still_s;       /* that the reported position has not changed, under force */
     double still_m[2];
     double last_force_n;
+    struct hd_signs signs_check;
     uint64_t pause_periods; /* that the first tick of a thread is told of, beside its own */
     int64_t ended_ns;
     double rate_told_hz; /* a restarted thread has another rate than the one before: told by its first tick; 0: no */
@@ -228,7 +231,8 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
         if (command->value != 0) {
             const int64_t lease_ns = hd_atomic_i64_load_relaxed(&servo->lease_ns);
             const uint32_t remaining = (servo->device_lost ? (uint32_t)HD_FAULT_DEVICE : 0u) |
-                                       (lease_ns != 0 && time_ns > lease_ns ? (uint32_t)HD_FAULT_LEASE : 0u);
+                                       (lease_ns != 0 && time_ns > lease_ns ? (uint32_t)HD_FAULT_LEASE : 0u) |
+                                       (servo->signs_check.state == HD_SIGNS_WRONG ? (uint32_t)HD_FAULT_SIGNS : 0u);
             servo->still_s = 0.0;
             hd_state_clear_faults(state, remaining, time_ns);
         } else {
@@ -503,6 +507,10 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
     hd_device_look(&servo->device, now_ns, &look);
     watch(servo, &look, now_ns, deadline_ns);
     hd_sense(state, &servo->world->table, &look.reading, NULL, &input);
+    if (servo->device.hid != NULL) {
+        hd_signs_watch(&servo->signs_check, &look, state, &servo->world->table, &input);
+        hd_atomic_u32_store_relaxed(&servo->signs, hd_signs_told(&servo->signs_check));
+    }
     state->offload_open = (uint8_t)hd_device_offers(&servo->device);
     hd_tick(servo->world, state, &input, &sample);
     if (state->offload_open || servo->offloading) {
@@ -1165,6 +1173,7 @@ void hd_servo_counters(const struct hd_servo *servo, struct hd_counters *counter
         .overloads = hd_atomic_u64_load_relaxed(&servo->overloads),
         .suspends = hd_atomic_u64_load_relaxed(&servo->suspends),
         .missed_share = number_of(hd_atomic_u64_load_relaxed(&servo->missed_share)),
+        .signs = hd_atomic_u32_load_relaxed(&servo->signs),
         .energy =
             {
                 .energy_j = number_of(hd_atomic_u64_load_relaxed(&servo->energy)),

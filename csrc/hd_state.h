@@ -272,6 +272,8 @@ struct hd_input {
     double interval_s;               /* between this sample and the one before; 0: no new sample */
     double glitch_m_per_s;           /* the speed that a jump implied; 0: no jump */
     uint32_t periods;                /* since the tick before: 1, and what was missed */
+    uint32_t checking;               /* the scene is not felt, but, once it has faded out, */
+    double check_n[2];               /* this, while the signs of the device are checked */
 };
 
 /* Control side: the pages of every slot below `slot_count` are there, before a table uses them. HD_ERR_INVALID beyond

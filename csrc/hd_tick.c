@@ -94,9 +94,9 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, str
     }
 }
 
-HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table) {
+HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table, double felt) {
     int any =
-        state->field_ramp < 1.0 || state->gain != (double)state->enabled ||
+        state->field_ramp < 1.0 || state->gain != felt ||
         (!state->steady && (state->residual.left > 0 || state->show_vibration != (double)table->display_vibration));
     for (uint32_t i = 0; i < state->active_count && !any; i++) {
         any = state->slots[state->active[i]].ramp < 1.0;
@@ -289,8 +289,10 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     vibration[1] *= state->show_vibration;
 
     double force[2];
+    const int checking = input->checking && state->enabled;
+    const double felt = state->enabled && !checking ? 1.0 : 0.0;
     /* Only on its way out does the command hurry: zero is due by the clock. */
-    const double gain = toward(state->gain, (double)state->enabled, state->enabled ? walk.ramp_step : elapsed);
+    const double gain = toward(state->gain, felt, felt > 0.0 ? walk.ramp_step : elapsed);
     if (ramped.any || eases) {
         double still[2];
         for (int axis = 0; axis < 2; axis++) {
@@ -304,6 +306,12 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         }
     } else {
         hd_limit_apply(state, table, contact, vibration, input->time_ns, force, &flags);
+    }
+    const int checked = checking && gain == 0.0 && state->gain == 0.0;
+    if (checked) {
+        const double cut = hd_limit_cut(input->check_n, table->max_force_n);
+        force[0] = cut * input->check_n[0];
+        force[1] = cut * input->check_n[1];
     }
     if (!finite4(force, contact)) {
         stop(state, input, sample);
@@ -325,14 +333,15 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
                         state->show_force == shows && state->show_vibration == (double)table->display_vibration;
     }
     flags |= (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) | (state->enabled ? HD_FLAG_FORCES_ON : 0u) |
-             (state->faults != 0 ? HD_FLAG_FAULT : 0u) | ramping(state, table);
+             (state->faults != 0 ? HD_FLAG_FAULT : 0u) | (checking ? HD_FLAG_CHECKING : 0u) |
+             ramping(state, table, felt);
     const double *whole = ramped.any ? ramped.whole_n : contact;
     for (int axis = 0; axis < 2; axis++) {
         sample->position_m[axis] = input->position_m[axis];
         sample->velocity_m_per_s[axis] = input->velocity_m_per_s[axis];
         sample->contact_force_n[axis] = whole[axis];
         sample->vibration_force_n[axis] = vibration[axis];
-        sample->force_n[axis] = state->gain * force[axis];
+        sample->force_n[axis] = checked ? force[axis] : state->gain * force[axis];
         state->position_m[axis] = input->position_m[axis];
     }
     sample->flags = flags;

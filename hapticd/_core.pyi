@@ -85,6 +85,7 @@ class Lib:
     HD_FLAG_GLITCH: int
     HD_FLAG_REPEATED: int
     HD_FLAG_RESTRAINED: int
+    HD_FLAG_CHECKING: int
     HD_EVENT_CONTACT: int
     HD_EVENT_RELEASE: int
     HD_EVENT_PUNCTURE: int
@@ -119,6 +120,23 @@ class Lib:
     HD_FAULT_DEVICE: int
     HD_FAULT_OVERRUN: int
     HD_FAULT_FROZEN: int
+    HD_FAULT_SIGNS: int
+    HD_SIGNS_UNCHECKED: int
+    HD_SIGNS_TRUSTED: int
+    HD_SIGNS_CHECKING: int
+    HD_SIGNS_WAITING: int
+    HD_SIGNS_RIGHT: int
+    HD_SIGNS_WRONG: int
+    HD_SIGNS_UNCLEAR: int
+    HD_SIGNS_FINE: int
+    HD_SIGNS_REVERSED: int
+    HD_SIGNS_SWAPPED: int
+    HD_SIGNS_STILL: int
+    HD_SIGNS_UNCERTAIN: int
+    HD_SIGNS_MOVING: int
+    HD_SIGNS_CONTACT: int
+    HD_SIGNS_PROBLEM_SHIFT: int
+    HD_SIGNS_AXIS_SHIFT: int
     HD_LINEAR: int
     HD_MINIMUM_JERK: int
     HD_HID_REPORT_BYTES: int
@@ -233,6 +251,7 @@ class Lib:
         /,
     ) -> int: ...
     def hd_play(self, state: CData, mode: CData, direction: CData, amplitude: float, /) -> int: ...
+    def hd_hid_check(self, plan: CData, /) -> int: ...
     def hd_hid_new(self) -> CData: ...
     def hd_hid_free(self, hid: CData, /) -> None: ...
     def hd_hid_connect(self, hid: CData, plan: CData, fd: int, priority: int, /) -> int: ...
@@ -246,6 +265,9 @@ class Lib:
     def hd_field_read(self, field: CData, report: CData, length: int, counts: CData, /) -> int: ...
     def hd_field_write(self, field: CData, report: CData, length: int, counts: int, /) -> int: ...
     def hd_hid_compose(self, message: CData, force_n: CData, bytes: CData, /) -> None: ...
+    def hd_signs_new(self) -> CData: ...
+    def hd_signs_free(self, signs: CData, /) -> None: ...
+    def hd_signs_try(self, signs: CData, of: CData, input: CData, force_n: CData, /) -> int: ...
     def hd_servo_new(self, config: CData, sim: CData, hid: CData, /) -> CData: ...
     def hd_servo_start(self, servo: CData, grant: CData, /) -> int: ...
     def hd_servo_stop(self, servo: CData, /) -> int: ...

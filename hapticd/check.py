@@ -31,13 +31,15 @@ from hapticd.engine import UNKNOWN_HANDLE, loop_of, output_of
 from hapticd.errors import HapticdError, Problem, path_text
 from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
-from hapticd.hid.sources import expected_plan
+from hapticd.hid.plan import UndrivableError
+from hapticd.hid.verdict import expected_plan
 from hapticd.judged import Stability, judge
 from hapticd.lagging import lag_warnings
 from hapticd.materials import Material
+from hapticd.noise import peak_of, reflection_of, resampled
 from hapticd.scene import Disc, field_ids
 from hapticd.stability import Loop
-from hapticd.texture import Stochastic
+from hapticd.texture import Autoregressive, Stochastic
 from hapticd.waveform import Waveform
 
 _UNPLUGGED: Final = "the encoder's step is not known"
@@ -118,7 +120,7 @@ def check(config: Config) -> Report:
     """Checks a configuration. Raises nothing for what cannot be shown: that is what is reported."""
     rate_hz = config.servo.rate_hz
     scene, materials = config.scene, config.materials
-    device, loop, link_hz, unknown = _device(config)
+    device, loop, link_hz, unknown, undrivable = _device(config)
     output = output_of(config, rate_hz, link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
@@ -132,7 +134,7 @@ def check(config: Config) -> Report:
         device=device,
         materials=tuple(_checked(name, material, name in shown, output) for name, material in materials.items()),
         stability=Stability(unknown, None) if loop is None else _stability(config, output, loop),
-        refused=tuple(refused),
+        refused=(*undrivable, *refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
         warnings=told,
         notes=(*_gone_through(config), *_doubtful(shown, materials)),
@@ -181,25 +183,29 @@ def _stability(config: Config, output: Output, loop: Loop) -> Stability:
     return judge(compiler.parts(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
 
 
-def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None]:
-    """The device in words, what closes its loop, the forces a second that its link carries, and what is not known."""
+def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None, list[Problem]]:
+    """The device in words, what closes its loop, the forces a second that its link carries, what is not known, and why
+    the daemon would not start with a device that is there."""
     device, rate_hz = config.device, config.servo.rate_hz
     if device.kind == "sim":
-        return "the simulated joystick", loop_of(config, rate_hz), None, None
+        return "the simulated joystick", loop_of(config, rate_hz), None, None, []
     if device.kind == "replay":
-        return "a recording, which nothing pushes", None, None, "a recording has no loop"
+        return "a recording, which nothing pushes", None, None, "a recording has no loop", []
     hid = device.hid
     limit_hz = Link(None, None, hid.max_rate_hz).carried_hz(rate_hz)
     handle = "" if device.handle is not None else "; what its handle is, is not given"
+    unknown = UNKNOWN_HANDLE if handle else _UNPLUGGED
     try:
         found = choose(hid, find())
+    except UndrivableError as error:
+        return f"{error}{handle}", None, limit_hz, unknown, [Problem("device.hid", str(error))]
     except HapticdError as error:
-        return f"not there: {error}{handle}", None, limit_hz, UNKNOWN_HANDLE if handle else _UNPLUGGED
+        return f"not there: {error}{handle}", None, limit_hz, unknown, []
     told = f"{found.name} at {found.path}{handle}"
     try:
         plan = expected_plan(hid, found.descriptor)
     except HapticdError as error:
-        return f"{told}: {error}", None, limit_hz, _UNPLUGGED
+        return f"{told}: {error}", None, limit_hz, _UNPLUGGED, [Problem("device.hid", f"{found}: {error}")]
     link_hz = link_of(plan, found.out_interval_s).carried_hz(rate_hz)
     loop = loop_of(
         config,
@@ -208,7 +214,7 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None]
         force_step_n=max(plan.force_steps_n),
         link_rate_hz=link_hz,
     )
-    return told, loop, link_hz, None if loop is not None else UNKNOWN_HANDLE
+    return told, loop, link_hz, None if loop is not None else UNKNOWN_HANDLE, []
 
 
 def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
@@ -219,6 +225,17 @@ def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
     if rate_hz == waveform.rate_hz and output.dynamics is not None and output.actuator is None:
         error = waveform_error(waveform, output.dynamics, output.carried_hz, output.effective_mass_kg)
     return Sound("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)
+
+
+def _autoregressive_sound(texture: Autoregressive, output: Output) -> Sound:
+    """Of the loudest model the peak; at a rate that does not reach it, the peak of what is shown instead."""
+    loudest = max(texture.models, key=lambda model: model.level(reflection_of(model.coefficients)))
+    reflection = reflection_of(loudest.coefficients)
+    peak_hz = peak_of(reflection, texture.rate_hz)
+    if peak_hz < output.rate_hz / 2:
+        return Sound("texture", peak_hz, peak_hz, None)
+    shown = resampled(reflection, texture.rate_hz, output.rate_hz)
+    return Sound("texture", peak_hz, peak_of(shown.reflection, output.rate_hz), None)
 
 
 def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
@@ -242,5 +259,7 @@ def _checked(name: str, material: Material, used: bool, output: Output) -> Check
     if isinstance(material.texture, Stochastic):
         pair = displayed_pair(material.texture, output)
         sounds.append(Sound("texture", material.texture.peak_hz, None if pair is None else pair[0], None))
+    elif isinstance(material.texture, Autoregressive):
+        sounds.append(_autoregressive_sound(material.texture, output))
     fits = {kind: verdict.quality for kind, verdict in material.fitted.items()}
     return Checked(name, used, material.stiffness_n_per_m, tuple(sounds), fits)

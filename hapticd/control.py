@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError
 from hapticd import apart, clock, words
 from hapticd._version import __version__
 from hapticd.config import Config
-from hapticd.core import Fault
+from hapticd.core import Fault, SignsState
 from hapticd.displayable import material_rate_faults, rate_faults
 from hapticd.engine import (
     Counters,
@@ -35,6 +35,7 @@ from hapticd.engine import (
 from hapticd.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.events import fault_names
 from hapticd.flight import Flight
+from hapticd.hid.signs import CORRECT
 from hapticd.intake import GivenUpError, Intake, Work
 from hapticd.joystick import grip_of, target_of
 from hapticd.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
@@ -70,6 +71,7 @@ _FAULT_WORDS: Final = {
     Fault.DEVICE: "the device does not report",
     Fault.OVERRUN: "the servo missed too many periods",
     Fault.FROZEN: "the device reported the same position all the time, under force",
+    Fault.SIGNS: "the signs of the device are not known",
 }
 
 
@@ -317,7 +319,9 @@ class Control:
             "clock": asdict(clock.read()),
             "state": "running" if counters.running else "stopped",
             "device": engine.config.device.kind,
-            "connection": None if engine.connection is None else engine.connection.status(),
+            "connection": None
+            if engine.connection is None
+            else {**engine.connection.status(), "signs": counters.signs.to_dict()},
             "rate_hz": engine.rate_hz,
             "realtime": None if granted is None else _realtime(granted, counters),
             "revision": engine.revision,
@@ -670,7 +674,9 @@ class Control:
         faults = self._engine.faults()
         if params.enabled and faults:
             raise MethodError(Code.FORCES_OFF, self._off_because(faults), {"faults": fault_names(faults)})
-        return {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
+        told: dict[str, object] = {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
+        signs = self._engine.counters().signs
+        return {**told, "signs": signs.to_dict()} if params.enabled and signs.holds_back else told
 
     def _lease_request(self, params: _LeaseParams) -> dict[str, object]:
         try:
@@ -724,9 +730,16 @@ class Control:
             )
         if not counters.forces_on:
             raise MethodError(Code.FORCES_OFF, "forces are off: set_forces with enabled: true turns them on")
+        if counters.signs.holds_back:
+            waits = counters.signs.line() or "they come in once that is done"
+            raise MethodError(Code.FORCES_OFF, f"forces are held back, the signs of the device are checked: {waits}")
 
     def _off_because(self, faults: Fault) -> str:
-        reasons = " and ".join(_FAULT_WORDS[fault] for fault in Fault if fault in faults)
+        signs = self._engine.counters().signs
+        words = {**_FAULT_WORDS, Fault.SIGNS: signs.seen or _FAULT_WORDS[Fault.SIGNS]}
+        reasons = " and ".join(words[fault] for fault in Fault if fault in faults)
+        if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
+            return f"forces are off because {reasons}: {CORRECT}"
         return f"forces are off because {reasons}: set_forces with enabled: true turns them on again"
 
 

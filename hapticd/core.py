@@ -53,6 +53,8 @@ __all__ = [
     "PassivityMode",
     "Realtime",
     "Shape",
+    "SignsProblem",
+    "SignsState",
     "Status",
     "Texture",
     "address",
@@ -191,6 +193,7 @@ class Flag(IntFlag):
     GLITCH = lib.HD_FLAG_GLITCH
     REPEATED = lib.HD_FLAG_REPEATED
     RESTRAINED = lib.HD_FLAG_RESTRAINED
+    CHECKING = lib.HD_FLAG_CHECKING
 
 
 class EventKind(IntEnum):
@@ -224,6 +227,7 @@ class Fault(IntFlag):
     DEVICE = lib.HD_FAULT_DEVICE
     OVERRUN = lib.HD_FAULT_OVERRUN
     FROZEN = lib.HD_FAULT_FROZEN
+    SIGNS = lib.HD_FAULT_SIGNS
 
 
 class OverrunAction(IntEnum):
@@ -273,6 +277,30 @@ class HidMeaning(IntEnum):
     PAUSED = lib.HD_HID_PAUSED
     SAFETY = lib.HD_HID_SAFETY
     POWER = lib.HD_HID_POWER
+
+
+class SignsState(IntEnum):
+    """How far the check is: enum hd_signs_state."""
+
+    UNCHECKED = lib.HD_SIGNS_UNCHECKED
+    TRUSTED = lib.HD_SIGNS_TRUSTED
+    CHECKING = lib.HD_SIGNS_CHECKING
+    WAITING = lib.HD_SIGNS_WAITING
+    RIGHT = lib.HD_SIGNS_RIGHT
+    WRONG = lib.HD_SIGNS_WRONG
+    UNCLEAR = lib.HD_SIGNS_UNCLEAR
+
+
+class SignsProblem(IntEnum):
+    """What it met: enum hd_signs_problem."""
+
+    FINE = lib.HD_SIGNS_FINE
+    REVERSED = lib.HD_SIGNS_REVERSED
+    SWAPPED = lib.HD_SIGNS_SWAPPED
+    STILL = lib.HD_SIGNS_STILL
+    UNCERTAIN = lib.HD_SIGNS_UNCERTAIN
+    MOVING = lib.HD_SIGNS_MOVING
+    CONTACT = lib.HD_SIGNS_CONTACT
 
 
 class CommandKind(IntEnum):

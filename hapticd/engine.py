@@ -56,6 +56,7 @@ from hapticd.displayable import (
 from hapticd.errors import HapticdError, InvalidError, Problem
 from hapticd.hid.connection import Connection, Link
 from hapticd.hid.offload import Offload, Offloaded
+from hapticd.hid.signs import Check, SignsLog, Told
 from hapticd.hid.sources import source_of
 from hapticd.joystick import new_operator, new_sim, set_rate
 from hapticd.judged import Stability, judge
@@ -290,6 +291,8 @@ class Counters(NamedTuple):
     """Times that the machine was suspended."""
     missed_share: float
     """Part of the periods of the last whole second that were missed."""
+    signs: Told
+    """The check of a HID device's signs."""
     energy: Energy
     """As of the last tick that was watched."""
 
@@ -309,6 +312,7 @@ class Engine:
         self.granted: Granted | None = None
         self._look_ns = 0
         self._suspends = 0
+        self._signs = SignsLog()
         self._awake = Awake()
         self._sim: CData | None = None
         self.connection: Connection | None = None
@@ -317,7 +321,10 @@ class Engine:
             self._sim = new_sim(config.device.sim, servo.rate_hz)
         else:
             below_servo = 0 if servo.realtime == "off" else max(1, servo.priority - 1)
-            self.connection = Connection(source_of(config.device), below_servo, stop_file)
+            hid = config.device.hid
+            checked = config.device.kind == "hid" and hid.signs == "check"
+            check = Check(hid.travel_m, hid.full_scale_force_n) if checked else None
+            self.connection = Connection(source_of(config.device), below_servo, stop_file, check)
             if config.device.hid.offload == "auto":
                 self._offload = self.connection.offload
         try:
@@ -524,6 +531,7 @@ class Engine:
             self._suspends = counters.suspends
             if self.connection is not None:
                 self.connection.suspect()
+        self._signs.note(counters.signs)
         # While another thread compiles, the rate stays; it is looked at again soon.
         if counters.overloaded and not counters.running and self._compiling.acquire(blocking=False):
             try:
@@ -896,6 +904,7 @@ class Engine:
             raw.overloads,
             raw.suspends,
             raw.missed_share,
+            Told.read(raw.signs),
             energy_of(raw.energy),
         )
 

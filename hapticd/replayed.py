@@ -389,7 +389,9 @@ def _stretches(
                 continue
             begin += int(left[0])
         # A daemon's command comes in over the ramp when it starts; a simulation's is there.
-        muted = "status" in texts if at_start[begin] else not int(flags[begin]) & Flag.FORCES_ON
+        # One whose signs are checked meanwhile has none yet.
+        on = int(flags[begin]) & (Flag.FORCES_ON | Flag.CHECKING) == Flag.FORCES_ON
+        muted = "status" in texts if at_start[begin] else not on
         stretches.append((slice(begin, end), muted))
     return stretches, settled
 

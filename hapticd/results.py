@@ -107,10 +107,20 @@ class PlayResult(TickResult):
     warnings: NotRequired[list[Warned]]
 
 
+class SignsCheck(TypedDict):
+    """How far the check of a device's signs is, and what to do."""
+
+    state: Literal["unchecked", "trusted", "checking", "waiting", "right", "wrong", "unclear"]
+    axis: Literal["x", "y"] | None
+    problem: str | None
+    advice: str | None
+
+
 class ForcesResult(TickResult):
-    """Also what the forces are now."""
+    """Also what the forces are now, and, where the scene is held back until then, the check of the device's signs."""
 
     forces: Literal["on", "off", "faulted"]
+    signs: NotRequired[SignsCheck]
 
 
 class OperatorResult(TickResult):

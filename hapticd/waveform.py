@@ -69,13 +69,13 @@ class Waveform(CheckedTogether):
 
     def energy_above(self, frequency_hz: float) -> float:
         """Share of the curve's energy above a frequency, 0 to 1."""
-        frequency, below = _spectrum(self)
+        frequency, below = _spectrum(self.samples, self.rate_hz)
         return 1.0 - float(np.interp(frequency_hz, frequency, below))
 
     @property
     def middle_hz(self) -> float:
         """The frequency below which half of the curve's energy lies."""
-        frequency, below = _spectrum(self)
+        frequency, below = _spectrum(self.samples, self.rate_hz)
         return float(np.interp(0.5, below, frequency))
 
 
@@ -150,12 +150,22 @@ def _curve(samples: tuple[float, ...], rate_hz: float) -> Curve:
     return Curve(samples, rate_hz)
 
 
+def middle_hz(curve: Curve) -> float:
+    """The frequency below which half of a curve's energy lies."""
+    frequency, below = _energy(curve)
+    return float(np.interp(0.5, below, frequency))
+
+
 @lru_cache(maxsize=256)
-def _spectrum(waveform: Waveform) -> tuple[Floats, Floats]:
+def _spectrum(samples: tuple[float, ...], rate_hz: float) -> tuple[Floats, Floats]:
+    return _energy(_curve(samples, rate_hz))
+
+
+def _energy(curve: Curve) -> tuple[Floats, Floats]:
     """Frequencies in Hz, rising, and the share of the curve's energy up to each."""
-    rate = _FINER * waveform.rate_hz
-    count = _FINER * (len(waveform.samples) - 1) + 1
-    values = waveform.curve.at(np.arange(count) / rate)
+    rate = _FINER * curve.rate_hz
+    count = round(curve.length_s * rate) + 1
+    values = curve.at(np.arange(count) / rate)
     length = 1 << math.ceil(math.log2(max(4 * count, rate)))
     energy = np.abs(np.fft.rfft(values, length)) ** 2
     total = np.concatenate(([0.0], np.cumsum(energy[1:] + energy[:-1])))

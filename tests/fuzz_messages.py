@@ -109,7 +109,7 @@ RESULTS: Final[dict[str, tuple[frozenset[str], frozenset[str]]]] = {
         ("play", "tick displayed_hz", "warnings"),
         ("reset", "tick", ""),
         ("mark", "tick", ""),
-        ("set_forces", "forces tick", ""),
+        ("set_forces", "forces tick", "signs"),
         ("set_operator", "duration_s tick", "warnings"),
         ("lease", "token", "warning"),
         ("reload", "revision", "tick warning warnings"),

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from hapticd.compile import Compiler, mode_record
 from hapticd.config import Config
-from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.displayable import Output
 from hapticd.engine import SAMPLE_CAPACITY, Engine, output_of
 from hapticd.errors import HapticdError
@@ -27,6 +27,10 @@ from hapticd.offline import Samples, new_world
 POLL_S: Final = 0.005
 STALLED_S: Final = 1.0
 """A servo that gives no sample for so long does not run."""
+
+
+SIGNS_S: Final = 30.0
+"""So long the check of a device's signs may wait for the handle to be let go."""
 
 
 class Rig(ABC):
@@ -135,10 +139,19 @@ class ServoRig(Rig):
             self._engine.start()
             self._begun = True
             self._engine.set_forces(True)
+            self._check_signs()
             self.run(2 * config.scene.ramp_s)
         except BaseException:
             self.close()
             raise
+
+    def _check_signs(self) -> None:
+        """Waits while the signs of a device are checked. Raises HapticdError where nobody lets it go on."""
+        deadline = time.monotonic() + SIGNS_S
+        while (signs := self._engine.counters().signs).holds_back:
+            self.run(POLL_S)
+            if time.monotonic() > deadline:
+                raise HapticdError(f"stopped, the signs of the device are not known: {signs.line() or signs.advice}")
 
     def strike(self, mode: Mode, amplitude_m_per_s2: float, direction: tuple[float, float]) -> int:
         tick, _ = self._engine.play(mode, "coefficient", direction, amplitude_m_per_s2)
@@ -153,6 +166,8 @@ class ServoRig(Rig):
             count, dropped = self._engine.read_samples(self._room)
             self._engine.read_events(self._events)
             faults = self._engine.faults()
+            if Fault.SIGNS in faults:
+                raise HapticdError(f"stopped, the force is zero: {self._engine.counters().signs.line()}")
             if faults:
                 raise HapticdError(f"stopped, the force is zero: fault {', '.join(fault_names(faults))}")
             if dropped:

@@ -156,8 +156,8 @@ class _Drive:
             step = self._step()
             if reach < 2 * step or step == 0.0:
                 raise HapticdError(
-                    f"the handle does not move under {limit_n:g} N at {FIRST_HZ:g} Hz: is its power off, or more "
-                    "force needed (--force-n)?"
+                    f"the handle does not move under {limit_n:g} N at {FIRST_HZ:g} Hz along {self._sweep.axis}: "
+                    "`hapticd devices calibrate` says what a HID device is sent; --force-n gives more force"
                 )
             start = (reach, limit_n)
         else:

@@ -94,10 +94,16 @@ def force_command(ctx: click.Context, state: str, as_json: bool) -> None:
         except RemoteError as error:
             if error.code != Code.FORCES_OFF:
                 raise
+            if isinstance(error.data, dict) and "signs" in error.data["faults"]:
+                raise  # it says what to do
             # What the daemon tells every client is to turn them on, which was just refused.
             why = error.message.partition(": ")[0]
             raise RemoteError(error.code, f"{why}, which is still so: they stay off", error.data) from None
     faulted = result["forces"] == "faulted"
+    if "signs" in result:
+        advice = result["signs"]["advice"] or "let go of the handle"
+        print_result(result, as_json, f"forces on; first the signs of the device are checked: {advice}")
+        return
     told = "off, and a fault is latched: `hapticd status` says which" if faulted else result["forces"]
     print_result(result, as_json, f"forces {told}")
 

@@ -23,43 +23,79 @@ from hapticd.cli.common import (
     write_whole,
     yaml_text,
 )
-from hapticd.errors import HapticdError, quoted
+from hapticd.errors import HapticdError, quoted, unseen_text
 
 if TYPE_CHECKING:
+    from hapticd.hid.claim import Claims
+    from hapticd.hid.config import Hid
     from hapticd.hid.discover import Found
-    from hapticd.hid.layout import Layout
+    from hapticd.hid.verdict import Verdict
 
 _MAX_FILE_BYTES: Final = 1 << 20
 """More than any report descriptor is as text; what lies behind is not read."""
 
 
 @click.group("devices", invoke_without_command=True, short_help="HID devices, and which can be driven.")
+@config_option
 @json_option
 @click.pass_context
-def devices_command(ctx: click.Context, as_json: bool) -> None:
-    """List HID devices, and say which of them can be driven; or do what a command below says."""
+def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -> None:
+    """List HID devices, and say which of them can be driven; or do what a command below says.
+
+    The devices that the configuration may mean are judged by its device.hid, the others by the defaults.
+    """
     if ctx.invoked_subcommand is not None:
         return
+    from hapticd.hid.claim import Claims
     from hapticd.hid.discover import find
 
-    found = find()
+    hid = _hid_of(configs)
+    found = [item.judged_by(hid) for item in find()]
+    claimed = Claims().names()
     if as_json:
-        print_json([item.to_dict() for item in found])
+        print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])
     elif not found:
         note("no HID device is connected, or the kernel has no hidraw")
     for item in () if as_json else found:
         click.echo(f"{item}, {item.bus}")
         click.echo(f"    {_verdict(item)}")
+        mine = item.hid_name in claimed
+        if item.resets_seen is False:
+            condition, action = unseen_text(item.path)
+            click.echo(f"    {condition}" if mine else f"    {condition}\n    {action}")
+        if mine:
+            click.echo(f"    claimed: `hapticd devices release {item.path}` lets other programs at it again")
+
+
+def _hid_of(configs: tuple[str, ...]) -> Hid:
+    """What the daemon would be started with: `device.hid` of a configuration for a HID device, else the defaults.
+
+    A faulty configuration is an error where it was named, and a note where it was only found.
+    """
+    from hapticd.config import config_of
+    from hapticd.hid.config import Hid
+
+    try:
+        device = config_of(configs).device
+    except HapticdError as error:
+        if configs:
+            raise
+        note(f"judged by the defaults, as the configuration is faulty: {error}")
+        return Hid()
+    return device.hid if device.kind == "hid" else Hid()
 
 
 def _verdict(item: Found) -> str:
     from hapticd.hid.device import RULE
 
-    if not item.usable:
-        return f"cannot be driven without a description: {item.why_not()}"
+    why_not = item.verdict.why_not
+    if why_not is not None:
+        return f"cannot be driven{' without a description' if item.is_other else ''}: {why_not}"
     said = "can be driven"
     if item.out_interval_s:
         said += f", a report every {words.si(item.out_interval_s, 's')}"
+    if item.verdict.plan is not None and item.verdict.plan.leak_told:
+        said += f"; {item.verdict.plan.leak_told}"
     return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
 
 
@@ -99,6 +135,61 @@ def _named(device: str, found: Sequence[Found]) -> Found:
     if meant:
         raise HapticdError(f"{quoted(device)} is several devices, name one by its path: {listed}")
     raise HapticdError(f"no HID device {quoted(device)}; there are: {listed}")
+
+
+def _one(device: str | None, found: Sequence[Found], what: str) -> Found:
+    """The device that is named, or the only one."""
+    if device is not None:
+        return _named(device, found)
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(map(str, found))
+    raise HapticdError(
+        f"{len(found)} devices {what}, name one by its path: {listed}" if found else f"no device {what}; name one"
+    )
+
+
+@devices_command.command("claim", short_help="Keep other programs off a device.")
+@click.argument("device", metavar="[DEVICE]", required=False)
+@json_option
+def claim_command(device: str | None, as_json: bool) -> None:
+    """Keep other programs off DEVICE (its path, or VENDOR:PRODUCT in hex; by default the only one that can be driven),
+    until it is released or unplugged. Needs root.
+
+    It is taken from the kernel's driver, which ends what programs have open of it, and bound again with event and
+    joystick nodes that belong to root alone. A daemon that drives it sets it up again; forces are off then.
+    """
+    from hapticd.hid.claim import Claims
+    from hapticd.hid.discover import find
+
+    claims, found = Claims(), find()
+    item = _one(device, [one for one in found if one.usable] if device is None else found, "can be driven")
+    driver = claims.claim(item)
+    _tell_driver(claims, item, driver, as_json, "claimed: other programs have no access to its event nodes")
+
+
+@devices_command.command("release", short_help="Let other programs at a device again.")
+@click.argument("device", metavar="[DEVICE]", required=False)
+@json_option
+def release_command(device: str | None, as_json: bool) -> None:
+    """Let other programs at DEVICE again (its path, or VENDOR:PRODUCT in hex; by default the only one that is claimed).
+    Needs root."""
+    from hapticd.hid.claim import Claims
+    from hapticd.hid.discover import find
+
+    claims, found = Claims(), find()
+    names = claims.names()
+    item = _one(device, [one for one in found if one.hid_name in names] if device is None else found, "is claimed")
+    driver = claims.release(item)
+    _tell_driver(claims, item, driver, as_json, "released: other programs may use it")
+
+
+def _tell_driver(claims: Claims, item: Found, driver: str, as_json: bool, what: str) -> None:
+    path = claims.path(item.hid_name)
+    if as_json:
+        print_json({"device": item.hid_name, "path": path, "driver": driver})
+    else:
+        click.echo(f"{path} ({item.name or 'no name'}) is {what}; its driver is {driver}")
 
 
 @devices_command.command("calibrate", short_help="Find out which way a device pushes.")
@@ -146,7 +237,10 @@ def calibrate_command(
     finally:
         opened.device.close()
     section = {
-        "device": {"kind": "hid", "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict()}},
+        "device": {
+            "kind": "hid",
+            "hid": {**hid.to_dict(), "force_axes": found.force_axes.to_dict(), "signs": "trust"},
+        },
     }
     text = yaml_text(section)
     # Whatever becomes of the file, what was found is told.
@@ -160,19 +254,25 @@ def calibrate_command(
 
 @devices_command.command("parse", short_help="Say what of a report descriptor is driven.")
 @click.argument("file", metavar="FILE", type=click.Path(dir_okay=False))
+@config_option
 @json_option
-def parse_command(file: str, as_json: bool) -> None:
-    """Say what would be driven of a device with the report descriptor in FILE, binary or hex text; - is the input."""
-    from hapticd.hid.descriptor import parse
-    from hapticd.hid.layout import layout_of
+def parse_command(file: str, configs: tuple[str, ...], as_json: bool) -> None:
+    """Say what would be driven of a device with the report descriptor in FILE, binary or hex text; - is the input.
+
+    It is judged as `hapticd run` would judge it with the same configuration.
+    """
+    from hapticd.hid.verdict import verdict_of
 
     with click.open_file(file, "rb") as stream:
         data = stream.read(_MAX_FILE_BYTES)
-    layout = layout_of(parse(descriptor_bytes(data, "the standard input" if file == "-" else Path(file).name)))
+    descriptor = descriptor_bytes(data, "the standard input" if file == "-" else Path(file).name)
+    verdict = verdict_of(_hid_of(configs), descriptor)
+    if verdict.layout is None and not verdict.drivable:
+        raise HapticdError(str(verdict.problem))
     if as_json:
-        print_json(layout.to_dict())
+        print_json(verdict.to_dict())
     else:
-        click.echo("\n".join(_lines(layout)))
+        click.echo("\n".join(_lines(verdict)))
 
 
 def descriptor_bytes(data: bytes, name: str) -> bytes:
@@ -195,9 +295,17 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
     return bytes.fromhex("".join(digits))
 
 
-def _lines(layout: Layout) -> list[str]:
+def _lines(verdict: Verdict) -> list[str]:
     """What a person wants to know of a layout."""
-    lines = ["can be driven" if layout.usable else f"cannot be driven; missing: {', '.join(layout.missing)}"]
+    layout = verdict.layout
+    if verdict.plan is not None:
+        lines = ["can be driven", *filter(None, [verdict.plan.leak_told])]
+    elif layout is None or layout.usable:
+        lines = [f"cannot be driven: {verdict.why_not}"]
+    else:
+        lines = [f"cannot be driven; missing: {', '.join(layout.missing)}"]
+    if layout is None:
+        return [*lines, f"the report descriptor is not valid: {verdict.problem}"]
     for name, axis in layout.input.items():
         place = axis.field
         lines.append(

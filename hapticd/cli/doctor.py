@@ -53,8 +53,7 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
 
     servo = config.servo
     device = config.device.hid if config.device.kind == "hid" else None
-    described = device if device is not None and device.report is not None else None
-    needs = Needs(servo.realtime, servo.priority, servo.cpu, device is not None, described)
+    needs = Needs(servo.realtime, servo.priority, servo.cpu, device is not None, device)
     findings = []
     for finding in chain([first], diagnose(Machine(daemon=asked, version=__version__), needs)):
         findings.append(finding)

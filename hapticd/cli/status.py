@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from hapticd import words
-from hapticd.errors import offload_text, undisplayable_text
+from hapticd.errors import offload_text, undisplayable_text, unseen_text
 from hapticd.stability_words import stability_words
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ FAULTS: Final = {
     "device": "the device does not report",
     "overrun": "the servo missed too many periods",
     "frozen": "the device reported the same position all the time, under force",
+    "signs": "the signs of the device are not known",
 }
 """Why the forces are off, by the names of the protocol."""
 
@@ -89,7 +90,11 @@ def quantile_ns(histogram: Mapping[str, Any], part: float) -> float:
 def _forces(status: Status) -> Iterator[Line]:
     if not status["faults"]:
         off = status["forces"] == "off"
-        yield "forces", "off: `hapticd force on` turns them on" if off else status["forces"]
+        connection = status.get("connection")
+        signs = connection.get("signs") if isinstance(connection, dict) else None
+        held = isinstance(signs, dict) and signs["state"] in ("checking", "waiting")
+        on = "on, but held back while the signs of the device are checked" if held else status["forces"]
+        yield "forces", "off: `hapticd force on` turns them on" if off else on
         return
     reasons = [FAULTS.get(name, name.replace("_", " ")) for name in status["faults"]]
     yield "forces", f"off by a fault: {words.listed(reasons)}"
@@ -172,7 +177,14 @@ def _connection(told: object) -> Iterator[Line]:
     ]
     if rates:
         yield "link", ", ".join(rates)
+    signs = told.get("signs")
+    if isinstance(signs, dict):
+        yield "signs", signs["state"] + (f": {signs['advice']}" if signs["advice"] else "")
     if told["states"]:
         yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in told["states"].items())
     if told["resets"]:
         yield "resets", words.number(told["resets"])
+    if told.get("resets_seen") is False:
+        condition, action = unseen_text(told["path"], told["foreign_effect_s"])
+        yield "unseen", condition
+        yield "", action

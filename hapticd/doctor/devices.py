@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs
+from hapticd.errors import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.hid.discover import Found
@@ -25,12 +26,27 @@ def found(machine: Machine) -> list[Found]:
     return machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
 
 
+def judged(machine: Machine, needs: Needs) -> list[Found]:
+    """The HID devices, each judged by the configuration if that may mean it."""
+    devices = found(machine)
+    return devices if needs.device is None else [device.judged_by(needs.device) for device in devices]
+
+
 def drivable(machine: Machine, needs: Needs) -> list[Found]:
-    """Those that can be driven: by what they say of themselves, or by what the configuration says of them."""
+    """Those that can be driven."""
+    return [device for device in judged(machine, needs) if device.usable]
+
+
+def refused(machine: Machine, needs: Needs) -> Iterator[Finding]:
+    """Those that are made for forces, or that the configuration names, and cannot be driven."""
     from hapticd.hid.discover import is_meant
 
-    described = needs.described
-    return [device for device in found(machine) if device.usable or (described and is_meant(described, device))]
+    for device in judged(machine, needs):
+        why_not = device.verdict.why_not
+        meant = needs.device is not None and needs.device.names_one and is_meant(needs.device, device)
+        if why_not is not None and (meant or not device.is_other):
+            name = f"{device.name or 'no name'} at /dev/{Path(device.path).name}"
+            yield Finding("joystick", "fail" if meant else "warn", f"{name} cannot be driven: {why_not}")
 
 
 def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
@@ -39,13 +55,15 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
     if not usable:
         others = len(found(machine))
         other = f"; there are {others} other HID devices" if others else ""
-        kind = "of the PID class" if needs.described is None else "that the configuration describes"
+        described = needs.device is not None and needs.device.report is not None
+        kind = "of the PID class" if not described else "that the configuration describes"
         yield Finding(
             "joystick",
             "warn" if needs.hid else "ok",
             f"no force-feedback joystick {kind} is connected{other}",
             "plug it in; `hapticd devices` says what is there" if needs.hid else "",
         )
+    yield from refused(machine, needs)
     for device in usable:
         name = f"{device.name or 'no name'} at /dev/{Path(device.path).name}"
         if device.permission == "ok":
@@ -115,10 +133,13 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
                 "competitors",
                 "warn",
                 f"the kernel's own driver offers effects of {node} to other programs, at {', '.join(loose[:_SHOWN])}",
-                f"list the joystick in {RULE}, which hides these nodes",
+                f"`hapticd devices claim {node}` hides these nodes, and so does its line in {RULE}",
             )
         elif not holders:
             yield Finding("competitors", "warn" if hidden else "ok", f"nobody else uses {node}{blind}")
+        if device.resets_seen is False:
+            condition, action = unseen_text(node)
+            yield Finding("resets", "warn" if loose else "ok", condition, action if loose else "")
 
 
 def _users(machine: Machine) -> tuple[dict[str, set[str]], int]:

@@ -59,8 +59,8 @@ class Needs:
     cpu: int | None = None
     hid: bool = False
     """A joystick is to be driven."""
-    described: Hid | None = None
-    """One with reports of its own, which the configuration describes."""
+    device: Hid | None = None
+    """How the configuration would drive it; None: by the defaults."""
 
     def without(self) -> Verdict:
         """How bad it is when real time cannot be had."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from hapticd.doctor.machine import Finding, Machine, Needs, unknown
-from hapticd.errors import HapticdError
+from hapticd.errors import HapticdError, unseen_text
 
 _SHOW = ("LoadState", "ActiveState", "SubState", "UnitFileState", "NRestarts", "Result")
 
@@ -65,6 +65,10 @@ def daemon(machine: Machine, needs: Needs) -> Iterator[Finding]:
     missing = granted.get("missing") if isinstance(granted, Mapping) else None
     if isinstance(missing, list) and missing:
         yield Finding("daemon", "warn", f"it was not granted: {'; '.join(map(str, missing))}", "see the lines above")
+    connection = status.get("connection")
+    if isinstance(connection, Mapping) and connection.get("resets_seen") is False:
+        condition, action = unseen_text(str(connection["path"]), connection.get("foreign_effect_s"))
+        yield Finding("daemon", "warn", condition, action)
     faults = status.get("faults")
     if isinstance(faults, list) and faults:
         yield Finding(

@@ -17,6 +17,7 @@ from hapticd.mode import Mode
 from hapticd.yaml_source import Json
 
 LEAST_TAPS: Final = 3
+LEAST_SPEED_M_PER_S: Final = 1e-3
 ALIKE_NOISE: Final = 1.5
 NO_NOISE: Final = 1e-9
 """Of the coefficient: the least noise a tap is taken to have."""

@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.left_out import LeftOut
 from hapticd.fit.regression import Estimate, Floats, common, improbable, through_origin
 from hapticd.fit.ringing import Ringing, fit_ringing
 from hapticd.fit.sensor import Sensor
@@ -98,18 +99,18 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     return pair if improbable(one, freedom, two, freedom - 3) < CHANCE and turns > math.pi else None
 
 
-def as_pairs(hits: list[Hit], warnings: list[str]) -> tuple[list[Hit], SecondMode | None]:
+def as_pairs(hits: list[Hit], left: LeftOut) -> tuple[list[Hit], SecondMode | None]:
     """Where one mode explains too little of the median tap and most have the same two: the taps as these two have
     them, the louder one first, and what they have in common. Elsewhere those taps that one mode does for."""
     alone = float(np.median([ringing.variance_accounted_for for _, ringing in hits])) if hits else 1.0
     usual = None if alone >= WELL_EXPLAINED else _usual(hits)
     kept = [hit for hit in hits if hit[0].alone]
     if usual is None:
-        _tell(hits, warnings)
+        _tell(hits, left)
         return kept, None
     paired: list[Hit] = []
     pairs: list[tuple[TapHit, Ringing]] = []
-    others: list[str] = []
+    others: list[TapHit] = []
     for tap, ringing in hits:
         pair = None if tap.pair is None else _in_order(tap.pair, usual)
         off = abs(math.log(tap.angular_frequency_rad_per_s) - usual[0])
@@ -119,25 +120,23 @@ def as_pairs(hits: list[Hit], warnings: list[str]) -> tuple[list[Hit], SecondMod
         elif ringing.variance_accounted_for >= WELL_EXPLAINED and off < ALIKE:
             paired.append((tap, ringing))
         else:
-            others.append(
-                f"{tap.recording}: the tap at {tap.onset_s:.4g} s is left out: it has not the two modes of the others"
-            )
+            others.append(tap)
     upright = _upright(pairs)
     second = _pair_of(upright, _together(upright), alone, True) if len(upright) >= LEAST_TAPS else None
     if second is None:
-        _tell(hits, warnings)
+        _tell(hits, left)
         return kept, None
-    warnings += others
+    for tap in others:
+        left.add(tap.recording, "it has not the two modes of the others", "tap", tap.onset_s)
     return paired, second
 
 
-def _tell(hits: list[Hit], warnings: list[str]) -> None:
+def _tell(hits: list[Hit], left: LeftOut) -> None:
     for tap, ringing in hits:
         if not tap.alone:
-            warnings.append(
-                f"{tap.recording}: the tap at {tap.onset_s:.4g} s is left out: a decaying sinusoid explains "
-                f"{100 * ringing.variance_accounted_for:.0f} % of it, and the others do not have the two that it has"
-            )
+            share = 100 * ringing.variance_accounted_for
+            reason = f"a decaying sinusoid explains {share:.0f} % of it, and the others do not have the two that it has"
+            left.add(tap.recording, reason, "tap", tap.onset_s)
 
 
 def _usual(hits: Sequence[Hit]) -> Floats | None:

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from hapticd.core import ffi, lib
+from hapticd.core import HidQuantity, ffi, lib
 from hapticd.hid.config import ForceAxes, ForceAxis, Hid
 from hapticd.hid.device import Device, Driver, pending_reports
 from hapticd.hid.plan import STILL_M_PER_COUNT, DeviceError, Plan
@@ -40,11 +40,40 @@ class Calibration:
     """How far the handle went along x and y with a force along each of the device's axes."""
 
 
+class _Noting:
+    """A device, and the last of each output report that it was sent, by id and the byte after it: an effect's index."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self.path = device.path
+        self.sent: dict[bytes, bytes] = {}
+
+    def fileno(self) -> int:
+        return self._device.fileno()
+
+    def write(self, report: bytes) -> None:
+        self.sent[report[:2]] = report
+        self._device.write(report)
+
+    def send_feature(self, report: bytes) -> None:
+        self._device.send_feature(report)
+
+    def get_feature(self, report_id: int, length: int) -> bytes:
+        return self._device.get_feature(report_id, length)
+
+    def listen(self, timeout_s: float) -> bytes:
+        return self._device.listen(timeout_s)
+
+    def close(self) -> None:
+        self._device.close()
+
+
 class _Pusher:
     """Sends forces and reads positions, with the time that it takes."""
 
-    def __init__(self, device: Device, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
+    def __init__(self, device: _Noting, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
         self._device, self._plan = device, plan
+        self._pushed: dict[bytes, bytes] = {}
         self._now, self._pause = now, pause
         self._described = plan.to_c()
         self._renewed = now()
@@ -93,8 +122,22 @@ class _Pusher:
             moved = (x, y)
             if max(abs(x), abs(y)) > ENOUGH * half_m:
                 break
+        self._pushed = dict(self._device.sent)
         self.put(0.0, 0.0)
         return moved
+
+    def told(self, along: int) -> str:
+        """What the device was sent for the last push along an axis (0 or 1): its effect, and the reports in hex."""
+        quantities = ((HidQuantity.X, HidQuantity.Y)[along], HidQuantity.MAGNITUDE)
+        carried = [m.data for m in self._plan.force if any(value.quantity in quantities for value in m.values)]
+        names = self._plan.report_names
+        if not names:
+            sent = [report for key, report in self._pushed.items() if key[0] in {data[0] for data in carried}]
+            return f"sent was {', '.join(report.hex(' ') for report in sent)}"
+        effects = {data[1] for data in carried}
+        sent = [report for key, report in self._pushed.items() if key[0] in names and key[1] in effects]
+        words = "; ".join(f"{names[report[0]]} {report.hex(' ')}" for report in sent)
+        return f"effect {', '.join(map(str, sorted(effects)))} had {words}"
 
 
 def calibrate(
@@ -113,20 +156,24 @@ def calibrate(
     """
     if not 0.0 < force_n <= MOST_OF_FULL * hid.full_scale_force_n * (1 + 1e-9):
         raise ValueError(f"{force_n:g} N is not above 0 and up to {MOST_OF_FULL * hid.full_scale_force_n:g} N")
-    plan = driver.set_up(device)
-    pusher = _Pusher(device, plan, now, pause)
+    noting = _Noting(device)
+    plan = driver.set_up(noting)
+    pusher = _Pusher(noting, plan, now, pause)
     half_m = hid.travel_m
     try:
         moved: dict[str, tuple[float, float]] = {}
-        axes: tuple[Literal["x", "y"], ...] = ("x",) if plan.y.m_per_count == STILL_M_PER_COUNT else ("x", "y")
-        for along, name in enumerate(axes):
+        axes: tuple[Literal["x", "y"], ...] = ("x", "y")
+        # A device of one axis has nothing to push along the other.
+        still = plan.y.m_per_count == STILL_M_PER_COUNT
+        for along, name in enumerate(axes[: 1 if still or not plan.pushes[1] else 2]):
             there = pusher.push(along, force_n, half_m)
             back = pusher.push(along, -force_n, half_m)
             moved[name] = ((there[0] - back[0]) / 2.0, (there[1] - back[1]) / 2.0)
             if max(map(abs, moved[name])) < MOVED * half_m:
                 raise DeviceError(
-                    f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis: "
-                    "is a hand on it, or its power off? Else try more with --force"
+                    f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "
+                    f"nor for -{force_n:g} N: {pusher.told(along)} (hex, id first); is a hand on it, or does it take "
+                    "these reports otherwise? Else try more with --force"
                 )
         return Calibration(_found(moved), moved)
     finally:

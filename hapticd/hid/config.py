@@ -1,6 +1,6 @@
 """Configuration of HID devices: `device.hid` and `device.replay`."""
 
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -209,6 +209,11 @@ class Hid(Model):
     )
     axes: HandleAxes = Field(default=HandleAxes(), description="Which axis of the report is which.")
     force_axes: ForceAxes = Field(default=ForceAxes(), description="Along which axes the device pushes.")
+    signs: Literal["check", "trust"] = Field(
+        default="check",
+        description="check: before the first force of the scene soft pulses must move the handle the right way; "
+        "`trust`: they are left out. By default `trust` where force_axes or report is given.",
+    )
     effect_duration_s: float = Field(
         default=0.1, ge=0.01, le=10, description="An effect ends by itself after this time, unless it is renewed."
     )
@@ -225,6 +230,19 @@ class Hid(Model):
     report: VendorReport | None = Field(
         default=None, description="The reports of a device that is not of the PID class; null: it is."
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _known_signs(cls, data: Any) -> Any:
+        # Who says along which axes the device pushes is believed.
+        if isinstance(data, dict) and "signs" not in data and any(data.get(key) for key in ("force_axes", "report")):
+            return {**data, "signs": "trust"}
+        return data
+
+    @property
+    def names_one(self) -> bool:
+        """Whether it names a device rather than taking any."""
+        return any(key is not None for key in (self.vendor, self.product, self.serial, self.path))
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

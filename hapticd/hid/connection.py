@@ -21,6 +21,8 @@ from hapticd.errors import HapticdError
 from hapticd.hid.device import Device, Driver
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
+from hapticd.hid.restore import paced
+from hapticd.hid.signs import Check
 from hapticd.repeats import STATE_S, Repeats
 from hapticd.stopper import StopFile
 
@@ -32,6 +34,8 @@ SETTLE_S: Final = 0.02
 """So long what it says of its own set-up may be under way."""
 LISTEN_S: Final = 0.15
 """So long a device is listened to, to find out whether it reports without being moved."""
+TELL_S: Final = 1.0
+"""A device whose reports have room for it has this long to say that an effect plays."""
 STOP_S: Final = 2.0
 """So long the end waits for a set-up that is under way."""
 _MEASURED_ROUNDS: Final = 8
@@ -54,6 +58,8 @@ class Opened:
     """The device reports only what changes; None: listen to it."""
     measure: bool = True
     """Whether it is measured how long reports take."""
+    identity: str = ""
+    """Which device it is, where there may be several."""
 
 
 Source = Callable[[], Opened]
@@ -91,13 +97,26 @@ class _Live:
     opened: Opened
     plan: Plan
     link: Link
+    since_s: float
+    """time.monotonic()"""
+
+    def resets_seen(self, told: bool) -> bool | None:
+        """Whether a reset by another program would be seen; None: not known yet, or it has no effects to lose. `told`:
+        the device has said that an effect of ours plays."""
+        if self.plan.foreign_s is None:
+            return None
+        asked = self.plan.effects is not None and time.monotonic() - self.since_s < TELL_S
+        return True if told else None if asked else False
 
 
 class Connection:
     """One device, found and found again. `open` and `stop` are for one thread; `status` for any."""
 
-    def __init__(self, source: Source, priority: int = 0, stop_file: StopFile | None = None) -> None:
-        """`priority`: of C's threads, 0 for none. `stop_file`: where to write what stops a device that is driven."""
+    def __init__(
+        self, source: Source, priority: int = 0, stop_file: StopFile | None = None, check: Check | None = None
+    ) -> None:
+        """`priority`: of C's threads, 0 for none. `stop_file`: where to write what stops a device that is driven.
+        `check`: of signs, of each device before its first force; None: they are trusted."""
         made = lib.hd_hid_new()
         if made == ffi.NULL:
             raise MemoryError("no memory for a connection")
@@ -109,6 +128,7 @@ class Connection:
         self._source = source
         self._priority = priority
         self._stop_file = stop_file
+        self._check = check
         self._live: _Live | None = None
         self._problem: str | None = None
         self._resets = 0
@@ -173,6 +193,7 @@ class Connection:
         problem = self._problem or (None if connected else _why(raw))
         report_hz, force_hz = self._rates
         link = None if live is None else live.link
+        seen = live.resets_seen(bool(raw.effects_told)) if live is not None and connected else None
         return {
             "name": None if live is None else live.opened.name,
             "path": None if live is None else live.opened.device.path,
@@ -190,6 +211,8 @@ class Connection:
             "strikes": raw.strikes,
             "strikes_lost": raw.strikes_lost,
             "resets": self._resets,
+            "resets_seen": seen,
+            "foreign_effect_s": live.plan.foreign_s if live is not None and seen is False else None,
             "connects": self._connects,
             "states": states,
         }
@@ -257,7 +280,10 @@ class Connection:
             on_change = opened.on_change
             if on_change is None:
                 on_change = not _reports_steadily(opened.device, plan.x.report_id != 0, self._stop)
-            plan = replace(plan, on_change=on_change)
+            signs = None
+            if self._check is not None:
+                signs = self._check.of(opened.identity, plan.driven_axes, plan.resolution_m)
+            plan = paced(replace(plan, on_change=on_change, signs=signs), link.rate_hz)
             self._hand_over(opened.device, plan)
         except BaseException:
             if self._stop_file is not None:
@@ -272,7 +298,7 @@ class Connection:
             )
         self._problem = None
         # Last: whoever hears that it is connected hears of no problem, and has it counted.
-        self._live = live = _Live(opened, plan, link)
+        self._live = live = _Live(opened, plan, link, time.monotonic())
         return live
 
     def _keep_last(self, device: Device, plan: Plan) -> None:
@@ -316,10 +342,12 @@ class Connection:
             self._repeats.note(
                 "reset", lambda since: _log.warning("device reset: %s is set up anew%s", name, since.more)
             )
-        plan = replace(live.opened.driver.set_up(live.opened.device), on_change=live.plan.on_change)
+        plan = live.opened.driver.set_up(live.opened.device)
+        plan = replace(plan, on_change=live.plan.on_change, signs=live.plan.signs)
+        plan = paced(plan, live.link.rate_hz)
         if plan != live.plan:
             self._hand_over(live.opened.device, plan)
-            self._live, self._problem = _Live(live.opened, plan, live.link), None
+            self._live, self._problem = _Live(live.opened, plan, live.link, time.monotonic()), None
             return
         # The set-up itself resets the device, which it reports too.
         deadline = time.monotonic() + RECOVERY_S

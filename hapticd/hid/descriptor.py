@@ -83,6 +83,10 @@ class FieldFlag(enum.IntFlag):
     BUFFERED_BYTES = 0x100
 
 
+_CONSTANT: Final = int(FieldFlag.CONSTANT)
+_VARIABLE: Final = int(FieldFlag.VARIABLE)
+
+
 @dataclass(frozen=True, slots=True)
 class Collection:
     """A collection. `number` counts them in the order in which they open, so two of the same usage differ."""
@@ -141,11 +145,11 @@ class ReportField:
 
     @property
     def is_constant(self) -> bool:
-        return FieldFlag.CONSTANT in self.flags
+        return bool(int(self.flags) & _CONSTANT)
 
     @property
     def is_variable(self) -> bool:
-        return FieldFlag.VARIABLE in self.flags
+        return bool(int(self.flags) & _VARIABLE)
 
     @property
     def is_relative(self) -> bool:
@@ -286,6 +290,10 @@ _LOCAL: Final = {
 _NAMES: Final[tuple[dict[int, str], ...]] = (_MAIN, _GLOBAL, _LOCAL, {})
 _UNKNOWN: Final = ("unknown main item", "", "unknown local item", "reserved item")
 """What is skipped, by type; unknown global items are refused."""
+_BY_PREFIX: Final = tuple(
+    "long item" if one == _LONG_ITEM else _NAMES[one >> 2 & 3].get(one >> 4, _UNKNOWN[one >> 2 & 3])
+    for one in range(256)
+)
 _KINDS: Final = {"Input": ReportKind.INPUT, "Output": ReportKind.OUTPUT, "Feature": ReportKind.FEATURE}
 
 
@@ -313,8 +321,7 @@ def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _Number]]:
         prefix = data[at]
         if prefix == 0 and parser.closed and not any(data[at:]):
             return
-        kind = prefix >> 2 & 3
-        name = "long item" if prefix == _LONG_ITEM else _NAMES[kind].get(prefix >> 4, _UNKNOWN[kind])
+        name = _BY_PREFIX[prefix]
         if not name:
             raise _error(at, f"{prefix:02X}", "the HID specification knows no such global item, and Linux refuses it")
         size = (0, 1, 2, 4)[prefix & 3]

@@ -8,16 +8,16 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal
 
 from hapticd.errors import quoted
 from hapticd.hid.config import Hid
-from hapticd.hid.descriptor import DescriptorError, parse
 from hapticd.hid.device import RULE
-from hapticd.hid.layout import Layout, layout_of
-from hapticd.hid.plan import DeviceError
+from hapticd.hid.layout import Layout
+from hapticd.hid.plan import DeviceError, UndrivableError
+from hapticd.hid.verdict import Verdict, verdict_of
 
 SYSFS: Final = Path("/sys/class/hidraw")
 DEV: Final = Path("/dev")
@@ -45,11 +45,31 @@ class Found:
     layout: Layout | None
     problem: str | None
     """Why its report descriptor cannot be read."""
+    hid_name: str = ""
+    """As /sys/bus/hid/devices has it."""
+    port: str = ""
+    """Where it is plugged in."""
+    hid: Hid = field(default=Hid(), kw_only=True)
+    """The configuration by which it is judged."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether it can be driven."""
+        return verdict_of(self.hid, self.descriptor)
 
     @property
     def usable(self) -> bool:
-        """Whether its descriptor says all that is needed."""
-        return self.layout is not None and self.layout.usable
+        """Whether it can be driven."""
+        return self.verdict.drivable
+
+    @property
+    def resets_seen(self) -> bool | None:
+        """Whether it has a report that says which effects play: without, a reset by another program is not noticed.
+        None where it cannot be driven. A device with such a report may still not send it."""
+        if not self.usable or self.layout is None:
+            return None
+        state = self.layout.pid_state
+        return state is not None and state.effect_index is not None and state.effect_playing is not None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -59,14 +79,23 @@ class Found:
     def __str__(self) -> str:
         return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
 
-    def why_not(self) -> str:
-        """Why it cannot be driven without a description."""
-        if self.problem is not None:
-            return f"its report descriptor is not valid: {self.problem}"
-        return f"its report descriptor has no {', no '.join(self.missing)}"
+    @property
+    def identity(self) -> str:
+        """Tells it from any other device that may take its place; one without serial is known by its port, too."""
+        return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
+
+    @property
+    def is_other(self) -> bool:
+        """Whether it is no device of the PID class at all, or none that can be read."""
+        return self.layout is None or self.layout.constant_force is None
+
+    def judged_by(self, hid: Hid) -> Found:
+        """The same, judged by a configuration if that may mean it."""
+        return replace(self, hid=hid) if is_meant(hid, self) else self
 
     def to_dict(self) -> dict[str, object]:
         """For programs."""
+        why_not = self.verdict.why_not
         return {
             "path": self.path,
             "name": self.name,
@@ -75,9 +104,11 @@ class Found:
             "serial": self.serial,
             "bus": self.bus,
             "driver": self.driver,
-            "usable": self.usable,
+            "usable": why_not is None,
+            "why_not": why_not,
             "missing": list(self.missing),
             "problem": self.problem,
+            "resets_seen": self.resets_seen,
             "permission": self.permission,
             "in_interval_s": self.in_interval_s,
             "out_interval_s": self.out_interval_s,
@@ -111,15 +142,20 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
     if not meant:
         others = f"; there are {_listed(found)}" if found and wanted else ""
         raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
-    usable = meant if hid.report is not None else [item for item in meant if item.usable]
+    judged = [item.judged_by(hid) for item in meant]
+    usable = [item for item in judged if item.usable]
     if not usable:
-        if len(meant) == 1:
-            raise DeviceError(
-                f"{meant[0]} cannot be driven: {meant[0].why_not()}; a device with reports of its own needs "
-                "device.hid.report"
-            )
+        # What lacks nothing by itself does not suit the configuration: whoever opens it says why.
+        usable = judged if hid.report is not None else [item for item in judged if item.layout and item.layout.usable]
+    if not usable:
+        if len(judged) == 1:
+            hint = "; a device with reports of its own needs device.hid.report" if judged[0].is_other else ""
+            told = f"{judged[0]} cannot be driven: {judged[0].verdict.why_not}{hint}"
+            raise DeviceError(told) if judged[0].is_other and not hid.names_one else UndrivableError(told)
+        nearly = [f"; {item}: {item.verdict.why_not}" for item in judged if not item.is_other]
         raise DeviceError(
-            f"no HID device{text} can be driven: none of {_listed(meant)} is a force-feedback device; {_HERE}"
+            f"no HID device{text} can be driven: none of {_listed(judged)} is a force-feedback device"
+            f"{''.join(nearly[:1])}; {_HERE}"
         )
     if len(usable) > 1:
         raise DeviceError(
@@ -151,11 +187,7 @@ def _look(entry: Path, node: Path) -> Found:
     told = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
     bus, vendor, product = (int(part, 16) for part in told.get("HID_ID", "0:0:0").split(":"))
     descriptor = (device / "report_descriptor").read_bytes()
-    layout, problem = None, None
-    try:
-        layout = layout_of(parse(descriptor))
-    except DescriptorError as error:
-        problem = str(error)
+    verdict = verdict_of(Hid(), descriptor)
     intervals = _intervals(device.resolve().parent)
     absent = not node.exists()
     denied = not absent and not os.access(node, os.R_OK | os.W_OK)
@@ -171,8 +203,10 @@ def _look(entry: Path, node: Path) -> Found:
         in_interval_s=intervals.get("in"),
         out_interval_s=intervals.get("out"),
         permission="absent" if absent else "denied" if denied else "ok",
-        layout=layout,
-        problem=problem,
+        layout=verdict.layout,
+        problem=verdict.problem,
+        hid_name=device.resolve().name,
+        port=told.get("HID_PHYS", ""),
     )
 
 

@@ -22,7 +22,10 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from hapticd.core import lib
-from hapticd.hid.descriptor import CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.descriptor import Collection, CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.flags import number_of_on
+from hapticd.hid.usages import AXES, COMMANDS, EFFECT_TYPES, LOAD_STATUS, OPERATIONS
+from hapticd.hid.useful import angle_fault, axis_fault, magnitude_fault
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
 """The longest report that is driven, with its id."""
@@ -33,33 +36,6 @@ _PID: Final = 0x000F0000
 _DESKTOP: Final = 0x00010000
 _SIMULATION_PAGE: Final = 0x0002
 _JOYSTICKS: Final = (_DESKTOP | 0x04, _DESKTOP | 0x05, _DESKTOP | 0x08)
-AXES: Final = {"x": 0x30, "y": 0x31, "z": 0x32, "rx": 0x33, "ry": 0x34, "rz": 0x35}
-"""Usages of the axes on the page Generic Desktop."""
-
-EFFECT_TYPES: Final = {
-    "constant_force": 0x26,
-    "ramp": 0x27,
-    "custom_force": 0x28,
-    "square": 0x30,
-    "sine": 0x31,
-    "triangle": 0x32,
-    "sawtooth_up": 0x33,
-    "sawtooth_down": 0x34,
-    "spring": 0x40,
-    "damper": 0x41,
-    "inertia": 0x42,
-    "friction": 0x43,
-}
-OPERATIONS: Final = {"start": 0x79, "start_solo": 0x7A, "stop": 0x7B}
-COMMANDS: Final = {
-    "enable_actuators": 0x97,
-    "disable_actuators": 0x98,
-    "stop_all_effects": 0x99,
-    "device_reset": 0x9A,
-    "device_pause": 0x9B,
-    "device_continue": 0x9C,
-}
-LOAD_STATUS: Final = {"success": 0x8C, "full": 0x8D, "error": 0x8E}
 
 
 @dataclass(frozen=True, slots=True)
@@ -403,6 +379,13 @@ class _Group:
         """Constant in a report that is written. In those that are read, it means that the device alone sets it."""
         return field.is_constant and field.kind == ReportKind.OUTPUT
 
+    def accept(self, field: Field, name: str, fault: str | None) -> bool:
+        """Whether there is no fault; else it is noted as a problem."""
+        if fault is not None:
+            kind = self.fields[0].kind
+            self.problems.append(f"{kind} report {field.report_id}, bit {field.bit_offset} ({name}): {fault}")
+        return fault is None
+
     def need(self, name: str, *usages: int, scaled: bool = False) -> Field:
         found = self.find(*usages, scaled=scaled)
         if found is None:
@@ -468,8 +451,8 @@ class _Group:
                 bit = None
                 if field.is_variable and not self._is_fixed(field):
                     bit = self.element(field, index, scaled=False)
-                if bit is not None and (bit.logical_min, bit.logical_max) != (0, 0):
-                    on = 1 if bit.logical_min <= 1 <= bit.logical_max else bit.logical_max or bit.logical_min
+                on = number_of_on(bit) if bit is not None else None
+                if bit is not None and on is not None:
                     entries[name] = Entry(bit, on)
                     break
         return Choice("bits", entries) if entries else None
@@ -487,6 +470,13 @@ class _Finder:
         self._missing: list[str] = []
         self._problems = [f"report descriptor, {told}" for told in descriptor.skipped]
         self._root: int | None = None
+        self._within: dict[int, list[tuple[Collection, ReportField]]] = {}
+        for field in descriptor.fields:
+            around = {
+                usage: one for one in field.path for usage in (one.usage, *one.aliases)
+            }  # the innermost one stays
+            for usage, collection in around.items():
+                self._within.setdefault(usage, []).append((collection, field))
 
     def layout(self) -> Layout:
         output, feature = ReportKind.OUTPUT, ReportKind.FEATURE
@@ -561,9 +551,8 @@ class _Finder:
         """Fields of this kind in collections of this usage, by collection and report id; the nearest ones first."""
         groups: dict[tuple[int, int], _Group] = {}
         for usage in (usages,) if isinstance(usages, int) else usages:
-            for field in self._descriptor.fields:
-                around = field.within(_PID | usage)
-                if field.kind == kind and around is not None:
+            for around, field in self._within.get(_PID | usage, ()):
+                if field.kind == kind:
                     self._put(groups, (around.number, field.report_id), field)
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
@@ -603,7 +592,7 @@ class _Finder:
             axes = {}
             for name, usage in AXES.items():
                 place = group.find(_DESKTOP | usage, scaled=True)
-                if place is not None:
+                if place is not None and group.accept(place, name.capitalize(), axis_fault(place)):
                     axes[name] = Axis(name, group.report_bytes, place)
             self._problems += group.problems
             found.append((group.root != self._root, not {"x", "y"} <= set(axes), axes))
@@ -630,7 +619,7 @@ def _needs(*names: str | None) -> None:
 
 def _constant_force(group: _Group) -> ConstantForce:
     index, magnitude = group.find(_PID | 0x22), group.find(_PID | 0x70, scaled=True)
-    if magnitude is not None and magnitude.logical_max <= 0:
+    if magnitude is not None and not group.accept(magnitude, "Magnitude", magnitude_fault(magnitude)):
         magnitude = None
     if index is None or magnitude is None:
         _needs(None if index else "Effect Block Index", None if magnitude else "Magnitude")
@@ -653,7 +642,7 @@ def _set_effect(group: _Group) -> SetEffect:
     for name, usage in AXES.items():
         for field, element in group.every(_DESKTOP | usage, _PID | 0x55):
             place = group.element(field, element, scaled=False) if field.is_variable else None
-            if place is not None and not field.is_constant and place.logical_max >= 1:
+            if place is not None and not field.is_constant and number_of_on(place) is not None:
                 enable[name] = place
                 break
     directions: list[Field] = []
@@ -663,11 +652,13 @@ def _set_effect(group: _Group) -> SetEffect:
         inside = field.within(_PID | 0x57) or field.index_of(_PID | 0x57) is not None
         if inside and field.is_variable and not field.is_constant and field.usages:
             places = [group.element(field, element, scaled=True) for element in range(min(field.count, len(AXES)))]
-            if all(places):
-                directions += [place for place in places if place is not None]
-                # X, Y, Z, and the vectors Vx, Vy, Vz.
-                cartesian = (*range(0x30, 0x33), *range(0x40, 0x43))
-                is_cartesian |= field.logical_min < 0 and field.usage_at(0) in [_DESKTOP | one for one in cartesian]
+            # X, Y, Z, and the vectors Vx, Vy, Vz.
+            parts = [_DESKTOP | one for one in (*range(0x30, 0x33), *range(0x40, 0x43))]
+            is_vector = field.logical_min < 0 and field.usage_at(0) in parts
+            found = [place for place in places if place is not None] if all(places) else []
+            if found and (is_vector or group.accept(found[0], "Direction", angle_fault(found[0]))):
+                directions += found
+                is_cartesian |= is_vector
     return SetEffect(
         group.report_id,
         group.report_bytes,
@@ -713,6 +704,8 @@ def _create_new_effect(group: _Group) -> CreateNewEffect:
 def _block_load(group: _Group) -> BlockLoad:
     index = group.need("Effect Block Index", _PID | 0x22)
     status = group.choice(LOAD_STATUS)
+    if status is not None and "success" not in status.entries:
+        status = None  # it could never say that an effect is loaded: the index does
     return BlockLoad(group.report_id, group.report_bytes, index, status, group.find(_PID | 0xAC))
 
 

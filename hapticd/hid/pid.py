@@ -15,7 +15,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -23,6 +23,8 @@ from typing import Final, Literal
 from hapticd.core import HidMeaning, HidQuantity, lib
 from hapticd.hid.config import HandleAxis, Hid
 from hapticd.hid.device import Device
+from hapticd.hid.directions import angle_of, counts_of, leak, mirrored, parts
+from hapticd.hid.flags import number_of_on
 from hapticd.hid.layout import Axis, BlockLoad, Choice, Field, Layout, SetEffect
 from hapticd.hid.plan import (
     STILL_M_PER_COUNT,
@@ -40,10 +42,14 @@ from hapticd.hid.plan import (
     Value,
 )
 from hapticd.hid.pool import Pool, number_in, read_feature
+from hapticd.hid.useful import duration_fault
 
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
 """A device that has not yet loaded an effect is asked again so often, after this time."""
+
+RENEWED_ENOUGH_S: Final = 0.05
+"""What is renewed so often needs no restoring."""
 
 _log = logging.getLogger("hapticd")
 
@@ -82,6 +88,7 @@ class PidDriver:
         self._indices: list[int] = []
         self._pool = Pool(layout, hid)
         axes_of(layout, hid)
+        _duration(layout, hid)
 
     def set_up(self, device: Device) -> Plan:
         """Resets the device, enables it, and leaves its effects running with a force of zero."""
@@ -112,11 +119,7 @@ class PidDriver:
         for name in ("device_reset", "stop_all_effects", "enable_actuators"):
             if name != "device_reset" or "no_reset" not in quirks:
                 _send(device, _control(layout, name))
-        gain = layout.device_gain
-        if gain is not None and "no_device_gain" not in quirks:
-            report = _Report(gain.report_id, gain.report_bytes)
-            report.put(gain.gain, gain.gain.logical_max)
-            device.write(bytes(report.data))
+        _send(device, _gain(layout, self._hid))
 
     def _room(self, device: Device) -> int | None:
         """How many effects the device says that it plays, where more than one is wanted; None: not known."""
@@ -207,7 +210,7 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     """How a force can be shown, the best first. Raises DeviceError."""
     effect, force = layout.set_effect, layout.constant_force
     assert effect is not None and force is not None
-    angle, signed = _angle(effect), force.magnitude.is_signed
+    angle, signed = angle_of(effect), force.magnitude.is_signed
     if not signed and force.magnitude.physical_min < 0 < force.magnitude.physical_max:
         raise DeviceError(
             f"the magnitude of Set Constant Force counts from {force.magnitude.logical_min}, and its physical range "
@@ -232,11 +235,6 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
             "the device has two axes, and neither Direction nor Axes Enable to tell them apart in a force"
         )
     return tuple(ways)
-
-
-def _angle(effect: SetEffect) -> Field | None:
-    """The direction as an angle; None where there is none, or parts of a vector stand for it."""
-    return None if effect.is_direction_cartesian or not effect.direction else effect.direction[0]
 
 
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
@@ -290,7 +288,8 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
     effects = _effects(way, hid)
     # The direction first: the new strength is never shown the old way.
     force = [_polar_effect(layout, hid, indices[0])] if way == "polar" else []
-    force += [_constant_force(layout, index, effect, hid) for effect, index in zip(effects, indices, strict=True)]
+    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
+        force.append(_constant_force(layout, index, effect, hid, part))
     infinite = "infinite_duration" in hid.quirks
     _, duration_s = _duration(layout, hid)
     renew_s = hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s)
@@ -300,6 +299,7 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         y=y,
         force=tuple(force),
         renew=tuple(_operation(layout, index, "start") for index in indices),
+        restore=tuple(_restore(layout, hid, way, indices, renew_s)),
         stop=_stop(layout, indices),
         # Most devices say that an effect plays when it begins to. The set-up began it before anybody listened; the
         # first renewal comes at once.
@@ -307,8 +307,61 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         effects=watched,
         states=_states(layout),
         renew_s=renew_s,
+        foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
+        leak=_leak_of(layout) if way == "polar" else 0.0,
+        report_names=_names(layout),
     )
+
+
+def _names(layout: Layout) -> dict[int, str]:
+    """The specification's names of what is sent for an effect."""
+    effect, force, operation = layout.set_effect, layout.constant_force, layout.effect_operation
+    assert effect is not None and force is not None and operation is not None
+    return {
+        effect.report_id: "Set Effect",
+        force.report_id: "Set Constant Force",
+        operation.report_id: "Effect Operation",
+    }
+
+
+def _parts(layout: Layout, effects: Sequence[_Effect]) -> list[tuple[float, float]]:
+    """What the magnitude of each effect has of the force along its axis, and of the other one."""
+    to = layout.set_effect
+    assert to is not None
+    angle = angle_of(to)
+    straight = [(1.0, 0.0)] * len(effects)
+    if len({effect.axis for effect in effects}) < 2 or angle is None or not all(_by_angle(to, one) for one in effects):
+        return straight
+    sign = effects[0].sign * effects[1].sign
+    shown = parts(angle, effects[0].from_turns, effects[1].from_turns)
+    return [(along, other * sign) for along, other in shown]
+
+
+def _leak_of(layout: Layout) -> float:
+    assert layout.set_effect is not None
+    angle = angle_of(layout.set_effect)
+    return 0.0 if angle is None else leak(angle)
+
+
+def _restore(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
+    """What an effect of another program changes in the place of ours, and is not renewed often enough anyway."""
+    effects = _effects(way, hid)
+    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
+        if way != "polar":
+            yield Message(set_effect_report(layout, hid, index, effect))
+        elif renew_s > RENEWED_ENOUGH_S:
+            yield _polar_effect(layout, hid, index)
+        if layout.set_envelope is not None:
+            lines = _Report(layout.set_envelope.report_id, layout.set_envelope.report_bytes)
+            lines.put(layout.set_envelope.effect_index, index)
+            yield Message(bytes(lines.data))
+        if renew_s > RENEWED_ENOUGH_S:
+            yield _constant_force(layout, index, effect, hid, part)
+            yield _operation(layout, index, "start")
+    gain = _gain(layout, hid)
+    if gain is not None:
+        yield Message(gain)
 
 
 def _stop(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]:
@@ -354,8 +407,14 @@ def _playing(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits 
     return PlayingBits(_bits(index), _bits(playing), state.report_id, tuple(indices), proof)
 
 
-def _constant_force(layout: Layout, index: int, effect: _Effect | None = None, hid: Hid | None = None) -> Message:
-    """Set Constant Force of an effect; without `effect` for a force of zero."""
+def _constant_force(
+    layout: Layout,
+    index: int,
+    effect: _Effect | None = None,
+    hid: Hid | None = None,
+    part: tuple[float, float] = (1.0, 0.0),
+) -> Message:
+    """Set Constant Force of an effect; without `effect` for a force of zero. `part`: as of `_parts`."""
     force = layout.constant_force
     assert force is not None
     field = force.magnitude
@@ -367,19 +426,20 @@ def _constant_force(layout: Layout, index: int, effect: _Effect | None = None, h
         return Message(bytes(report.data))
     counts_per_n = effect.sign * (field.logical_max - zero) / hid.full_scale_force_n
     least = max(field.logical_min, -field.logical_max) if field.is_signed else zero
-    value = Value(_bits(field), effect.quantity, counts_per_n, zero, least, field.logical_max)
+    along, other = (counts_per_n * share for share in part)
+    value = Value(_bits(field), effect.quantity, along, zero, least, field.logical_max, other)
     return Message(bytes(report.data), (value,))
 
 
 def _polar_effect(layout: Layout, hid: Hid, index: int) -> Message:
     """Set Effect that carries the direction of the force."""
     assert layout.set_effect is not None
-    field = _angle(layout.set_effect)
+    field = angle_of(layout.set_effect)
     assert field is not None
     per_turn = field.counts_per_turn()
-    slope, turns = _mirrored(hid)
+    slope, turns = mirrored(hid.force_axes)
     # Within one turn of the range's begin, so that C has to take at most one away or add one.
-    zero = _angle_counts(field, turns)
+    zero = counts_of(field, turns)
     value = Value(
         _bits(field),
         HidQuantity.DIRECTION,
@@ -389,21 +449,6 @@ def _polar_effect(layout: Layout, hid: Hid, index: int) -> Message:
         field.logical_max,
     )
     return Message(set_effect_report(layout, hid, index, None), (value,))
-
-
-def _mirrored(hid: Hid) -> tuple[int, float]:
-    """What the device takes for a direction of d turns: slope * d + offset, by its signs and a swap of its axes.
-
-    A direction is an angle from +y towards +x. Taking x negative turns d into -d, y negative into 1/2 - d, and swapping
-    the axes into 1/4 - d; the swap comes first.
-    """
-    axes = hid.force_axes
-    slope, offset = (-1, 0.25) if axes.swap else (1, 0.0)
-    if axes.x.sign < 0:
-        slope, offset = -slope, -offset
-    if axes.y.sign < 0:
-        slope, offset = -slope, 0.5 - offset
-    return slope, offset
 
 
 # ---- Effects that the device plays by itself -------------------------------------------------------------------------
@@ -419,13 +464,18 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
     absent = [name for name, report in reports.items() if report is None]
     if not {"sine"} <= effect.effect_type.entries.keys() & create.effect_type.entries.keys():
         absent.append("ET Sine")
-    if _angle(effect) is None or _single(layout):
+    if angle_of(effect) is None or _single(layout):
         absent.append("Direction of two axes")
     if absent:
         return f"the device has no {', no '.join(absent)}"
     assert layout.set_periodic is not None and layout.set_envelope is not None
-    if layout.set_periodic.magnitude.logical_max <= 0 or layout.set_envelope.attack_level.logical_max <= 0:
+    lines = layout.set_envelope
+    if min(level.logical_max for level in (layout.set_periodic.magnitude, lines.attack_level, lines.fade_level)) <= 0:
         return "the device has no levels above zero"
+    first, last = layout.effect_indices or (1, 0)
+    indices = (layout.set_periodic.effect_index, lines.effect_index)
+    if any(index.logical_min > first or index.logical_max < last for index in indices):
+        return "Set Periodic or Set Envelope does not take every Effect Block Index"
     if "infinite_duration" in hid.quirks:
         return "the device ignores finite durations"
     return None
@@ -499,6 +549,11 @@ class _Report:
         if field is not None:
             _bits(field).put(self.data, min(max(round(counts), field.logical_min), field.logical_max))
 
+    def flag(self, field: Field | None, is_on: bool = True) -> None:
+        """A flag, on or off, whatever its range says."""
+        if field is not None:
+            _bits(field).put(self.data, (number_of_on(field) or 0) if is_on else 0)
+
     def fill(self, field: Field | None) -> None:
         """All ones: none, or without end."""
         if field is not None:
@@ -532,42 +587,47 @@ def set_effect_report(layout: Layout, hid: Hid, index: int, effect: _Effect | No
 
 def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
     """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
-    angle = _angle(to)
-    by_angle = angle is not None and (
-        to.direction_enable is not None or not to.axes_enable or effect is None or effect.needs_angle
-    )
+    angle, by_angle = angle_of(to), _by_angle(to, effect)
     if by_angle:
-        report.put(to.direction_enable, 1)
+        report.flag(to.direction_enable)
         if effect is not None:
             assert angle is not None
-            report.put(angle, _angle_counts(angle, effect.from_turns))
+            report.put(angle, counts_of(angle, effect.from_turns))
     elif angle is not None and effect is not None:
         # Without Direction Enable there is a direction for each axis; firmware that takes it for a factor has no
         # force along x where it is 0.
         for field in to.direction:
-            report.put(field, _angle_counts(field, effect.from_turns))
+            report.put(field, counts_of(field, effect.from_turns))
+    elif to.is_direction_cartesian and effect is not None:
+        for name, field in zip(("x", "y"), to.direction, strict=False):
+            report.put(field, field.logical_max if name == effect.axis else 0)
     if not by_angle or to.direction_enable is None:
         for name, field in to.axes_enable.items():
             # A device of one axis has it under any name.
-            report.put(field, effect is None or name == effect.axis or len(to.axes_enable) == 1)
+            report.flag(field, effect is None or name == effect.axis or len(to.axes_enable) == 1)
 
 
-def _angle_counts(angle: Field, turns: float) -> float:
-    """The counts of a direction, at least the field's first and less than a turn beyond."""
-    per_turn = angle.counts_per_turn()
-    if per_turn <= 0.0:
-        return angle.logical_min
-    return angle.logical_min + (angle.counts_at_north() + per_turn * turns - angle.logical_min) % per_turn
+def _by_angle(to: SetEffect, effect: _Effect | None) -> bool:
+    """Whether an effect's direction is an angle, rather than the axes that are enabled."""
+    needed = effect is None or effect.needs_angle
+    return angle_of(to) is not None and (to.direction_enable is not None or not to.axes_enable or needed)
 
 
 def _duration(layout: Layout, hid: Hid) -> tuple[int, float]:
-    """The duration of an effect, in counts and as the device understands them, s."""
+    """The duration of an effect, in counts and as the device understands them, s; of endless ones, what is asked for.
+    Raises DeviceError where the device has none that would do.
+    """
     assert layout.set_effect is not None
     field = layout.set_effect.duration
-    # The specification's own unit, where the descriptor names none.
-    step_s = field.seconds_per_count() or 1e-3
-    counts = min(max(round(hid.effect_duration_s / step_s), field.logical_min, 1), field.logical_max)
-    return counts, counts * step_s
+    if "infinite_duration" in hid.quirks:
+        return field.logical_max, hid.effect_duration_s
+    scale = _time_scale(field)
+    counts = min(max(scale.counts(hid.effect_duration_s), 1), field.logical_max)
+    duration_s = scale.quantity(counts)
+    fault = duration_fault(field, scale.resolution, duration_s, hid.effect_duration_s)
+    if fault is not None:
+        raise DeviceError(fault)
+    return counts, duration_s
 
 
 def _operation(layout: Layout, index: int, name: str) -> Message:
@@ -582,7 +642,7 @@ def _operation(layout: Layout, index: int, name: str) -> Message:
 
 def _block_free(layout: Layout, index: int) -> Message | None:
     to = layout.block_free
-    if to is None:
+    if to is None or not to.effect_index.logical_min <= index <= to.effect_index.logical_max:
         return None
     report = _Report(to.report_id, to.report_bytes)
     report.put(to.effect_index, index)
@@ -597,6 +657,16 @@ def _control(layout: Layout, name: str) -> bytes | None:
         return None
     report = _Report(to.report_id, to.report_bytes)
     report.choose(to.command, name)
+    return bytes(report.data)
+
+
+def _gain(layout: Layout, hid: Hid) -> bytes | None:
+    """Device Gain at its maximum; None where the device has no such report, or does not take it."""
+    to = layout.device_gain
+    if to is None or "no_device_gain" in hid.quirks:
+        return None
+    report = _Report(to.report_id, to.report_bytes)
+    report.put(to.gain, to.gain.logical_max)
     return bytes(report.data)
 
 

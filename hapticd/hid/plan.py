@@ -6,8 +6,8 @@ number means). Reports are bytes with the report id first, 0 where reports are n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from hapticd.core import CData, HidMeaning, HidQuantity, ffi, lib
 from hapticd.errors import HapticdError
+from hapticd.hid.signs import Signs
 
 STILL_M_PER_COUNT: Final = 1e-15
 """A handle with one axis: its other one moves by nothing that matters."""
@@ -22,6 +23,10 @@ STILL_M_PER_COUNT: Final = 1e-15
 
 class DeviceError(HapticdError):
     """A device that cannot be driven; `str` is one line that says which, why and what would be right."""
+
+
+class UndrivableError(DeviceError):
+    """A device that is there and that no plan can be made for, whatever happens to it later."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +91,10 @@ class AxisPlan:
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most."""
+    """A number that a message carries: quantity * counts_per_unit + zero_counts, rounded, within least .. most.
+
+    Of a force along one axis, the other axis's force times `counts_per_other_n` comes to it.
+    """
 
     bits: Bits
     quantity: HidQuantity
@@ -94,6 +102,7 @@ class Value:
     zero_counts: float
     least: float
     most: float
+    counts_per_other_n: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,22 +222,58 @@ class Plan:
     """Sent at an orderly end, after a force of zero."""
     begin: tuple[Message, ...] = ()
     """Sent once, before the first force."""
+    restore: tuple[Message, ...] = ()
+    """What another program may have changed of the effects: sent one by one, in turn, to a device that does not say
+    that they play."""
     effects: PlayingBits | None = None
     """What tells that the device has forgotten an effect; None: nothing does."""
     states: tuple[StateBit, ...] = ()
     on_change: bool = False
     """The device reports only what changes."""
     renew_s: float = 0.04
+    restore_s: float = 0.04
+    """Between two messages of `restore`."""
+    foreign_s: float | None = None
+    """So long an effect of another program lasts in the place of ours at most, where it cannot be seen: as far as the
+    renewals are concerned, and once the link is known altogether. None: the device keeps no effects."""
     write_interval_s: float = 0.0
     """Between two writes at least; 0: as fast as the device takes them."""
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
     """Why there is none."""
+    signs: Signs | None = None
+    """What is checked before the first force of the scene; None: the signs are trusted."""
+    leak: float = 0.0
+    """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
+    report_names: Mapping[int, str] = field(default_factory=dict)
+    """What output reports are called, by id, for those who look at what was sent."""
 
     @property
     def resolution_m(self) -> float:
         """The step of positions, the coarser axis's."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
+
+    @property
+    def driven_axes(self) -> tuple[bool, bool]:
+        """Whether the device both moves and pushes along x, and along y."""
+        steps_n = self.force_steps_n
+        return (
+            self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
+            self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
+        )
+
+    @property
+    def leak_told(self) -> str:
+        """What `leak` means, for a person; empty where it is below a thousandth."""
+        if self.leak < 1e-3:
+            return ""
+        return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force comes out across it"
+
+    @property
+    def pushes(self) -> tuple[bool, bool]:
+        """Whether a force along x, along y is sent at all."""
+        sent = {value.quantity for message in self.force for value in message.values}
+        return bool(sent & {HidQuantity.X, HidQuantity.MAGNITUDE}), bool(sent & {HidQuantity.Y, HidQuantity.MAGNITUDE})
 
     @property
     def force_steps_n(self) -> tuple[float, float]:
@@ -251,6 +296,7 @@ class Plan:
             (plan.begin, self.begin),
             (plan.force, self.force),
             (plan.renew, self.renew),
+            (plan.restore, self.restore),
             (plan.stop, self.stop),
         ):
             _fill_script(script, messages)
@@ -262,8 +308,11 @@ class Plan:
             _fill_bits(into.field, state.bits)
             into.report_id, into.meaning = state.report_id, state.meaning
         plan.state_count = len(self.states)
+        if self.signs is not None:
+            self.signs.fill(plan.signs)
         plan.on_change = self.on_change
         plan.renew_ns = round(self.renew_s * 1e9)
+        plan.restore_ns = round(self.restore_s * 1e9)
         plan.write_interval_ns = round(self.write_interval_s * 1e9)
         return plan
 
@@ -306,4 +355,5 @@ def fill_message(into: CData, message: Message) -> None:
         _fill_bits(place.field, value.bits)
         place.quantity = value.quantity
         place.counts_per_unit, place.zero_counts = value.counts_per_unit, value.zero_counts
+        place.counts_per_other_n = value.counts_per_other_n
         place.least, place.most = value.least, value.most

@@ -5,15 +5,11 @@ from __future__ import annotations
 from hapticd.config import Device as DeviceConfig
 from hapticd.hid.config import Hid, Replay
 from hapticd.hid.connection import Opened, Source
-from hapticd.hid.descriptor import DescriptorError, parse
-from hapticd.hid.device import Device, Driver, HidrawDevice
+from hapticd.hid.device import Device, HidrawDevice
 from hapticd.hid.discover import choose, find
-from hapticd.hid.layout import layout_of
-from hapticd.hid.pid import PidDriver, plan_of, ways_of
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.hid.replay import ReplayDevice, load
-from hapticd.hid.vendor import VendorDriver
-from hapticd.hid.vendor import plan_of as vendor_plan_of
+from hapticd.hid.verdict import driver_of, expected_plan
 
 
 def source_of(device: DeviceConfig) -> Source:
@@ -29,32 +25,9 @@ def open_hid(hid: Hid) -> Opened:
     found = choose(hid, find())
     driver = driver_of(hid, found.descriptor)
     on_change = True if "reports_on_change" in hid.quirks else False if "reports_steadily" in hid.quirks else None
-    return Opened(HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change)
-
-
-def driver_of(hid: Hid, descriptor: bytes) -> Driver:
-    """How a device with this report descriptor is driven. Raises DeviceError."""
-    if hid.report is not None:
-        return VendorDriver(hid, descriptor)
-    try:
-        layout = layout_of(parse(descriptor))
-    except DescriptorError as error:
-        raise DeviceError(f"the device's report descriptor is not valid: {error}") from None
-    if not layout.usable:
-        raise DeviceError(f"the device cannot be driven: its report descriptor has no {', no '.join(layout.missing)}")
-    return PidDriver(layout, hid)
-
-
-def expected_plan(hid: Hid, descriptor: bytes) -> Plan:
-    """The plan for a device with this report descriptor that is not set up: as if it had room for what is wanted, its
-    effects numbered as a device would do it. Raises DeviceError."""
-    driver_of(hid, descriptor)
-    if hid.report is not None:
-        return vendor_plan_of(hid, hid.report)
-    layout = layout_of(parse(descriptor))
-    way = ways_of(layout, hid)[0]
-    first, last = layout.effect_indices or (1, 1)
-    return plan_of(layout, hid, way, range(first, last + 1)[: 1 if way in ("one", "polar") else 2])
+    return Opened(
+        HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change, identity=found.identity
+    )
 
 
 def replay_source(replay: Replay, hid: Hid) -> Source:

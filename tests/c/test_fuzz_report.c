@@ -61,6 +61,7 @@ static void take_message(struct source *source, struct hd_hid_message *message) 
         value->field = take_field(source, message->length);
         value->quantity = 1 + (uint32_t)take_bytes(source, 1) % HD_HID_DIRECTION;
         value->counts_per_unit = take_number(source);
+        value->counts_per_other_n = value->quantity <= HD_HID_Y ? -0.5 * value->counts_per_unit : 0.0;
         value->least = take_number(source);
         value->most = take_number(source);
         value->zero_counts = take_bytes(source, 1) % 8 != 0 ? value->least : take_number(source);

@@ -693,6 +693,75 @@ static void renewal(void) {
     close_pair(fds);
 }
 
+/* What another program may have changed: reports 12 to 14 in turn, with the force as it is, and a pass of the forces
+ * between two of them. */
+static struct hd_hid_plan restored_plan(struct hd_hid_plan from) {
+    from.renew_ns = 200000;
+    from.restore_ns = 1; /* always due */
+    from.restore.count = 3;
+    for (uint8_t i = 0; i < 3; i++) {
+        from.restore.messages[i] = plan.force.messages[0];
+        from.restore.messages[i].bytes[0] = (uint8_t)(12 + i);
+    }
+    return from;
+}
+
+static void restoring(void) {
+    const struct hd_hid_plan restored = restored_plan(plan);
+    struct hd_hid *hid;
+    int fds[2];
+    int next = 12;
+
+    open_pair(fds);
+    hid = connected(fds[OURS], &restored);
+    expect_rest(fds[DEVICE]); /* forces first */
+    for (int i = 0; i < 600; i++) {
+        const struct message message = hear(fds[DEVICE]);
+
+        if (message.id == 5 || message.id == 6)
+            continue;
+        CHECK(message.id == next);
+        next = next == 14 ? 12 : next + 1;
+    }
+    put(hid, 5.0, 0.0);
+    for (int value = 0, last = 0; value != 500; last = value) {
+        const struct message message = hear(fds[DEVICE]);
+
+        value = message.id >= 12 ? message.value : last;
+        CHECK(value == 0 || value == 500);
+    }
+    CHECK(!status_of(hid).effects_told);
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
+/* A device that says that an effect of ours plays would say that it is gone: nothing is restored, from then on. */
+static void restoring_is_not_for_those_that_tell(void) {
+    const struct hd_hid_plan restored = restored_plan(watched_plan());
+    struct hd_hid *hid;
+    int fds[2];
+    int heard = 0;
+
+    open_pair(fds);
+    hid = connected(fds[OURS], &restored);
+    while (hear(fds[DEVICE]).id < 12) { /* it has not said so in 0.1 s */
+    }
+    CHECK(!status_of(hid).effects_told);
+    tell_effect(fds[DEVICE], 4, 1); /* not ours */
+    await_reports(hid, 1);
+    CHECK(!status_of(hid).effects_told);
+    tell_effect(fds[DEVICE], 7, 1);
+    await_reports(hid, 2);
+    CHECK(status_of(hid).effects_told);
+    for (int i = 0; i < MANY; i++) /* what was on its way */
+        hear(fds[DEVICE]);
+    for (int i = 0; i < MANY; i++)
+        heard += hear(fds[DEVICE]).id >= 12;
+    CHECK(heard == 0);
+    hd_hid_free(hid);
+    close_pair(fds);
+}
+
 /* ---- Ends -------------------------------------------------------------------------------------------------------- */
 
 static void unplugged(void) {
@@ -1054,6 +1123,8 @@ int main(void) {
     end_of_a_slow_one();
     force_after_a_reset();
     renewal();
+    restoring();
+    restoring_is_not_for_those_that_tell();
     forgotten_effects();
     effects_that_end();
     paused();

@@ -99,6 +99,24 @@ static uint64_t lost(const struct bench *bench) {
     return hd_orders_lost(&bench->orders);
 }
 
+/* Where nobody would tell that the effect is gone, all of it is sent with each strike. */
+static void what_is_sent_whole(void) {
+    struct bench *bench = bench_new(2);
+
+    for (int i = 0; i < 4; i++) {
+        bench->player.unsure = i != 2;
+        strike(bench, 102, 0.0, -4.0);
+        if (i != 2) {
+            expect(bench, 20, 1, 0);
+            expect(bench, 21, 1, 40);
+            expect(bench, 22, 1, 27);
+        }
+        expect(bench, 23, 1, -1);
+        expect(bench, 0, 0, 0);
+    }
+    free(bench);
+}
+
 static void what_is_sent(void) {
     struct bench *bench = bench_new(2);
 
@@ -709,6 +727,7 @@ static void carried_modes(void) {
 int main(void) {
     alarm(PATIENCE_S);
     what_is_sent();
+    what_is_sent_whole();
     what_is_not();
     what_is_stopped();
     range();

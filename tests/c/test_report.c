@@ -143,6 +143,21 @@ static void forces(void) {
     CHECK(composed(&value, 1e308, 1e308) == 0);
 }
 
+/* Of the other axis's force, up to the full one, a part comes to it. */
+static void two_axes_in_one_number(void) {
+    struct hd_hid_value value = {.field = {.bit_size = 16, .is_signed = 1}, .quantity = HD_HID_Y};
+
+    value.counts_per_unit = 100.0;
+    value.counts_per_other_n = -10.0;
+    value.least = -1000.0;
+    value.most = 1000.0;
+    CHECK(composed(&value, 2.0, 5.0) == 480 && composed(&value, -2.0, 5.0) == 520);
+    CHECK(composed(&value, 1e9, 0.0) == -100 && composed(&value, -1e308, 0.0) == 100);
+    CHECK(composed(&value, -1e308, 1e308) == 1000 && composed(&value, (double)NAN, 5.0) == 0);
+    value.quantity = HD_HID_X;
+    CHECK(composed(&value, 5.0, 2.0) == 480);
+}
+
 /* Whatever the steps of a turn and where they begin, the nearest of them is written, also across north. */
 static void directions(void) {
     const struct {
@@ -180,7 +195,8 @@ static struct hd_hid_plan plan_of(uint32_t x_id, uint32_t y_id) {
     plan.force.count = 1;
     plan.force.messages[0].length = 3;
     plan.force.messages[0].value_count = 1;
-    plan.force.messages[0].values[0] = (struct hd_hid_value){{0, 16, 1, 0}, HD_HID_X, 0, 100.0, 0.0, -32768.0, 32767.0};
+    plan.force.messages[0].values[0] =
+        (struct hd_hid_value){{0, 16, 1, 0}, HD_HID_X, 0, 100.0, 0.0, -32768.0, 32767.0, 0.0};
     return plan;
 }
 
@@ -270,9 +286,15 @@ static void refusals(void) {
     REFUSES(plan.force.messages[0].values[0].least = (double)NAN);
     REFUSES(plan.force.messages[0].values[0].least = 1.0);
     REFUSES(plan.force.messages[0].values[0].counts_per_unit = (double)NAN);
+    REFUSES(plan.force.messages[0].values[0].counts_per_other_n = (double)INFINITY);
+    REFUSES(plan.force.messages[0].values[0].quantity = HD_HID_MAGNITUDE;
+            plan.force.messages[0].values[0].counts_per_other_n = 1.0);
     REFUSES(plan.stop.count = 1);
     REFUSES(plan.renew = plan.force; plan.renew_ns = 0);
     REFUSES(plan.renew_ns = -1);
+    REFUSES(plan.restore = plan.force; plan.restore_ns = 0);
+    REFUSES(plan.restore_ns = -1);
+    REFUSES(plan.restore.count = HD_HID_MESSAGES + 1);
     REFUSES(plan.write_interval_ns = 100000001);
 }
 
@@ -281,6 +303,7 @@ int main(void) {
 
     no_field();
     forces();
+    two_axes_in_one_number();
     directions();
     input();
     refusals();

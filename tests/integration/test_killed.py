@@ -29,7 +29,7 @@ from tests.killed_daemon import INDICES
 KILLS = int(os.environ.get("KILLS", "10"))
 """A kill takes two or three seconds of a processor: docs/service.md speaks of a run with 100."""
 CONFIG = """
-device: {kind: hid}
+device: {kind: hid, hid: {signs: trust}}
 servo: {rate_hz: 10000}
 materials: {soft: {stiffness_n_per_m: 200}}
 scene:

@@ -39,6 +39,11 @@ from tests.marks import rest_slow
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 DISC = {"kind": "disc", "center_m": [0.01, 0.0], "radius_m": 0.004, "material": "steel"}
+PULSE = {
+    **dict.fromkeys(("frequency_hz", "decay_time_s")),
+    "attack_slope_per_s": 100,
+    "waveform": {"rate_hz": 700, "samples": [0, 0.4, 1, 0.7, -0.2, 0]},
+}
 WAYS = [[0.1 * step, 0.02 * np.sin(step), 0.008 * np.cos(2.1 * step)] for step in range(600)]
 
 QUIET = """servo: {rate_hz: 1000, realtime: off, overruns: {threshold: 1}}
@@ -129,7 +134,7 @@ def test_what_a_daemon_rendered_is_rendered_again_bit_for_bit(daemon: Daemon, tm
 def changes(client: Client) -> Iterator[Callable[[], Any]]:
     """What is done, one after the other."""
     yield lambda: client.update_scene({"disc": DISC}, wait=True)
-    yield lambda: client.update_materials({"wood": {"stiffness_n_per_m": 500}}, wait=True)
+    yield lambda: client.update_materials({"wood": {"stiffness_n_per_m": 500, "tap": PULSE}}, wait=True)
     yield lambda: client.play("steel", direction=(1, 2), amplitude_m_per_s2=3)
     yield lambda: client.update_scene({"disc": {"center_m": [0.0, 0.0]}}, wait=True)
     yield lambda: client.reset(["floor"])

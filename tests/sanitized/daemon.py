@@ -480,7 +480,13 @@ def mishaps(load: Load, *, freezes: bool) -> Callable[[Client, random.Random], N
 
 def stick(run: Run, *, led: bool) -> None:
     """A joystick, with `led` one that leads the ticks."""
-    hid = {"travel_m": 0.05, "full_scale_force_n": 8.9, "offload": "off" if led else "auto", "max_rate_hz": 500}
+    hid = {
+        "travel_m": 0.05,
+        "full_scale_force_n": 8.9,
+        "signs": "trust",
+        "offload": "off" if led else "auto",
+        "max_rate_hz": 500,
+    }
     device = {"kind": "hid", "effective_mass_kg": 0.05, "hid": hid, **({"frozen_after_s": 0.2} if led else {})}
     floor = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "ringing"}
     text = head(run, clock="device" if led else "timer", rate_hz=1000) + yaml.safe_dump(

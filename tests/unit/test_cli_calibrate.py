@@ -23,7 +23,7 @@ from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid
 
 SIM = "servo: {rate_hz: 1000}\n"
-HID = "servo: {rate_hz: 1000, realtime: 'off'}\ndevice: {kind: hid, hid: {travel_m: 0.04}}\n"
+HID = "servo: {rate_hz: 1000, realtime: 'off'}\ndevice: {kind: hid, hid: {travel_m: 0.04, signs: trust}}\n"
 
 
 @pytest.fixture(autouse=True)

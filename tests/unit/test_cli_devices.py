@@ -55,6 +55,25 @@ def test_json_of_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert control["bits"]["device_reset"]["bit_offset"] == 3
 
 
+def test_one_effect_for_both_axes_says_how_much_comes_out_across_a_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half of one of 255 counts a turn is 1.2 % of a force; two effects, or 35999 counts, let nothing through."""
+    file = tmp_path / "descriptor"
+    told = []
+    for like in (
+        Joystick(is_magnitude_signed=False),
+        Joystick(is_magnitude_signed=False, direction_bits=16),
+        Joystick(),
+    ):
+        file.write_bytes(bytes(like))
+        assert main(["devices", "parse", str(file)]) == 0
+        told.append("up to 1.2 % of a force comes out across it" in capsys.readouterr().out)
+    assert told == [True, False, False]
+    assert main(["devices", "parse", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["leak"] == 0.0
+
+
 def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "descriptor"
     file.write_bytes(STICK)

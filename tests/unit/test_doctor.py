@@ -342,7 +342,8 @@ def test_a_joystick_that_may_be_driven(tmp_path: Path) -> None:
 def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
     joystick(tmp_path)
     descriptor = tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor"
-    descriptor.write_bytes(bytes.fromhex("05010904a10109301500 26ff0075089501 8102c0"))  # one axis, no forces
+    # One axis and two bytes out: no forces, unless the configuration says what they are.
+    descriptor.write_bytes(bytes.fromhex("05010904a10109301500 26ff0075089502 8102 0600ff0901 9102c0"))
     assert told(tmp_path, devices.permissions).startswith("ok no force-feedback joystick of the PID class")
     report = {
         "input": {name: {"bit_offset": at, "bit_size": 8, "counts_per_m": 1000} for name, at in (("x", 0), ("y", 8))},
@@ -351,12 +352,32 @@ def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
             **{name: {"bit_offset": at, "bit_size": 8, "counts_per_n": 10} for name, at in (("x", 0), ("y", 8))},
         },
     }
-    mine = Needs(hid=True, described=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
-    other = Needs(hid=True, described=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
+    mine = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
+    other = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
     assert told(tmp_path, devices.permissions, needs=mine) == "ok Stick at /dev/hidraw0 may be driven from here -> "
     assert told(tmp_path, devices.competitors, needs=mine) == "ok nobody else uses /dev/hidraw0 -> "
     missing = "warn no force-feedback joystick that the configuration describes is connected; there are 1 other"
     assert told(tmp_path, devices.permissions, needs=other).startswith(missing)
+    # A description that does not fit is told as `hapticd run` would tell it.
+    report["output"]["length"] = 3
+    wrong = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
+    lines = [str(one) for one in devices.permissions(Machine(tmp_path), wrong)]
+    assert lines[0].startswith("warn  joystick     no force-feedback joystick that the configuration describes")
+    assert "Stick at /dev/hidraw0 cannot be driven: device.hid.report.output.length: output report 0" in lines[1]
+
+
+def test_a_joystick_that_run_would_refuse(tmp_path: Path) -> None:
+    joystick(tmp_path)
+    descriptor = tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor"
+    descriptor.write_bytes(bytes(Joystick(force_axes=(), direction_bits=0)))
+    for needs, verdict in (
+        (Needs(), "warn"),
+        (Needs(hid=True, device=Hid()), "warn"),
+        (Needs(hid=True, device=Hid(product=0x1B)), "fail"),
+    ):
+        _, second = devices.permissions(Machine(tmp_path), needs)
+        assert second.verdict == verdict
+        assert second.what.startswith("Stick at /dev/hidraw0 cannot be driven: the device has two axes, and neither")
 
 
 def test_a_joystick_without_permission(tmp_path: Path) -> None:
@@ -389,6 +410,18 @@ def test_the_kernels_own_effects_are_told_where_others_may_use_them(tmp_path: Pa
     assert "at /dev/input/event5" in told(tmp_path, devices.competitors)
     put(tmp_path, {"sys/class/hidraw/hidraw0/device/input/input9/capabilities/ff": "0\n"})
     assert told(tmp_path, devices.competitors).startswith("ok nobody else")
+
+
+def test_a_device_whose_resets_nobody_sees(tmp_path: Path) -> None:
+    joystick(tmp_path)
+    (tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor").write_bytes(
+        bytes(Joystick(without=frozenset({0x92})))
+    )
+    condition = "/dev/hidraw0 does not report which of its effects play: a reset by another program is not noticed"
+    assert told(tmp_path, devices.competitors).endswith(f"ok {condition} -> ")
+    (tmp_path / "dev" / "input" / "event5").chmod(0o660)
+    action = "`hapticd devices claim /dev/hidraw0` keeps other programs off"
+    assert told(tmp_path, devices.competitors).endswith(f"warn {condition} -> {action}")
 
 
 # ---- Service and daemon ----------------------------------------------------------------------------------------------
@@ -428,6 +461,9 @@ def test_the_daemon(tmp_path: Path) -> None:
     said = told(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
     assert "warn it was not granted: SCHED_FIFO priority 80" in said
     assert "warn a fault holds the forces off: device" in said
+    status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
+    said = told(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
+    assert "is not noticed; what it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps" in said
 
     def silent() -> None:
         raise HapticdError("the daemon did not answer within 2 s")

@@ -51,8 +51,12 @@ def test_reloads() -> None:
 def test_recordings() -> None:
     outcomes, _, most = fuzz_recordings.run(random.Random(104), 150)
     assert most < 2 * fuzz_recordings.LIMIT_BYTES
-    for form in fuzz_recordings.FORMS:
-        assert outcomes[f"{form} refused"] > 0
+    tried = {outcome.split()[0] for outcome in outcomes}
+    assert tried == set(fuzz_recordings.FORMS)
+    # What a killed recording left comes less often than whole files, and more of it can be used.
+    whole = [form for form in fuzz_recordings.FORMS if not form.startswith("left")]
+    assert all(outcomes[f"{form} refused"] > 0 for form in whole)
+    assert any(outcomes[f"{form} refused"] > 0 for form in fuzz_recordings.FORMS if form not in whole)
     assert any(outcome.endswith("rendered") for outcome in outcomes)
 
 

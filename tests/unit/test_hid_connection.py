@@ -40,7 +40,7 @@ class World:
         self.sticks: list[FakePid] = []
         self.opened: list[Opened] = []
         self.on_change: bool | None = False
-        self.hid: dict[str, Any] = {"renew_s": 0.1, "effect_duration_s": 0.25}
+        self.hid: dict[str, Any] = {"renew_s": 0.1, "effect_duration_s": 0.25, "signs": "trust"}
         """More of `device.hid`. Effects that do not play after three renewals are forgotten, and whoever tells of them
         here is a thread of Python."""
         self.late_after_s = 60.0

@@ -269,13 +269,15 @@ def test_the_root_itself_may_be_named_by_a_link(tmp_path: Path, monkeypatch: pyt
     assert System(tmp_path / "real").files() == FILES
 
 
-def test_folders_of_the_system_can_be_entered_whatever_the_umask(system: System) -> None:
+def test_folders_can_be_entered_and_files_be_read_whatever_the_umask(system: System) -> None:
     before = os.umask(0o177)
     try:
         system.install()
     finally:
         os.umask(before)
     assert {path.stat().st_mode & 0o777 for path in system.root.rglob("*") if path.is_dir()} == {0o755}
+    modes = {path: path.stat().st_mode & 0o777 for path in system.root.rglob("*") if path.is_file()}
+    assert modes and set(modes.values()) == {0o644}, modes
 
 
 @pytest.mark.parametrize("udev", [False, True])

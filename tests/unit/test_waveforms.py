@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
+from hapticd.cli.simulation import simulate_files
 from hapticd.config import load_config
 from hapticd.core import EventKind, lib
 from hapticd.displayable import undisplayable, warnings
 from hapticd.engine import output_of
 from hapticd.errors import InvalidError
 from hapticd.materials import validate_materials
+from hapticd.offline import render_run, simulate_run
+from hapticd.replayed import replay
 from hapticd.waveform import MOST_SAMPLES, Curve
 from tests.rig import FLOOR, Rig
 
@@ -228,6 +233,28 @@ def test_more_waveforms_than_there_is_room_for_end_without_harm() -> None:
     path[:] = (0.0, 0.01)
     rest = rig.render(path)
     assert not rest["vibration_force_n"][1100:].any()
+
+
+def test_what_is_simulated_is_rendered_and_replayed_to_the_same_bits(tmp_path: Path) -> None:
+    config = {
+        "materials": {"m": material(attack_slope_per_s=60.0)},
+        "scene": {
+            "objects": {"w": {**FLOOR, "material": "m"}, "wood": {**FLOOR, "normal": [1, 0], "material": "wood"}}
+        },
+    }
+    ways = [[0.0, 0.01, 0.01], *([0.05 * i, 0.01 * (-1) ** (i // 2), 0.01 * (-1) ** i] for i in range(1, 9))]
+    (tmp_path / "config.yaml").write_text(json.dumps(config))
+    (tmp_path / "ways.yaml").write_text(json.dumps({"waypoints": ways}))
+    simulate_files(str(tmp_path / "config.yaml"), str(tmp_path / "ways.yaml"), str(tmp_path / "run.npz"), 0.4, None)
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == again.ticks == 4000
+    run = simulate_run(config, ways, 0.4)
+    assert run.samples["vibration_force_n"].tobytes() == again.samples["vibration_force_n"].tobytes()
+    velocity = run.samples["velocity_m_per_s"]
+    rendered = render_run(config, run.samples["position_m"], velocity_m_per_s=velocity)
+    assert rendered.samples["vibration_force_n"].tobytes() == again.samples["vibration_force_n"].tobytes()
+    taps = run.events[run.events["kind"] == EventKind.CONTACT]
+    assert len(taps) > 4 and run.samples["vibration_force_n"][:, 1].max() > 0.1
 
 
 # ---- YAML ------------------------------------------------------------------------------------------------------------

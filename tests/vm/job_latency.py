@@ -38,7 +38,10 @@ def sweep(t_s: float) -> tuple[float, float]:
 def config(clock: str, rate_hz: int, spring: bool = True) -> dict[str, Any]:
     pull = {"kind": "spring", "center_m": [0, 0], "stiffness_n_per_m": STIFFNESS}
     return {
-        "device": {"kind": "hid", "hid": {"full_scale_force_n": usb.FULL_SCALE_N, "travel_m": usb.TRAVEL_M}},
+        "device": {
+            "kind": "hid",
+            "hid": {"full_scale_force_n": usb.FULL_SCALE_N, "travel_m": usb.TRAVEL_M, "signs": "trust"},
+        },
         "servo": {"rate_hz": rate_hz, "clock": clock},
         "scene": {"objects": {"pull": pull} if spring else {}},
     }

@@ -28,7 +28,10 @@ SCENE = {
     }
 }
 CONFIG = {
-    "device": {"kind": "hid", "hid": {"full_scale_force_n": usb.FULL_SCALE_N, "travel_m": usb.TRAVEL_M}},
+    "device": {
+        "kind": "hid",
+        "hid": {"full_scale_force_n": usb.FULL_SCALE_N, "travel_m": usb.TRAVEL_M, "signs": "trust"},
+    },
     "servo": {"rate_hz": 1000},
     "materials": {
         "soft": {"stiffness_n_per_m": STIFFNESS},

@@ -34,7 +34,7 @@ limit=${VM_SECONDS:-600}
 bash "$here/run.sh" -k rt-amd64 -t "$limit" job_latency.py job_vendor.py >"$out/rt.log" 2>&1 &
 beside=$!
 failed=0
-bash "$here/run.sh" -t "$limit" job_device.py job_pid.py || failed=1
+bash "$here/run.sh" -t "$limit" job_device.py job_pid.py job_firmware.py || failed=1
 wait "$beside" || failed=1
 cat "$out/rt.log"
 echo "all jobs after $((SECONDS - begin)) s"

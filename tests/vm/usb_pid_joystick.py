@@ -213,6 +213,7 @@ class Joystick:
     """Whether output reports are left waiting."""
     priority: int = 0
     """SCHED_FIFO priority of what would be hardware; 0: none."""
+    report_descriptor: bytes = field(default_factory=descriptor)
 
     def __post_init__(self) -> None:
         self.lock = threading.RLock()
@@ -461,7 +462,7 @@ class _Bus(USBDevice):  # type: ignore[misc]
 
 
 class Plug:
-    """The joystick in its socket: `with Plug(joystick) as plug: plug.node`."""
+    """The joystick in its socket: `with Plug(joystick) as plug: plug.node`. A FirmwareJoystick goes in, too."""
 
     def __init__(self, joystick: Joystick, interval_ms: int = 4, product: str = "PID joystick") -> None:
         self.joystick, self.interval_ms, self.product = joystick, interval_ms, product
@@ -479,7 +480,7 @@ class Plug:
         joystick = self.joystick
         joystick.power_on()
         interface = usb_hid.HID(
-            descriptor(),
+            joystick.report_descriptor,
             in_ep=0x81,
             in_interval=self.interval_ms,
             out_ep=0x01,

@@ -1,0 +1,145 @@
+"""Whether taps ring, or are pulses: which of the two fits says more of them.
+
+A mode is taken where it rings, which is to fall to 1/e in 0.3 of its period or later, and where it, or two, explain
+95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if it leaves
+less than half of what the mode leaves over. A mode may choose frequency and decay anew for each tap, and a waveform is
+judged on each tap by the other taps: the comparison favours the mode.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Final, Literal, TypeAlias, cast
+
+import numpy as np
+
+from hapticd.fit.left_out import LeftOut
+from hapticd.fit.pulse_shape import Pulse
+from hapticd.fit.recording import Recording
+from hapticd.fit.regression import FitError, MistakenError, require_scipy
+from hapticd.fit.tap import HARDEST, SOFTEST, TapFit, check_speeds, fit_tap
+from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
+from hapticd.fit.tap_hit import TapHit
+from hapticd.fit.twins import refuse_twins
+from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
+from hapticd.waveform import LONGEST_S, middle_hz
+
+TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
+ENOUGH: Final = 0.95
+"""Explained by modes: no waveform is tried."""
+RINGS: Final = 0.3
+"""Of its period, in which a mode that rings may fall to 1/e."""
+LEAVES: Final = 0.5
+"""Of what a mode leaves over, a waveform leaves less than this."""
+REST_S: Final = 0.02
+"""So much of the rest before a tap is looked at."""
+
+
+def fit_taps(
+    recordings: Sequence[Recording],
+    kind: TapKind = "auto",
+    progress: Callable[[Recording], None] | None = None,
+    left: LeftOut | None = None,
+) -> TapFit | WaveformFit:
+    """Fits the taps of one material by modes or by a waveform; `progress` and `left` as of fit_tap.
+
+    Raises FitError (one line) for what they do not support; where neither fits, of the mode.
+    """
+    require_scipy()
+    left = LeftOut() if left is None else left
+    if kind == "mode":
+        return fit_tap(recordings, progress, left)
+    if kind == "waveform":
+        return _waveform(recordings, left)
+    # What the form that is not taken leaves out does not matter.
+    of_mode, of_waveform = left.apart(), left.apart()
+    ringing: TapFit | FitError
+    try:
+        ringing = fit_tap(recordings, progress, of_mode)
+    except FitError as error:
+        ringing = error
+    found = _other(ringing, recordings, of_waveform)
+    if found is not None:
+        left.take(of_waveform)
+        return found
+    left.take(of_mode)
+    if isinstance(ringing, FitError):
+        raise ringing
+    return ringing
+
+
+def _other(ringing: TapFit | FitError, recordings: Sequence[Recording], left: LeftOut) -> WaveformFit | None:
+    """The waveform, where it says more of the taps than the modes do."""
+    if isinstance(ringing, MistakenError):
+        return None
+    try:
+        if isinstance(ringing, FitError):
+            found = _waveform(recordings, left)
+            well = found.variance_accounted_for >= POORLY_EXPLAINED and found.samples_a_period >= FEW_SAMPLES
+            return found if well else None
+        by_mode = ringing.variance_accounted_for
+        rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= RINGS
+        if ringing.second is not None and rings:
+            by_mode = max(by_mode, ringing.second.variance_accounted_for)
+        pulses = pulses_of(recordings, [], left.apart())
+        by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
+        if rings and by_mode >= ENOUGH:
+            return None
+        found = _waveform(recordings, left)
+    except FitError:
+        return None
+    return found if 1 - found.variance_accounted_for < LEAVES * (1 - by_mode) else None
+
+
+def _waveform(recordings: Sequence[Recording], left: LeftOut) -> WaveformFit:
+    warnings: list[str] = []
+    refuse_twins(recordings)
+    pulses = pulses_of(recordings, warnings, left)
+    found = fit_waveform(pulses, tuple(recording.source for recording in recordings), left.lines() + warnings)
+    found = dataclasses.replace(found, left_out=tuple(left.items))
+    check_speeds(cast(Sequence[TapHit], found.taps))
+    ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
+    if not SOFTEST <= ratio <= HARDEST:
+        raise FitError(
+            f"the amplitude over speed is {found.first_peak_slope_per_s.value:.4g} 1/s, {ratio:.2g} times the angular "
+            f"frequency of the pulses; a touch has {SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by "
+            "a thousand (mm, g)?"
+        )
+    return found
+
+
+def pulses_of(recordings: Sequence[Recording], warnings: list[str], left: LeftOut) -> list[Pulse]:
+    """The taps of recordings, each with the rest before it; what cannot be used is told to `left`."""
+    return [pulse for found in left.each(recordings, lambda each: _of(each, warnings, left)) for pulse in found]
+
+
+def _of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Pulse]:
+    loud = loud_in(recording, warnings)
+    found = []
+    for index, event in enumerate(loud.events):
+        try:
+            found.append(_pulse(loud, index))
+        except No as no:
+            left.add(recording.name, str(no), "tap", event.first / recording.rate_hz)
+    if not found:
+        left.unused.add(recording.name)
+    return found
+
+
+def _pulse(loud: Loud, index: int) -> Pulse:
+    """Raises No."""
+    recording, first, (before, after) = loud.recording, loud.events[index].first, loud.room(index)
+    acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
+    assert acceleration is not None
+    begin = max(before, first - max(LEAST_REST, round(REST_S * rate_hz)))
+    end = min(after, first + round(LONGEST_S * rate_hz))
+    if first - begin < LEAST_REST:
+        raise No(f"{first - begin} samples of rest before it, {LEAST_REST} are wanted")
+    if loud.clipped[begin:end].any():
+        raise No(f"it is clipped at {np.abs(acceleration[begin:end][loud.clipped[begin:end]]).max():.4g} m/s^2")
+    if loud.replaced[begin:end].any():
+        raise No(f"{np.count_nonzero(loud.replaced[begin:end])} of its samples cannot be, and none may")
+    speed = loud.speed(index, first / rate_hz)
+    return Pulse(recording.name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, acceleration[begin:end])

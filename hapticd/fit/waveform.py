@@ -1,0 +1,405 @@
+"""Taps that are pulses: the waveform that they have in common, scaled over the approach speed.
+
+The shape and each tap's amplitude and onset are found together (pulse_shape.py). What the shape explains is judged on
+each tap by a shape that was found without that tap. The amplitude, the tap's largest acceleration, is then laid over
+the speed as of a ringing tap.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.fit.left_out import Left
+from hapticd.fit.pulse_shape import (
+    Equations,
+    Placed,
+    Pulse,
+    common_shape,
+    crossing_s,
+    explained,
+    place,
+    rest_of,
+    upright,
+)
+from hapticd.fit.recording import Source
+from hapticd.fit.regression import Estimate, FitError, Floats, improbable, least_squares, student_t, through_origin
+from hapticd.fit.verdict import Doubts, Verdict
+from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
+from hapticd.yaml_source import Json
+
+LEAST_PULSES: Final = 3
+CROSSES: Final = 0.25
+"""Pulses begin to be laid over each other where they cross this part of their peak."""
+FAINT: Final = 5e-4
+"""What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
+LEAST_SAMPLES: Final = 8
+COARSER: Final = 1e-3
+"""The rate of the samples is halved as long as the shape explains no more than this less."""
+ALIKE: Final = 0.5
+"""A tap of which the shape of the others explains less is left out."""
+WELL_EXPLAINED: Final = 0.95
+POORLY_EXPLAINED: Final = 0.8
+UNFINISHED: Final = 0.05
+"""Of the peak: a shape that is larger where it has to end is faded out."""
+AFTER: Final = 1.3
+"""A pulse is looked at for so many times its length."""
+FEW_SAMPLES: Final = 4.0
+"""Samples in a period of the frequency below which half of the energy lies: fewer do not tell the shape."""
+KNOTS: Final = 6
+"""Speeds of a table of amplitudes, at most."""
+BENT: Final = 0.05
+CHANCE: Final = 0.01
+"""A table is offered where the amplitudes are farther off a line, and by chance so seldom."""
+FADED: Final = 0.2
+"""Over this part of its length."""
+
+
+@dataclass(frozen=True, slots=True)
+class PulseHit:
+    """One tap by the waveform."""
+
+    recording: str
+    onset_s: float
+    """On the recording's clock."""
+    speed_m_per_s: float
+    peak_m_per_s2: float
+    """Its largest acceleration, by the waveform."""
+    variance_accounted_for: float
+    """By a waveform that was found without this tap."""
+    rate_hz: float
+    measured: Floats
+    modelled: Floats
+
+    def to_dict(self) -> dict[str, Json]:
+        return {
+            "recording": self.recording,
+            "onset_s": self.onset_s,
+            "speed_m_per_s": self.speed_m_per_s,
+            "peak_m_per_s2": self.peak_m_per_s2,
+            "variance_accounted_for": self.variance_accounted_for,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class WaveformFit:
+    """What the taps have in common."""
+
+    taps: tuple[PulseHit, ...]
+    first_peak_slope_per_s: Estimate
+    """The largest acceleration over the speed, of a line through the origin."""
+    amplitudes: tuple[tuple[float, Estimate], ...]
+    """Instead of the line, where that does not do: speeds in m/s, rising, and m/s^2. Empty where the line does."""
+    rate_hz: float
+    """Of the samples."""
+    samples: tuple[float, ...]
+    """Of the curve, whose largest magnitude is 1."""
+    deviations: tuple[float, ...]
+    """Half of the 95 % interval of each sample."""
+    length_s: float
+    samples_a_period: float
+    """Of the recordings, in a period of the frequency below which half of the waveform's energy lies."""
+    r_squared: float
+    """Of A(v) through the origin."""
+    variance_accounted_for: float
+    """Median over the taps, each by a waveform that was found without it."""
+    sources: tuple[Source, ...]
+    warnings: tuple[str, ...]
+    judged: Verdict
+    left_out: tuple[Left, ...] = ()
+
+    @property
+    def verdict(self) -> str:
+        return str(self.judged)
+
+    @property
+    def curve(self) -> Curve:
+        """The waveform."""
+        return Curve(self.samples, self.rate_hz)
+
+    def material(self) -> dict[str, Json]:
+        """Keys of a YAML material."""
+        tap: dict[str, Json] = {"attack": "first_peak"}
+        if self.amplitudes:
+            tap["amplitudes"] = [[speed, amplitude.value] for speed, amplitude in self.amplitudes]
+        else:
+            tap["attack_slope_per_s"] = self.first_peak_slope_per_s.value
+        tap["waveform"] = {"rate_hz": self.rate_hz, "samples": list(self.samples)}
+        return {"tap": tap}
+
+    def to_dict(self) -> dict[str, Json]:
+        """As JSON has it, without the stretches."""
+        slope = self.first_peak_slope_per_s
+        return {
+            "first_peak_slope_per_s": {"value": slope.value, "low": slope.low, "high": slope.high},
+            "amplitudes": [
+                {"speed_m_per_s": speed, "first_peak_m_per_s2": {"value": a.value, "low": a.low, "high": a.high}}
+                for speed, a in self.amplitudes
+            ],
+            "waveform": {
+                "rate_hz": self.rate_hz,
+                "samples": list(self.samples),
+                "half_of_the_interval": list(self.deviations),
+            },
+            "length_s": self.length_s,
+            "samples_a_period": self.samples_a_period,
+            "r_squared": self.r_squared,
+            "variance_accounted_for": self.variance_accounted_for,
+            "taps": [tap.to_dict() for tap in self.taps],
+            "warnings": list(self.warnings),
+            "verdict": self.verdict,
+            "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The waveform of some pulses, and these by it."""
+
+    samples: Floats
+    rate_hz: float
+    placed: tuple[Placed, ...]
+    explained: Floats
+    """(n,) of each pulse, by the shape of the others."""
+    beside_noise: Floats
+    """(n,) the same with the noise taken off."""
+    deviations: Floats
+    """Standard errors of the samples."""
+    faded: bool
+
+    @property
+    def curve(self) -> Curve:
+        return Curve(self.samples, self.rate_hz)
+
+
+def shape_of(pulses: Sequence[Pulse]) -> Shape:
+    """The waveform of pulses, 3 or more. Raises FitError where they have nothing in common."""
+    rate_hz, before_s, count = _window(pulses)
+    placed = []
+    for pulse in pulses:
+        above = pulse.measured - rest_of(pulse)
+        peak = float(above[np.argmax(np.abs(above))])
+        placed.append(Placed(peak, rest_of(pulse), crossing_s(pulse, CROSSES) - before_s, 0.0))
+    samples, found = common_shape(pulses, placed, rate_hz, count)
+    pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz)
+    samples, found, rate_hz = _coarser(pulses, samples, found, rate_hz)
+    equations = Equations(pulses, found, rate_hz, len(samples))
+    shares = by_others(pulses, found, equations, rate_hz)
+    deviations = equations.deviations(equations.solved())
+    return Shape(samples, rate_hz, tuple(found), shares[:, 0], shares[:, 1], deviations, faded)
+
+
+def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equations, rate_hz: float) -> Floats:
+    """(n, 2): what of each pulse the shape of the others explains, and that with the noise taken off."""
+    shares = []
+    for index, (pulse, where) in enumerate(zip(pulses, placed, strict=True)):
+        _, other = upright(equations.solved(without=index), rate_hz)
+        alone = place(other, pulse, where.onset_s, 2.0 / rate_hz)
+        shares.append([explained(other, pulse, alone, noise) for noise in (0.0, pulse.noise_m_per_s2)])
+    return np.array(shares)
+
+
+def _window(pulses: Sequence[Pulse]) -> tuple[float, float, int]:
+    """The rate of the samples, how long before the crossing the shape may begin, and how many samples it may have."""
+    rate_hz = min(pulse.rate_hz for pulse in pulses)
+    crossings = [crossing_s(pulse, CROSSES) for pulse in pulses]
+    peaks = [np.argmax(np.abs(pulse.measured - rest_of(pulse))) / pulse.rate_hz for pulse in pulses]
+    rise_s = float(np.median(np.subtract(peaks, crossings)))
+    before_s = min(2.0 * max(rise_s, 0.0) + 3.0 / rate_hz, max(1.0 / rate_hz, float(np.median(crossings))))
+    ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
+    length_s = min(LONGEST_S, before_s + float(np.median(np.subtract(ends, crossings))))
+    rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
+    return rate_hz, before_s, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1)
+
+
+def _trimmed(
+    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float
+) -> tuple[list[Pulse], Floats, list[Placed], float, bool]:
+    """The shape from where it begins to where it is over, at the rate of the recordings where that leaves room; and the
+    pulses until then."""
+    equations = Equations(pulses, placed, rate_hz, len(samples))
+    # Squares of errors add up to energy, too.
+    energy = samples**2 - equations.deviations(equations.solved()) ** 2
+    total = float(energy.sum())
+    if not total > 0:
+        raise FitError("the taps have no shape in common that stands out of what differs between them")
+    ahead = np.flatnonzero(np.cumsum(energy) <= FAINT * total)
+    behind = np.flatnonzero(np.cumsum(energy[::-1])[::-1] > FAINT * total)
+    begin = int(ahead[-1]) if len(ahead) else 0
+    end = min(len(samples) - 1, int(behind[-1]) + 1)
+    faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > UNFINISHED
+    length_s = (end - begin) / rate_hz
+    finer_hz = min(min(pulse.rate_hz for pulse in pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
+    count = max(LEAST_SAMPLES, math.floor(length_s * finer_hz + 1e-9) + 1)
+    moved = [dataclasses.replace(each, onset_s=each.onset_s + begin / rate_hz) for each in placed]
+    over_s = [each.onset_s + AFTER * length_s for each in moved]
+    pulses = [pulse.until(end_s) for pulse, end_s in zip(pulses, over_s, strict=True)]
+    samples, found = common_shape(pulses, moved, finer_hz, count, turns=4)
+    if faded:
+        over = max(2, round(FADED * count))
+        samples[-over:] *= 0.5 * (1.0 + np.cos(math.pi * np.arange(1, over + 1) / over))
+        samples[-1] = 0.0
+    return pulses, samples, found, finer_hz, faded
+
+
+def _coarser(
+    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float
+) -> tuple[Floats, list[Placed], float]:
+    """The same with as few samples as do."""
+
+    def share(found: Sequence[Placed], at_hz: float, count: int) -> float:
+        return float(np.median(by_others(pulses, found, Equations(pulses, found, at_hz, count), at_hz)[:, 1]))
+
+    least = share(placed, rate_hz, len(samples)) - COARSER
+    while True:
+        half_hz = rate_hz / 2
+        count = math.ceil((len(samples) - 1) / 2) + 1
+        if count < LEAST_SAMPLES or half_hz < 100:
+            return samples, placed, rate_hz
+        tried, found = common_shape(pulses, placed, half_hz, count, turns=2)
+        if share(found, half_hz, count) < least:
+            return samples, placed, rate_hz
+        samples, placed, rate_hz = tried, found, half_hz
+
+
+def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str] = ()) -> WaveformFit:
+    """The waveform of taps that are pulses; `told` are warnings of how the pulses were found.
+
+    Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
+    with the speed.
+    """
+    warnings = list(told)
+    pulses, shape = _alike(list(pulses), warnings)
+    doubts = Doubts()
+    peaks = np.array([each.amplitude for each in shape.placed])
+    if float(np.median(peaks)) < 0:
+        warnings.append("the taps push downwards: the acceleration is taken with its sign turned")
+        peaks = -peaks
+    speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
+    variances = _variances(pulses, shape)
+    line = through_origin(speeds, peaks, variances, speeds**2)
+    slope = line.coefficients[0]
+    if not slope.low > 0:
+        raise FitError(
+            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
+            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
+        )
+    share = float(np.median(shape.explained))
+    doubts.add(share < POORLY_EXPLAINED, _less(share, WELL_EXPLAINED), "the taps differ in shape")
+    if shape.faded:
+        doubts.add(
+            False,
+            f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
+            f"the waveform is faded out over its last {100 * FADED:.0f} %",
+        )
+    resolved = min(pulse.rate_hz for pulse in pulses) / middle_hz(shape.curve)
+    few = f"{resolved:.1f} samples of the recordings are a period of its middle frequency"
+    doubts.add(True, few if resolved < FEW_SAMPLES else "", "the waveform is not resolved: record faster")
+    amplitudes, off = _amplitudes(speeds, peaks, variances)
+    if amplitudes:
+        warnings.append(f"{off}: the material has a table of amplitudes over speed")
+    warnings += doubts.told
+    t = student_t(len(pulses) - 1)
+    each = zip(pulses, shape.placed, shape.explained, strict=True)
+    hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
+    return WaveformFit(
+        taps=hits,
+        first_peak_slope_per_s=slope,
+        amplitudes=amplitudes,
+        rate_hz=shape.rate_hz,
+        samples=tuple(map(float, shape.samples)),
+        deviations=tuple(map(float, t * shape.deviations)),
+        length_s=shape.curve.length_s,
+        samples_a_period=resolved,
+        r_squared=line.r_squared,
+        variance_accounted_for=share,
+        sources=tuple(sources),
+        warnings=tuple(warnings),
+        judged=doubts.judged(
+            f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
+            off or f"A(v) is a line through the origin (r^2 {line.r_squared:.3f})",
+        ),
+    )
+
+
+def _less(share: float, wanted: float) -> str:
+    return f"a waveform explains {100 * share:.1f} % of a tap" if share < wanted else ""
+
+
+def _alike(pulses: list[Pulse], warnings: list[str]) -> tuple[list[Pulse], Shape]:
+    """The pulses that have a shape in common."""
+    _check_count(len(pulses), warnings)
+    shape = shape_of(pulses)
+    usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
+    kept = []
+    for pulse, placed, share in zip(pulses, shape.placed, shape.beside_noise, strict=True):
+        place_s = f"{pulse.recording}: the tap at {pulse.begin_s + placed.onset_s:.4g} s"
+        if share < ALIKE:
+            warnings.append(f"{place_s} is left out: the waveform of the others explains {100 * share:.0f} % of it")
+        elif placed.amplitude * usual <= 0:
+            warnings.append(f"{place_s} pushes the other way, and is left out")
+        else:
+            kept.append(pulse)
+    if len(kept) == len(pulses):
+        return pulses, shape
+    if len(kept) < max(LEAST_PULSES, len(pulses) / 2):
+        raise FitError(
+            f"{len(pulses) - len(kept)} of {len(pulses)} taps have no waveform in common with the others: is it one "
+            "material, tapped alike?"
+        )
+    return kept, shape_of(kept)
+
+
+def _check_count(count: int, warnings: Sequence[str]) -> None:
+    if count < LEAST_PULSES:
+        told = f" ({'; '.join(warnings[:3])})" if warnings else ""
+        raise FitError(f"{count} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{told}")
+
+
+def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
+    """Of the amplitudes, of what is left over."""
+    found = []
+    for pulse, placed in zip(pulses, shape.placed, strict=True):
+        heard = shape.curve.at(pulse.since_s - placed.onset_s)
+        own = float(heard @ heard)
+        noise = max(placed.squares, 1e-18 * placed.amplitude**2) / max(1, len(heard) - 3)
+        found.append(noise / max(own, 1e-12))
+    return np.array(found)
+
+
+def _hit(pulse: Pulse, placed: Placed, share: float, shape: Curve) -> PulseHit:
+    return PulseHit(
+        recording=pulse.recording,
+        onset_s=pulse.begin_s + placed.onset_s,
+        speed_m_per_s=pulse.speed_m_per_s,
+        peak_m_per_s2=abs(placed.amplitude),
+        variance_accounted_for=float(share),
+        rate_hz=pulse.rate_hz,
+        measured=pulse.measured,
+        modelled=placed.modelled(shape, pulse),
+    )
+
+
+def _amplitudes(speeds: Floats, peaks: Floats, variances: Floats) -> tuple[tuple[tuple[float, Estimate], ...], str]:
+    """A table of amplitudes over speed where straight lines between its points explain more than a line through the
+    origin, and more than by chance, and why; else nothing."""
+    knots = np.unique(np.quantile(speeds, np.linspace(0.0, 1.0, min(KNOTS, len(speeds) // 2))))
+    if len(speeds) < LEAST_PULSES + 2 or len(knots) < 2:
+        return (), ""
+    nodes = np.concatenate(([0.0], knots))
+    hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
+    # Taps differ by parts of their amplitudes.
+    weights = 1.0 / np.sqrt(variances + np.mean(variances) * (speeds / np.mean(speeds)) ** 2)
+    line = through_origin(speeds * weights, peaks * weights)
+    bent = least_squares(hats * weights[:, None], peaks * weights)
+    off = float(np.sqrt(np.mean(((line.residual - bent.residual) / weights) ** 2)) / np.mean(peaks))
+    by_chance = improbable(line.squares, line.freedom, bent.squares, bent.freedom)
+    if off < BENT or by_chance > CHANCE or any(value.value < 0 for value in bent.coefficients):
+        return (), ""
+    points = tuple(zip(map(float, knots), bent.coefficients, strict=True))
+    return points, f"A(v) is {100 * off:.0f} % off a line through the origin"

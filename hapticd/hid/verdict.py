@@ -1,0 +1,113 @@
+"""Whether a device can be driven, by its report descriptor and the configuration alone: one plan, one verdict.
+
+The daemon, `hapticd devices`, `devices parse`, `doctor` and `check` all ask here, so that they cannot disagree. A
+device that is judged drivable may still refuse to make an effect when it is set up; that is not in its descriptor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hapticd.core import Status, invalid_reason, lib
+from hapticd.hid.config import Hid
+from hapticd.hid.descriptor import DescriptorError, parse
+from hapticd.hid.device import Driver
+from hapticd.hid.layout import Layout, layout_of
+from hapticd.hid.pid import PidDriver, plan_of, ways_of
+from hapticd.hid.plan import DeviceError, Plan, UndrivableError
+from hapticd.hid.vendor import VendorDriver
+from hapticd.hid.vendor import plan_of as vendor_plan_of
+
+_MOST_STEP_M = 1.0
+"""The servo takes no coarser positions."""
+_SHOWN = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What becomes of a device with this report descriptor."""
+
+    layout: Layout | None
+    """None where the descriptor cannot be read."""
+    problem: str | None
+    """Why it cannot be read."""
+    driver: Driver | None
+    """What sets it up; None where it cannot be driven."""
+    plan: Plan | None
+    """The plan for a device that has room for what is wanted and numbers its effects from the first on; None where it
+    cannot be driven."""
+    why_not: str | None
+    """One line; None where it can be driven."""
+
+    @property
+    def drivable(self) -> bool:
+        return self.why_not is None
+
+    def to_dict(self) -> dict[str, object]:
+        """As JSON: the layout, and the verdict."""
+        told = {} if self.layout is None else self.layout.to_dict()
+        leak = None if self.plan is None else self.plan.leak
+        return {**told, "usable": self.drivable, "why_not": self.why_not, "leak": leak}
+
+
+def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
+    """Never raises: what is wrong with the device is the verdict."""
+    layout, problem = None, None
+    try:
+        layout = layout_of(parse(descriptor))
+    except DescriptorError as error:
+        problem = str(error)
+    try:
+        if hid.report is not None:
+            # What a descriptor says of effects is of no matter to reports of its own.
+            vendor = VendorDriver(hid, descriptor)
+            return Verdict(layout, problem, vendor, _checked(vendor_plan_of(hid, hid.report)), None)
+        if layout is None or not layout.usable:
+            raise DeviceError(_lacking(layout) if layout else f"its report descriptor is not valid: {problem}")
+        driver = PidDriver(layout, hid)
+        first, last = layout.effect_indices or (1, 1)
+        # Set-up goes on to the next way where the device has no room for the first one.
+        plans = [
+            _checked(plan_of(layout, hid, way, range(first, last + 1)[: 1 if way in ("one", "polar") else 2]))
+            for way in ways_of(layout, hid)
+        ]
+        return Verdict(layout, problem, driver, plans[0], None)
+    except DeviceError as error:
+        return Verdict(layout, problem, None, None, str(error))
+
+
+def driver_of(hid: Hid, descriptor: bytes) -> Driver:
+    """How a device with this report descriptor is driven. Raises UndrivableError."""
+    return _sound(verdict_of(hid, descriptor))[0]
+
+
+def expected_plan(hid: Hid, descriptor: bytes) -> Plan:
+    """The plan for a device with this report descriptor that is not set up (`Verdict.plan`). Raises
+    UndrivableError."""
+    return _sound(verdict_of(hid, descriptor))[1]
+
+
+def _sound(verdict: Verdict) -> tuple[Driver, Plan]:
+    if verdict.driver is None or verdict.plan is None:
+        told = str(verdict.why_not)
+        # A fault of the configuration names its key, which says enough.
+        raise UndrivableError(told if told.startswith("device.hid.") else f"the device cannot be driven: {told}")
+    return verdict.driver, verdict.plan
+
+
+def _lacking(layout: Layout) -> str:
+    """What the descriptor lacks, by the specification's names, and what of it is there and cannot be used."""
+    told = f"its report descriptor has no {', no '.join(layout.missing)}"
+    if not layout.problems:
+        return told
+    more = f", and {len(layout.problems) - _SHOWN} more" if len(layout.problems) > _SHOWN else ""
+    return f"{told} (not used: {'; '.join(layout.problems[:_SHOWN])}{more})"
+
+
+def _checked(plan: Plan) -> Plan:
+    """The plan, if the core takes it. Raises DeviceError."""
+    if lib.hd_hid_check(plan.to_c()) != Status.OK:
+        raise DeviceError(invalid_reason())
+    if not plan.resolution_m < _MOST_STEP_M:
+        raise DeviceError(f"positions come in steps of {plan.resolution_m:g} m; the servo takes less than 1 m")
+    return plan

@@ -1,0 +1,245 @@
+"""What goes out to a device of the PID class, judged by a firmware that reads it by itself (tests/firmware.py)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any, Final
+
+import pytest
+
+from hapticd.core import ffi, lib
+from hapticd.hid.calibrate import calibrate
+from hapticd.hid.config import Hid
+from hapticd.hid.descriptor import parse
+from hapticd.hid.layout import layout_of
+from hapticd.hid.pid import PidDriver
+from hapticd.hid.plan import DeviceError, Plan
+from tests import firmware_descriptors as descriptors
+from tests.firmware import ADAPT, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
+from tests.hid_descriptors import DESKTOP, ORDINAL, Joystick, logical, physical, usage32
+
+FULL_N = 8.0
+FORCES = (
+    (4.0, 0.0),
+    (-4.0, 0.0),
+    (0.0, 2.0),
+    (0.0, -6.0),
+    (3.0, 4.0),
+    (-1.0, 2.5),
+    (-5.0, -5.0),
+    (0.2, 0.0),
+    (0.0, 0.0),
+)
+FAMILIES = {
+    "sidewinder": (descriptors.SIDEWINDER_FF2, Variant()),
+    "openffboard": (descriptors.OPENFFBOARD_2, OPENFFBOARD),
+    "fino": (descriptors.FINO, FINO),
+    "fino, two axes": (descriptors.arduino(2), FINO),
+    "adapt-ffb-joy": (descriptors.ADAPT_FFB_JOY, ADAPT),
+    "8-bit directions": (bytes(Joystick()), Variant()),
+    "16-bit directions": (bytes(Joystick(direction_bits=16)), Variant()),
+    "commands as bits": (bytes(Joystick(control="bits")), Variant()),
+    "slow to load": (bytes(Joystick()), Variant(load_after=2)),
+    "few effects": (bytes(Joystick()), Variant(most_effects=2)),
+}
+
+
+SPECIFIED: Final = Variant()
+
+
+def driver(stick: Firmware, **keys: Any) -> PidDriver:
+    return PidDriver(layout_of(parse(stick.descriptor)), hid(**keys))
+
+
+def hid(**keys: Any) -> Hid:
+    return Hid.model_validate({"full_scale_force_n": FULL_N, **keys})
+
+
+@contextmanager
+def driven(descriptor: bytes, variant: Variant = SPECIFIED, **keys: Any) -> Iterator[tuple[Firmware, Plan]]:
+    with Firmware(descriptor, variant) as stick:
+        yield stick, driver(stick, **keys).set_up(stick.device)
+
+
+def send(stick: Firmware, plan: Plan, force_n: tuple[float, float]) -> None:
+    """What C sends for a force."""
+    described = plan.to_c()
+    for place, message in enumerate(plan.force):
+        room = ffi.new("uint8_t[]", len(message.data))
+        lib.hd_hid_compose(ffi.addressof(described.force.messages, place), ffi.new("double[2]", force_n), room)
+        stick.take(bytes(ffi.buffer(room)))
+
+
+def step_of(stick: Firmware) -> float:
+    """One count of the magnitude, as part of the full force."""
+    return 1.0 / stick.forms["constant_force"].numbers["magnitude"].logical[1]
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_signs_and_sizes(name: str) -> None:
+    """Within half a count of each magnitude along each axis, also of directions of which no count is a right angle."""
+    with driven(*FAMILIES[name]) as (stick, plan):
+        assert stick.force() == (0.0, 0.0)
+        for force_n in FORCES:
+            send(stick, plan, force_n)
+            wanted = (force_n[0] / FULL_N, force_n[1] / FULL_N)
+            assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
+        assert stick.faults == []
+
+
+@pytest.mark.parametrize("signs", [(1, -1), (-1, 1), (-1, -1)])
+@pytest.mark.parametrize("name", ["sidewinder", "fino", "8-bit directions"])
+def test_reversed_devices_are_right_with_their_signs(name: str, signs: tuple[int, int]) -> None:
+    descriptor, variant = FAMILIES[name]
+    axes = {axis: {"sign": sign} for axis, sign in zip("xy", signs, strict=True)}
+    with driven(descriptor, replace(variant, signs=signs), force_axes=axes) as (stick, plan):
+        for force_n in FORCES:
+            send(stick, plan, force_n)
+            wanted = (force_n[0] / FULL_N, force_n[1] / FULL_N)
+            assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
+
+
+def test_one_effect_for_both_axes_says_what_leaks() -> None:
+    """255 counts a turn: half a count off is 1.2 % of the force, across it."""
+    with driven(bytes(Joystick(is_magnitude_signed=False))) as (stick, plan):
+        assert len(stick.effects) == 1
+        assert plan.leak == pytest.approx(math.sin(math.pi / 255.0), rel=1e-12)
+        worst = 0.0
+        for k in range(720):
+            angle = math.pi * k / 360.0
+            send(stick, plan, (FULL_N * math.sin(angle), FULL_N * math.cos(angle)))
+            x, y = stick.force()
+            worst = max(worst, abs(x * math.cos(angle) - y * math.sin(angle)))
+        assert 0.9 * plan.leak < worst <= plan.leak + 1e-9
+    with driven(descriptors.SIDEWINDER_FF2) as (_, plan):
+        assert plan.leak == 0.0
+
+
+def test_more_than_the_full_force_along_one_axis_is_none_along_the_other() -> None:
+    with driven(descriptors.SIDEWINDER_FF2) as (stick, plan):
+        send(stick, plan, (1e6, 0.0))
+        assert stick.force() == pytest.approx((1.0, 0.0), abs=step_of(stick))
+
+
+def _vectors() -> bytes:
+    """A direction as parts of a vector: X and Y from -127 to 127."""
+    angles = usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000)
+    parts = usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127)
+    descriptor = bytes(Joystick(without=frozenset({0x56})))
+    assert descriptor.count(angles) == 1
+    return descriptor.replace(angles, parts)
+
+
+@pytest.mark.parametrize("name", ["no direction", "vectors"])
+def test_axes_alone_go_the_way_of_the_device(name: str) -> None:
+    """Without an angle a device is told the axis alone, and its Y grows towards the user: a calibration finds that."""
+    descriptor = _vectors() if name == "vectors" else bytes(Joystick(direction_bits=0, without=frozenset({0x56})))
+    table = Table(descriptor, SPECIFIED, 5.0)
+    with table.stick as stick:
+        found = calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
+    assert (found.force_axes.x.sign, found.force_axes.y.sign, found.force_axes.swap) == (1, -1, False)
+    with driven(descriptor, force_axes=found.force_axes.to_dict()) as (stick, plan):
+        for force_n in FORCES:
+            send(stick, plan, force_n)
+            assert stick.force() == pytest.approx((force_n[0] / FULL_N, force_n[1] / FULL_N), abs=2e-4), force_n
+        assert stick.faults == []
+
+
+# ---- One axis --------------------------------------------------------------------------------------------------------
+
+
+def test_one_axis_whose_flags_have_the_range_0_to_0() -> None:
+    """OpenFFBoard with one axis: without its flag a force has no direction, and there is none."""
+    with driven(descriptors.OPENFFBOARD_1, OPENFFBOARD_1) as (stick, plan):
+        (set_effect,) = stick.sent("set_effect")
+        # Id, index, type, four times of two bytes, gain, trigger button, then the flags: X, Direction Enable.
+        assert set_effect[13] == 0x02
+        assert len(plan.force) == 1 and plan.pushes == (True, False)
+        for force_n in FORCES:
+            before = len(stick.sent("constant_force"))
+            send(stick, plan, force_n)
+            assert len(stick.sent("constant_force")) == before + 1
+            assert stick.force() == pytest.approx((force_n[0] / FULL_N, 0.0), abs=step_of(stick))
+        assert stick.faults == []
+
+
+def test_commands_that_are_bits_of_the_range_0_to_0() -> None:
+    descriptor = bytes(Joystick(control="bits"))
+    before = b"\x15\x00\x25\x01\x75\x01\x95\x06"  # six bits, 0 to 1
+    assert descriptor.count(before) == 1
+    with driven(descriptor.replace(before, before.replace(b"\x25\x01", b"\x25\x00"))) as (stick, plan):
+        assert stick.enabled
+        send(stick, plan, (4.0, 0.0))
+        assert stick.force() == pytest.approx((0.5, 0.0), abs=step_of(stick))
+
+
+# ---- Gain, envelope, time --------------------------------------------------------------------------------------------
+
+
+def test_the_whole_of_the_gain_is_used() -> None:
+    with driven(descriptors.SIDEWINDER_FF2, Variant(gain_at_start=0.25)) as (stick, plan):
+        send(stick, plan, (FULL_N, 0.0))
+        assert stick.force() == pytest.approx((1.0, 0.0), abs=step_of(stick))
+
+
+@pytest.mark.parametrize("name", ["sidewinder", "fino", "adapt-ffb-joy"])
+def test_a_killed_host_leaves_no_force(name: str) -> None:
+    """Renewed, it goes on; then it ends by itself, after the duration of the effect."""
+    duration_s = 0.1
+    with driven(*FAMILIES[name], effect_duration_s=duration_s) as (stick, plan):
+        for tick in range(1, 20):
+            stick.now = tick * plan.renew_s
+            for message in plan.renew:
+                stick.take(message.data)
+            send(stick, plan, (4.0, -2.0))
+            assert stick.force() == pytest.approx((0.5, -0.25), abs=step_of(stick))
+        last_s = stick.now
+        times_s = [last_s + k * 1e-3 for k in range(200)]
+        shown = [math.hypot(*stick.force(t_s)) > 0.0 for t_s in times_s]
+        ends_s = next(t_s for t_s, on in zip(times_s, shown, strict=True) if not on)
+        assert ends_s - last_s == pytest.approx(duration_s, abs=2e-3)
+        assert not any(shown[round((ends_s - last_s) * 1e3) :])
+
+
+# ---- Calibration -----------------------------------------------------------------------------------------------------
+
+
+class Table:
+    """A device on a table, whose handle goes where it is pushed; its clock stands still unless somebody waits."""
+
+    def __init__(self, descriptor: bytes, variant: Variant, travel_per_force: float) -> None:
+        self.stick = Firmware(descriptor, variant)
+        self.travel_per_force = travel_per_force
+
+    def pause(self, duration_s: float) -> None:
+        self.stick.now += duration_s
+        x, y = (self.travel_per_force * part for part in self.stick.force())
+        self.stick.position(x, y)
+
+
+def test_calibration_of_one_axis_leaves_the_other_alone() -> None:
+    table = Table(descriptors.OPENFFBOARD_1, replace(OPENFFBOARD_1, signs=(-1, 1)), 5.0)
+    with table.stick as stick:
+        found = calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
+        assert set(found.moved_m) == {"x"} and found.force_axes.x.sign == -1
+        assert stick.force() == (0.0, 0.0)
+
+
+def test_a_calibration_that_finds_nothing_says_what_was_sent() -> None:
+    table = Table(descriptors.SIDEWINDER_FF2, Variant(), 0.0)
+    with table.stick as stick:
+        with pytest.raises(DeviceError) as caught:
+            calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
+        told = str(caught.value)
+        (set_effect, _) = stick.sent("set_effect")
+        strongest = min(
+            stick.sent("constant_force"), key=lambda report: int.from_bytes(report[2:4], "little", signed=True)
+        )
+        assert "device's x axis" in told and "0.4 N" in told and "effect 1 had" in told and "\n" not in told
+        assert f"Set Effect {set_effect.hex(' ')}" in told
+        assert f"Set Constant Force {strongest.hex(' ')}" in told
+        assert f"Effect Operation {stick.forms['operation'].write('start', index=1, loops=1).hex(' ')}" in told
+        assert "power" not in told

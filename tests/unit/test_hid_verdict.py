@@ -1,0 +1,229 @@
+"""One plan, one verdict: `devices parse`, `devices`, `doctor`, `check` and `run` say the same of a device, and why."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapticd.check import check
+from hapticd.cli import main
+from hapticd.config import load_config
+from hapticd.doctor import devices as doctor
+from hapticd.doctor.machine import Machine, Needs
+from hapticd.hid import discover, sources
+from hapticd.hid.config import Hid
+from hapticd.hid.descriptor import parse
+from hapticd.hid.discover import Found
+from hapticd.hid.layout import layout_of
+from hapticd.hid.plan import DeviceError
+from hapticd.hid.sources import open_hid
+from hapticd.hid.verdict import verdict_of
+from tests.hid_descriptors import Joystick, logical, physical, unit, usage, usage_page
+
+STICK = bytes(Joystick())
+MILLISECONDS = unit(0x1003, -3)
+
+
+def instead(old: bytes, new: bytes, descriptor: bytes = STICK) -> bytes:
+    """Another item in the first place where this one stands."""
+    assert old in descriptor
+    return descriptor.replace(old, new, 1)
+
+
+def with_duration(items: bytes) -> bytes:
+    return instead(
+        MILLISECONDS + usage_page(0x0F) + usage(0x50) + logical(0, 32767) + physical(0, 32767),
+        usage_page(0x0F) + usage(0x50) + items,
+    )
+
+
+def with_magnitude(least: int, most: int) -> bytes:
+    return instead(
+        usage(0x70) + logical(-10000, 10000) + physical(-10000, 10000),
+        usage(0x70) + logical(least, most) + physical(least, most),
+    )
+
+
+def with_axis(name: int) -> bytes:
+    """The axes X and Y by other usages."""
+    return instead(usage(0x30, 0x31) + logical(-32767, 32767), usage(name, name + 1) + logical(-32767, 32767))
+
+
+# What is wrong with a device, or None; the descriptor; and device.hid.
+CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
+    "plain": (None, STICK, {}),
+    "a duration that ends at 0": (
+        "Duration goes from -5 to 0 in counts of 0.001 s: it holds no duration",
+        with_duration(logical(-5, 0) + physical(-5, 0) + MILLISECONDS),
+        {},
+    ),
+    "a duration below 0": ("Duration goes from -9 to -2", with_duration(logical(-9, -2) + physical(-9, -2)), {}),
+    "a duration of 0 to 0": ("Duration goes from 0 to 0", with_duration(logical(0, 0) + physical(0, 0)), {}),
+    "a duration of 1 ms": ("Duration goes from 0 to 1 in", with_duration(logical(0, 1) + physical(0, 1)), {}),
+    "a duration of 1 ms where none is needed": (
+        None,
+        with_duration(logical(0, 1) + physical(0, 1)),
+        {"quirks": ["infinite_duration"]},
+    ),
+    "a duration in picoseconds": (
+        "in counts of 1e-12 s: it holds no duration of 0.005 s or more",
+        with_duration(logical(0, 32767) + physical(0, 32767) + unit(0x1003, -12)),
+        {},
+    ),
+    "a duration in years": (
+        "its shortest effect would push for 1e+07 s after the daemon has gone",
+        with_duration(logical(0, 32767) + physical(0, 32767) + unit(0x1003, 7)),
+        {},
+    ),
+    "a duration of years a count": (
+        "its shortest effect would push for",
+        with_duration(logical(0, 1) + physical(0, 2147483647) + unit(0x1003, 7)),
+        {},
+    ),
+    "a physical duration that is reversed": (
+        None,
+        with_duration(logical(0, 32767) + physical(500, 100) + MILLISECONDS),
+        {},
+    ),
+    "two axes and nothing that tells them apart": (
+        "neither Direction nor Axes Enable to tell them apart",
+        bytes(Joystick(force_axes=(), direction_bits=0)),
+        {},
+    ),
+    "a scaled magnitude": (
+        "does not say which count is no force",
+        instead(
+            usage(0x70) + logical(0, 10000) + physical(0, 10000),
+            usage(0x70) + logical(0, 10000) + physical(-10000, 10000),
+            bytes(Joystick(is_magnitude_signed=False)),
+        ),
+        {},
+    ),
+    "only Rx and Ry": ("device.hid.axes.x.usage: the device has no axis X; it has Rx, Ry", with_axis(0x33), {}),
+    "Rx and Ry as configured": (
+        None,
+        with_axis(0x33),
+        {"axes": {"x": {"usage": "Rx"}, "y": {"usage": "Ry", "sign": -1}}},
+    ),
+    "an axis that the configuration alone has": (
+        "device.hid.axes.y.usage: the device has no axis Z; it has X, Y",
+        STICK,
+        {"axes": {"y": {"usage": "Z"}}},
+    ),
+    "a magnitude without force": ("ends without a force above zero", with_magnitude(-10000, 0), {}),
+    "a magnitude of three steps": ("fewer than 8 counts from none to full force", with_magnitude(-3, 3), {}),
+    "a magnitude of one way": (
+        "-1 to 10000, has less than half of the force the other way",
+        with_magnitude(-1, 10000),
+        {},
+    ),
+    "a digital stick": ("its range, -1 to 1, has fewer than 32 counts", bytes(Joystick(axis_range=(-1, 1))), {}),
+    "a direction of one bit": (
+        "neither Direction nor Axes Enable",
+        instead(
+            logical(0, 255) + physical(0, 36000), logical(0, 1) + physical(0, 36000), bytes(Joystick(force_axes=()))
+        ),
+        {},
+    ),
+    "no constant force": (
+        "Set Constant Force",
+        bytes(Joystick(without=frozenset({0x73}))),
+        {},
+    ),
+    "bytes that make no sense": ("the descriptor ends after 0 of its 1 bytes", STICK[:100], {}),
+}
+
+
+def plugged(descriptor: bytes) -> Found:
+    verdict = verdict_of(Hid(), descriptor)
+    return Found(
+        "/dev/hidraw0", "Stick", 1, 2, "", "USB", "", descriptor, 1e-3, 1e-3, "ok", verdict.layout, verdict.problem
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_everybody_says_the_same(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reason, descriptor, keys = CASES[name]
+    device = {"kind": "hid", "hid": {"vendor": 1, **keys}}
+    hid = Hid.model_validate(device["hid"])
+    here = [plugged(descriptor)]
+    monkeypatch.setattr(discover, "find", lambda: here)
+    monkeypatch.setattr(sources, "find", lambda: here)
+    monkeypatch.setattr("hapticd.check.find", lambda: here)
+    monkeypatch.setattr(sources, "HidrawDevice", lambda path: None)
+    file, config = tmp_path / "descriptor", tmp_path / "config.yaml"
+    file.write_bytes(descriptor)
+    config.write_text(json.dumps({"device": device}))
+
+    # run: a device that is found and can be driven is opened.
+    said = {"run": ""}
+    try:
+        open_hid(hid)
+    except DeviceError as error:
+        said["run"] = str(error)
+    # devices parse
+    code = main(["devices", "parse", str(file), "-c", str(config)])
+    captured = capsys.readouterr()
+    told = captured.out + captured.err
+    said["parse"] = "" if told.startswith("can be driven\n") else told
+    assert code == (1 if captured.err else 0)
+    # devices
+    assert main(["devices", "-c", str(config)]) == 0
+    listed = capsys.readouterr().out.splitlines()[1].strip()
+    said["devices"] = "" if listed.startswith("can be driven") else listed
+    assert main(["devices", "-c", str(config), "--json"]) == 0
+    (item,) = json.loads(capsys.readouterr().out)
+    assert item["usable"] == (reason is None) and (item["why_not"] is None) == (reason is None)
+    # check
+    said["check"] = "".join(problem.problem for problem in check(load_config({"device": device})).refused)
+    # doctor
+    findings = list(doctor.permissions(Machine(find=lambda sysfs, dev: here), Needs(hid=True, device=hid)))
+    said["doctor"] = "".join(one.what for one in findings if one.verdict == "fail")
+
+    if reason is None:
+        assert said == dict.fromkeys(said, "")
+    else:
+        assert all(reason in each for each in said.values()), said
+        assert all("\n" not in each.strip() for of, each in said.items() if of != "parse")
+
+
+def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Linux refuses the whole descriptor, so such a device has no node."""
+    descriptor = with_duration(logical(100, 5))
+    file = tmp_path / "descriptor"
+    file.write_bytes(descriptor)
+    assert main(["devices", "parse", str(file)]) == 1
+    told = capsys.readouterr().err
+    assert "its logical minimum 100 lies above its maximum 5" in told and told.count("\n") == 1
+    why_not = verdict_of(Hid(), descriptor).why_not
+    assert why_not is not None and "its logical minimum 100 lies above its maximum 5" in why_not
+
+
+def test_levels_of_periodic_effects_that_end_at_zero_are_no_levels() -> None:
+    """The fade's level was divided by."""
+    from hapticd.hid.pid import periodic_problem
+
+    fade = usage(0x5D) + logical(0, 255) + physical(0, 255)
+    descriptor = instead(fade, usage(0x5D) + logical(-5, 0) + physical(-5, 0))
+    hid = Hid(offload="auto")
+    assert periodic_problem(layout_of(parse(STICK)), hid) is None
+    assert periodic_problem(layout_of(parse(descriptor)), hid) == "the device has no levels above zero"
+
+
+def test_a_faulty_default_configuration_does_not_hide_the_devices(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "config.yaml"
+    config.write_text("device: {kind: nonsense}\n")
+    monkeypatch.setenv("HAPTICD_CONFIG", str(config))
+    monkeypatch.setattr(discover, "find", lambda: [plugged(STICK)])
+    assert main(["devices"]) == 0
+    captured = capsys.readouterr()
+    assert "can be driven" in captured.out
+    assert captured.err.startswith("hapticd: judged by the defaults, as the configuration is faulty: ")
+    assert main(["devices", "-c", str(config)]) == 1
