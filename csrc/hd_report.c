@@ -186,9 +186,8 @@ int hd_report_check(const struct hd_hid_plan *plan) {
         }
     }
     const struct hd_hid_signs *signs = &plan->signs;
-    if (signs->number != 0 && !(signs->axes >= 1 && signs->axes <= 3 && signs->force_n > 0.0 &&
-                                signs->force_n <= 1e6 && signs->least_m > 0.0 && signs->least_m <= signs->enough_m &&
-                                signs->enough_m <= 1e6)) {
+    if (signs->number != 0 && !(signs->axes >= 1 && signs->axes <= 3 && signs->force_n > 0.0 && signs->force_n <= 1e6 &&
+                                signs->least_m > 0.0 && signs->least_m <= signs->enough_m && signs->enough_m <= 1e6)) {
         return hd_invalid("plan: signs of axes %u: %g N, %g to %g m", signs->axes, signs->force_n, signs->least_m,
                           signs->enough_m);
     }

@@ -32,6 +32,7 @@ from hapticd.errors import HapticdError, Problem, path_text
 from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
 from hapticd.hid.plan import UndrivableError
+from hapticd.hid.replay import load
 from hapticd.hid.verdict import expected_plan
 from hapticd.judged import Stability, judge
 from hapticd.lagging import lag_warnings
@@ -190,6 +191,11 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None,
     if device.kind == "sim":
         return "the simulated joystick", loop_of(config, rate_hz), None, None, []
     if device.kind == "replay":
+        assert device.replay is not None
+        try:
+            expected_plan(device.hid, load(device.replay.path).descriptor)
+        except HapticdError as error:
+            return f"a recording: {error}", None, None, _UNPLUGGED, [Problem("device.replay", str(error))]
         return "a recording, which nothing pushes", None, None, "a recording has no loop", []
     hid = device.hid
     limit_hz = Link(None, None, hid.max_rate_hz).carried_hz(rate_hz)

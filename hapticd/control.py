@@ -633,7 +633,9 @@ class Control:
                 names = known_names(params.material or "", self._engine.materials)
                 problems.append(Problem("material", f"unknown material {quoted(params.material or '')}; {names}"))
             elif material.tap is not None and material.tap.ringing is None:
-                told = f"the tap of {quoted(params.material or '')} is a waveform; play strikes modes: give a mode"
+                told = (
+                    f"the tap of {quoted(params.material or '')} is a waveform, which play cannot strike; give a mode"
+                )
                 problems.append(Problem("material", told))
             elif material.tap is not None:
                 mode, attack = material.tap.mode, material.tap.attack

@@ -145,8 +145,14 @@ class View:
             return Text(" connecting ".ljust(width), style="reverse")
         status = self.status
         left = f" hapticd {status['version']}  {status['device']}  {words.si(status['rate_hz'], 'Hz')}"
-        right = f"forces {status['forces']} "
-        style = {"on": "black on green", "off": "black on yellow"}.get(status["forces"], "bold white on red")
+        connection = cast("dict[str, Any]", status.get("connection") or {})
+        held = status["forces"] == "on" and connection.get("signs", {}).get("state") in ("checking", "waiting")
+        right = "signs are checked " if held else f"forces {status['forces']} "
+        style = (
+            "black on yellow"
+            if held
+            else {"on": "black on green", "off": "black on yellow"}.get(status["forces"], "bold white on red")
+        )
         line = Text()
         line.append(left.ljust(max(0, width - len(right))), style="reverse")
         line.append(right, style=style)

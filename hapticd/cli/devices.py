@@ -300,10 +300,10 @@ def _lines(verdict: Verdict) -> list[str]:
     layout = verdict.layout
     if verdict.plan is not None:
         lines = ["can be driven", *filter(None, [verdict.plan.leak_told])]
-    elif layout is None or layout.usable:
-        lines = [f"cannot be driven: {verdict.why_not}"]
-    else:
+    elif verdict.is_lacking and layout is not None:
         lines = [f"cannot be driven; missing: {', '.join(layout.missing)}"]
+    else:
+        lines = [f"cannot be driven: {verdict.why_not}"]
     if layout is None:
         return [*lines, f"the report descriptor is not valid: {verdict.problem}"]
     for name, axis in layout.input.items():

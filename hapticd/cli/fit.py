@@ -114,23 +114,23 @@ def _options(command: _F) -> _F:
     help="Two modes in the material, or one [default: two where one explains too little].",
 )
 @click.option(
-    "--mode-table/--no-mode-table",
-    default=None,
-    help="Frequency and decay over the speed, or one of each [default: as the taps have it].",
-)
-@click.option(
     "--as",
     "form",
     type=Choice(["auto", "mode", "waveform"]),
     help="A mode that rings, a waveform of a pulse, or what says more of the taps [default: auto].",
+)
+@click.option(
+    "--mode-table/--no-mode-table",
+    default=None,
+    help="Frequency and decay over the speed, or one of each [default: as the taps have it].",
 )
 def tap_command(
     attack: Attack | None,
     law: LawKind | None,
     table: bool,
     two_modes: bool | None,
-    mode_table: bool | None,
     form: TapKind | None,
+    mode_table: bool | None,
     **options: Any,
 ) -> None:
     """Slope, frequency and decay of a tap, or its waveform, from recordings of taps and their speeds."""

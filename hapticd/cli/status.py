@@ -90,15 +90,21 @@ def quantile_ns(histogram: Mapping[str, Any], part: float) -> float:
 def _forces(status: Status) -> Iterator[Line]:
     if not status["faults"]:
         off = status["forces"] == "off"
-        connection = status.get("connection")
-        signs = connection.get("signs") if isinstance(connection, dict) else None
-        held = isinstance(signs, dict) and signs["state"] in ("checking", "waiting")
+        held = _signs(status).get("state") in ("checking", "waiting")
         on = "on, but held back while the signs of the device are checked" if held else status["forces"]
         yield "forces", "off: `hapticd force on` turns them on" if off else on
         return
     reasons = [FAULTS.get(name, name.replace("_", " ")) for name in status["faults"]]
     yield "forces", f"off by a fault: {words.listed(reasons)}"
-    yield "", "`hapticd force on` turns them on again once its cause is gone"
+    advice = _signs(status).get("advice") if status["faults"] == ["signs"] else None
+    yield "", advice or "`hapticd force on` turns them on again once its cause is gone"
+
+
+def _signs(status: Status) -> dict[str, Any]:
+    """The check of the device's signs; empty of a simulated joystick."""
+    connection = status.get("connection")
+    signs = connection.get("signs") if isinstance(connection, dict) else None
+    return signs if isinstance(signs, dict) else {}
 
 
 def _real_time(granted: Mapping[str, Any] | None) -> Iterator[Line]:
@@ -179,7 +185,8 @@ def _connection(told: object) -> Iterator[Line]:
         yield "link", ", ".join(rates)
     signs = told.get("signs")
     if isinstance(signs, dict):
-        yield "signs", signs["state"] + (f": {signs['advice']}" if signs["advice"] else "")
+        waits = signs["state"] in ("checking", "waiting") and signs["advice"]
+        yield "signs", signs["state"] + (f": {signs['advice']}" if waits else "")
     if told["states"]:
         yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in told["states"].items())
     if told["resets"]:

@@ -3,10 +3,9 @@
 A stroke is cut into blocks of half a second, each with its own periodograms, speed and force. What the sensor hisses is
 read off the top of the spectrum and taken away; below LOW_HZ, where a hand trembles, the density goes on as it is just
 above, and where it sinks into the hiss it goes on falling as it does in the octave before. The mean frequency is the
-power's centroid. The peak is that of a parabola in 1/density over the squared
-frequency within the half-power band, by Whittle's likelihood: a single resonance has just this shape. Intervals of both
-are jackknifed over groups of blocks. The RMS law is fitted to the blocks' power, of which it is the square, with errors
-that are a part of it (quasi-likelihood of a gamma distribution; Wedderburn, 1974).
+power's centroid; the peak and the intervals of both are found by spectrum_peak.py. The RMS law is fitted to the blocks'
+power, of which it is the square, with errors that are a part of it (quasi-likelihood of a gamma distribution;
+Wedderburn, 1974).
 
 Autoregressive models (`autoregressive`) come from the autocorrelation of the mean spectrum at each pair of speed and
 force (Levinson and Durbin), which makes them stable for any spectrum; the order is that of the least corrected
@@ -18,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -28,13 +26,12 @@ from hapticd.fit.left_out import Left, LeftOut, weigh
 from hapticd.fit.lines import common_lines, lines_of
 from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, least_squares
+from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, student_t
+from hapticd.fit.spectrum_peak import LOW_HZ, jackknifed, peak_of, smoothed
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     LEAST_RATE,
-    about,
     acceleration_of,
-    excludes_zero,
     gravity_of,
     motion_of,
     plain,
@@ -48,12 +45,10 @@ from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.noise import coefficients_of, power_spectrum
 
 BLOCK_S: Final = 0.5
-LOW_HZ: Final = 20.0
 LEAST_BLOCKS: Final = 8
-GROUPS: Final = 20
-"""Of blocks, at most, that the jackknife leaves out one at a time."""
 MOVES: Final = 0.05
 """A change of the mean frequency over the speeds or forces that is worth telling, as a part of it."""
+SELDOM: Final = 0.99
 ROUNDS: Final = 30
 """Of the RMS law at most."""
 APART: Final = (0.15, 0.4)
@@ -118,6 +113,8 @@ class TextureFit:
     """What strokes over one texture say. All intervals are of 95 %."""
 
     peak_hz: Estimate
+    peak_resolved: bool
+    """Otherwise the interval begins at 0, and the peak is a guess."""
     mean_hz: Estimate
     velocity_gain_per_s: Estimate | None
     """None, as the next: speed and force do not vary apart from one another, as `warnings` say."""
@@ -245,7 +242,9 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
     # Not by each block's own power, which goes with its peak.
     shape = density / (law**2)[:, None]
     centroid = np.array([_centroid(frequency, each, tail) for each in shape])
-    peak, mean = _jackknifed(frequency, shape, tail)
+    strokes = np.repeat(np.arange(len(cut)), [len(each.density) for each in cut])
+    peak = peak_of(frequency, shape, strokes)
+    mean = jackknifed(lambda density: _centroid(frequency, density, tail), shape, strokes)
     if rate_hz < LEAST_RATE * mean.value:
         raise FitError(f"the mean frequency is {mean.value:.4g} Hz, sampled at {rate_hz:g} Hz: the rate is too low")
     members = []
@@ -262,15 +261,23 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         Block(name, float(v), float(f), float(r), float(c))
         for name, v, f, r, c in zip(names, speed, force, rms, centroid, strict=True)
     )
-    if not autoregressive:
-        doubts.known("peak frequency", peak)
+    if not peak.resolved:
+        # Autoregressive models have the spectrum as it is.
+        tell = doubts.note if autoregressive else doubts.tell
+        tell(
+            f"the peak is not resolved: the spectrum is broad, or highest below {LOW_HZ:g} Hz; it lies between 0 and "
+            f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
+        )
+    elif not autoregressive:
+        doubts.known("peak frequency", peak.hz)
     doubts.known("mean frequency", mean)
-    summary = (
-        f"{len(blocks) * BLOCK_S:g} s of noise with its peak at {peak.value:.4g} Hz and its mean at {mean.value:.4g} Hz"
-        + (f", {len(models)} autoregressive models" if models else "")
+    place = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
+    summary = f"{len(blocks) * BLOCK_S:g} s of noise with its {place} and its mean at {mean.value:.4g} Hz" + (
+        f", {len(models)} autoregressive models" if models else ""
     )
     return TextureFit(
-        peak_hz=peak,
+        peak_hz=peak.hz,
+        peak_resolved=peak.resolved,
         mean_hz=mean,
         velocity_gain_per_s=gains[0],
         force_gain_m_per_s2_per_n=gains[1],
@@ -417,7 +424,7 @@ def _spoilt(kept: Kept, seen: Floats, block: int, doubts: Doubts) -> set[int]:
 def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
     """FitError where most of the power is the hand's, or tones."""
     low, whole = frequency < LOW_HZ, frequency >= LOW_HZ
-    smooth = _smoothed(density, 2)
+    smooth = smoothed(density, 2)
     lowest = float(frequency[whole][np.argmax(smooth[whole])])
     if density[low].sum() > density[whole].sum() and lowest < 2 * LOW_HZ:
         raise FitError(
@@ -433,7 +440,7 @@ def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
 
 def _top(frequency: Floats, shape: Floats, floor: float) -> tuple[float, _Tail | None]:
     """Where the mean spectrum sinks into what was taken away as the sensor's, and how it goes on from there."""
-    smooth = _smoothed(shape, max(1, round(25 / frequency[1])))
+    smooth = smoothed(shape, max(1, round(25 / frequency[1])))
     peak = int(np.argmax(smooth))
     below = np.flatnonzero(smooth[peak:] < SUNK * floor)
     if floor <= 0 or len(below) == 0:
@@ -468,70 +475,6 @@ class _Tail:
 def _centroid(frequency: Floats, shape: Floats, tail: _Tail | None) -> float:
     beyond, first = (0.0, 0.0) if tail is None else tail.moments(frequency, shape)
     return float((frequency @ shape + first) / (shape.sum() + beyond))
-
-
-def _smoothed(values: Floats, half: int) -> Floats:
-    kernel = np.ones(2 * half + 1) / (2 * half + 1)
-    return np.convolve(np.pad(values, half, mode="edge"), kernel, mode="valid")
-
-
-def _peak(frequency: Floats, shape: Floats) -> float:
-    """Of a parabola in 1/density over the squared frequency within the half-power band."""
-    smooth = _smoothed(shape, max(1, round(15 / frequency[1])))
-    whole = frequency >= LOW_HZ
-    place = int(np.argmax(np.where(whole, smooth, 0.0)))
-    low = high = place
-    while low > 0 and whole[low - 1] and smooth[low - 1] > 0.5 * smooth[place]:
-        low -= 1
-    while high < len(smooth) - 1 and smooth[high + 1] > 0.5 * smooth[place]:
-        high += 1
-    part = slice(low, high + 1)
-    if high - low < 6:
-        return float(frequency[place])
-    square = frequency**2
-    width = float(square[high] - square[low])
-    x = (square[part] - square[place]) / width
-    columns = np.stack([np.ones_like(x), x, x**2], axis=1)
-    seen = shape[part] / smooth[place]
-    found = np.linalg.lstsq(columns * smooth[part, None], np.full(len(x), smooth[place]), rcond=None)[0]
-    if (columns @ found).min() <= 0:
-        found = np.array([1.0, 0.0, 1.0])
-
-    def unlikely(at: Floats) -> float:
-        inverse = columns @ at
-        return float(np.sum(seen * inverse - np.log(inverse))) if inverse.min() > 0 else math.inf
-
-    least = unlikely(found)
-    for _ in range(50):
-        inverse = columns @ found
-        slope = columns.T @ (seen - 1 / inverse)
-        step = np.linalg.solve((columns / inverse[:, None] ** 2).T @ columns, -slope)
-        while unlikely(found + step) > least and np.abs(step).max() > 1e-12:
-            step = step / 2
-        found = found + step
-        reached = unlikely(found)
-        if least - reached < 1e-10:
-            break
-        least = reached
-    if found[2] <= 0:
-        return float(frequency[place])
-    best = math.sqrt(max(0.0, float(square[place] - width * found[1] / (2 * found[2]))))
-    return min(max(best, float(frequency[low])), float(frequency[high]))
-
-
-def _jackknifed(frequency: Floats, shape: Floats, tail: _Tail | None) -> tuple[Estimate, Estimate]:
-    """Peak and mean frequency with intervals: each group of blocks left out in turn."""
-    count = min(GROUPS, len(shape))
-    edges = np.linspace(0, len(shape), count + 1).round().astype(int)
-    total = shape.sum(axis=0)
-    sums = [shape[low:high].sum(axis=0) for low, high in pairwise(edges)]
-    found = []
-    for figure in (_peak, lambda f, s: _centroid(f, s, tail)):
-        value = figure(frequency, total / len(shape))
-        without = np.array([figure(frequency, (total - part) / len(shape)) for part in sums])
-        error = math.sqrt((count - 1) / count * float(np.sum((without - without.mean()) ** 2)))
-        found.append(about(value, error, count - 1))
-    return found[0], found[1]
 
 
 # ---- Laws -----------------------------------------------------------------------------------------------------
@@ -619,10 +562,13 @@ def _moved(
     if not told_apart(columns):
         doubts.note("too few speeds and forces to tell whether the frequency moves with them")
         return None, None
-    by_speed, by_force, _ = least_squares(columns, centroid).coefficients
+    line = least_squares(columns, centroid)
+    by_speed, by_force, _ = line.coefficients
+    # So seldom by chance that a good fit is not called fair for it.
+    wider = student_t(line.freedom, SELDOM) / student_t(line.freedom)
     for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
         change = slope.value * float(np.ptp(values))
-        if excludes_zero(slope) and abs(change) > MOVES * mean_hz:
+        if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > MOVES * mean_hz:
             doubts.tell(
                 f"the mean frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
                 f"{values.max():.3g} {unit}"
@@ -688,7 +634,7 @@ def _ar_model(
     reflection = stages[:order]
     model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
     # Over bands of a twelfth of an octave, as a periodogram itself scatters.
-    loud = (frequency >= LOW_HZ) & (_smoothed(power, 2) > 10 ** (-COMPARED_DB / 10) * _smoothed(power, 2).max())
+    loud = (frequency >= LOW_HZ) & (smoothed(power, 2) > 10 ** (-COMPARED_DB / 10) * smoothed(power, 2).max())
     band = np.round(12 * np.log2(np.maximum(frequency, 1.0))).astype(int)
     differences = [
         10 * math.log10(float(model[here].mean() / power[here].mean()))

@@ -39,7 +39,7 @@ CROSSES: Final = 0.25
 FAINT: Final = 5e-4
 """What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
 LEAST_SAMPLES: Final = 8
-COARSER: Final = 1e-3
+COARSER: Final = 1e-4
 """The rate of the samples is halved as long as the shape explains no more than this less."""
 ALIKE: Final = 0.5
 """A tap of which the shape of the others explains less is left out."""
@@ -158,18 +158,27 @@ class WaveformFit:
 
 
 @dataclass(frozen=True, slots=True)
-class Shape:
-    """The waveform of some pulses, and these by it."""
+class Others:
+    """What the shape would be without each of n pulses."""
 
-    samples: Floats
-    rate_hz: float
-    placed: tuple[Placed, ...]
     explained: Floats
     """(n,) of each pulse, by the shape of the others."""
     beside_noise: Floats
     """(n,) the same with the noise taken off."""
     deviations: Floats
     """Standard errors of the samples."""
+    of_peak: float
+    """The same of the largest magnitude of the curve, for given amplitudes of the pulses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """The waveform of some pulses, and these by it."""
+
+    samples: Floats
+    rate_hz: float
+    placed: tuple[Placed, ...]
+    others: Others
     faded: bool
 
     @property
@@ -188,20 +197,29 @@ def shape_of(pulses: Sequence[Pulse]) -> Shape:
     samples, found = common_shape(pulses, placed, rate_hz, count)
     pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz)
     samples, found, rate_hz = _coarser(pulses, samples, found, rate_hz)
-    equations = Equations(pulses, found, rate_hz, len(samples))
-    shares = by_others(pulses, found, equations, rate_hz)
-    deviations = equations.deviations(equations.solved())
-    return Shape(samples, rate_hz, tuple(found), shares[:, 0], shares[:, 1], deviations, faded)
+    Equations(pulses, found, rate_hz, len(samples))
+    others = by_others(pulses, found, Equations(pulses, found, rate_hz, len(samples)), rate_hz)
+    return Shape(samples, rate_hz, tuple(found), others, faded)
 
 
-def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equations, rate_hz: float) -> Floats:
-    """(n, 2): what of each pulse the shape of the others explains, and that with the noise taken off."""
-    shares = []
+def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equations, rate_hz: float) -> Others:
+    """What the shape would be without each of the pulses."""
+    shares, shapes, peaks = [], [], []
     for index, (pulse, where) in enumerate(zip(pulses, placed, strict=True)):
-        _, other = upright(equations.solved(without=index), rate_hz)
+        solved = equations.solved(without=index)
+        samples, other = upright(solved, rate_hz)
         alone = place(other, pulse, where.onset_s, 2.0 / rate_hz)
         shares.append([explained(other, pulse, alone, noise) for noise in (0.0, pulse.noise_m_per_s2)])
-    return np.array(shares)
+        shapes.append(samples)
+        peaks.append(Curve(solved, rate_hz).peak)
+    explains = np.array(shares)
+    return Others(explains[:, 0], explains[:, 1], _jackknife(np.array(shapes)), float(_jackknife(np.array(peaks))))
+
+
+def _jackknife(without: Floats) -> Floats:
+    """Standard errors (...) of what was found without each of n points, (n, ...)."""
+    count = len(without)
+    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
 
 
 def _window(pulses: Sequence[Pulse]) -> tuple[float, float, int]:
@@ -253,7 +271,7 @@ def _coarser(
     """The same with as few samples as do."""
 
     def share(found: Sequence[Placed], at_hz: float, count: int) -> float:
-        return float(np.median(by_others(pulses, found, Equations(pulses, found, at_hz, count), at_hz)[:, 1]))
+        return float(np.median(by_others(pulses, found, Equations(pulses, found, at_hz, count), at_hz).beside_noise))
 
     least = share(placed, rate_hz, len(samples)) - COARSER
     while True:
@@ -283,13 +301,14 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
-    slope = line.coefficients[0]
+    t = student_t(len(pulses) - 1)
+    slope = _wider(line.coefficients[0], t * shape.others.of_peak)
     if not slope.low > 0:
         raise FitError(
             f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
             f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
         )
-    share = float(np.median(shape.explained))
+    share = float(np.median(shape.others.explained))
     doubts.add(share < POORLY_EXPLAINED, _less(share, WELL_EXPLAINED), "the taps differ in shape")
     if shape.faded:
         doubts.add(
@@ -304,8 +323,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     if amplitudes:
         warnings.append(f"{off}: the material has a table of amplitudes over speed")
     warnings += doubts.told
-    t = student_t(len(pulses) - 1)
-    each = zip(pulses, shape.placed, shape.explained, strict=True)
+    each = zip(pulses, shape.placed, shape.others.explained, strict=True)
     hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
     return WaveformFit(
         taps=hits,
@@ -313,7 +331,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
         amplitudes=amplitudes,
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
-        deviations=tuple(map(float, t * shape.deviations)),
+        deviations=tuple(map(float, t * shape.others.deviations)),
         length_s=shape.curve.length_s,
         samples_a_period=resolved,
         r_squared=line.r_squared,
@@ -327,6 +345,16 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     )
 
 
+def _wider(estimate: Estimate, part: float) -> Estimate:
+    """With a further error, half of whose interval is this part of the value."""
+    further = (part * estimate.value) ** 2
+    return Estimate(
+        estimate.value,
+        estimate.value - math.sqrt((estimate.value - estimate.low) ** 2 + further),
+        estimate.value + math.sqrt((estimate.high - estimate.value) ** 2 + further),
+    )
+
+
 def _less(share: float, wanted: float) -> str:
     return f"a waveform explains {100 * share:.1f} % of a tap" if share < wanted else ""
 
@@ -337,7 +365,7 @@ def _alike(pulses: list[Pulse], warnings: list[str]) -> tuple[list[Pulse], Shape
     shape = shape_of(pulses)
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
-    for pulse, placed, share in zip(pulses, shape.placed, shape.beside_noise, strict=True):
+    for pulse, placed, share in zip(pulses, shape.placed, shape.others.beside_noise, strict=True):
         place_s = f"{pulse.recording}: the tap at {pulse.begin_s + placed.onset_s:.4g} s"
         if share < ALIKE:
             warnings.append(f"{place_s} is left out: the waveform of the others explains {100 * share:.0f} % of it")

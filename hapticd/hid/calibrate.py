@@ -15,7 +15,7 @@ from typing import Final, Literal
 from hapticd.core import HidQuantity, ffi, lib
 from hapticd.hid.config import ForceAxes, ForceAxis, Hid
 from hapticd.hid.device import Device, Driver, pending_reports
-from hapticd.hid.plan import STILL_M_PER_COUNT, DeviceError, Plan
+from hapticd.hid.plan import DeviceError, Plan
 
 MOST_OF_FULL: Final = 0.1
 """No more than this part of the full force is used."""
@@ -163,9 +163,10 @@ def calibrate(
     try:
         moved: dict[str, tuple[float, float]] = {}
         axes: tuple[Literal["x", "y"], ...] = ("x", "y")
-        # A device of one axis has nothing to push along the other.
-        still = plan.y.m_per_count == STILL_M_PER_COUNT
-        for along, name in enumerate(axes[: 1 if still or not plan.pushes[1] else 2]):
+        for along, name in enumerate(axes):
+            # A device of one axis has nothing to push along the other.
+            if not plan.driven_axes[along]:
+                continue
             there = pusher.push(along, force_n, half_m)
             back = pusher.push(along, -force_n, half_m)
             moved[name] = ((there[0] - back[0]) / 2.0, (there[1] - back[1]) / 2.0)

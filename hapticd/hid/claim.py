@@ -72,7 +72,9 @@ class Claims:
             raise HapticdError(f"{found} is claimed already; `hapticd devices release {found.path}` lets others at it")
         nodes = self.nodes(name)
         if nodes and not any(map(_is_for_others, nodes)):
-            raise HapticdError(f"{found}: its event nodes are kept from other programs already, by a udev rule")
+            raise HapticdError(
+                f"{found}: its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
+            )
         try:
             self._rebind(name, claimed, [*claimed, name], GENERIC)
             for node in self.nodes(name):
@@ -88,7 +90,7 @@ class Claims:
         name, claimed = self._name(found), self.names()
         if name not in claimed:
             kept = not any(map(_is_for_others, self.nodes(name))) and bool(self.nodes(name))
-            why = "; a udev rule keeps others off it: take its line out of 70-hapticd.rules" if kept else ""
+            why = "; its event nodes are root's alone, as a line of 70-hapticd.rules makes them" if kept else ""
             raise HapticdError(f"{found} is not claimed{why}")
         try:
             self._rebind(name, claimed, [other for other in claimed if other != name], None)

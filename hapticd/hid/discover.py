@@ -23,6 +23,7 @@ SYSFS: Final = Path("/sys/class/hidraw")
 DEV: Final = Path("/dev")
 
 _BUSES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
+_TOLD: Final = 3
 _HERE: Final = "`hapticd devices` lists what is there"
 
 
@@ -65,8 +66,9 @@ class Found:
     @property
     def resets_seen(self) -> bool | None:
         """Whether it has a report that says which effects play: without, a reset by another program is not noticed.
-        None where it cannot be driven. A device with such a report may still not send it."""
-        if not self.usable or self.layout is None:
+        None where it cannot be driven, and where it has no effects (device.hid.report). A device with such a report
+        may still not send it."""
+        if not self.usable or self.layout is None or self.hid.report is not None:
             return None
         state = self.layout.pid_state
         return state is not None and state.effect_index is not None and state.effect_playing is not None
@@ -146,12 +148,16 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
     usable = [item for item in judged if item.usable]
     if not usable:
         # What lacks nothing by itself does not suit the configuration: whoever opens it says why.
-        usable = judged if hid.report is not None else [item for item in judged if item.layout and item.layout.usable]
+        near = judged if hid.report is not None else [item for item in judged if item.layout and item.layout.usable]
+        usable = near if len(near) == 1 else []
     if not usable:
         if len(judged) == 1:
             hint = "; a device with reports of its own needs device.hid.report" if judged[0].is_other else ""
             told = f"{judged[0]} cannot be driven: {judged[0].verdict.why_not}{hint}"
             raise DeviceError(told) if judged[0].is_other and not hid.names_one else UndrivableError(told)
+        if near:
+            told = "; ".join(f"{item}: {item.verdict.why_not}" for item in near[:_TOLD])
+            raise UndrivableError(f"no HID device{text} can be driven: {told}; {_HERE}")
         nearly = [f"; {item}: {item.verdict.why_not}" for item in judged if not item.is_other]
         raise DeviceError(
             f"no HID device{text} can be driven: none of {_listed(judged)} is a force-feedback device"

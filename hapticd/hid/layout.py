@@ -29,6 +29,8 @@ from hapticd.hid.useful import angle_fault, axis_fault, magnitude_fault
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
 """The longest report that is driven, with its id."""
+SKIPPED: Final = "report descriptor, "
+"""A problem that begins so is an item that was skipped, no field."""
 MAX_FIELD_BITS: Final = 32
 """The widest field that is driven."""
 
@@ -468,7 +470,7 @@ class _Finder:
     def __init__(self, descriptor: Descriptor) -> None:
         self._descriptor = descriptor
         self._missing: list[str] = []
-        self._problems = [f"report descriptor, {told}" for told in descriptor.skipped]
+        self._problems = [f"{SKIPPED}{told}" for told in descriptor.skipped]
         self._root: int | None = None
         self._within: dict[int, list[tuple[Collection, ReportField]]] = {}
         for field in descriptor.fields:

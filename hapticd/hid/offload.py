@@ -141,8 +141,8 @@ def _times(longest: float, numbers: Numbers) -> _Times:
     end_s, attack_s = numbers.duration.quantities(duration), numbers.attack_time.quantities(attack)
     fade_time = numbers.fade_time
     # The longest fade that begins after the attack.
-    fade = np.floor((end_s - attack_s) * fade_time.counts_per_unit + fade_time.zero_counts + 1e-6).astype(np.int64)
-    fade = np.minimum(fade, math.floor(fade_time.most))
+    counts = np.floor((end_s - attack_s) * fade_time.counts_per_unit + fade_time.zero_counts + 1e-6)
+    fade = np.clip(counts, fade_time.least - 1, fade_time.most).astype(np.int64)
     fade_from_s = np.maximum(end_s - fade_time.quantities(fade), attack_s)
     sound = (end_s > 0.0) & (attack_s >= 0.0) & (attack_s < end_s) & (fade >= fade_time.least)
     return _Times(duration[sound], attack[sound], fade[sound], attack_s[sound], fade_from_s[sound], end_s[sound])

@@ -2,7 +2,8 @@
 
 A constant force is shown by
 
-- two effects, one for each axis, whose magnitudes carry a sign: a component that did not change costs no report; or
+- two effects, one for each axis, whose magnitudes carry a sign: a component that did not change costs no report, unless
+  the directions are not quite along the axes (`directions.parts`); or
 - one effect whose magnitude and direction are both sent, where magnitudes have no sign, or one effect is all there is.
 
 Effects have a finite duration and are started again in time: a daemon that is stopped or killed leaves no force.

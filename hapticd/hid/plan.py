@@ -241,26 +241,17 @@ class Plan:
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
     """Why there is none."""
-    signs: Signs | None = None
-    """What is checked before the first force of the scene; None: the signs are trusted."""
     leak: float = 0.0
     """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
     report_names: Mapping[int, str] = field(default_factory=dict)
     """What output reports are called, by id, for those who look at what was sent."""
+    signs: Signs | None = None
+    """What is checked before the first force of the scene; None: the signs are trusted."""
 
     @property
     def resolution_m(self) -> float:
         """The step of positions, the coarser axis's."""
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
-
-    @property
-    def driven_axes(self) -> tuple[bool, bool]:
-        """Whether the device both moves and pushes along x, and along y."""
-        steps_n = self.force_steps_n
-        return (
-            self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
-            self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
-        )
 
     @property
     def leak_told(self) -> str:
@@ -270,10 +261,13 @@ class Plan:
         return f"one effect for both axes: up to {100.0 * self.leak:.2g} % of a force comes out across it"
 
     @property
-    def pushes(self) -> tuple[bool, bool]:
-        """Whether a force along x, along y is sent at all."""
-        sent = {value.quantity for message in self.force for value in message.values}
-        return bool(sent & {HidQuantity.X, HidQuantity.MAGNITUDE}), bool(sent & {HidQuantity.Y, HidQuantity.MAGNITUDE})
+    def driven_axes(self) -> tuple[bool, bool]:
+        """Whether the device both moves and pushes along x, and along y."""
+        steps_n = self.force_steps_n
+        return (
+            self.x.m_per_count != STILL_M_PER_COUNT and steps_n[0] > 0.0,
+            self.y.m_per_count != STILL_M_PER_COUNT and steps_n[1] > 0.0,
+        )
 
     @property
     def force_steps_n(self) -> tuple[float, float]:

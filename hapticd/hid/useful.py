@@ -53,7 +53,10 @@ def duration_fault(field: Field, step_s: float, duration_s: float, wanted_s: flo
     """Why effects of this duration, the nearest to the wanted one, are no good; None: they are."""
     told = f"Set Effect: Duration goes from {field.logical_min} to {field.logical_max} in counts of {step_s:g} s"
     if duration_s < SHORTEST_S:
-        return f"{told}: it holds no duration of {SHORTEST_S:g} s or more, so that no effect could be renewed in time"
+        return (
+            f"{told}: it holds no duration of {SHORTEST_S:g} s or more, so that no effect could be renewed in time; "
+            "device.hid.quirks: [infinite_duration] does without"
+        )
     most_s = max(LONGEST_S, 2.0 * wanted_s)
     if duration_s > most_s:
         return (

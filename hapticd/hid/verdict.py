@@ -12,7 +12,7 @@ from hapticd.core import Status, invalid_reason, lib
 from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import DescriptorError, parse
 from hapticd.hid.device import Driver
-from hapticd.hid.layout import Layout, layout_of
+from hapticd.hid.layout import SKIPPED, Layout, layout_of
 from hapticd.hid.pid import PidDriver, plan_of, ways_of
 from hapticd.hid.plan import DeviceError, Plan, UndrivableError
 from hapticd.hid.vendor import VendorDriver
@@ -39,6 +39,9 @@ class Verdict:
     why_not: str | None
     """One line; None where it can be driven."""
 
+    is_lacking: bool = False
+    """Whether that is what the descriptor lacks (`Layout.missing`)."""
+
     @property
     def drivable(self) -> bool:
         return self.why_not is None
@@ -62,8 +65,10 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
             # What a descriptor says of effects is of no matter to reports of its own.
             vendor = VendorDriver(hid, descriptor)
             return Verdict(layout, problem, vendor, _checked(vendor_plan_of(hid, hid.report)), None)
-        if layout is None or not layout.usable:
-            raise DeviceError(_lacking(layout) if layout else f"its report descriptor is not valid: {problem}")
+        if layout is None:
+            raise DeviceError(f"its report descriptor is not valid: {problem}")
+        if not layout.usable:
+            return Verdict(layout, problem, None, None, _lacking(layout), True)
         driver = PidDriver(layout, hid)
         first, last = layout.effect_indices or (1, 1)
         # Set-up goes on to the next way where the device has no room for the first one.
@@ -73,7 +78,10 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
         ]
         return Verdict(layout, problem, driver, plans[0], None)
     except DeviceError as error:
-        return Verdict(layout, problem, None, None, str(error))
+        told = str(error)
+        if layout is not None and not told.startswith("device.hid."):
+            told += _unused(layout)
+        return Verdict(layout, problem, None, None, told)
 
 
 def driver_of(hid: Hid, descriptor: bytes) -> Driver:
@@ -96,12 +104,17 @@ def _sound(verdict: Verdict) -> tuple[Driver, Plan]:
 
 
 def _lacking(layout: Layout) -> str:
-    """What the descriptor lacks, by the specification's names, and what of it is there and cannot be used."""
-    told = f"its report descriptor has no {', no '.join(layout.missing)}"
-    if not layout.problems:
-        return told
-    more = f", and {len(layout.problems) - _SHOWN} more" if len(layout.problems) > _SHOWN else ""
-    return f"{told} (not used: {'; '.join(layout.problems[:_SHOWN])}{more})"
+    """What the descriptor lacks, by the specification's names."""
+    return f"its report descriptor has no {', no '.join(layout.missing)}{_unused(layout)}"
+
+
+def _unused(layout: Layout) -> str:
+    """What fields are there and cannot be used: one of them may be the cause."""
+    fields = [problem for problem in layout.problems if not problem.startswith(SKIPPED)]
+    if not fields:
+        return ""
+    more = f", and {len(fields) - _SHOWN} more" if len(fields) > _SHOWN else ""
+    return f" (not used: {'; '.join(fields[:_SHOWN])}{more})"
 
 
 def _checked(plan: Plan) -> Plan:

@@ -32,7 +32,7 @@ static const struct hd_hid_plan plan = {
     .force = {.count = 2,
               .messages = {{.length = 3,
                             .value_count = 1,
-                            .values = {{{0, 16, 1, 0}, HD_HID_X, 0, 100.0, 0.0, -900.0, 900.0}},
+                            .values = {{{0, 16, 1, 0}, HD_HID_X, 0, 100.0, 0.0, -900.0, 900.0, 0.0}},
                             .bytes = {5}},
                            {.length = 3,
                             .value_count = 1,

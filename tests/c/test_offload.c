@@ -45,9 +45,9 @@ static struct hd_hid_offer effect(uint32_t id, uint32_t place) {
         made.messages[i].bytes[1] = (uint8_t)place;
     }
     made.messages[0].values[0] =
-        (struct hd_hid_value){{8, 8, 0, 0}, HD_HID_DIRECTION, 0, 256.0 / 6.283185307179586, 0.0, 0.0, 255.0};
-    made.messages[1].values[0] = (struct hd_hid_value){{8, 8, 0, 0}, HD_HID_MAGNITUDE, 0, 10.0, 0.0, 0.0, 100.0};
-    made.messages[2].values[0] = (struct hd_hid_value){{8, 8, 1, 0}, HD_HID_MAGNITUDE, 0, 5.0, 7.0, -50.0, 50.0};
+        (struct hd_hid_value){{8, 8, 0, 0}, HD_HID_DIRECTION, 0, 256.0 / 6.283185307179586, 0.0, 0.0, 255.0, 0.0};
+    made.messages[1].values[0] = (struct hd_hid_value){{8, 8, 0, 0}, HD_HID_MAGNITUDE, 0, 10.0, 0.0, 0.0, 100.0, 0.0};
+    made.messages[2].values[0] = (struct hd_hid_value){{8, 8, 1, 0}, HD_HID_MAGNITUDE, 0, 5.0, 7.0, -50.0, 50.0, 0.0};
     made.stop.bytes[0] = 24;
     made.stop.bytes[1] = (uint8_t)place;
     return made;

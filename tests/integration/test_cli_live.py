@@ -300,6 +300,12 @@ def test_play_force_reset_operator(shell: Shell) -> None:
     )
     assert json.loads(played)["tick"] > 0
     assert "unknown material" in shell.fails("play", "cheese", "--amplitude", "2")
+    pulse = {"attack_slope_per_s": 9, "waveform": {"rate_hz": 200, "samples": [0, 1, 0]}}
+    Path("felt.yaml").write_text(json.dumps({"felt": {"stiffness_n_per_m": 9, "tap": pulse}}))
+    shell("material", "set", "felt.yaml")
+    assert 'the tap of "felt" is a waveform, which play cannot strike; give a mode' in shell.fails(
+        "play", "felt", "--amplitude", "2"
+    )
     assert shell("force", "off") == "forces off\n"
     off = "hapticd: forces are off: `hapticd force on` turns them on\n"
     assert shell.fails("play", "wood", "--amplitude", "2") == off

@@ -126,6 +126,13 @@ def test_it_shows_what_matters() -> None:
         assert wanted in text, wanted
 
 
+def test_forces_that_are_held_back_are_not_shown_as_on() -> None:
+    shown = view()
+    for state_of_signs, wanted in (("checking", "signs are checked"), ("right", "forces on")):
+        shown.feed("status", status(connection={"signs": {"state": state_of_signs}}))
+        assert wanted in drawn(shown)[0]
+
+
 def test_before_anything_came_and_after_the_daemon_left() -> None:
     assert "connecting" in drawn(View())[0]
     shown = view()

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.cli import main
+from hapticd.cli import main, status
 from hapticd.hid import claim, discover
 from tests.hid_descriptors import Joystick
 from tests.hid_tree import Kernel
@@ -82,3 +82,18 @@ def test_the_list_says_what_nobody_sees_and_what_to_do(kernel: Kernel, capsys: p
         condition.replace("hidraw5", "hidraw7"),
         "    claimed: `hapticd devices release /dev/hidraw7` lets other programs at it again",
     ]
+
+
+def test_the_status_says_what_nobody_sees_how_long_it_lasts_and_what_to_do() -> None:
+    told = dict.fromkeys(("name", "problem", "link_hz", "report_hz", "force_hz", "states", "resets"))
+    told |= {"path": "/dev/hidraw3", "state": "connected", "resets_seen": False, "foreign_effect_s": 0.0954}
+    assert list(status._connection(told))[1:] == [
+        (
+            "unseen",
+            "/dev/hidraw3 does not report which of its effects play: a reset by another program is not noticed; "
+            "what it uploads lasts up to 95 ms",
+        ),
+        ("", "`hapticd devices claim /dev/hidraw3` keeps other programs off"),
+    ]
+    for seen in (True, None):
+        assert len(list(status._connection(told | {"resets_seen": seen}))) == 1

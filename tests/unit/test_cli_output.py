@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
+import msgpack
 import pytest
 
 from hapticd.calls import DaemonNotRunning, RemoteError, outcome, patch_tree
@@ -19,14 +20,16 @@ from hapticd.cli.failure import asks_for_json, tell
 from hapticd.cli.shell import PHRASES, in_shell_words
 from hapticd.cli.status import FAULTS, lines, text_of
 from hapticd.control import _FAULT_WORDS
-from hapticd.core import Fault
+from hapticd.core import Fault, SignsProblem, SignsState
 from hapticd.engine import Granted
 from hapticd.errors import HapticdError, InvalidError, Problem, in_order
 from hapticd.events import fault_names
+from hapticd.hid.signs import Told
 from hapticd.paths import runtime_paths
 from hapticd.results import Status
 from hapticd.wire import Code
 from tests.cli import said
+from tests.fake_daemon import fake_daemon
 
 # ---- status ----------------------------------------------------------------------------------------------------------
 
@@ -92,6 +95,66 @@ def test_what_is_wrong_comes_first_with_what_to_do() -> None:
     ]
     assert ("telemetry", "1 sample and 0 events dropped") in list(lines(told))
     assert ("forces", "off: `hapticd force on` turns them on") in list(lines(status(forces="off")))
+
+
+def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProblem.FINE) -> list[tuple[str, str]]:
+    connection = {
+        "name": None,
+        "state": "connected",
+        "problem": None,
+        "link_hz": None,
+        "report_hz": None,
+        "force_hz": None,
+        "states": {},
+        "resets": 0,
+        "signs": Told(word, problem, "x").to_dict(),
+    }
+    faults = ["signs"] if forces == "faulted" else []
+    return list(lines(status(forces=forces, faults=faults, connection=connection)))
+
+
+def test_the_status_says_how_far_the_check_of_signs_is_and_what_to_do() -> None:
+    told = with_signs("on", SignsState.CHECKING)
+    assert told[0] == ("forces", "on, but held back while the signs of the device are checked")
+    assert ("signs", "checking") in told
+    told = with_signs("on", SignsState.WAITING, SignsProblem.CONTACT)
+    advice = "the handle touches an object of the scene: move it away and let go of it"
+    assert ("signs", f"waiting: {advice}") in told
+    told = with_signs("on", SignsState.RIGHT)
+    assert told[0] == ("forces", "on") and ("signs", "right") in told
+    told = with_signs("faulted", SignsState.WRONG, SignsProblem.SWAPPED)
+    assert told[:2] == [
+        ("forces", "off by a fault: the signs of the device are not known"),
+        (
+            "",
+            "a force along x moves the handle along y: `hapticd devices calibrate` finds device.hid.force_axes; "
+            "device.hid.signs trust leaves the check out",
+        ),
+    ]
+    assert ("signs", "wrong") in told
+
+
+def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    signs = Told(SignsState.CHECKING, SignsProblem.FINE, "x").to_dict()
+    wrong = Told(SignsState.WRONG, SignsProblem.REVERSED, "x").line()
+    answers: list[Any] = [
+        {"result": {"forces": "on", "tick": 1, "signs": signs}},
+        {"error": {"code": -32003, "message": f"forces are off because {wrong}", "data": {"faults": ["signs"]}}},
+    ]
+
+    def answer(request: dict[str, Any]) -> list[bytes]:
+        return [msgpack.packb({"jsonrpc": "2.0", "id": request["id"], **answers.pop(0)})]
+
+    with fake_daemon(tmp_path, answer):
+        assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
+        assert capsys.readouterr().out == (
+            "forces on; first the signs of the device are checked: let go of the handle\n"
+        )
+        assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
+        assert capsys.readouterr().err == (
+            "hapticd: forces are off because a force along x moves the handle the other way: "
+            "`hapticd devices calibrate` finds device.hid.force_axes; device.hid.signs trust leaves the check out\n"
+        )
 
 
 def test_the_status_has_the_daemons_words_for_faults() -> None:

@@ -605,6 +605,8 @@ def limits_of(schema: Schema) -> str:
             return "see " + ", ".join(limits_of(mapping(member)).removeprefix("see ") for member in members)
         case {"items": {"enum": list() as options}}:
             return "a list of " + ", ".join(f"`{option}`" for option in options)
+        case {"items": {"minLength": 1}, "maxItems": int() as most}:
+            return f"at most {most}"
         case {"items": {"type": "string"}, "maxItems": int() as most}:
             return f"a list of reports in hex, at most {most}"
         case {"maxProperties": int() as most}:

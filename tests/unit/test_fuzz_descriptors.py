@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from hapticd.cli import main
 from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import parse
 from hapticd.hid.layout import layout_of
-from hapticd.hid.pid import PidDriver
+from hapticd.hid.offload import _times
+from hapticd.hid.pid import PidDriver, periodic_of
 from hapticd.hid.verdict import verdict_of
 from tests import fuzz_descriptors as fuzz
 from tests.hid_descriptors import Joystick, logical, physical, usage
@@ -87,6 +89,14 @@ def test_a_load_status_that_cannot_say_success_is_not_waited_for() -> None:
     layout = layout_of(parse(instead(usage(0x8C, 0x8D, 0x8E), usage(0x8B, 0x8D, 0x8E))))
     assert layout.block_load is not None and layout.block_load.status is None
     assert PidDriver(layout, Hid()).set_up(fuzz.Loader(layout, 40)).renew
+
+
+def test_times_in_parts_of_a_picosecond_do_not_overflow() -> None:
+    """A fade of 0.1 s is 4e20 counts, more than 64 bits hold: the longest that the field holds is taken."""
+    numbers = periodic_of(layout_of(parse(bytes(Joystick(time_exponent=-4)))), Hid(), [1]).numbers
+    tiny = replace(numbers.fade_time, counts_per_unit=4e21)
+    times = _times(0.05, replace(numbers, fade_time=tiny))
+    assert len(times.fade) and set(times.fade.tolist()) <= {0, tiny.most}
 
 
 def test_an_index_that_block_free_cannot_carry_is_not_freed_as_another() -> None:

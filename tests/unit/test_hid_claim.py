@@ -95,9 +95,11 @@ def test_what_is_refused(kernel: Kernel) -> None:
     assert refusal(kernel, "release") == "/dev/hidraw5 (Stick, 2341:8036) is not claimed"
     for node in kernel.claims.nodes(STICK):
         node.chmod(0o600)
-    kept = "/dev/hidraw5 (Stick, 2341:8036): its event nodes are kept from other programs already, by a udev rule"
-    assert refusal(kernel, "claim") == kept
-    assert "take its line out of 70-hapticd.rules" in refusal(kernel, "release")
+    kept = "its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
+    assert refusal(kernel, "claim") == f"/dev/hidraw5 (Stick, 2341:8036): {kept}"
+    assert "is not claimed; its event nodes are root's alone, as a line of 70-hapticd.rules" in refusal(
+        kernel, "release"
+    )
     for node in kernel.claims.nodes(STICK):
         node.chmod(0o644)
     kernel.claims.claim(kernel.found(STICK))

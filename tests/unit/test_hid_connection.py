@@ -279,6 +279,8 @@ def test_a_device_that_was_reset_is_set_up_anew(world: World) -> None:
         lambda: connection.status()["states"] == {"actuators": True, "paused": False, "safety": False, "power": False}
     )
     assert connection.status()["connects"] == 1 and connection.status()["resets"] in (1, 2)
+    # It says which effects play, so nothing but the set-up sends directions.
+    assert connection.status()["resets_seen"] is True and connection.status()["foreign_effect_s"] is None
 
 
 @pytest.mark.slow
@@ -304,8 +306,14 @@ def test_a_device_that_does_not_say_what_plays_is_left_alone(world: World) -> No
     stick = world.plug(tells_playing=False)
     engine = world.start()
     stick.wait(lambda: stick.log.count("operation start 2") >= 12)
-    assert engine.connection is not None and engine.connection.status()["resets"] == 0
+    connection = engine.connection
+    assert connection is not None and connection.status()["resets"] == 0
     assert stick.log.count("create") == 2
+    # What another program may have changed is sent again and again, and the status says so.
+    stick.wait(lambda: min(stick.log.count(f"{what} {n}") for what in ("set_effect", "envelope") for n in (1, 2)) > 3)
+    world.until(lambda: connection.status()["resets_seen"] is False)
+    lasts = connection.status()["foreign_effect_s"]
+    assert isinstance(lasts, float) and lasts > 0.0
 
 
 def test_effects_with_other_numbers_after_a_reset(world: World) -> None:

@@ -104,6 +104,21 @@ def test_a_descriptor_that_is_not_valid(machine: Machine) -> None:
     assert "its report descriptor is not valid: report descriptor, byte" in machine.refusal()
 
 
+def test_of_several_the_one_that_suits_the_configuration_is_chosen(machine: Machine) -> None:
+    machine.add(0, bytes(Joystick(axes=(0x33, 0x34))))
+    machine.add(1)
+    assert machine.choose().path.endswith("hidraw1")
+    rotating = {"x": {"usage": "Rx"}, "y": {"usage": "Ry"}}
+    assert machine.choose(axes=rotating).path.endswith("hidraw0")
+    neither = machine.refusal(axes={"x": {"usage": "Z"}})
+    assert neither.startswith(
+        "no HID device can be driven: /dev/hidraw0 (Lab stick, 1209:5aff): device.hid.axes.x.usage"
+    )
+    assert (
+        "/dev/hidraw1 (Lab stick, 1209:5aff): device.hid.axes.x.usage: the device has no axis Z; it has X, Y" in neither
+    )
+
+
 def test_the_only_one_is_chosen(machine: Machine) -> None:
     machine.add(0, MOUSE, (1, 2))
     machine.add(1)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Final
 
+import numpy as np
 import pytest
 
 from hapticd.core import ffi, lib
@@ -15,8 +16,10 @@ from hapticd.hid.calibrate import calibrate
 from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import parse
 from hapticd.hid.layout import layout_of
+from hapticd.hid.offload import effect_messages, fit
 from hapticd.hid.pid import PidDriver
-from hapticd.hid.plan import DeviceError, Plan
+from hapticd.hid.plan import DeviceError, Plan, fill_message
+from hapticd.mode import Mode
 from tests import firmware_descriptors as descriptors
 from tests.firmware import ADAPT, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
 from tests.hid_descriptors import DESKTOP, ORDINAL, Joystick, logical, physical, usage32
@@ -44,6 +47,16 @@ FAMILIES = {
     "commands as bits": (bytes(Joystick(control="bits")), Variant()),
     "slow to load": (bytes(Joystick()), Variant(load_after=2)),
     "few effects": (bytes(Joystick()), Variant(most_effects=2)),
+    "signed directions": (bytes(Joystick(direction_bits=16, is_direction_signed=True)), Variant()),
+    "extended usages": (bytes(Joystick(is_extended=True, is_split=True, first_id=20)), Variant(first_index=7)),
+    "pushed": (bytes(Joystick(is_pushed=True, control="bits")), Variant(reset_disables=True)),
+    "tenths of a ms": (bytes(Joystick(time_exponent=-4)), Variant()),
+    "without reset": (bytes(Joystick(without=frozenset({0x9A, 0x7F}))), Variant(tells="nothing")),
+    "one effect": (bytes(Joystick(direction_bits=16)), Variant(most_effects=1)),
+    "unsigned": (bytes(Joystick(direction_bits=16, is_magnitude_signed=False)), Variant()),
+    "room for one at a time": (bytes(Joystick(direction_bits=16)), Variant(simultaneous=1)),
+    "pool stalls": (bytes(Joystick()), Variant(pool_stalls=True)),
+    "pool says one at first": (bytes(Joystick()), Variant(pool_says=(1,))),
 }
 
 
@@ -86,7 +99,10 @@ def test_signs_and_sizes(name: str) -> None:
         for force_n in FORCES:
             send(stick, plan, force_n)
             wanted = (force_n[0] / FULL_N, force_n[1] / FULL_N)
-            assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
+            # At once and as long as the effect lasts: there is no envelope.
+            for t_s in (stick.now, stick.now + 0.05, stick.now + 0.099):
+                assert stick.force(t_s) == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
+        assert stick.force(stick.now + 0.102) == (0.0, 0.0)
         assert stick.faults == []
 
 
@@ -102,14 +118,25 @@ def test_reversed_devices_are_right_with_their_signs(name: str, signs: tuple[int
             assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
 
 
+@pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (1, -1)])
+def test_swapped_axes(signs: tuple[int, int]) -> None:
+    """The device's first axis shows the force along y, its second one that along x, each with its sign."""
+    axes = {"swap": True, "x": {"sign": signs[0]}, "y": {"sign": signs[1]}}
+    with driven(descriptors.SIDEWINDER_FF2, force_axes=axes) as (stick, plan):
+        for x_n, y_n in FORCES:
+            send(stick, plan, (x_n, y_n))
+            wanted = (signs[0] * y_n / FULL_N, signs[1] * x_n / FULL_N)
+            assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), (x_n, y_n)
+
+
 def test_one_effect_for_both_axes_says_what_leaks() -> None:
     """255 counts a turn: half a count off is 1.2 % of the force, across it."""
     with driven(bytes(Joystick(is_magnitude_signed=False))) as (stick, plan):
         assert len(stick.effects) == 1
         assert plan.leak == pytest.approx(math.sin(math.pi / 255.0), rel=1e-12)
         worst = 0.0
-        for k in range(720):
-            angle = math.pi * k / 360.0
+        for k in range(144):
+            angle = math.pi * k / 72.0
             send(stick, plan, (FULL_N * math.sin(angle), FULL_N * math.cos(angle)))
             x, y = stick.force()
             worst = max(worst, abs(x * math.cos(angle) - y * math.sin(angle)))
@@ -157,7 +184,7 @@ def test_one_axis_whose_flags_have_the_range_0_to_0() -> None:
         (set_effect,) = stick.sent("set_effect")
         # Id, index, type, four times of two bytes, gain, trigger button, then the flags: X, Direction Enable.
         assert set_effect[13] == 0x02
-        assert len(plan.force) == 1 and plan.pushes == (True, False)
+        assert len(plan.force) == 1 and plan.driven_axes == (True, False)
         for force_n in FORCES:
             before = len(stick.sent("constant_force"))
             send(stick, plan, force_n)
@@ -202,6 +229,36 @@ def test_a_killed_host_leaves_no_force(name: str) -> None:
         ends_s = next(t_s for t_s, on in zip(times_s, shown, strict=True) if not on)
         assert ends_s - last_s == pytest.approx(duration_s, abs=2e-3)
         assert not any(shown[round((ends_s - last_s) * 1e3) :])
+
+
+# ---- What the device plays by itself ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["sidewinder", "openffboard", "fino", "adapt-ffb-joy"])
+def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
+    """A ringing mode as a sine within an envelope: as near as the fit says, in the direction of the force."""
+    mode = Mode(decay_rate_per_s=1.0 / 0.03, angular_frequency_rad_per_s=2.0 * math.pi * 80.0)
+    way = (0.6, -0.8)
+    with driven(*FAMILIES[name], offload="auto") as (stick, plan):
+        assert plan.periodic is not None, plan.no_periodic
+        shape = fit(mode, plan.periodic.numbers)
+        assert shape is not None
+        size_n = 0.8 * FULL_N / shape.peak
+        stick.now = 1.0
+        for message in effect_messages(shape, plan.periodic, 0):
+            into, room = ffi.new("struct hd_hid_message *"), ffi.new("uint8_t[]", len(message.data))
+            fill_message(into, message)
+            lib.hd_hid_compose(into, ffi.new("double[2]", [size_n * part for part in way]), room)
+            stick.take(bytes(ffi.buffer(room)))
+        times_s = np.linspace(0.0, 0.2, 2001)
+        shown = FULL_N * np.array([stick.force(1.0 + t_s) for t_s in times_s])
+        ideal = size_n * np.exp(-mode.decay_rate_per_s * times_s) * np.sin(mode.angular_frequency_rad_per_s * times_s)
+        along, across = shown @ np.array(way), shown @ np.array([-way[1], way[0]])
+        power = float(np.sqrt(np.mean(ideal**2)))
+        # Levels and direction are whole counts, too.
+        assert float(np.sqrt(np.mean((along - ideal) ** 2))) / power < shape.error + 0.01
+        assert float(np.abs(across).max()) < 0.018 * float(np.abs(along).max()) + 1e-9
+        assert stick.faults == []
 
 
 # ---- Calibration -----------------------------------------------------------------------------------------------------

@@ -92,10 +92,17 @@ def wobbling(force_n: tuple[float, float]) -> Callable[[int], tuple[float, float
 @pytest.mark.parametrize(
     ("kind", "keys", "report_s"),
     [
-        ("fino", {}, 0.0),
-        *((kind, {}, report_s) for kind in KINDS for report_s in (1e-3, 4e-3)),
-        *((kind, {"quirks": ["one_effect"]}, 2e-3) for kind in ("fino", "openffboard")),
-        ("fino", {"renew_s": 0.4, "effect_duration_s": 1}, 1e-3),
+        ("fino", {}, 1e-3),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("fino", {}, 0.0),
+                ("fino", {}, 4e-3),
+                *((kind, {}, report_s) for kind in ("openffboard", "plain") for report_s in (1e-3, 4e-3)),
+                *((kind, {"quirks": ["one_effect"]}, 2e-3) for kind in ("fino", "openffboard")),
+                ("fino", {"renew_s": 0.4, "effect_duration_s": 1}, 1e-3),
+            )
+        ),
     ],
 )
 def test_what_a_stranger_uploads_ends_in_time(kind: str, keys: dict[str, Any], report_s: float) -> None:
@@ -196,7 +203,9 @@ def test_a_plan_without_effects_is_left_as_it_is() -> None:
 # ---- The core's own writer -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", ["fino", pytest.param("openffboard", marks=pytest.mark.slow), pytest.param("plain", marks=pytest.mark.slow)]
+)
 def test_the_writer_restores_what_a_stranger_took(kind: str) -> None:
     """Judged when reports come, and never by when they do."""
     descriptor, variant = KINDS[kind]

@@ -19,6 +19,7 @@ from hapticd.hid.descriptor import parse
 from hapticd.hid.discover import Found
 from hapticd.hid.layout import layout_of
 from hapticd.hid.plan import DeviceError
+from hapticd.hid.replay import Recording, text_of
 from hapticd.hid.sources import open_hid
 from hapticd.hid.verdict import verdict_of
 from tests.hid_descriptors import Joystick, logical, physical, unit, usage, usage_page
@@ -122,7 +123,7 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
     ),
     "a digital stick": ("its range, -1 to 1, has fewer than 32 counts", bytes(Joystick(axis_range=(-1, 1))), {}),
     "a direction of one bit": (
-        "neither Direction nor Axes Enable",
+        "(Direction): its range, 0 to 1, has fewer than 32 counts a turn",
         instead(
             logical(0, 255) + physical(0, 36000), logical(0, 1) + physical(0, 36000), bytes(Joystick(force_axes=()))
         ),
@@ -190,6 +191,44 @@ def test_everybody_says_the_same(
     else:
         assert all(reason in each for each in said.values()), said
         assert all("\n" not in each.strip() for of, each in said.items() if of != "parse")
+
+
+@pytest.mark.parametrize("name", ["a duration of 0 to 0", "two axes and nothing that tells them apart", "plain"])
+def test_a_recording_is_judged_as_the_device(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run` itself refuses in one line, before anything is opened; `check` counts it."""
+    reason, descriptor, _ = CASES[name]
+    recording, config = tmp_path / "stick.jsonl", tmp_path / "config.yaml"
+    recording.write_text(text_of(Recording("Stick", 1, 2, descriptor, ((0.0, bytes(7)),))))
+    device = {"kind": "replay", "replay": {"path": str(recording)}}
+    config.write_text(json.dumps({"device": device}))
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path / "run"))
+    refused = [problem.problem for problem in check(load_config({"device": device})).refused]
+    if reason is None:
+        assert not refused
+        return
+    assert len(refused) == 1 and reason in refused[0]
+    assert main(["check", "-c", str(config)]) == 1
+    capsys.readouterr()
+    assert main(["run", "-c", str(config)]) == 1
+    told = capsys.readouterr().err.splitlines()[-1]
+    assert told.startswith("hapticd: the device cannot be driven: ") and reason in told
+
+
+def test_a_description_that_does_not_fit_is_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Not what the descriptor lacks of the PID class."""
+    file, config = tmp_path / "descriptor", tmp_path / "config.yaml"
+    file.write_bytes(bytes(Joystick(without=frozenset({0x73}))))
+    axis = {"bit_offset": 0, "bit_size": 8}
+    report = {
+        "input": {"report_id": 1, "x": {**axis, "counts_per_m": 1000}},
+        "output": {"report_id": 99, "length": 2, "x": {**axis, "counts_per_n": 10}},
+    }
+    config.write_text(json.dumps({"device": {"kind": "hid", "hid": {"report": report}}}))
+    assert main(["devices", "parse", str(file), "-c", str(config)]) == 0
+    told = capsys.readouterr().out.splitlines()[0]
+    assert told.startswith("cannot be driven: device.hid.report.output.report_id: the device has no output report 99")
 
 
 def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

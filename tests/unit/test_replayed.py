@@ -30,6 +30,8 @@ CONFIG = Path(shipped.__path__[0])
 SCENES = sorted(CONFIG.glob("scenes/*.yaml"))
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 RATE_HZ = 10_000
+PUSH_N = 0.5
+PUSH = {"kind": "constant", "force_n": [0.0, PUSH_N]}
 
 
 def write(
@@ -134,6 +136,29 @@ def test_the_link_of_a_real_device_decides_what_it_can_display(tmp_path: Path) -
     write(tmp_path / "run.npz", samples[1:], config, texts={"status": {"connection": None}})
     again = replay(tmp_path / "run.npz")
     assert again.differences["vibration_force_n"].largest_n > 0.01
+
+
+@pytest.mark.parametrize("begin", [0, 60])
+def test_the_force_of_a_check_of_signs_is_as_recorded_and_none_of_the_scene(tmp_path: Path, begin: int) -> None:
+    """A constant force of the scene comes in over the ramp once the check is over."""
+    config = {"device": {"kind": "hid"}, "scene": {"objects": {"push": PUSH}}}
+    whole = load_config(config)
+    recorded = np.zeros(2000, SAMPLE_DTYPE)
+    recorded["tick"] = np.arange(2000)
+    recorded["time_ns"] = recorded["tick"] * 100_000
+    recorded["flags"] = Flag.FORCES_ON
+    recorded["flags"][:1000] |= np.uint32(Flag.CHECKING)
+    recorded["force_n"][:900, 0] = 0.1 * np.sin(np.arange(900))
+    rerun = Rerun(output_of(whole, RATE_HZ), 1)
+    rerun.turn_to(whole.scene, whole.scene.objects, whole.materials, 1)
+    rerun.restart(muted=True)
+    samples, _ = rerun.run(recorded, np.full(2000, 1 / RATE_HZ), np.ones(2000, np.uint32))
+    assert samples["force_n"][:1000].tobytes() == recorded["force_n"][:1000].tobytes()
+    assert (samples["flags"] & Flag.CHECKING).tobytes() == (recorded["flags"] & Flag.CHECKING).tobytes()
+    assert 0.0 < samples["force_n"][1000, 1] < 0.1 * PUSH_N and samples["force_n"][-1].tolist() == [0.0, PUSH_N]
+    write(tmp_path / "run.npz", samples[begin:], config, texts={"status": {"connection": None}})
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == len(again.samples) > 1900
 
 
 def test_the_rate_is_that_which_the_daemon_had_stepped_down_to(tmp_path: Path) -> None:

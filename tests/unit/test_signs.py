@@ -118,7 +118,9 @@ HANDLES = {
 }
 
 
-@pytest.mark.parametrize("name", HANDLES)
+@pytest.mark.parametrize(
+    "name", [name if name == "middling" else pytest.param(name, marks=pytest.mark.slow) for name in HANDLES]
+)
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_the_way_a_device_pushes_is_found(name: str, way: float) -> None:
     like = HANDLES[name]

@@ -3,6 +3,7 @@ commands that use a device without a daemon, and the udev rule."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import struct
@@ -15,6 +16,8 @@ import usb_pid_joystick as usb
 import yaml
 from groups import with_group
 from rig import answer_of, check, done, hapticd_says, scenario, until
+
+from hapticd.hid.claim import RULES as RULES_OF_CLAIMS
 
 RULES = Path(__file__).resolve().parents[2] / "systemd" / "70-hapticd.rules"
 
@@ -66,17 +69,56 @@ def dump_and_calibrate(joystick: usb.Joystick) -> None:
     joystick.free = None
 
 
+def claimed(plug: usb.Plug) -> None:
+    """A program that has the event node open loses it, nobody but root gets the new one, and hidraw drives it on."""
+    scenario("hapticd devices claim and release")
+    name = f"{usb.VENDOR:04x}:{usb.PRODUCT:04x}"
+    os.chmod(plug.event_node(), 0o660)  # as udev has it for whoever sits there
+    held = os.open(plug.event_node(), os.O_RDWR | os.O_NONBLOCK)
+    answer = hapticd_says("devices", "claim")
+    check(answer.returncode == 0, "claimed", answer.stdout.strip(), answer.stderr[-300:])
+    try:
+        os.read(held, 24)
+        check(False, "what was open of it ends")
+    except OSError as error:
+        check(error.errno == errno.ENODEV, "what was open of it ends", error.strerror)
+    os.close(held)
+    event = os.stat(plug.event_node())
+    check(event.st_mode & 0o777 == 0o600, "its new event node is root's alone", oct(event.st_mode))
+    (listed,) = json.loads(hapticd_says("devices", "--json").stdout)
+    check(listed["claimed"] and listed["usable"], "it can be driven", listed["path"], listed["driver"])
+    plug.node = listed["path"]
+    plug.joystick.clear()
+    answer = answer_of(lambda: client(plug.node))
+    forces = [(x, y) for _, x, y in plug.joystick.forces]
+    check((4.0, 0.0) in forces, "and it is, over hidraw", forces, answer.stderr[-300:])
+    answer = hapticd_says("devices", "claim", name)
+    check(answer.returncode == 1 and "claimed already" in answer.stderr, "not twice", answer.stderr.strip())
+    answer = hapticd_says("devices", "release", name)
+    check(answer.returncode == 0, "released", answer.stdout.strip(), answer.stderr[-300:])
+    (listed,) = json.loads(hapticd_says("devices", "--json").stdout)
+    check(not listed["claimed"] and not Path("/", RULES_OF_CLAIMS).exists(), "no rule is left", listed["path"])
+    plug.node = listed["path"]
+    answer = hapticd_says("devices", "release", name)
+    check(answer.returncode == 1 and "is not claimed" in answer.stderr, "not twice either", answer.stderr.strip())
+
+
 def rule(plug: usb.Plug) -> None:
     """What udev makes of the joystick's nodes, of one that is named in the rule and of one that is not."""
     scenario("the udev rule")
     groups = Path("/etc/group")
     groups.write_text(with_group(groups.read_text(), "input", 4321))
     folder = Path("/run/udev/rules.d")
-    folder.mkdir(parents=True)
+    folder.mkdir(parents=True, exist_ok=True)
     text = RULES.read_text()
     first = text.index('KERNELS=="')
     line = f'KERNELS=="*:{usb.VENDOR:04X}:{usb.PRODUCT:04X}.*", ENV{{HAPTICD_DEVICE}}="1"\n'
-    for what, rules, named in (("not named", text, False), ("named", text[:first] + line + text[first:], True)):
+    known = line.replace("HAPTICD_DEVICE", "HAPTICD_KNOWN")  # one of the PID class
+    for what, rules, named in (
+        ("not named", text, False),
+        ("named", text[:first] + line + text[first:], True),
+        ("known", text[:first] + known + text[first:], True),
+    ):
         (folder / RULES.name).write_text(rules)
         os.chown(plug.node, 0, 0)
         os.chmod(plug.node, 0o600)
@@ -116,5 +158,6 @@ with usb.Plug(joystick) as plug:
     shown = joystick.forces[2][0] - joystick.forces[1][0]
     check(abs(shown - 0.1) < 0.01, "after the effect's duration", shown)
     dump_and_calibrate(joystick)
+    claimed(plug)
     rule(plug)
 done()

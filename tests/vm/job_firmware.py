@@ -14,7 +14,7 @@ from rig import check, scenario, until
 from usb_firmware import FirmwareJoystick
 
 from tests import firmware_descriptors as descriptors
-from tests.firmware import FINO, OPENFFBOARD_1
+from tests.firmware import ARDUINO, FINO, OPENFFBOARD_1
 
 STIFFNESS, DEPTH_M = 200.0, 0.005
 FORCE_N = STIFFNESS * DEPTH_M
@@ -47,7 +47,10 @@ def pushes(joystick: FirmwareJoystick, wanted: tuple[float, float], seconds: flo
 def one_axis() -> None:
     scenario("one axis, whose flags have the logical range 0 to 0")
     joystick = FirmwareJoystick(descriptors.OPENFFBOARD_1, OPENFFBOARD_1)
-    with usb.Plug(joystick, interval_ms=2, product="one axis") as plug, rig.daemon(config(), "one_axis") as daemon:
+    with (
+        usb.Plug(joystick, interval_ms=2, product="one axis") as plug,
+        rig.daemon(config(signs="trust"), "one_axis") as daemon,
+    ):
         check("one axis" in str(daemon.device()), "get_status names it", daemon.device().get("name"))
         effects = joystick.stick.sent("set_effect")
         check(
@@ -72,9 +75,10 @@ def one_axis() -> None:
 def takes_foreign_uploads() -> None:
     scenario("frees its effects when its pool is read, and says nothing of them")
     joystick = FirmwareJoystick(descriptors.FINO, FINO)
+    settings = config(offload="auto", signs="trust")
     with (
         usb.Plug(joystick, interval_ms=2, product="Fino") as plug,
-        rig.daemon(config(offload="auto"), "fino") as daemon,
+        rig.daemon(settings, "fino") as daemon,
     ):
         joystick.motion = lambda t_s: (0.02 + DEPTH_M, 0.0)
         daemon.client.set_forces(True)
@@ -105,10 +109,27 @@ def takes_foreign_uploads() -> None:
         check(bool(wrong) and lasted <= FOREIGN_S + 4 * FRAME_S, "and was another one for; s", lasted)
 
 
+def reversed_signs() -> None:
+    scenario("pushes the other way, and was never calibrated: its handle is let go")
+    joystick = FirmwareJoystick(descriptors.ARDUINO, ARDUINO)
+    joystick.free = 0.05
+    with usb.Plug(joystick, interval_ms=2, product="Arduino"), rig.daemon(config(), "arduino") as daemon:
+        daemon.client.set_forces(True)
+        check(
+            until(lambda: "signs" in daemon.faults(), 15, 0.05),
+            "a fault, before any force of the scene",
+            daemon.faults(),
+        )
+        check(pushes(joystick, (0.0, 0.0), 1), "no force", joystick.force())
+        most = max(max(abs(x), abs(y)) for _, x, y in joystick.forces)
+        check(0.0 < most <= 0.1 * usb.FULL_SCALE_N + 0.01, "it was pushed with a tenth of its force; N", most)
+
+
 def main() -> None:
     sys.setswitchinterval(0.0005)
     one_axis()
     takes_foreign_uploads()
+    reversed_signs()
     rig.done()
 
 

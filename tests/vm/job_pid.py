@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import rig
 import usb_pid_joystick as usb
@@ -21,13 +22,16 @@ DEPTH_M = 0.005
 FORCE_N = STIFFNESS * DEPTH_M
 DURATION_S = 0.1
 FRAME_S = 0.002
+LETS_GO = 0.05
+"""Speed of a handle that nobody holds, m/s for each newton."""
+PULSE_N = 0.1 * usb.FULL_SCALE_N
 SCENE = {
     "objects": {
         "floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "soft"},
         "side": {"kind": "wall", "point_m": [0.02, 0], "normal": [-1, 0], "material": "soft"},
     }
 }
-CONFIG = {
+CONFIG: dict[str, Any] = {
     "device": {
         "kind": "hid",
         "hid": {"full_scale_force_n": usb.FULL_SCALE_N, "travel_m": usb.TRAVEL_M, "signs": "trust"},
@@ -318,6 +322,31 @@ def killed(joystick: usb.Joystick) -> None:
         check(ended <= DURATION_S + 4 * FRAME_S, "SIGKILL: force zero after; s", ended)
 
 
+def signs(joystick: usb.Joystick) -> None:
+    scenario("never calibrated: its signs are checked before the first force of the scene")
+    known = CONFIG["device"]["hid"]
+    hid = {key: value for key, value in known.items() if key != "signs"}
+    for free, wanted in ((-LETS_GO, "wrong"), (LETS_GO, "right")):
+        go(joystick, ABOVE)
+        with rig.daemon({**CONFIG, "device": {"kind": "hid", "hid": hid}}, f"signs-{wanted}") as daemon:
+            joystick.clear()
+            joystick.free = free
+            daemon.client.set_forces(True)
+            ended = until(lambda d=daemon: d.device()["signs"]["state"] not in ("checking", "waiting"), 20, 0.1)
+            with joystick.lock:
+                largest = max(math.hypot(x, y) for _, x, y in joystick.forces)
+                joystick.motion, joystick.free = (lambda t_s, at=joystick.place: at), None
+            told = daemon.device()["signs"]
+            check(bool(ended) and told["state"] == wanted, f"signs are {wanted}", told)
+            check(0.5 * PULSE_N < largest <= 1.01 * PULSE_N, "by a tenth of the full force; N", largest)
+            go(joystick, INSIDE)
+            if wanted == "right":
+                check(pressed(joystick), "then the force of the scene", joystick.force())
+            else:
+                check(daemon.faults() == ["signs"] and joystick.force() == (0.0, 0.0), "no force", joystick.force())
+                check("hapticd devices calibrate" in daemon.said(), "the log says what to do")
+
+
 def main() -> None:
     if len(sys.argv) > 1:
         {"upload": upload, "reset": reset_by_another}[sys.argv[1]]()
@@ -334,6 +363,7 @@ def main() -> None:
             resets(joystick, daemon, plug)
             stopped(joystick, daemon)
         killed(joystick)
+        signs(joystick)
     rig.done()
 
 

@@ -22,6 +22,10 @@ class FirmwareJoystick:
         self.report_descriptor = report_descriptor
         self.stick = Firmware(report_descriptor, variant, clock=time.monotonic)
         self.motion: Callable[[float], tuple[float, float]] = lambda t_s: (0.0, 0.0)
+        self.free: float | None = None
+        """The hand is off: metres a second for each newton, to the end of the way; None: `motion` says where it is."""
+        self.place = (0.0, 0.0)
+        self._last_s = time.monotonic()
         self.deaf = False
         self.priority = 0
         self.forces: list[tuple[float, float, float]] = []
@@ -63,10 +67,18 @@ class FirmwareJoystick:
     def frame(self) -> bytes | None:
         """The next input report: about the state if there is one, else where the handle is."""
         now = time.monotonic()
-        self.forces.append((now, *self.force()))
+        force = self.force()
+        self.forces.append((now, *force))
+        if self.free is None:
+            self.place = self.motion(now)
+        else:
+            step = (now - self._last_s) * self.free
+            x, y = (min(max(at + step * push, -TRAVEL_M), TRAVEL_M) for at, push in zip(self.place, force, strict=True))
+            self.place = (x, y)
+        self._last_s = now
         try:
             return self.stick.heard.get_nowait()
         except queue.Empty:
-            x, y = self.motion(now)
+            x, y = self.place
             self.stick.position(x / TRAVEL_M, y / TRAVEL_M)
             return self.stick.heard.get_nowait()
