@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
@@ -29,7 +29,9 @@ from hapticd.fit.pulse_shape import (
 )
 from hapticd.fit.recording import Source
 from hapticd.fit.regression import Estimate, FitError, Floats, student_t, through_origin
+from hapticd.fit.tap import check_speeds
 from hapticd.fit.tap_amplitude import Law, law_of
+from hapticd.fit.tap_hit import TapHit
 from hapticd.fit.tap_law import Amplitudes
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
@@ -295,6 +297,9 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     if float(np.median(peaks)) < 0:
         warnings.append("the taps push downwards: the acceleration is taken with its sign turned")
         peaks = -peaks
+    each = zip(pulses, shape.placed, shape.others.explained, strict=True)
+    hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
+    check_speeds(cast(Sequence[TapHit], hits))
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
@@ -320,8 +325,6 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
     warnings += doubts.told
-    each = zip(pulses, shape.placed, shape.others.explained, strict=True)
-    hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
