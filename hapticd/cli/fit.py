@@ -119,12 +119,18 @@ def _options(command: _F) -> _F:
     type=Choice(["auto", "mode", "waveform"]),
     help="A mode that rings, a waveform of a pulse, or what says more of the taps [default: auto].",
 )
+@click.option(
+    "--mode-table/--no-mode-table",
+    default=None,
+    help="Frequency and decay over the speed, or one of each [default: as the taps have it].",
+)
 def tap_command(
     attack: Attack | None,
     law: LawKind | None,
     table: bool,
     two_modes: bool | None,
     form: TapKind | None,
+    mode_table: bool | None,
     **options: Any,
 ) -> None:
     """Slope, frequency and decay of a tap, or its waveform, from recordings of taps and their speeds."""
@@ -136,6 +142,8 @@ def tap_command(
         "--law": law is not None,
         "--two-modes": two_modes is True,
         "--one-mode": two_modes is False,
+        "--mode-table": mode_table is True,
+        "--no-mode-table": mode_table is False,
         "--attack": attack is not None,
     }
     given_modes = [option for option, given in of_modes.items() if given]
@@ -177,7 +185,10 @@ def tap_command(
             without |= {name for name in said if "slope" in name or "offset" in name}
         if kind != "power":
             without |= {name for name in said if name.startswith("power.")}
-        figures = found.material(attack or "coefficient", taken, two)
+        figures = found.material(attack or "coefficient", taken, two, mode_table)
+        tap = figures["tap"]
+        if isinstance(tap, dict) and "mode_table" in tap:
+            without |= {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
         return _Fitted(found, figures, tuple(notes), without)
 
     _run("tap", fit, per_file=2, **options)

@@ -30,17 +30,15 @@ from hapticd.fit.strokes import tell_few_samples
 from hapticd.fit.tap_amplitude import Law, LawKind, Power, law_of
 from hapticd.fit.tap_events import hits_of
 from hapticd.fit.tap_hit import LEAST_SPEED_M_PER_S, LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit
+from hapticd.fit.tap_law import TABLE as TABLE
 from hapticd.fit.tap_law import (
-    MOVED_DECAY,
-    MOVED_FREQUENCY,
     Amplitudes,
     json_of,
     json_table,
-    moves,
     one_astray,
 )
-from hapticd.fit.tap_law import TABLE as TABLE
 from hapticd.fit.tap_misfit import misfit
+from hapticd.fit.tap_modes import Modes, modes_of
 from hapticd.fit.tap_second import SecondMode, as_pairs, second_mode
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
@@ -76,6 +74,8 @@ class TapFit:
     """`attack: first_peak`, the largest acceleration of the first cycle over the speed."""
     frequency_hz: Estimate
     decay_time_s: Estimate
+    modes: Modes | None
+    """Frequency and decay time over the speed, where they change with it."""
     r_squared: float
     """Of A(v) through the origin."""
     offset_slope_per_s: Estimate
@@ -102,7 +102,8 @@ class TapFit:
     @property
     def choices(self) -> dict[str, str]:
         """What was chosen of several models, and why."""
-        return {"amplitude": f"{self.law.named}: {self.law.why}"}
+        told = {"amplitude": f"{self.law.named}: {self.law.why}"}
+        return told if self.modes is None else {**told, "mode_table": self.modes.why}
 
     @property
     def linear(self) -> bool:
@@ -116,22 +117,34 @@ class TapFit:
         return self.law.table if self.power is None else self.power.points
 
     def material(
-        self, attack: Attack = "coefficient", law: LawKind | None = None, two_modes: bool | None = None
+        self,
+        attack: Attack = "coefficient",
+        law: LawKind | None = None,
+        two_modes: bool | None = None,
+        mode_table: bool | None = None,
     ) -> dict[str, Json]:
-        """Keys of a YAML material. `law` and `two_modes` are as the taps have them, unless they are given. Raises
+        """Keys of a YAML material. `law`, `two_modes` and `mode_table` are as the taps have them, unless given. Raises
         FitError where no second mode or no power law was found, and for a first peak where A alone is known."""
         second = self.second if two_modes or (two_modes is None and self.second and self.second.kept) else None
         if attack != "coefficient" and (law not in (None, "line") or second is not None):
             raise FitError("a table, and two modes, are of coefficients: leave out the first peak")
         if two_modes and second is None:
             raise FitError("no second mode was found: one is enough, or the taps differ")
-        tap = self._amplitude(attack, law or self.law.kind, second)
-        if second is None:
+        if mode_table and self.modes is None:
+            raise FitError("frequency and decay do not change with the speed: there is no table of modes")
+        alone = second is None or second.kept
+        modes = self.modes if alone and mode_table is not False else None
+        tap = self._amplitude(attack, law or self.law.kind, second, modes)
+        if modes is not None:
+            tap["mode_table"] = modes.material()
+        elif second is None:
             tap["frequency_hz"] = self.frequency_hz.value
             tap["decay_time_s"] = self.decay_time_s.value
+        else:
+            tap["frequency_hz"] = second.first_frequency_hz.value
+            tap["decay_time_s"] = second.first_decay_time_s.value
+        if second is None:
             return {"tap": tap}
-        tap["frequency_hz"] = second.first_frequency_hz.value
-        tap["decay_time_s"] = second.first_decay_time_s.value
         tap["second"] = {
             "frequency_hz": second.frequency_hz.value,
             "decay_time_s": second.decay_time_s.value,
@@ -139,7 +152,9 @@ class TapFit:
         }
         return {"tap": tap}
 
-    def _amplitude(self, attack: Attack, law: LawKind, second: SecondMode | None) -> dict[str, Json]:
+    def _amplitude(
+        self, attack: Attack, law: LawKind, second: SecondMode | None, modes: Modes | None
+    ) -> dict[str, Json]:
         if law == "line":
             slope = self.slope_per_s if attack == "coefficient" else self.first_peak_slope_per_s
             if second is not None:
@@ -152,10 +167,20 @@ class TapFit:
             if second is not None and not second.kept:
                 # Beside the other mode the first one has other amplitudes.
                 points = second.amplitudes
-            # A first peak is that part of A which the mode has.
-            mode = Mode(1 / self.decay_time_s.value, 2 * math.pi * self.frequency_hz.value)
-            part = 1.0 if attack == "coefficient" else mode.peak
-            told = {"amplitudes": [[speed, part * amplitude.value] for speed, amplitude in points]}
+            # A first peak is that part of A which the mode of its speed has.
+            hertz, time_s = self.frequency_hz.value, self.decay_time_s.value
+            parts = [
+                Mode(1 / t, 2 * math.pi * f).peak if attack == "first_peak" else 1.0
+                for f, t in (
+                    (hertz, time_s)
+                    if modes is None
+                    else (float(modes.frequency_at(np.array(speed))), float(modes.decay_time_at(np.array(speed))))
+                    for speed, _ in points
+                )
+            ]
+            told = {
+                "amplitudes": [[speed, part * each.value] for part, (speed, each) in zip(parts, points, strict=True)]
+            }
         return told if attack == "coefficient" else {**told, "attack": attack}
 
     def to_dict(self) -> dict[str, Json]:
@@ -176,6 +201,7 @@ class TapFit:
             "variance_accounted_for": self.variance_accounted_for,
             "linear": self.linear,
             "law": self.law.to_dict(),
+            "modes": None if self.modes is None else self.modes.to_dict(),
             "amplitudes": json_table(self.amplitudes),
             "second": None if self.second is None else self.second.to_dict(),
             "taps": [tap.to_dict() for tap in self.taps],
@@ -229,7 +255,9 @@ def fit_tap(
         doubts.tell(lines_told(hum))
     tell_few_samples(of_taps, frequency.value, doubts)
     _doubt_the_mode(doubts, hits, second, explained, warnings)
-    _doubt_the_speed(doubts, figures)
+    decay_time = decay.mapped(lambda log: math.exp(-log))
+    modes = modes_of(figures, frequency, decay_time)
+    _doubt_the_speed(doubts, figures, modes)
     _doubt_the_law(doubts, law, astray, line.r_squared)
     doubts.add(False, most_are_left_out(left, len(taps), "tap"))
     warnings += doubts.told
@@ -238,7 +266,8 @@ def fit_tap(
         slope_per_s=slope,
         first_peak_slope_per_s=peak_line.coefficients[0],
         frequency_hz=frequency,
-        decay_time_s=decay.mapped(lambda log: math.exp(-log)),
+        decay_time_s=decay_time,
+        modes=modes,
         r_squared=line.r_squared,
         offset_slope_per_s=shifted.coefficients[0],
         offset_m_per_s2=shifted.coefficients[1],
@@ -319,21 +348,18 @@ def _doubt_the_mode(
         doubts.add(False, *misfit(hits))
 
 
-def _doubt_the_speed(doubts: Doubts, figures: Figures) -> None:
+def _doubt_the_speed(doubts: Doubts, figures: Figures, modes: Modes | None) -> None:
     """Whether frequency and decay are the same for all speeds."""
-    scatter = float(np.std(figures.angulars))
+    told = math.nan if modes is None else modes.frequency_at(figures.speeds)
+    scatter = float(np.std(figures.angulars - (0.0 if modes is None else np.log(told))))
     if scatter > SCATTERED:
         doubts.add(
             scatter > 2 * SCATTERED,
             f"the frequency scatters by {100 * scatter:.0f} % between taps",
             "is it one material, held alike?",
         )
-    moved = (
-        moves(figures.speeds, figures.angulars, figures.of_angular, "frequency", MOVED_FREQUENCY),
-        moves(figures.speeds, -figures.decays, figures.of_decay, "decay time", MOVED_DECAY),
-    )
-    for reason in moved:
-        doubts.add(False, reason, "the material has the mean")
+    if modes is not None:
+        doubts.note(f"{modes.why}; the material has a table of modes over the speed")
 
 
 def _doubt_the_law(doubts: Doubts, law: Law, astray: str, r_squared: float) -> None:

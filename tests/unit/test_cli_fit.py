@@ -66,7 +66,7 @@ class FakeFit:
         return FakeLaw("line" if self.linear else "table")
 
     def material(
-        self, attack: str = "coefficient", law: str | None = None, two_modes: bool = False
+        self, attack: str = "coefficient", law: str | None = None, two_modes: bool = False, mode_table: None = None
     ) -> dict[str, object]:
         tap: dict[str, object] = {
             "attack_slope_per_s": self.slope_per_s.value,

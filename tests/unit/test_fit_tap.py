@@ -598,6 +598,39 @@ def test_a_frequency_that_moves_with_the_speed_is_told() -> None:
     assert any(re.search("the frequency rises by [45] %", warning) for warning in fit.warnings)
 
 
+def moving(hertz: Callable[[float], float], decay_s: Callable[[float], float]) -> list[Recording]:
+    """A tap in each file, with a mode of its own."""
+    files = []
+    for index, speed in enumerate(SPEEDS):
+        own = Tap(attack_slope_per_s=509, frequency_hz=hertz(speed), decay_time_s=decay_s(speed))
+        recording, _ = taps(own, [speed], Stylus(seed=index, noise_rms=0.005))
+        files.append(dataclasses.replace(recording, speed_m_per_s=float(speed)))
+    return files
+
+
+def test_frequency_and_decay_that_follow_the_speed_are_a_table() -> None:
+    fit = fit_tap(moving(lambda v: 200 * (1 + 0.3 * v), lambda v: 0.004 + 0.01 * v))
+    assert fit.modes is not None and fit.verdict.startswith("good: ")
+    assert "the frequency rises" in fit.choices["mode_table"] and "the decay time rises" in fit.choices["mode_table"]
+    tap = Tap.model_validate(fit.material()["tap"])
+    for speed in SPEEDS:
+        assert tap.mode_at(speed).frequency_hz == pytest.approx(200 * (1 + 0.3 * speed), rel=0.01)
+        assert tap.mode_at(speed).decay_time_s == pytest.approx(0.004 + 0.01 * speed, rel=0.03)
+        assert tap.amplitude_m_per_s2(speed) == pytest.approx(509 * speed, rel=0.03)
+    steady = Tap.model_validate(fit.material(mode_table=False)["tap"])
+    assert steady.mode_table is None and steady.mode.frequency_hz == fit.frequency_hz.value
+
+
+def test_a_decay_that_follows_the_speed_alone_leaves_the_frequency_as_it_is() -> None:
+    fit = fit_tap(moving(lambda v: 200.0, lambda v: 0.004 + 0.01 * v))
+    assert fit.modes is not None
+    assert {each.value for each in fit.modes.frequencies_hz} == {fit.frequency_hz.value}
+    steady = fit_tap(moving(lambda v: 200.0, lambda v: 0.006))
+    assert steady.modes is None and "mode_table" not in steady.choices
+    with pytest.raises(FitError, match="no table of modes"):
+        steady.material(mode_table=True)
+
+
 def test_a_long_rest_has_no_taps_in_its_noise() -> None:
     recording, truth = made("glass")
     random = np.random.default_rng(3)
