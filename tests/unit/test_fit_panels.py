@@ -19,8 +19,10 @@ from hapticd.fit.regression import Estimate
 from hapticd.fit.report import Curve, Panel
 from hapticd.fit.verdict import Verdict
 from hapticd.noise import stochastic_filter
+from tests.marks import rest_slow
 
 JUDGED = Verdict("good", "all of it")
+
 RATE = 25_000.0
 Floats = npt.NDArray[np.float64]
 
@@ -220,7 +222,7 @@ def test_what_is_left_out_is_drawn_with_its_reason() -> None:
     assert len(curves(whole)["recording"][0]) == 50
 
 
-@pytest.mark.parametrize(("low", "high"), [(60, 85), (40, 130), (20, 500), (20, 5000), (1, 12_500)])
+@pytest.mark.parametrize(("low", "high"), rest_slow([(60, 85), (40, 130), (20, 500), (20, 5000), (1, 12_500)]))
 def test_labels_of_logarithmic_axes_do_not_overlap(low: float, high: float) -> None:
     import matplotlib
 
