@@ -131,14 +131,14 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         return;
     }
     const struct hd_material *material = material_at(walk, object, onset->place.along_m);
-    const double units = tap_units(walk->table, material, approach);
+    double units = tap_units(walk->table, material, approach);
     if (report != NULL) {
         report->amplitude_m_per_s2 = material->tap.amplitude_per_unit * units;
     }
     if (!(units > 0.0)) {
         return; /* nothing; not even an effect of the device, which would end the one that plays */
     }
-    const double peak_s = at_least_0(material->tap.peak_time_s - before);
+    double peak_time_s = material->tap.peak_time_s;
     const uint32_t struck = state->strike_count;
     struct hd_strike strike = {
         .mode = &material->tap,
@@ -148,15 +148,22 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         .event = event,
         .units = units,
         .before_s = before,
-        .growth_n = material->stiffness_n_per_m * approach * peak_s,
         .wave = material->wave_count > 0 ? material : NULL,
     };
-    hd_aim_strike(state, slot, material->tap_aim, normal, &strike);
+    const int heard =
+        material->mode_count == 0 || hd_tune_tap(walk->table, material, approach, &strike, &units, &peak_time_s);
+    const double peak_s = at_least_0(peak_time_s - before);
+    strike.growth_n = material->stiffness_n_per_m * approach * peak_s;
+    if (heard) {
+        hd_aim_strike(state, slot, material->tap_aim, normal, &strike);
+    }
     if (material->second.force_per_unit > 0.0) {
         /* The force grows once, to the later of the peaks. Of a first mode that is silent it was not counted. */
         const double counted_s = state->strike_count > struck ? peak_s : 0.0;
         const double longer_s = at_least_0(material->second.peak_time_s - before) - counted_s;
         strike.mode = &material->second;
+        strike.units = units;
+        strike.tuned = NULL;
         strike.use = HD_MODE_SECOND;
         strike.wave = NULL;
         strike.growth_n = material->stiffness_n_per_m * approach * at_least_0(longer_s);

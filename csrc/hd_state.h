@@ -163,8 +163,10 @@ struct hd_strike {
     uint32_t bare;    /* a command's doing: the mode alone, which begins at 0, so that nothing of it comes at once */
     double touched;   /* stiffness that it meets over the mode's, of one that is compensated for it */
     double direction[2];
-    const struct hd_material *tuned; /* whose groove it is, where that has a frequency of its own; NULL: the mode's */
+    const struct hd_material *tuned; /* whose groove or tap it is, where that has a mode of its own; NULL: the mode's */
     double tuned_rad_per_s;
+    double tuned_decay_rate_per_s;  /* of a tap */
+    double tuned_m_per_s;           /* of a tap: its approach speed */
     const struct hd_material *wave; /* whose waveform it is; NULL: a mode */
 };
 

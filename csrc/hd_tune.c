@@ -71,8 +71,37 @@ HD_RT int hd_tune_strike(const struct hd_table *table, const struct hd_material 
     return 1;
 }
 
-HD_RT static void compensate(const double *nodes, uint32_t count, struct hd_mode *mode) {
-    const struct between place = find(nodes, count, HD_TUNE_NODE, mode->angular_frequency_rad_per_s);
+HD_RT int hd_tune_tap(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
+                      struct hd_strike *strike, double *units, double *peak_s) {
+    const uint32_t count = material->mode_count;
+    const double *speeds = table->numbers + material->mode_first;
+    const double *frequencies = speeds + count;
+    const double *times = frequencies + count;
+    const struct between place = find(speeds, count, 1, speed_m_per_s);
+    const double highest = material->tune_highest_rad_per_s;
+    double wanted = along(frequencies[place.from], frequencies[place.to], place.share);
+    const double decay = 1.0 / along(times[place.from], times[place.to], place.share);
+    const double peak = first_peak(decay, wanted, peak_s);
+    if (material->mode_by_peak != 0) {
+        *units /= peak;
+    }
+    strike->units = *units;
+    if (wanted > highest) {
+        if (material->tune_mutes) {
+            return 0;
+        }
+        strike->units *= peak / first_peak(decay, highest, peak_s);
+        wanted = highest;
+    }
+    strike->tuned = material;
+    strike->tuned_rad_per_s = wanted;
+    strike->tuned_decay_rate_per_s = decay;
+    strike->tuned_m_per_s = speed_m_per_s;
+    return 1;
+}
+
+HD_RT static void compensate(const double *nodes, uint32_t count, double at, struct hd_mode *mode) {
+    const struct between place = find(nodes, count, HD_TUNE_NODE, at);
     const double *from = nodes + (size_t)place.from * HD_TUNE_NODE;
     const double *to = nodes + (size_t)place.to * HD_TUNE_NODE;
     double *const numbers[HD_TUNE_NODE] = {
@@ -94,7 +123,12 @@ HD_RT static void compensate(const double *nodes, uint32_t count, struct hd_mode
 
 HD_RT void hd_tune_mode(const struct hd_table *table, const struct hd_strike *strike, struct hd_mode *mode) {
     const struct hd_material *material = strike->tuned;
-    *mode = material->groove;
+    const int taps = strike->use == HD_MODE_TAP;
+    *mode = taps ? material->tap : material->groove;
+    if (taps) {
+        mode->decay_rate_per_s = strike->tuned_decay_rate_per_s;
+        mode->end_s = 5.0 / strike->tuned_decay_rate_per_s;
+    }
     mode->angular_frequency_rad_per_s = strike->tuned_rad_per_s;
     mode->peak = first_peak(mode->decay_rate_per_s, strike->tuned_rad_per_s, &mode->peak_time_s);
     HD_RT_FOREIGN_BEGIN
@@ -102,10 +136,13 @@ HD_RT void hd_tune_mode(const struct hd_table *table, const struct hd_strike *st
     mode->rotor_re = magnitude * cos(strike->tuned_rad_per_s * table->period_s);
     mode->rotor_im = magnitude * sin(strike->tuned_rad_per_s * table->period_s);
     HD_RT_FOREIGN_END
-    if (material->tune_nodes > 0) {
+    if (taps && material->mode_nodes > 0) {
+        compensate(table->numbers + material->mode_first + 3 * (size_t)material->mode_count, material->mode_nodes,
+                   strike->tuned_m_per_s, mode);
+    } else if (!taps && material->tune_nodes > 0) {
         const size_t nodes = material->tune_speeds + material->tune_forces +
                              (size_t)material->tune_speeds * material->tune_forces + material->tune_first;
-        compensate(table->numbers + nodes, material->tune_nodes, mode);
+        compensate(table->numbers + nodes, material->tune_nodes, strike->tuned_rad_per_s, mode);
     }
 }
 
@@ -130,7 +167,40 @@ static int lies(const double *numbers, size_t count, double least) {
     return 1;
 }
 
-int hd_tune_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+static int highest_is_sound(const struct hd_material *material) {
+    return material->tune_highest_rad_per_s >= HD_TUNE_SMALLEST &&
+           material->tune_highest_rad_per_s <= HD_TUNE_LARGEST && material->tune_mutes <= 1;
+}
+
+static int tap_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const uint32_t points = material->mode_count;
+    const uint32_t nodes = material->mode_nodes;
+    if (points == 0) {
+        return HD_OK;
+    }
+    if (points > HD_TUNE_POINTS || nodes > HD_TUNE_NODES || material->wave_count > 0 || material->mode_by_peak > 1) {
+        return hd_invalid("material %u: a tap's mode at %u speeds with %u nodes; 1 to %u, at most %u, and no waveform",
+                          index, points, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
+    }
+    const uint32_t count = 3 * points + nodes * HD_TUNE_NODE;
+    if (material->mode_first > table->number_count || count > table->number_count - material->mode_first) {
+        return hd_invalid("material %u: %u numbers of its tap's modes, from number %u on, do not fit into %u", index,
+                          count, material->mode_first, table->number_count);
+    }
+    const double *numbers = table->numbers + material->mode_first;
+    const double *node = numbers + 3 * points;
+    int sound = rises(numbers, points, 1, 0.0) && lies(numbers + points, 2 * (size_t)points, HD_TUNE_SMALLEST) &&
+                rises(node, nodes, HD_TUNE_NODE, 0.0) && lies(node, (size_t)nodes * HD_TUNE_NODE, -HD_TUNE_LARGEST);
+    for (uint32_t i = 0; i < nodes; i++) {
+        sound = sound && lies(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0);
+    }
+    if (!sound || !highest_is_sound(material)) {
+        return hd_invalid("material %u: speeds, modes or nodes of its tap do not rise, or are out of range", index);
+    }
+    return HD_OK;
+}
+
+static int grooves_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
     const uint32_t speeds = material->tune_speeds;
     const uint32_t forces = material->tune_forces;
     const uint32_t nodes = material->tune_nodes;
@@ -162,11 +232,14 @@ int hd_tune_check(const struct hd_material *material, const struct hd_table *tab
             return hd_invalid("material %u: node %u of its groove frequencies has a peak below 0", index, i);
         }
     }
-    if (!(material->tune_highest_rad_per_s >= HD_TUNE_SMALLEST &&
-          material->tune_highest_rad_per_s <= HD_TUNE_LARGEST) ||
-        material->tune_mutes > 1 || !(material->groove.decay_rate_per_s > 0.0)) {
+    if (!highest_is_sound(material) || !(material->groove.decay_rate_per_s > 0.0)) {
         return hd_invalid("material %u: groove frequencies up to %g rad/s, muted above (%u), decay rate %g 1/s", index,
                           material->tune_highest_rad_per_s, material->tune_mutes, material->groove.decay_rate_per_s);
     }
     return HD_OK;
+}
+
+int hd_tune_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const int status = grooves_check(material, table, index);
+    return status < 0 ? status : tap_check(material, table, index);
 }

@@ -37,9 +37,10 @@ from hapticd.hid.verdict import expected_plan
 from hapticd.judged import Stability, judge
 from hapticd.lagging import lag_warnings
 from hapticd.materials import Material
+from hapticd.noise import peak_of, reflection_of, resampled
 from hapticd.scene import Disc, field_ids
 from hapticd.stability import Loop
-from hapticd.texture import Stochastic
+from hapticd.texture import Autoregressive, Stochastic
 from hapticd.waveform import Waveform
 
 _UNPLUGGED: Final = "the encoder's step is not known"
@@ -232,6 +233,17 @@ def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
     return Sound("tap", middle_hz, middle_hz * rate_hz / waveform.rate_hz, error)
 
 
+def _autoregressive_sound(texture: Autoregressive, output: Output) -> Sound:
+    """Of the loudest model the peak; at a rate that does not reach it, the peak of what is shown instead."""
+    loudest = max(texture.models, key=lambda model: model.level(reflection_of(model.coefficients)))
+    reflection = reflection_of(loudest.coefficients)
+    peak_hz = peak_of(reflection, texture.rate_hz)
+    if peak_hz < output.rate_hz / 2:
+        return Sound("texture", peak_hz, peak_hz, None)
+    shown = resampled(reflection, texture.rate_hz, output.rate_hz)
+    return Sound("texture", peak_hz, peak_of(shown.reflection, output.rate_hz), None)
+
+
 def _checked(name: str, material: Material, used: bool, output: Output) -> Checked:
     sounds: list[Sound] = []
     waveform = waveform_of(material)
@@ -253,5 +265,7 @@ def _checked(name: str, material: Material, used: bool, output: Output) -> Check
     if isinstance(material.texture, Stochastic):
         pair = displayed_pair(material.texture, output)
         sounds.append(Sound("texture", material.texture.peak_hz, None if pair is None else pair[0], None))
+    elif isinstance(material.texture, Autoregressive):
+        sounds.append(_autoregressive_sound(material.texture, output))
     fits = {kind: verdict.quality for kind, verdict in material.fitted.items()}
     return Checked(name, used, material.stiffness_n_per_m, tuple(sounds), fits)

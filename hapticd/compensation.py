@@ -452,33 +452,39 @@ def shapes_of(
 
 
 def tuned_shapes(
-    modes: Sequence[Mode], dynamics: Dynamics, rate_hz: float, compensation: Literal["mass", "full"], load: Load
+    modes: Sequence[Mode],
+    dynamics: Dynamics,
+    rate_hz: float,
+    compensation: Literal["mass", "full"],
+    load: Load,
+    own: bool = False,
 ) -> list[tuple[Shape, Shape]]:
-    """As shapes_of, of modes that differ in nothing but their frequency: where nothing is touched, and against `load`.
+    """As shapes_of, of modes that change steadily from one to the next: where nothing is touched, and against `load`,
+    which is best where it is the modes' `own`.
 
-    All have the poles of the same tail, or none has one, and none has kicks: so gains change steadily from one
-    frequency to the next.
+    All have the poles of the same tail, or none has one, and none has kicks: so gains change steadily, too.
     """
     if compensation == "mass":
         plain = [shape_of(mode, dynamics, rate_hz, compensation, load) for mode in modes]
         return [(shape, shape) for shape in plain]
-    free, touched = (
-        [_Band(mode, dynamics, rate_hz, each, [pole_of(mode), *_tails(mode, rate_hz)]) for mode in modes]
-        for each in (load.free, load)
+    tails = _tails(modes[len(modes) // 2], rate_hz)
+    loads = (load, load.free) if own else (load.free, load)
+    first, second = (
+        [_Band(mode, dynamics, rate_hz, each, [pole_of(mode), *tails]) for mode in modes] for each in loads
     )
 
     def designed(band: _Band, mode: Mode, way: int, met: Load) -> Shape:
         if way < 2:
-            return _tailed(band, mode, _tails(mode, rate_hz)[way])
+            return _tailed(band, mode, tails[way])
         return _alone(band, mode, dynamics, 1 / rate_hz, met)[way - 2]
 
-    ways = [[designed(*pair, way, load.free) for pair in zip(free, modes, strict=True)] for way in range(4)]
+    ways = [[designed(*pair, way, loads[0]) for pair in zip(first, modes, strict=True)] for way in range(4)]
     errors = [sum(shape.error for shape in way) / len(modes) for way in ways]
     plain_way = min((2, 3), key=lambda way: errors[way])
     tailed_way = min((0, 1), key=lambda way: errors[way])
     best = tailed_way if errors[tailed_way] < errors[plain_way] - WORTH else plain_way
-    others = [designed(*pair, best, load) for pair in zip(touched, modes, strict=True)]
-    return list(zip(ways[best], others, strict=True))
+    others = [designed(*pair, best, loads[1]) for pair in zip(second, modes, strict=True)]
+    return list(zip(others, ways[best], strict=True) if own else zip(ways[best], others, strict=True))
 
 
 def peak_between(one: Shape, other: Shape, pole: complex) -> float:

@@ -63,6 +63,7 @@ from hapticd.materials import Material, TapPoint
 from hapticd.mode import Mode
 from hapticd.patches import Patch
 from hapticd.scene import Scene, SceneObject, Surface, Wall
+from hapticd.tap_tuning import TapTuning, tap_shapes_needed, tap_tuning_of
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
 from hapticd.tuning import Tuning, shapes_needed, tuning_of
@@ -196,7 +197,7 @@ def _tail_record(tail: Ringing, period_s: float) -> tuple[float, ...]:
 
 def _struck(material: Material) -> Iterator[Mode]:
     """The modes that a device may play by itself."""
-    if material.tap is not None and material.tap.ringing is not None:
+    if material.tap is not None and material.tap.ringing is not None and material.tap.mode_table is None:
         yield material.tap.ringing
     if material.rupture is not None:
         yield material.rupture.mode
@@ -228,11 +229,16 @@ def material_record(
         mode, slope = material.tap.ringing, material.tap.attack_slope_per_s
         if slope is None:  # the points give A itself
             slope = 1.0
-        coefficient = material.tap.coefficient(slope)
+        tuned = tap_tuning_of(material, output)
+        # Of a table the tick knows the mode, and what a first peak is of it.
+        coefficient = material.tap.coefficient(slope) if tuned is None else slope
         if material.tap.aim != _ACROSS:
             record.tap_aim = material.tap.aim
         if material.tap.waveform is not None:
             _play(record, material.tap.waveform, slope, coefficient, output)
+        elif tuned is not None:
+            record.tap = mode_record(tuned.base, slope, coefficient, output, touched=touched)
+            tuned.complete(record, 1.0 / output.rate_hz)
         elif mode is not None:
             record.tap = mode_record(mode, slope, coefficient, output, effects.get(mode), touched)
         if material.tap.second is not None:
@@ -449,8 +455,8 @@ class _Materials:
         """Material to the amplitudes of its tap over speed, where they are given so."""
         self._waveforms: dict[int, Waveform] = {}
         """Material to what its tap plays, where that does not ring."""
-        self._tunings: dict[int, Tuning] = {}
-        """Material to the frequencies of its grooves, where they follow speed and force."""
+        self._tunings: dict[int, tuple[Tuning | TapTuning, ...]] = {}
+        """Material to the modes of its grooves and of its tap, where they follow speed and force."""
         self.prepared: Mapping[_Noise, _Design] = {}
         """Designed for what is taken in now."""
         self._versions = 0
@@ -536,9 +542,9 @@ class _Materials:
         if waveform is not None:
             self._waveforms[index] = waveform
             self._numbers_changed = True
-        tuning = tuning_of(material, self.output)
-        if tuning is not None:
-            self._tunings[index] = tuning
+        tunings = (tuning_of(material, self.output), tap_tuning_of(material, self.output))
+        if any(tunings):
+            self._tunings[index] = tuple(each for each in tunings if each is not None)
             self._numbers_changed = True
         self.working()
         effects = {mode: self._effects.take(mode) for mode in _struck(material)}
@@ -579,7 +585,8 @@ class _Materials:
         new = isinstance(texture, Stochastic | Autoregressive) and (known is None or known.texture != texture)
         if not new or _designs.find(cast(_Noise, texture), self.output) is not None:
             texture = None
-        shapes = 0 if self.output.compensation == "off" else len(modes_of(material)) + shapes_needed(material)
+        tuned = shapes_needed(material) + tap_shapes_needed(material)
+        shapes = 0 if self.output.compensation == "off" else len(modes_of(material)) + tuned
         noise = cast("_Noise | None", texture)
         return noise, shapes + (0 if noise is None else _filters(noise))
 
@@ -633,10 +640,11 @@ class _Materials:
             material.tap_count, material.tap_first = len(points), first
             numbers.append(np.array(points).T.ravel())
             first += len(numbers[-1])
-        for index, tuning in self._tunings.items():
-            self._rows.pointer[index].tune_first = first
-            numbers.append(tuning.numbers())
-            first += len(numbers[-1])
+        for index, tunings in self._tunings.items():
+            for tuning in tunings:
+                tuning.lies_at(self._rows.pointer[index], first)
+                numbers.append(tuning.numbers())
+                first += len(numbers[-1])
         for index, waveform in self._waveforms.items():
             material = self._rows.pointer[index]
             material.wave_count, material.wave_first = len(waveform.samples), first

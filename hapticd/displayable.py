@@ -168,7 +168,7 @@ def displayed_pair(texture: Stochastic, output: Output) -> tuple[float, float] |
 def modes_of(material: Material) -> list[tuple[Use, Mode]]:
     """The modes of a material, and what strikes them."""
     modes: tuple[tuple[Use, Mode | None], ...] = (
-        ("tap", None if material.tap is None else material.tap.ringing),
+        *(("tap", mode) for mode in (() if material.tap is None else material.tap.modes)),
         ("second", None if material.tap is None or material.tap.second is None else material.tap.second.mode),
         ("rupture", None if material.rupture is None else material.rupture.mode),
         *(("groove", mode) for mode in material.groove_modes),

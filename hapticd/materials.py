@@ -30,6 +30,7 @@ from hapticd.mode import Attack as Attack
 from hapticd.mode import Mode as Mode
 from hapticd.mode import ModeKeys as ModeKeys
 from hapticd.mode import one_of
+from hapticd.mode_table import ModeTable
 from hapticd.model import (
     AT_ONCE,
     MOST_MEMBERS,
@@ -88,14 +89,26 @@ Interval: TypeAlias = Annotated[
 Words: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=256, pattern=r"^[^\u0000-\u001f\u007f]+$")]
 
 
+Reason: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON)]
+
+
 class SecondMode(ModeKeys):
     """A second ringing that begins with the tap's."""
 
     ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
 
 
-_RINGING: Final = ("frequency_hz", "angular_frequency_rad_per_s", "decay_time_s", "decay_rate_per_s", "second")
+_RINGING: Final = (
+    "frequency_hz",
+    "angular_frequency_rad_per_s",
+    "decay_time_s",
+    "decay_rate_per_s",
+    "mode_table",
+    "second",
+)
 """Keys of a tap that rings."""
+_ONE_MODE: Final = _RINGING[:4]
+"""Keys of one that rings alike at all speeds."""
 
 
 class Tap(AimedKeys):
@@ -104,8 +117,8 @@ class Tap(AimedKeys):
     model_config = ConfigDict(
         json_schema_extra={
             "allOf": [
-                one_of("frequency_hz", "angular_frequency_rad_per_s", "waveform"),
-                one_of("decay_time_s", "decay_rate_per_s", "waveform"),
+                one_of("frequency_hz", "angular_frequency_rad_per_s", "waveform", "mode_table"),
+                one_of("decay_time_s", "decay_rate_per_s", "waveform", "mode_table"),
                 {"not": {"required": ["second", "waveform"]}},
                 one_of("attack_slope_per_s", "amplitudes"),
                 ONE_DIRECTION,
@@ -124,14 +137,38 @@ class Tap(AimedKeys):
         description="What the amplitude means: A of the equation, or the largest acceleration (of a mode: of its first "
         "cycle).",
     )
+    mode_table: ModeTable | None = Field(
+        default=None, description="Frequency and decay time over the approach speed, instead of one of each."
+    )
     second: SecondMode | None = Field(default=None, description="A mode that is struck together with this one.")
     waveform: Waveform | None = Field(default=None, description="A curve that is played, instead of a mode that rings.")
 
     def mode_faults(self) -> list[str]:
-        if self.waveform is None:
+        if self.waveform is None and self.mode_table is None:
             return super().mode_faults()
+        if self.waveform is None:
+            given = [name for name in _ONE_MODE if getattr(self, name) is not None]
+            return (
+                [f"has a mode_table, which says frequency and decay: leave out {' and '.join(given)}"] if given else []
+            )
         given = [name for name in _RINGING if getattr(self, name) is not None]
         return [f"has a waveform, and does not ring: leave out {' and '.join(given)}"] if given else []
+
+    @property
+    def mode(self) -> Mode:
+        """Of a table that in the middle of its speeds."""
+        return super().mode if self.mode_table is None else self.mode_table.middle
+
+    def mode_at(self, speed_m_per_s: float) -> Mode:
+        """What a tap at this approach speed rings with."""
+        return self.mode if self.mode_table is None else self.mode_table.at(speed_m_per_s)
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """What it rings with; of a table the modes of its lowest and of its highest frequency, none of a waveform."""
+        if self.waveform is not None:
+            return ()
+        return (self.mode,) if self.mode_table is None else self.mode_table.bounds
 
     @property
     def ringing(self) -> Mode | None:
@@ -235,7 +272,7 @@ class FitVerdict(Model):
 
     quality: Literal["good", "fair", "poor"] = Field(description="Of the fit.")
     reasons: Annotated[
-        tuple[Annotated[str, StringConstraints(min_length=1, max_length=MAX_REASON)], ...],
+        tuple[Reason, ...],
         Strict(False),
         Field(max_length=MAX_REASONS),
     ] = Field(default=(), description="Why it is not good.")
@@ -256,6 +293,9 @@ class Provenance(Model):
     )
     verdict: Annotated[dict[Words, FitVerdict], Field(max_length=16)] | None = Field(
         default=None, description="What each fit is worth, by its kind: tap, grooves, texture, puncture."
+    )
+    choices: Annotated[dict[Words, Reason], Field(max_length=64)] | None = Field(
+        default=None, description="Which of several models was chosen, and why, by the name of the figure."
     )
 
 
@@ -280,8 +320,10 @@ class Material(Model):
             return texture
         # A tap that is itself faulty is not in `data`; then its own fault is enough.
         tap = info.data.get("tap", True)
-        if tap is None or (isinstance(tap, Tap) and tap.ringing is None):
-            other = "or a tap of the material" if tap is None else "as the tap is a waveform"
+        if tap is None or (isinstance(tap, Tap) and (tap.ringing is None or tap.mode_table is not None)):
+            many = tap is not None and tap.mode_table is not None
+            kind = "has a mode_table" if many else "is a waveform"
+            other = "or a tap of the material" if tap is None else f"as the tap {kind}"
             raise ValueError(f"needs a mode to ring with: frequency_hz and decay_time_s of its own, {other}")
         return texture
 

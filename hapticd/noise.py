@@ -186,6 +186,11 @@ def _measured(reflection: Reflection, taps: tuple[float, ...] | None) -> tuple[f
     return float((low + high) / 2), mean
 
 
+def peak_of(reflection: Reflection, rate_hz: float) -> float:
+    """Where an all-pole model's spectrum is highest, Hz."""
+    return _measured(reflection, None)[0] * rate_hz / (2 * math.pi)
+
+
 # ---- Coefficients and reflection -----------------------------------------------------------------------------
 
 

@@ -27,7 +27,7 @@ from hapticd.texture import FrequencyTable, Grooves
 
 NODES: Final = 17
 """So many frequencies are designed; at most HD_TUNE_NODES."""
-_PEAK: Final = TUNE_NODE - 2
+PEAK: Final = TUNE_NODE - 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,24 +51,33 @@ class Tuning:
         record.tune_highest_rad_per_s, record.tune_mutes = self.highest_rad_per_s, self.mutes
         if len(self.nodes) == 0:
             return
-        groove = record.groove
-        for index in range(2 * KICKS):
-            groove.kicks[index] = 0.0
-        groove.kick_count = 0
-        groove.touched_n_per_m = TOUCHED_N_PER_M
-        decay, omega, end_s = 0.0, 0.0, 0.0
-        rotor = 0j
-        if self.tail is not None:
-            rotor = cmath.exp(self.tail.pole * period_s)
-            decay, omega, end_s = -self.tail.pole.real, self.tail.pole.imag, self.tail.end_s
-        groove.tail_rotor_re, groove.tail_rotor_im = rotor.real, rotor.imag
-        groove.tail_decay_rate_per_s, groove.tail_angular_frequency_rad_per_s = decay, omega
-        groove.tail_end_s = end_s
+        complete_tail(record.groove, self.tail, period_s)
+
+    def lies_at(self, record: CData, first: int) -> None:
+        """Says in the `struct hd_material` where the numbers begin."""
+        record.tune_first = first
 
     def numbers(self) -> npt.NDArray[np.float64]:
         """As the core's table holds them."""
         grid = 2.0 * math.pi * np.array(self.table.frequencies_hz)
         return np.concatenate((self.table.speeds_m_per_s, self.table.forces_n, grid.ravel(), self.nodes.ravel()))
+
+
+def complete_tail(mode: CData, tail: Ringing | None, period_s: float) -> None:
+    """Puts into a `struct hd_mode` that is designed by nodes what all of them share: the tail, and no kicks."""
+    for index in range(2 * KICKS):
+        mode.kicks[index] = 0.0
+    mode.kick_count = 0
+    if not mode.touched_n_per_m > 0.0:
+        mode.touched_n_per_m = TOUCHED_N_PER_M
+    decay, omega, end_s = 0.0, 0.0, 0.0
+    rotor = 0j
+    if tail is not None:
+        rotor = cmath.exp(tail.pole * period_s)
+        decay, omega, end_s = -tail.pole.real, tail.pole.imag, tail.end_s
+    mode.tail_rotor_re, mode.tail_rotor_im = rotor.real, rotor.imag
+    mode.tail_decay_rate_per_s, mode.tail_angular_frequency_rad_per_s = decay, omega
+    mode.tail_end_s = end_s
 
 
 def table_of(material: Material) -> FrequencyTable | None:
@@ -105,19 +114,21 @@ def _nodes(
     modes = tuple(Mode(decay_rate_per_s, float(w)) for w in np.geomspace(low_rad_per_s, high_rad_per_s, count))
     load = Load(TOUCHED_N_PER_M, 0.0, output.age_s, output.actuator)
     pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load)
-    rows = np.array([_row(mode, *pair) for mode, pair in zip(modes, pairs, strict=True)])
+    rows = np.array([row(mode, *pair) for mode, pair in zip(modes, pairs, strict=True)])
     # A strike between two nodes is no larger than the line between their peaks.
-    for column, which in ((_PEAK, 1), (_PEAK + 1, 0)):
-        rows[:, column] *= max([1.0, *_between([pair[which] for pair in pairs])])
+    for column, which in ((PEAK, 1), (PEAK + 1, 0)):
+        rows[:, column] *= max([1.0, *between([pair[which] for pair in pairs])])
     return pairs[0][0].tail, rows
 
 
-def _between(shapes: list[Shape]) -> Iterator[float]:
+def between(shapes: list[Shape]) -> Iterator[float]:
+    """By how much what lies half way between two neighbours exceeds the line between their peaks."""
     for one, other in pairwise(shapes):
         yield peak_between(one, other, (one.mode.pole + other.mode.pole) / 2)
 
 
-def _row(mode: Mode, free: Shape, touched: Shape) -> tuple[float, ...]:
+def row(mode: Mode, free: Shape, touched: Shape) -> tuple[float, ...]:
+    """A node, in the order of enum hd_tune_number."""
     gains = [gain for shape in (touched, free) for gain in (shape.mode.gain, _tail_gain(shape))]
     numbers = [part for gain in gains for part in (gain.real, gain.imag)]
     return mode.angular_frequency_rad_per_s, *numbers, touched.peak, free.peak

@@ -90,7 +90,7 @@ def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M
     for name, material in materials.items():
         tap, rupture, texture = material.tap, material.rupture, material.texture
         if tap is not None and tap.ringing is not None and (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
-            mode = tap.mode
+            mode = tap.mode_at(speed_m_per_s)
             coefficient = mode.coefficient(amplitude, tap.attack)
             found.append(Strike(name, "tap", mode, coefficient))
             if tap.second is not None and tap.second.ratio != 0:

@@ -49,8 +49,9 @@ def verdicts_on_walls(config: Config, speed_m_per_s: float = SPEED_M_PER_S, axis
         amplitude = tap.amplitude_m_per_s2(speed_m_per_s)
         if not amplitude > 0:
             continue
-        coefficient = tap.mode.coefficient(amplitude, tap.attack)
-        strikes = [Strike(name, "wall", tap.mode, coefficient)]
+        mode = tap.mode_at(speed_m_per_s)
+        coefficient = mode.coefficient(amplitude, tap.attack)
+        strikes = [Strike(name, "wall", mode, coefficient)]
         if tap.second is not None and tap.second.ratio != 0:
             strikes.append(Strike(name, "wall", tap.second.mode, tap.second.ratio * coefficient))
         found.append(_on_wall(config, output, strikes, speed_m_per_s, axis))

@@ -30,8 +30,10 @@ from hapticd.cli.synthesize import synthesize_command
 from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
+    from hapticd.fit.left_out import LeftOut
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
+    from hapticd.fit.tap_amplitude import LawKind
     from hapticd.fit.tap_kind import TapKind
     from hapticd.materials import Material
     from hapticd.mode import Attack
@@ -55,7 +57,7 @@ class _Fitted:
 
 
 _Step: TypeAlias = "Callable[[str], None]"
-_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step], _Fitted]"
+_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step, LeftOut], _Fitted]"
 
 
 @click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
@@ -73,6 +75,7 @@ def _options(command: _F) -> _F:
     for option in (
         json_option,
         overwrite_option,
+        click.option("--strict", is_flag=True, help="Refuse what would be left out: a bad file, a clipped tap."),
         click.option("--merge", is_flag=True, help="Add to what the output holds, instead of replacing it."),
         click.option(
             "--stiffness",
@@ -99,48 +102,93 @@ def _options(command: _F) -> _F:
     type=Choice(["coefficient", "first_peak"]),
     help="What the slope in the material means [default: coefficient].",
 )
-@click.option("--table", is_flag=True, help="Amplitudes over speed in the material, instead of a slope.")
-@click.option("--two-modes", is_flag=True, help="Two modes in the material, where the taps have two.")
+@click.option(
+    "--law",
+    type=Choice(["line", "power", "table"]),
+    help="How the amplitude of the material follows the speed [default: as the taps have it, by AICc].",
+)
+@click.option("--table", is_flag=True, help="The same as --law table: amplitudes over speed, instead of a slope.")
+@click.option(
+    "--two-modes/--one-mode",
+    default=None,
+    help="Two modes in the material, or one [default: two where one explains too little].",
+)
 @click.option(
     "--as",
-    "kind",
+    "form",
     type=Choice(["auto", "mode", "waveform"]),
     help="A mode that rings, a waveform of a pulse, or what says more of the taps [default: auto].",
 )
-def tap_command(attack: Attack | None, table: bool, two_modes: bool, kind: TapKind | None, **options: Any) -> None:
+@click.option(
+    "--mode-table/--no-mode-table",
+    default=None,
+    help="Frequency and decay over the speed, or one of each [default: as the taps have it].",
+)
+def tap_command(
+    attack: Attack | None,
+    law: LawKind | None,
+    table: bool,
+    two_modes: bool | None,
+    form: TapKind | None,
+    mode_table: bool | None,
+    **options: Any,
+) -> None:
     """Slope, frequency and decay of a tap, or its waveform, from recordings of taps and their speeds."""
-    if kind == "waveform" and (attack or table or two_modes):
-        other = "--table" if table else "--two-modes" if two_modes else "--attack"
-        raise click.UsageError(f"{other} is of modes, and --as waveform makes none: leave out one")
-    if kind is None:
-        kind = "mode" if attack or table or two_modes else "auto"
-    for option, given in (("--table", table), ("--two-modes", two_modes)):
+    if table and law not in (None, "table"):
+        raise click.UsageError(f"--table and --law {law} do not go together: leave out one")
+    taken: LawKind | None = "table" if table else law
+    of_modes = {
+        "--table": table,
+        "--law": law is not None,
+        "--two-modes": two_modes is True,
+        "--one-mode": two_modes is False,
+        "--mode-table": mode_table is True,
+        "--no-mode-table": mode_table is False,
+        "--attack": attack is not None,
+    }
+    given_modes = [option for option, given in of_modes.items() if given]
+    if form == "waveform" and given_modes:
+        raise click.UsageError(f"{given_modes[0]} is of modes, and --as waveform makes none: leave out one")
+    as_form: TapKind = form if form is not None else "mode" if given_modes else "auto"
+    bent = taken not in (None, "line")
+    for option, given in (("--table" if table else f"--law {law}", bent), ("--two-modes", two_modes)):
         if given and attack == "first_peak":
             raise click.UsageError(
                 f"{option} and --attack do not go together: leave out one, {option} is of coefficients"
             )
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.provenance import estimates
         from hapticd.fit.tap_kind import fit_taps
         from hapticd.fit.waveform import WaveformFit
 
-        found = fit_taps(recordings, kind, lambda recording: step(f"fitting {recording.name}"))
+        found = fit_taps(recordings, as_form, lambda recording: step(f"fitting {recording.name}"), left)
         if isinstance(found, WaveformFit):
-            told = () if kind == "waveform" else (AS_WAVEFORM,)
+            told = () if as_form == "waveform" else (AS_WAVEFORM,)
             return _Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
         notes = []
-        if not found.linear and not table:
-            notes.append("--table takes the amplitudes over speed into the material, instead of the slope")
-        if found.second is not None and not two_modes:
+        kind = taken or found.law.kind
+        if kind == "power" and found.law.power is not None:
+            notes.append(
+                f"the power law is written as {len(found.law.power.points)} amplitudes over speed, which are within "
+                f"{100 * found.law.power.off:.2g} % of it from {found.law.power.points[0][0]:.3g} to "
+                f"{found.law.power.points[-1][0]:.3g} m/s"
+            )
+        two = two_modes if two_modes is not None else found.second is not None and found.second.kept
+        if found.second is not None and not two:
             notes.append("--two-modes takes both modes into the material")
         # Intervals of what the material does not have would mislead.
         said = set(estimates(found))
         second = {name for name in said if name.startswith("second.")}
-        without = said - second if two_modes else second
-        if table:
+        without = said - second if two else second
+        if kind != "line":
             without |= {name for name in said if "slope" in name or "offset" in name}
-        figures = found.material(attack or "coefficient", table, two_modes)
+        if kind != "power":
+            without |= {name for name in said if name.startswith("power.")}
+        figures = found.material(attack or "coefficient", taken, two, mode_table)
+        tap = figures["tap"]
+        if isinstance(tap, dict) and "mode_table" in tap:
+            without |= {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
         return _Fitted(found, figures, tuple(notes), without)
 
     _run("tap", fit, per_file=2, **options)
@@ -151,11 +199,11 @@ def tap_command(attack: Attack | None, table: bool, two_modes: bool, kind: TapKi
 def grooves_command(**options: Any) -> None:
     """Spacing, mode and gains of grooves, from strokes over them."""
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.grooves import fit_grooves
 
         step("fitting")
-        found = fit_grooves(recordings)
+        found = fit_grooves(recordings, left=left)
         return _Fitted(found, found.material())
 
     _run("grooves", fit, **options)
@@ -167,11 +215,11 @@ def grooves_command(**options: Any) -> None:
 def texture_command(autoregressive: bool, **options: Any) -> None:
     """Spectrum and loudness of a texture, from strokes over it."""
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.texture import fit_texture
 
         step("fitting")
-        found = fit_texture(recordings, autoregressive=autoregressive)
+        found = fit_texture(recordings, autoregressive=autoregressive, left=left)
         return _Fitted(found, found.material())
 
     _run("texture", fit, **options)
@@ -182,11 +230,11 @@ def texture_command(autoregressive: bool, **options: Any) -> None:
 def puncture_command(**options: Any) -> None:
     """Stiffness, rupture and mode of a membrane, from recordings of punctures."""
 
-    def fit(recordings: Sequence[Recording], step: _Step) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.puncture import fit_puncture
 
         step("fitting")
-        found = fit_puncture(recordings)
+        found = fit_puncture(recordings, left=left)
         return _Fitted(found, found.material())
 
     _run("puncture", fit, **options)
@@ -202,6 +250,7 @@ def _run(
     stiffness_n_per_m: float | None,
     overwrite: bool,
     merge: bool,
+    strict: bool,
     as_json: bool,
     per_file: int = 1,
 ) -> None:
@@ -219,7 +268,7 @@ def _run(
     library = _library(output) if merge and output is not None and os.path.exists(output) else {}
     onto = library.get(name)
 
-    recordings, fitted = _fit(files, fit, per_file)
+    recordings, unused, fitted = _fit(files, fit, per_file, strict)
     notes = list(fitted.notes)
     given = stiffness_n_per_m
     if given is None:
@@ -244,7 +293,7 @@ def _run(
     if report is not None:
         from hapticd.fit.panels import page_of
 
-        picture = drawing.drawn(report, page_of(kind, f"{name}: {kind}", fitted.fit, recordings))
+        picture = drawing.drawn(report, page_of(kind, f"{name}: {kind}", fitted.fit, recordings, unused))
 
     fresh = {"materials": {name: material.to_dict()}}
     if output is not None:
@@ -303,23 +352,35 @@ def _library(path: str) -> dict[str, Material]:
     return {name: found[name] for name in given}
 
 
-def _fit(files: Sequence[str], fit: _Fitting, per_file: int) -> tuple[list[Recording], _Fitted]:
-    from hapticd.fit.recording import load
+def _fit(
+    files: Sequence[str], fit: _Fitting, per_file: int, strict: bool
+) -> tuple[list[Recording], list[Recording], _Fitted]:
+    """The recordings that were used, those that were left out, and what was made of them."""
+    from hapticd.fit.left_out import LeftOut
+    from hapticd.fit.recording import NoRecordingError, RecordingError, load
 
+    left = LeftOut(strict)
     with _progress(len(files) * per_file + (per_file == 1)) as step:
         recordings: list[Recording] = []
-        known: dict[str, str] = {}
         for file in files:
             step(f"reading {Path(file).name}")
-            recording = load(file)
-            twin = known.setdefault(recording.source.sha256, recording.name)
-            if len(known) == len(recordings):
-                raise HapticdError(f"{recording.name}: holds the same as {twin}, and would count twice; leave out one")
-            recordings.append(recording)
+            try:
+                recordings.append(load(file))
+            except RecordingError as error:
+                if len(files) == 1 or isinstance(error, NoRecordingError):
+                    raise
+                left.add(error.name, error.reason)
+        if not recordings:
+            raise left.refused(f"none of {len(files)} recordings can be read")
         # What comes of a division by zero and the like is no number, and no material takes one.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
-            return recordings, fit(recordings, step)
+            fitted = fit(recordings, step, left)
+    used: list[Recording] = []
+    unused: list[Recording] = []
+    for recording in recordings:
+        (unused if recording.name in left.recordings else used).append(recording)
+    return used, unused, fitted
 
 
 @contextmanager

@@ -26,10 +26,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.fit.impossible import Kept, without_impossible
+from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import Line, common_lines, lines_beside
+from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
+from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
-    LEAST_RATE,
     Ints,
     Motion,
     Robust,
@@ -44,14 +47,18 @@ from hapticd.fit.strokes import (
     tell_few_samples,
     told_apart,
     told_of,
+    too_slow,
     varied_force,
 )
+from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import AT_LEAST, Doubts, Verdict
 from hapticd.mode import Mode
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 Bools: TypeAlias = npt.NDArray[np.bool_]
 
+LEAST_S: Final = 0.1
+"""Of a stretch of a recording, between gaps and clipped samples."""
 LEAST_STRIKES: Final = 8
 GROUP: Final = 8
 """Strikes in a group whose frequency is fitted."""
@@ -115,6 +122,10 @@ class Stroke:
     variance_accounted_for: float
     spacing_m: float
 
+    def lines(self, needed: int) -> list[Line]:
+        """Of what the model leaves."""
+        return lines_beside(self.acceleration_m_per_s2, self.model_m_per_s2, self.rate_hz, needed)
+
 
 @dataclass(frozen=True, slots=True)
 class GroovesFit:
@@ -136,6 +147,7 @@ class GroovesFit:
     strokes: tuple[Stroke, ...]
     warnings: tuple[str, ...]
     judged: Verdict
+    left_out: tuple[Left, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -165,26 +177,34 @@ class GroovesFit:
         return {**found, "verdict": self.verdict}
 
 
-def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
-    """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it."""
-    if not recordings:
-        raise FitError("no recordings")
+def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) -> GroovesFit:
+    """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it.
+
+    Recordings, and stretches of them, that cannot be used are told to `left`.
+    """
+    left = LeftOut() if left is None else left
+    refuse_twins(recordings)
+    rows = left.each(stretches_of(recordings, LEAST_S, left), lambda each: _Row(without_impossible(each, "grooves")))
+    if not rows:
+        raise left.refused(f"none of {len(recordings)} recordings can be used")
     doubts = Doubts()
-    whole = [without_impossible(recording, "grooves") for recording in recordings]
-    told_of(whole, doubts)
-    recordings = [each.recording for each in whole]
-    rows = [_Row(each) for each in whole]
+    told_of([row.kept for row in rows], doubts)
+    weigh(left, recordings, doubts)
+    recordings = [row.kept.recording for row in rows]
     _refuse_others(rows)
     each = [_mean_mode(row.groups) for row in rows]
     groups = [group for row in rows for group in row.groups]
     if len(groups) < 2:
-        raise FitError(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
+        raise left.refused(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
     frequency = common(np.array([group.mode.frequency_hz for group in groups]))
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for row, mode in zip(rows, each, strict=True) for strike in row.strikes(mode))
     strokes = tuple(row.stroke(mode) for row, mode in zip(rows, each, strict=True))
     for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
+    hum = common_lines(len(strokes), lambda place, needed: strokes[place].lines(needed))
+    if hum:
+        doubts.tell(lines_told(hum))
     for row in rows:
         doubts.at_least(
             "cycles from strike to strike",
@@ -273,6 +293,7 @@ def fit_grooves(recordings: Sequence[Recording]) -> GroovesFit:
         strokes=strokes,
         warnings=tuple(doubts.told),
         judged=doubts.judged(summary),
+        left_out=tuple(left.items),
     )
 
 
@@ -292,6 +313,7 @@ class _Row:
     """The strikes of one recording."""
 
     def __init__(self, kept: Kept) -> None:
+        self.kept = kept
         recording = kept.recording
         self._replaced = np.concatenate(([0], np.cumsum(kept.replaced)))
         self.name = self._name = recording.name
@@ -302,11 +324,8 @@ class _Row:
         self._motion: Motion = motion_of(recording, len(self._seen))
         self._time_s = np.arange(len(self._seen)) / self._rate_hz
         rough = _rough_frequency(self._seen, self._rate_hz)
-        if self._rate_hz < LEAST_RATE * rough:
-            raise FitError(
-                f"{self._name}: rings at {rough:.4g} Hz, sampled at {self._rate_hz:g} Hz: too low, needs "
-                f"{LEAST_RATE * rough:.4g} Hz at least"
-            )
+        if slow := too_slow(self._rate_hz, rough):
+            raise FitError(f"{self._name}: {slow}")
         mode, onsets = self._begun(2 * math.pi * rough)
         for _ in range(3):
             mode = self._refined(mode, self._intervals(mode, onsets))

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from hapticd.fit.provenance import Kind
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import FitError, Floats
+from hapticd.fit.regression import FitError, Floats, MistakenError
 
 Bools: TypeAlias = npt.NDArray[np.bool_]
 Spans: TypeAlias = list[tuple[int, int]]
@@ -166,7 +166,7 @@ class _Column:
         bound = "" if limit is None else f" (at most {most:g})"
         if np.mean(over) > MOST or len(spans) > MOST_FINDINGS:
             ask = "" if limit is None else f": {limit.ask}"
-            raise FitError(
+            raise MistakenError(
                 f"{self._file}: {self._what} of {value} is not a hand's{bound}, nor is that of "
                 f"{100 * np.mean(over):.3g} % of the samples{ask}"
             )

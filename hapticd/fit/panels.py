@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.fit.provenance import Fit, estimates, plain_figures
+from hapticd.fit.impossible import without_impossible
+from hapticd.fit.left_out import RECORDING, Left
+from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError
 from hapticd.fit.report import Curve, Page, Panel
@@ -31,11 +33,14 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
+_T = TypeVar("_T")
 Row: TypeAlias = tuple[Panel, ...]
 
 DRAWN: Final = 3
 """Of recordings that are alike, so many are drawn."""
 LOOK_S: Final = 0.15
+LEFT_S: Final = (0.01, 0.06)
+"""Before and after an event that is left out, so long is drawn."""
 LEAST_STRETCH: Final = 16
 """Samples of which a spectrum is drawn."""
 ACCELERATION: Final = "m/s²"
@@ -44,11 +49,22 @@ SEEN: Final = 1e-3
 """Of the largest density; spectra are compared above it."""
 
 
-def page_of(kind: str, title: str, fit: Fit, recordings: Sequence[Recording]) -> Page:
-    """The report of a fit of this kind."""
+def page_of(
+    kind: Kind, title: str, fit: Fit, recordings: Sequence[Recording], unused: Sequence[Recording] = ()
+) -> Page:
+    """The report of a fit of this kind; of `unused` recordings there is why they are left out."""
     sources = {recording.source.path: recording.source.sha256 for recording in recordings}
-    rows = tuple(row for row in _ROWS[kind](fit, recordings) if row)
+    drawn = _ROWS[kind](fit, [_kept(each, kind) for each in recordings])
+    rows = tuple(row for row in (*drawn, *_left_out(fit, [*recordings, *unused])) if row)
     return Page(title, fit.verdict, fit.warnings, estimates(fit), plain_figures(fit), tuple(sources.items()), rows)
+
+
+def _kept(recording: Recording, kind: Kind) -> Recording:
+    """As it was fitted: without samples that cannot be."""
+    try:
+        return without_impossible(recording, kind).recording
+    except FitError:
+        return recording
 
 
 def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats, Floats]:
@@ -169,6 +185,57 @@ def _ringing(fit: TapFit) -> Iterator[Row]:
         with suppress(FitError):
             pair = fit_ringing(tap.measured, tap.rate_hz, modes=2)
             yield overlay(f"{name}, two modes", tap.rate_hz, tap.measured, tap.measured - pair.residual)
+
+
+def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
+    """What was left out: where it is in a recording of which more was used, and the first of it as it was recorded."""
+    seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
+    left: list[Left] = [each for each in getattr(fit, "left_out", ()) if each.recording in seen]
+    if not left:
+        return
+    used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
+    both = dict.fromkeys(each.recording for each in left if each.recording in {name for name, _ in used})
+    for row in _in_rows(islice(both, DRAWN)):
+        yield tuple(_marked(seen[name], used, left) for name in row)
+    whole = [each for each in left if each.what == RECORDING or each.time_s is not None]
+    for part in _in_rows(islice(whole, 2 * DRAWN)):
+        yield tuple(_not_used(seen[each.recording], each) for each in part)
+
+
+def _in_rows(every: Iterable[_T]) -> Iterator[tuple[_T, ...]]:
+    rest = iter(every)
+    while row := tuple(islice(rest, DRAWN)):
+        yield row
+
+
+def _marked(recording: Recording, used: Sequence[tuple[str, float]], left: Sequence[Left]) -> Panel:
+    """A recording, with marks above what was used and what was left out."""
+    seen = recording.acceleration_m_per_s2
+    assert seen is not None
+    time_s = np.arange(len(seen)) / recording.rate_hz
+    top = float(seen.max()) + 0.08 * float(np.ptp(seen))
+    used_s = np.array([at_s for name, at_s in used if name == recording.name], dtype=np.float64)
+    left_s = np.array(
+        [each.time_s for each in left if each.recording == recording.name and each.time_s is not None], dtype=np.float64
+    )
+    marks = (
+        Curve("fitted", used_s, np.full(len(used_s), top), points=True),
+        Curve("left out", left_s, np.full(len(left_s), top), points=True, crossed=True),
+    )
+    return Panel(os.path.basename(recording.name), "s", ACCELERATION, (Curve("recording", time_s, seen), *marks))
+
+
+def _not_used(recording: Recording, left: Left) -> Panel:
+    """What was recorded about the time of an event that is left out, or all of a recording that is."""
+    seen, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
+    assert seen is not None
+    first, last = 0, len(seen)
+    if left.time_s is not None:
+        first = max(0, round((left.time_s - LEFT_S[0]) * rate_hz))
+        last = min(last, round((left.time_s + LEFT_S[1]) * rate_hz) + 1)
+    ms: Floats = np.asarray(1e3 * np.arange(first, last) / rate_hz, dtype=np.float64)
+    name = os.path.basename(recording.name)
+    return Panel(f"{name} left out: {left.reason}", "ms", ACCELERATION, (Curve("recording", ms, seen[first:last]),))
 
 
 def _number(figure: float | Estimate) -> float:

@@ -80,12 +80,15 @@ def provenance(
         for name, estimate in estimates(fit).items()
         if name not in without and math.isfinite(estimate.low) and math.isfinite(estimate.high)
     }
+    # Fits that choose between models say why.
+    choices = {f"{kind}.{name}": why[:MAX_REASON] for name, why in getattr(fit, "choices", {}).items()}
     return {
         "files": [{"path": path, **({"sha256": sha256} if sha256 else {})} for path, sha256 in files.items()],
         "date": day.isoformat(),
         "version": __version__,
         **({"intervals": intervals} if intervals else {}),
         "verdict": {kind: _verdict(fit.judged)},
+        **({"choices": choices} if choices else {}),
     }
 
 
@@ -138,12 +141,17 @@ def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[st
     assert isinstance(verdict, Mapping)
     replaced = tuple(other for other, key in KEY_OF.items() if key == KEY_OF[kind])
     kept = {name: ends for name, ends in before.get("intervals", {}).items() if name.partition(".")[0] not in replaced}
+    chosen = origin.get("choices", {})
+    assert isinstance(chosen, Mapping)
+    choices = {name: why for name, why in before.get("choices", {}).items() if name.partition(".")[0] not in replaced}
+    choices |= chosen
     judged = {other: each for other, each in before.get("verdict", {}).items() if other not in replaced}
     return {
         **origin,
         "files": [*(file for file in before["files"] if file not in files), *files],
         **({"intervals": {**kept, **intervals}} if kept or intervals else {}),
         "verdict": {**judged, **verdict},
+        **({"choices": choices} if choices else {}),
     }
 
 

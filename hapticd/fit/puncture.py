@@ -14,12 +14,16 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.fit.clipping import clipped
 from hapticd.fit.impossible import without_impossible
+from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import Line, common_lines, lines_beside
+from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, common, with_offset
+from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, common, with_offset
 from hapticd.fit.ringing import fit_ringing
+from hapticd.fit.stretches import gaps_told, in_gap
 from hapticd.fit.strokes import (
-    LEAST_RATE,
     acceleration_of,
     excludes_zero,
     force_of,
@@ -29,7 +33,9 @@ from hapticd.fit.strokes import (
     slope_of,
     tell_few_samples,
     told_of,
+    too_slow,
 )
+from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 
 DROP_S: Final = 0.002
@@ -97,6 +103,7 @@ class PunctureFit:
     ruptures: tuple[Rupture, ...]
     warnings: tuple[str, ...]
     judged: Verdict
+    left_out: tuple[Left, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -120,34 +127,31 @@ class PunctureFit:
         return {**found, "verdict": self.verdict}
 
 
-def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
+def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -> PunctureFit:
     """Of one puncture to a recording, at least two. FitError where there are fewer, or they cannot be fitted.
 
-    Recordings without a puncture beside others with one are told in `warnings`.
+    Recordings that cannot be used, as those without a puncture, are told to `left`.
     """
+    left = LeftOut() if left is None else left
+    refuse_twins(recordings)
     doubts = Doubts()
+    ruptures = left.each(recordings, lambda recording: _rupture(recording, doubts))
+    if not ruptures:
+        raise left.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
+    ruptures = _together(ruptures, left)
+    if len(ruptures) < 2:
+        raise left.refused("one puncture has no interval: needs two recordings of a puncture at least")
+    weigh(left, recordings, doubts)
+    used = {each.recording for each in ruptures}
+    recordings = [recording for recording in recordings if recording.name in used]
     for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
-    ruptures: list[Rupture] = []
-    without: list[str] = []
-    for recording in recordings:
-        found = _rupture(recording, doubts)
-        if isinstance(found, str):
-            without.append(found)
-        else:
-            ruptures.append(found)
-    if not ruptures:
-        raise FitError("; ".join(without) if without else "no recordings")
-    ruptures, astray = _together(ruptures)
-    without += astray
-    if len(ruptures) < 2:
-        raise FitError("one puncture has no interval: needs two recordings of a puncture at least")
-    doubts.told[:0] = without
-    doubts.at_most(
-        "part left out",
-        len(without) / len(recordings),
-        f"{len(without)} of {len(recordings)} recordings are left out",
+    by_name = {recording.name: recording for recording in recordings}
+    hum = common_lines(
+        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed)
     )
+    if hum:
+        doubts.tell(lines_told(hum))
     count = len(ruptures)
     doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
 
@@ -215,11 +219,12 @@ def fit_puncture(recordings: Sequence[Recording]) -> PunctureFit:
         ruptures=tuple(ruptures),
         warnings=tuple(doubts.told),
         judged=doubts.judged(summary),
+        left_out=tuple(left.items),
     )
 
 
-def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
-    """The puncture of a recording; where there is none, a line that says so."""
+def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
+    """The puncture of a recording. FitError where there is none, or it cannot be fitted."""
     kept = without_impossible(recording, "puncture")
     told_of([kept], doubts)
     recording = kept.recording
@@ -229,15 +234,15 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
     if place is None:
         raise FitError(f"{name}: has no position along the normal, which this fit needs")
     if np.ptp(place) > FARTHEST_M:
-        raise FitError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
+        raise MistakenError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
     if not np.ptp(place) > 0:
         raise FitError(f"{name}: the position never moves: is it the wrong column?")
     if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
-        raise FitError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
+        raise MistakenError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
     at = _drop(force, rate_hz)
     none = f"{name}: no puncture here: the force never falls at once while the stylus goes on"
     if at is None:
-        return none
+        raise FitError(none)
     seen = acceleration_of(recording)
     half = max(1, round(DROP_S * rate_hz / 2))
     smooth = running_mean(force, half)
@@ -256,9 +261,13 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
     if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < STRAIGHT:
         raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
     if stiffness < 0:
-        raise FitError(f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)")
+        raise MistakenError(
+            f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)"
+        )
     if not low <= stiffness <= high:
-        raise FitError(f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?")
+        raise MistakenError(
+            f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?"
+        )
     near = way < np.median(way)
     below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
     if abs(above - below) > BENT * stiffness:
@@ -297,12 +306,19 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
     speed = float(slope_of(place, rate_hz, 8 * DROP_S)[at])
     if speed <= 0:
         # Let go, or bounced off.
-        return none
+        raise FitError(none)
 
     first = max(0, at - round(BEFORE_S * rate_hz))
     end = min(len(seen), at + round(RINGING_S * rate_hz))
     if np.mean(kept.replaced[begin:end]) > SPOILT:
-        return f"{name}: left out: much of the puncture was not measured"
+        raise FitError(f"{name}: much of the puncture was not measured")
+    if clipped(seen)[first:end].any():
+        raise FitError(
+            f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record with "
+            "a wider range"
+        )
+    if in_gap(recording, begin, end):
+        raise FitError(f"{name}: {gaps_told(recording)}: between the touch and the end of the ringing")
     try:
         # A slow sensor of force tells the rupture late.
         ringing = min(
@@ -315,10 +331,13 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
     except FitError as error:
         raise FitError(f"{name}: the rupture has no ringing: {error}") from None
     frequency = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
-    if rate_hz < LEAST_RATE * frequency:
-        raise FitError(f"{name}: rings at {frequency:.4g} Hz, sampled at {rate_hz:g} Hz: too low")
+    if slow := too_slow(rate_hz, frequency):
+        raise FitError(f"{name}: {slow}")
     if ringing.variance_accounted_for < ACCOUNTED:
-        return f"{name}: left out: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing"
+        raise FitError(
+            f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
+            f"{100 * ACCOUNTED:.0f} % are wanted"
+        )
     left = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
     if left > HELD * (highest - rest):
         doubts.case(
@@ -353,23 +372,32 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture | str:
     )
 
 
-def _together(ruptures: list[Rupture]) -> tuple[list[Rupture], list[str]]:
-    """Without the few whose ringing is far off the others', and a line for each of those."""
+def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[Line]:
+    """Of the acceleration before the rupture."""
+    seen = recording.acceleration_m_per_s2
+    assert seen is not None
+    model = np.full(len(seen), math.nan)
+    until = max(0, round((rupture.time_s - BEFORE_S) * recording.rate_hz))
+    model[:until] = np.median(seen[:until]) if until else 0.0
+    return lines_beside(seen, model, recording.rate_hz, needed)
+
+
+def _together(ruptures: list[Rupture], left: LeftOut) -> list[Rupture]:
+    """Without the few whose ringing is far off the others', which are told to `left`."""
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
     factor, most = ASTRAY
     off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > factor
     if np.count_nonzero(off) > most * len(ruptures):
-        return ruptures, []
-    kept = [each for each, far in zip(ruptures, off, strict=True) if not far]
-    told = [
-        f"{each.recording}: left out: rings with {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a "
-        f"decay rate of {each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and "
-        f"{usual[2]:.3g}"
-        for each, far in zip(ruptures, off, strict=True)
-        if far
-    ]
-    return kept, told
+        return ruptures
+    for each, far in zip(ruptures, off, strict=True):
+        if far:
+            left.add(
+                each.recording,
+                f"rings with {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
+                f"{each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",
+            )
+    return [each for each, far in zip(ruptures, off, strict=True) if not far]
 
 
 def _drop(force: Floats, rate_hz: float) -> int | None:

@@ -40,7 +40,15 @@ Rate: TypeAlias = Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)]
 
 
 class RecordingError(HapticdError):
-    """A recording that cannot be read, or not be taken as it is; one line that says which and why."""
+    """A recording that cannot be taken as it is; one line that says which and why."""
+
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(f"{name}: {reason}")
+        self.name, self.reason = name, reason
+
+
+class NoRecordingError(RecordingError):
+    """There is no file that can be opened."""
 
 
 class RecordedColumn(Model):
@@ -88,6 +96,9 @@ class Recording:
     source: Source
     sensor: Sensor | None = None
     """The accelerometer, where it is known."""
+    gaps: tuple[tuple[int, int], ...] = ()
+    """First sample and the one after the last of each stretch in which the times have none: the columns hold straight
+    lines there."""
 
 
 def load(path: str | os.PathLike[str]) -> Recording:
@@ -98,16 +109,19 @@ def load(path: str | os.PathLike[str]) -> Recording:
     refuse_documents(name)
     try:
         content = _content(name, MAX_BYTES)
+    except ValueError as error:
+        raise NoRecordingError(shown, str(error)) from None
+    try:
         beside = _beside(name)
         table = _table(name, content, bool(beside.columns))
         found, rounding_s, rate_hz = _quantities(table, beside, f"{shown}.yaml")
         if rate_hz is not None and beside.rate_hz is not None and abs(rate_hz / beside.rate_hz - 1) > RATES_ALIKE:
             raise ValueError(f"the file says {rate_hz:g} Hz, the YAML says {beside.rate_hz:g} Hz: which is right?")
-        even, rate_hz = uniform(found, rate_hz if beside.rate_hz is None else beside.rate_hz, rounding_s)
+        even, rate_hz, gaps = uniform(found, rate_hz if beside.rate_hz is None else beside.rate_hz, rounding_s)
     except (ValueError, csv.Error) as error:
-        raise RecordingError(f"{shown}: {error}") from None
+        raise RecordingError(shown, str(error)) from None
     except MemoryError:
-        raise RecordingError(f"{shown}: there is not enough memory for it: cut it into several files") from None
+        raise RecordingError(shown, "there is not enough memory for it: cut it into several files") from None
     speed: float | Floats | None = even.get("speed")
     if isinstance(speed, np.ndarray) and speed.size == 1:
         speed = float(speed[0])
@@ -124,6 +138,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
         speed_m_per_s=speed,
         source=Source(name, hashlib.sha256(content).hexdigest()),
         sensor=beside.sensor,
+        gaps=gaps,
     )
 
 

@@ -26,6 +26,10 @@ class FitError(HapticdError):
     """What the recordings do not support; one line, with the reason."""
 
 
+class MistakenError(FitError):
+    """Recordings are in another unit or of another sign than they are taken to be: then all of a set are."""
+
+
 def require_scipy() -> None:
     """Raises HapticdError (one line) where scipy is missing."""
     try:

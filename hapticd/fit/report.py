@@ -47,6 +47,17 @@ _DEEPEST: Final = 1e-8
 """Of a logarithmic picture, under its highest."""
 
 
+MANY_DECADES: Final = 3.5
+"""On a logarithmic axis that spans more, powers of ten alone are labelled; one that spans less has"""
+STEPS: Final = (
+    (0.35, (1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)),
+    (0.7, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)),
+    (1.5, (1.0, 2.0, 5.0)),
+    (MANY_DECADES, (1.0, 3.0)),
+)
+"""these labels a decade, by the decades that it spans at most."""
+
+
 @dataclass(frozen=True, slots=True)
 class Curve:
     """A line, or points; `low` and `high` are a band about the line, or bars at the points. All are (n,)."""
@@ -55,6 +66,8 @@ class Curve:
     x: Floats
     y: Floats
     points: bool = False
+    crossed: bool = False
+    """Points that are not used: crosses."""
     dashed: bool = False
     low: Floats | None = None
     high: Floats | None = None
@@ -167,8 +180,6 @@ def _short(text: str) -> str:
 
 
 def _draw(axes: Axes, panel: Panel) -> None:
-    from matplotlib.ticker import NullLocator
-
     if panel.logarithmic:
         axes.set_xscale("log")
         axes.set_yscale("log")
@@ -182,7 +193,8 @@ def _draw(axes: Axes, panel: Panel) -> None:
                     curve.x, curve.y, bars, fmt="o", ms=size, lw=1, capsize=2, color=color, label=curve.label, zorder=3
                 )
             else:
-                axes.plot(curve.x, curve.y, "o", ms=size, color=color, label=curve.label, zorder=3)
+                mark, size = ("x", size + 2) if curve.crossed else ("o", size)
+                axes.plot(curve.x, curve.y, mark, ms=size, color=color, label=curve.label, zorder=3)
             continue
         style = "--" if curve.dashed else "-"
         axes.plot(*thinned(curve.x, curve.y), style, lw=1, color=color, label=curve.label, zorder=4 + place)
@@ -192,7 +204,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
         largest = max(float(np.nanmax(curve.y)) for curve in panel.curves)
         if largest > 0:
             axes.set_ylim(largest * _DEEPEST, largest * 3)
-        axes.yaxis.set_minor_locator(NullLocator())  # hundreds of them, and each takes its time
+        _label_logarithmic(axes)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     axes.grid(alpha=0.3)
@@ -210,6 +222,24 @@ def _draw(axes: Axes, panel: Panel) -> None:
             columnspacing=1.2,
             handlelength=1.6,
         )
+
+
+def _label_logarithmic(axes: Axes) -> None:
+    """As many labels as have room: of less than a decade 1, 2, 5 and so on as plain numbers, of more only decades."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+    axes.yaxis.set_minor_locator(NullLocator())  # hundreds of them, and each takes its time
+    low, high = axes.get_xlim()
+    decades = math.log10(high / low) if low > 0 else math.inf
+    if decades > MANY_DECADES:
+        return
+    steps = next(steps for most, steps in STEPS if decades <= most)
+    axes.xaxis.set_major_locator(LogLocator(subs=steps))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    # matplotlib adds what it has beyond either end, which would stretch the axis.
+    axes.set_xlim(low, high)
 
 
 def figure_rows(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from hapticd.fit.impossible import SPEED, Kept
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, student_t
+from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, student_t
 from hapticd.fit.verdict import Doubts
 
 Ints = npt.NDArray[np.int64]
@@ -28,8 +28,6 @@ SPEED_WINDOW_S: Final = 0.02
 STILL_M_PER_S2: Final = 0.02
 HARDLY: Final = 0.2
 """A range of forces that is less than this part of their mean."""
-CLIPPED_RUN: Final = 3
-"""So many equal samples at the largest or the smallest value are a clipped peak."""
 LEAST_RATE: Final = 2.5
 """Samples in a cycle, below which nothing is fitted."""
 
@@ -38,7 +36,7 @@ LEAST_RATE: Final = 2.5
 
 
 def acceleration_of(recording: Recording) -> Floats:
-    """The acceleration, m/s^2. FitError where there is none, it is all one value, or it is clipped."""
+    """The acceleration, m/s^2. FitError where there is none, or it is all one value."""
     values = recording.acceleration_m_per_s2
     if values is None:
         raise FitError(f"{recording.name}: has no acceleration, which this fit needs")
@@ -51,13 +49,6 @@ def acceleration_of(recording: Recording) -> Floats:
             f"{recording.name}: the acceleration moves by {np.ptp(values):.2g} m/s^2 in all, which is not felt: is its "
             "unit another one?"
         )
-    for extreme, side in ((values.max(), "largest"), (values.min(), "smallest")):
-        runs = _clipped(values, float(extreme))
-        if runs >= CLIPPED_RUN:
-            raise FitError(
-                f"{recording.name}: clipped: {runs} samples in a row at the {side} value, {extreme:.6g} m/s^2; "
-                "record with a wider range"
-            )
     return values
 
 
@@ -70,7 +61,9 @@ def force_of(recording: Recording) -> Floats:
         raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
     largest = float(np.percentile(np.abs(values), 99.9))
     if largest < LEAST_FORCE_N:
-        raise FitError(f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?")
+        raise MistakenError(
+            f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?"
+        )
     return values
 
 
@@ -78,22 +71,10 @@ def pressed(recording: Recording) -> Floats:
     """A force that presses for most of the time. FitError where it pulls, or swings about zero."""
     values = force_of(recording)
     if np.median(values) < 0:
-        raise FitError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
+        raise MistakenError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
     if np.mean(values < -0.1 * np.std(values)) > 0.2:
-        raise FitError(f"{recording.name}: the force swings about 0: is it swapped with the acceleration?")
+        raise MistakenError(f"{recording.name}: the force swings about 0: is it swapped with the acceleration?")
     return values
-
-
-def _clipped(values: Floats, extreme: float) -> int:
-    """Samples of the longest run at the extreme that is reached or left in a leap: a slow peak of coarse numbers stays
-    at its highest step, too, but reaches it step by step."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False])).astype(np.int8)))
-    starts, ends = edges[::2], edges[1::2]
-    step = np.diff(np.unique(values)).min()
-    before = np.abs(values[np.maximum(starts - 1, 0)] - extreme)
-    after = np.abs(values[np.minimum(ends, len(values) - 1)] - extreme)
-    leaps = np.maximum(before, after) > 2.5 * step
-    return int((ends - starts)[leaps].max(initial=0))
 
 
 def gravity_of(recording: Recording) -> list[str]:
@@ -129,6 +110,17 @@ def varied_force(recordings: Sequence[Recording], force: Floats, doubts: Doubts)
         )
 
 
+def too_slow(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
+    """Why what rings at a frequency is not fitted at a rate, with fewer than `least` samples in a cycle; empty where it
+    is."""
+    if rate_hz >= least * frequency_hz:
+        return ""
+    return (
+        f"rings at {frequency_hz:.4g} Hz, and is sampled at {rate_hz:g} Hz, which is too low: less than "
+        f"{least:g} times that; {math.ceil(least * frequency_hz)} Hz are wanted"
+    )
+
+
 def tell_few_samples(recordings: Sequence[Recording], frequency_hz: float, doubts: Doubts) -> None:
     """Where the slowest recording has few samples in a cycle."""
     slowest = min(recording.rate_hz for recording in recordings)
@@ -136,7 +128,7 @@ def tell_few_samples(recordings: Sequence[Recording], frequency_hz: float, doubt
         "samples in a cycle",
         slowest / frequency_hz,
         f"{slowest:g} Hz are {slowest / frequency_hz:.1f} samples in a cycle of {frequency_hz:.4g} Hz: amplitude "
-        "and decay are less certain than their intervals say",
+        "and decay are less certain than their intervals say, and a filter of the sensor may have lowered them",
         "record at a higher rate",
     )
 
@@ -174,7 +166,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
         _refuse_speed(recording, column)
         return Motion(np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column)
     if np.ptp(position) > FARTHEST_M:
-        raise FitError(f"{recording.name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
+        raise MistakenError(f"{recording.name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
     if not np.ptp(position) > 0:
         raise FitError(f"{recording.name}: the position along the surface never moves: is it the wrong column?")
     found = slope_of(position, recording.rate_hz, SPEED_WINDOW_S)
@@ -182,7 +174,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
     if column is not None:
         usual, said = float(np.median(np.abs(found))), float(np.median(np.abs(column)))
         if not 0.5 * usual <= said <= 2 * usual:
-            raise FitError(
+            raise MistakenError(
                 f"{recording.name}: the position moves at {usual:.3g} m/s, the speed says {said:.3g} m/s: "
                 "one of them has the wrong unit or column"
             )
@@ -192,7 +184,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
 def _refuse_speed(recording: Recording, speed: Floats) -> None:
     usual = float(np.percentile(np.abs(speed), 90))
     if usual > FASTEST_M_PER_S:
-        raise FitError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
+        raise MistakenError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
     fastest = int(np.argmax(np.abs(speed)))
     if not abs(speed[fastest]) <= FASTEST_M_PER_S:
         at_s = fastest / recording.rate_hz
@@ -201,7 +193,9 @@ def _refuse_speed(recording: Recording, speed: Floats) -> None:
             f"{FASTEST_M_PER_S:g}): what is the position there?"
         )
     if usual < SLOWEST_M_PER_S:
-        raise FitError(f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?")
+        raise MistakenError(
+            f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?"
+        )
 
 
 def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:

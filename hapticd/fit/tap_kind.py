@@ -8,33 +8,20 @@ judged on each tap by the other taps: the comparison favours the mode.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, Literal, TypeAlias, cast
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.fit.impossible import without_impossible
+from hapticd.fit.left_out import LeftOut
 from hapticd.fit.pulse_shape import Pulse
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import FitError, require_scipy
-from hapticd.fit.strokes import force_of, gravity_of
-from hapticd.fit.tap import (
-    HARDEST,
-    SOFTEST,
-    TapFit,
-    TapHit,
-    _base,
-    _check_files,
-    _check_force,
-    _check_speeds,
-    _clipped,
-    _events,
-    _given_speeds,
-    _speed_of,
-    _without_bounces,
-    fit_tap,
-)
+from hapticd.fit.regression import FitError, MistakenError, require_scipy
+from hapticd.fit.tap import HARDEST, SOFTEST, TapFit, fit_tap
+from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
+from hapticd.fit.twins import refuse_twins
 from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
 from hapticd.waveform import LONGEST_S, middle_hz
 
@@ -47,54 +34,70 @@ LEAVES: Final = 0.5
 """Of what a mode leaves over, a waveform leaves less than this."""
 REST_S: Final = 0.02
 """So much of the rest before a tap is looked at."""
-LEAST_REST: Final = 2
-"""Samples of it."""
 
 
 def fit_taps(
-    recordings: Sequence[Recording], kind: TapKind = "auto", progress: Callable[[Recording], None] | None = None
+    recordings: Sequence[Recording],
+    kind: TapKind = "auto",
+    progress: Callable[[Recording], None] | None = None,
+    left: LeftOut | None = None,
 ) -> TapFit | WaveformFit:
-    """Fits the taps of one material by modes or by a waveform; `progress` as of fit_tap.
+    """Fits the taps of one material by modes or by a waveform; `progress` and `left` as of fit_tap.
 
     Raises FitError (one line) for what they do not support; where neither fits, of the mode.
     """
     require_scipy()
+    left = LeftOut() if left is None else left
     if kind == "mode":
-        return fit_tap(recordings, progress)
+        return fit_tap(recordings, progress, left)
     if kind == "waveform":
-        return _waveform(recordings)
+        return _waveform(recordings, left)
+    # What the form that is not taken leaves out does not matter.
+    of_mode, of_waveform = left.apart(), left.apart()
+    ringing: TapFit | FitError
     try:
-        ringing = fit_tap(recordings, progress)
+        ringing = fit_tap(recordings, progress, of_mode)
     except FitError as error:
-        try:
-            found = _waveform(recordings)
-        except FitError:
-            raise error from None
-        if found.variance_accounted_for < POORLY_EXPLAINED or found.samples_a_period < FEW_SAMPLES:
-            raise error from None
+        ringing = error
+    found = _other(ringing, recordings, of_waveform)
+    if found is not None:
+        left.take(of_waveform)
         return found
-    by_mode = ringing.variance_accounted_for
-    rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= RINGS
-    if ringing.second is not None and rings:
-        by_mode = max(by_mode, ringing.second.variance_accounted_for)
-    warnings: list[str] = []
+    left.take(of_mode)
+    if isinstance(ringing, FitError):
+        raise ringing
+    return ringing
+
+
+def _other(ringing: TapFit | FitError, recordings: Sequence[Recording], left: LeftOut) -> WaveformFit | None:
+    """The waveform, where it says more of the taps than the modes do."""
+    if isinstance(ringing, MistakenError):
+        return None
     try:
-        pulses = pulses_of(recordings, warnings)
+        if isinstance(ringing, FitError):
+            found = _waveform(recordings, left)
+            well = found.variance_accounted_for >= POORLY_EXPLAINED and found.samples_a_period >= FEW_SAMPLES
+            return found if well else None
+        by_mode = ringing.variance_accounted_for
+        rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= RINGS
+        if ringing.second is not None and rings:
+            by_mode = max(by_mode, ringing.second.variance_accounted_for)
+        pulses = pulses_of(recordings, [], left.apart())
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
         if rings and by_mode >= ENOUGH:
-            return ringing
-        found = _waveform(recordings)
+            return None
+        found = _waveform(recordings, left)
     except FitError:
-        return ringing
-    return found if 1 - found.variance_accounted_for < LEAVES * (1 - by_mode) else ringing
+        return None
+    return found if 1 - found.variance_accounted_for < LEAVES * (1 - by_mode) else None
 
 
-def _waveform(recordings: Sequence[Recording]) -> WaveformFit:
+def _waveform(recordings: Sequence[Recording], left: LeftOut) -> WaveformFit:
     warnings: list[str] = []
-    _check_files(recordings)
-    pulses = pulses_of(recordings, warnings)
-    found = fit_waveform(pulses, tuple(recording.source for recording in recordings), warnings)
-    _check_speeds(cast(Sequence[TapHit], found.taps))
+    refuse_twins(recordings)
+    pulses = pulses_of(recordings, warnings, left)
+    found = fit_waveform(pulses, tuple(recording.source for recording in recordings), left.lines() + warnings)
+    found = dataclasses.replace(found, left_out=tuple(left.items))
     ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
     if not SOFTEST <= ratio <= HARDEST:
         raise FitError(
@@ -105,50 +108,36 @@ def _waveform(recordings: Sequence[Recording]) -> WaveformFit:
     return found
 
 
-def pulses_of(recordings: Sequence[Recording], warnings: list[str]) -> list[Pulse]:
-    """The taps of recordings, each with the rest before it; what is left out is told."""
-    return [pulse for recording in recordings for pulse in _of(recording, warnings)]
+def pulses_of(recordings: Sequence[Recording], warnings: list[str], left: LeftOut) -> list[Pulse]:
+    """The taps of recordings, each with the rest before it; what cannot be used is told to `left`."""
+    return [pulse for found in left.each(recordings, lambda each: _of(each, warnings, left)) for pulse in found]
 
 
-def _of(recording: Recording, warnings: list[str]) -> list[Pulse]:
-    whole = without_impossible(recording, "tap")
-    recording = whole.recording
-    warnings += whole.told
-    acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
-    if acceleration is None:
-        raise FitError(f"{recording.name}: has no acceleration, which taps are fitted to")
-    if recording.force_n is not None:
-        _check_force(recording.name, force_of(recording))
-    warnings += gravity_of(recording)
-    above = acceleration - _base(acceleration, rate_hz)
-    events = _events(recording, above)
-    speeds = _given_speeds(recording, events, above)
-    if speeds is not None and len(speeds) != len(events):
-        events = [(first, last) for first, last in events if first < last] or events
-    if speeds is None or len(speeds) != len(events):
-        events = _without_bounces(recording, events, above)
-    if speeds is not None and len(speeds) != len(events):
-        raise FitError(f"{recording.name}: has {len(speeds)} speeds for {len(events)} taps: needs one a tap")
-    clipped = _clipped(acceleration)
+def _of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Pulse]:
+    loud = loud_in(recording, warnings)
     found = []
-    for index, (first, _) in enumerate(events):
-        place = f"{recording.name}: the tap at {first / rate_hz:.4g} s"
-        before = events[index - 1][1] + 1 if index > 0 else 0
-        after = events[index + 1][0] if index + 1 < len(events) else len(acceleration)
-        begin = max(before, first - max(LEAST_REST, round(REST_S * rate_hz)))
-        end = min(after, first + round(LONGEST_S * rate_hz))
-        if first - begin < LEAST_REST:
-            warnings.append(
-                f"{place} has no rest before it ({first - begin} samples, needs {LEAST_REST}), and is left out"
-            )
-            continue
-        if clipped[begin:end].any():
-            warnings.append(f"{place} is clipped, and left out")
-            continue
-        speed = _speed_of(recording, first / rate_hz) if speeds is None else float(speeds[index])
-        if isinstance(speed, str):
-            warnings.append(f"{place} {speed}, and is left out")
-            continue
-        onset_s = (first - begin) / rate_hz
-        found.append(Pulse(recording.name, begin / rate_hz, onset_s, speed, rate_hz, acceleration[begin:end]))
+    for index, event in enumerate(loud.events):
+        try:
+            found.append(_pulse(loud, index))
+        except No as no:
+            left.add(recording.name, str(no), "tap", event.first / recording.rate_hz)
+    if not found:
+        left.unused.add(recording.name)
     return found
+
+
+def _pulse(loud: Loud, index: int) -> Pulse:
+    """Raises No."""
+    recording, first, (before, after) = loud.recording, loud.events[index].first, loud.room(index)
+    acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
+    assert acceleration is not None
+    begin = max(before, first - max(LEAST_REST, round(REST_S * rate_hz)))
+    end = min(after, first + round(LONGEST_S * rate_hz))
+    if first - begin < LEAST_REST:
+        raise No(f"{first - begin} samples of rest before it, {LEAST_REST} are wanted")
+    if loud.clipped[begin:end].any():
+        raise No(f"it is clipped at {np.abs(acceleration[begin:end][loud.clipped[begin:end]]).max():.4g} m/s^2")
+    if loud.replaced[begin:end].any():
+        raise No(f"{np.count_nonzero(loud.replaced[begin:end])} of its samples cannot be, and none may")
+    speed = loud.speed(index, first / rate_hz)
+    return Pulse(recording.name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, acceleration[begin:end])

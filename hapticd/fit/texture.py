@@ -22,9 +22,13 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.impossible import Kept, without_impossible
+from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import common_lines, lines_of
+from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, student_t
 from hapticd.fit.spectrum_peak import LOW_HZ, jackknifed, peak_of, smoothed
+from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     LEAST_RATE,
     acceleration_of,
@@ -36,6 +40,7 @@ from hapticd.fit.strokes import (
     told_of,
     varied_force,
 )
+from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.noise import coefficients_of, power_spectrum
 
@@ -44,6 +49,7 @@ LEAST_BLOCKS: Final = 8
 MOVES: Final = 0.05
 """A change of the mean frequency over the speeds or forces that is worth telling, as a part of it."""
 SELDOM: Final = 0.99
+"""And is more than what chance makes of it with this probability."""
 ROUNDS: Final = 30
 """Of the RMS law at most."""
 APART: Final = (0.15, 0.4)
@@ -63,11 +69,6 @@ TONE_BINS: Final = 3
 """That hold half of the power are a tone."""
 UNSTEADY: Final = 0.3
 """Standard deviation of the logarithm of the mean frequency over the blocks of a recording that is no one texture."""
-MAINS_HZ: Final = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
-"""Lines of hum, that may be off by"""
-MAINS_OFF_HZ: Final = 0.5
-HUM: Final = (0.005, 5.0)
-"""A line with this part of the power is told if it is so many times what the spectrum about it has there."""
 SPOILT: Final = 0.02
 """Of the samples of a block, replaced, and it does not count."""
 KNOCK: Final = 15.0
@@ -128,6 +129,7 @@ class TextureFit:
     blocks: tuple[Block, ...]
     warnings: tuple[str, ...]
     judged: Verdict
+    left_out: tuple[Left, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -164,28 +166,40 @@ class TextureFit:
         return {**found, "verdict": self.verdict}
 
 
-def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -> TextureFit:
-    """Of strokes at several speeds and forces. FitError where they do not say it."""
-    if not recordings:
-        raise FitError("no recordings")
-    rate_hz = recordings[0].rate_hz
-    for recording in recordings:
-        if recording.rate_hz != rate_hz:
-            raise FitError(
-                f"{recording.name}: sampled at {recording.rate_hz:g} Hz, {recordings[0].name} at {rate_hz:g} Hz: "
-                "strokes of one texture need one rate"
-            )
+def fit_texture(
+    recordings: Sequence[Recording], autoregressive: bool = False, left: LeftOut | None = None
+) -> TextureFit:
+    """Of strokes at several speeds and forces. FitError where they do not say it.
+
+    Recordings, and stretches of them, that cannot be used are told to `left`.
+    """
+    left = LeftOut() if left is None else left
+    refuse_twins(recordings)
+    rate_hz = _usual_rate(recordings)
+    stretches = stretches_of(recordings, BLOCK_S, left)
+    while True:
+        try:
+            return _fitted(stretches, rate_hz, autoregressive, left)
+        except _TwoTextures as two:
+            left.add(two.name, str(two))
+            gone = {each.recording for each in left.items}
+            stretches = [recording for recording in stretches if recording.name not in gone]
+
+
+def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, left: LeftOut) -> TextureFit:
     doubts = Doubts()
-    kept = [without_impossible(recording, "texture") for recording in recordings]
-    told_of(kept, doubts)
-    recordings = [each.recording for each in kept]
-    cut = [_cut(each, doubts) for each in kept]
+    cut = left.each(stretches, lambda recording: _cut(without_impossible(recording, "texture"), rate_hz, doubts))
+    if not cut:
+        raise left.refused("none of the recordings can be used")
+    told_of([each.kept for each in cut], doubts)
+    recordings = [each.kept.recording for each in cut]
+    weigh(left, recordings, doubts)
     dropped = sum(each.lost for each in cut)
     lost = dropped / (dropped + sum(len(each.density) for each in cut))
     doubts.at_most("part left out", lost, f"{100 * lost:.0f} % of the strokes are left out")
     density = np.concatenate([each.density for each in cut])
     if len(density) < LEAST_BLOCKS:
-        raise FitError(
+        raise left.refused(
             f"{len(density) * BLOCK_S:g} s of strokes are too few: at least {LEAST_BLOCKS * BLOCK_S:g} s are needed"
         )
     names = [each.name for each in cut for _ in each.density]
@@ -206,8 +220,13 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
     least, most = RMS_M_PER_S2
     if not least <= usual <= most:
         raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
-    for line in (*(told for recording in recordings for told in gravity_of(recording)), *_hum(recordings)):
+    for line in (told for recording in recordings for told in gravity_of(recording)):
         doubts.tell(line)
+    hum = common_lines(
+        len(recordings), lambda place, needed: lines_of(acceleration_of(recordings[place]), rate_hz, needed)
+    )
+    if hum:
+        doubts.tell(lines_told(hum))
     varied_force(recordings, force, doubts)
     gains: tuple[Estimate | None, Estimate | None] = (None, None)
     correlation = math.nan
@@ -271,6 +290,7 @@ def fit_texture(recordings: Sequence[Recording], autoregressive: bool = False) -
         blocks=blocks,
         warnings=tuple(doubts.told),
         judged=doubts.judged(summary),
+        left_out=tuple(left.items),
     )
 
 
@@ -291,6 +311,7 @@ class _Cut:
     floor: float
     lost: int
     """Blocks that do not count, as of `_spoilt`."""
+    kept: Kept
 
 
 def _slices(cut: Sequence[_Cut]) -> Iterator[tuple[_Cut, slice]]:
@@ -301,8 +322,21 @@ def _slices(cut: Sequence[_Cut]) -> Iterator[tuple[_Cut, slice]]:
         start += len(each.density)
 
 
-def _cut(kept: Kept, doubts: Doubts) -> _Cut:
+def _usual_rate(recordings: Sequence[Recording]) -> float:
+    """Of most of them."""
+    rates = [recording.rate_hz for recording in recordings]
+    if not rates:
+        raise FitError("no recordings")
+    return max(rates, key=rates.count)
+
+
+def _cut(kept: Kept, usual_hz: float, doubts: Doubts) -> _Cut:
     recording = kept.recording
+    if recording.rate_hz != usual_hz:
+        raise FitError(
+            f"{recording.name}: sampled at {recording.rate_hz:g} Hz, most others at {usual_hz:g} Hz: strokes of one "
+            "texture need one rate"
+        )
     seen, force = acceleration_of(recording), pressed(recording)
     motion = motion_of(recording, len(seen))
     rate_hz = recording.rate_hz
@@ -355,7 +389,15 @@ def _cut(kept: Kept, doubts: Doubts) -> _Cut:
     # A sum over the bins is then the integral from 0 on.
     density[:, 0] /= 2
     return _Cut(
-        recording.name, frequency, density, np.array(speeds), np.array(forces), np.array(moments), floor, len(spoilt)
+        recording.name,
+        frequency,
+        density,
+        np.array(speeds),
+        np.array(forces),
+        np.array(moments),
+        floor,
+        len(spoilt),
+        kept,
     )
 
 
@@ -395,33 +437,6 @@ def _refuse_motion(name: str, frequency: Floats, density: Floats) -> None:
             f"{name}: a tone at {frequency[whole][np.argmax(density[whole])]:.4g} Hz holds most of the power: hum, or "
             "something that rings, and no texture"
         )
-
-
-def _hum(recordings: Sequence[Recording]) -> list[str]:
-    """Lines at MAINS_HZ that the spectrum about them does not explain, as parts of the power."""
-    found = []
-    for line in MAINS_HZ:
-        if line + 10 > min(recording.rate_hz for recording in recordings) / 2:
-            break
-        held, due = [], []
-        for recording in recordings:
-            seen = acceleration_of(recording)
-            width = recording.rate_hz / len(seen)
-            frequency = np.fft.rfftfreq(len(seen), 1 / recording.rate_hz)
-            power = np.abs(np.fft.rfft(np.hanning(len(seen)) * (seen - seen.mean()))) ** 2
-            power /= power[frequency >= LOW_HZ].sum()
-            off = np.abs(frequency - line)
-            middle = int(np.argmax(np.where(off < max(MAINS_OFF_HZ, width), power, 0.0)))
-            # Hann's window spreads a line over four bins.
-            here = slice(max(0, middle - 2), middle + 3)
-            beside = power[(off > MAINS_OFF_HZ + 3 * width) & (off < MAINS_OFF_HZ + 3 * width + 8)]
-            held.append(float(power[here].sum()))
-            # The mean of an exponential distribution from its median, which other lines do not move.
-            due.append(len(power[here]) * float(np.median(beside)) / math.log(2))
-        part = float(np.mean(held)) - float(np.mean(due))
-        if part > HUM[0] and part > HUM[1] * float(np.mean(due)):
-            found.append(f"a line at {line:g} Hz holds {100 * part:.2g} % of the power: hum, which the figures take in")
-    return found
 
 
 def _top(frequency: Floats, shape: Floats, floor: float) -> tuple[float, _Tail | None]:
@@ -508,13 +523,22 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, tuple[Es
     return law, (velocity_gain, force_gain), correlation
 
 
+class _TwoTextures(FitError):
+    """A recording is of more than one texture, or of none."""
+
+    def __init__(self, name: str, told: str) -> None:
+        super().__init__(told)
+        self.name = name
+
+
 def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
-    """FitError where a recording changes its pitch or loudness at once, by much."""
+    """_TwoTextures where a recording changes its pitch or loudness at once, by much."""
     count = len(pitch)
     if count > 3 and float(np.std(pitch)) > UNSTEADY:
-        raise FitError(
+        raise _TwoTextures(
+            name,
             f"{name}: two textures in one file, or none: the mean frequency goes from {math.exp(pitch.min()):.3g} to "
-            f"{math.exp(pitch.max()):.3g} Hz within it"
+            f"{math.exp(pitch.max()):.3g} Hz within it",
         )
     for k in range(3, count - 2):
         for values, apart, what in zip((pitch, loudness), APART, ("mean frequency", "loudness"), strict=True):
@@ -524,9 +548,10 @@ def _refuse_two(name: str, pitch: Floats, loudness: Floats) -> None:
                 (float(np.sum((one - one.mean()) ** 2)) + float(np.sum((other - other.mean()) ** 2))) / (count - 2)
             )
             if abs(step) > apart and abs(step) > SURE * within * math.sqrt(1 / k + 1 / (count - k)):
-                raise FitError(
+                raise _TwoTextures(
+                    name,
                     f"{name}: two textures in one file: the {what} changes {math.exp(step):.2f}-fold at about "
-                    f"{k * BLOCK_S:g} s; give each its own file"
+                    f"{k * BLOCK_S:g} s; give each its own file",
                 )
 
 

@@ -28,7 +28,7 @@ AT_LEAST: Final[Mapping[str, Bound]] = {
     "variance that grooves explain": Bound(0.8, 0.6),
     "variance that a rupture's mode explains": Bound(0.9, 0.8),
     "cycles from strike to strike": Bound(2.5, 1.0),
-    "samples in a cycle": Bound(8.0, 2.5),
+    "samples in a cycle": Bound(8.0, 2.05),
     "punctures": Bound(3.0, 2.0),
 }
 """What is less than these is a doubt."""

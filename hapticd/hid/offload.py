@@ -27,9 +27,8 @@ from hapticd.core import CData, HidQuantity, Status, ffi, invalid_reason, lib
 from hapticd.displayable import DISPLAYABLE
 from hapticd.errors import HapticdError, offload_text
 from hapticd.hid.plan import Message, Numbers, Periodic, Scale, Value, fill_message
-from hapticd.materials import Material
+from hapticd.materials import Material, Tap
 from hapticd.mode import Mode
-from hapticd.waveform import Waveform
 
 MOST_ERROR: Final = 0.2
 """An effect that differs by more from its mode (RMS of the difference over RMS) is none of it."""
@@ -349,18 +348,20 @@ class Offload:
         found: list[Offloaded] = []
         for name, material in materials.items():
             if material.tap is not None:
-                ringing, waveform = material.tap.ringing, material.tap.waveform
-                found.append(self._tell(name, "tap", ringing) if ringing else self._tell_waveform(name, waveform))
+                found.append(self._tell_tap(name, material.tap))
             if material.rupture is not None:
                 found.append(self._tell(name, "rupture", material.rupture.mode))
         return found
 
-    def _tell_waveform(self, material: str, waveform: Waveform | None) -> Offloaded:
-        assert waveform is not None
-        middle_hz = waveform.middle_hz
-        streamed = 100.0 * streamed_error(Mode(1.0, 2.0 * math.pi * middle_hz), self._carried_hz)
-        why = "it is a waveform, which no effect plays"
-        return Offloaded(material, "tap", middle_hz, None, None, None, None, streamed, why)
+    def _tell_tap(self, material: str, tap: Tap) -> Offloaded:
+        if tap.waveform is not None:
+            hertz, why = tap.waveform.middle_hz, "it is a waveform, which no effect plays"
+        elif tap.mode_table is not None:
+            hertz, why = tap.mode.frequency_hz, "its mode follows the speed, an effect has one"
+        else:
+            return self._tell(material, "tap", tap.mode)
+        streamed = 100.0 * streamed_error(Mode(1.0, 2.0 * math.pi * hertz), self._carried_hz)
+        return Offloaded(material, "tap", hertz, None, None, None, None, streamed, why)
 
     def _tell(self, material: str, use: str, mode: Mode) -> Offloaded:
         with self._lock:

@@ -179,6 +179,14 @@ static void take_material(struct source *source, double period_s, struct hd_mate
         material->tune_mutes = take_count(source, 2);
         material->tune_highest_rad_per_s = take_number(source, 1.0, 200.0);
     }
+    if (choice % 16 == 3) {
+        material->mode_count = 2;
+        material->mode_nodes = take_count(source, 3);
+        material->mode_first = NUMBERS + 2u * POINTS;
+        material->mode_by_peak = take_count(source, 2);
+        material->tune_mutes = take_count(source, 2);
+        material->tune_highest_rad_per_s = take_number(source, 1.0, 200.0);
+    }
     if (choice % 16 >= 13) {
         material->wave_count = choice % 16 == 13 ? take_count(source, WAVED + 2u) : WAVED;
         material->wave_first = choice % 16 == 14 ? take_count(source, ALL_NUMBERS) : WAVE_FIRST;

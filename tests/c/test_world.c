@@ -93,6 +93,9 @@ size_t hd_world_near(const struct hd_world *world, const double point_m[2], doub
 #define WITH_TUNE                                                                                       \
     (bad.table.number_count = WAVE_FIRST, material->tune_first = TUNE_FIRST, material->tune_speeds = 1, \
      material->tune_forces = 2, material->tune_nodes = 1, material->tune_highest_rad_per_s = 4000.0)
+#define WITH_MODES                                                                                          \
+    (bad.table.number_count = WAVE_FIRST, material->mode_first = TUNE_FIRST + 2u, material->mode_count = 1, \
+     material->mode_nodes = 1, material->tune_highest_rad_per_s = 4000.0)
 #define SEQUENCES 40
 #define STEPS 60
 #define LOOKS 12
@@ -472,6 +475,20 @@ static void refuses_materials(struct hd_world *world) {
     REFUSED((WITH_TUNE, material->tune_highest_rad_per_s = 0.0), "groove frequencies up to");
     REFUSED((WITH_TUNE, material->tune_mutes = 2), "groove frequencies up to");
     REFUSED((WITH_TUNE, material->groove = (struct hd_mode){0}), "groove frequencies up to");
+    TAKEN(WITH_MODES);
+    TAKEN((WITH_MODES, material->mode_by_peak = 1, material->mode_nodes = 0));
+    REFUSED((WITH_MODES, material->mode_count = HD_TUNE_POINTS + 1), "1 to 16");
+    REFUSED((WITH_MODES, material->mode_nodes = HD_TUNE_NODES + 1), "at most 64");
+    REFUSED((WITH_MODES, material->mode_by_peak = 2), "a tap's mode");
+    REFUSED((WITH_MODES, WITH_WAVE), "no waveform");
+    REFUSED((WITH_MODES, material->mode_first++), "do not fit");
+    REFUSED((WITH_MODES, material->mode_first = UINT32_MAX), "do not fit");
+    REFUSED((WITH_MODES, TUNE(2) = -1e-3), "out of range");
+    REFUSED((WITH_MODES, TUNE(3) = 0.0), "out of range");
+    REFUSED((WITH_MODES, TUNE(4) = (double)NAN), "out of range");
+    REFUSED((WITH_MODES, TUNE(6) = (double)INFINITY), "out of range");
+    REFUSED((WITH_MODES, TUNE(14) = -1e-9), "out of range");
+    REFUSED((WITH_MODES, material->tune_highest_rad_per_s = 0.0), "out of range");
     TAKEN((material->friction_coefficient = 0.0, material->friction_stiffness_n_per_m = 0.0));
     TAKEN(bad.materials[0].spacing_m = bad.materials[4].width_m = 0.0);
     TAKEN(material->width_m = material->spacing_m);

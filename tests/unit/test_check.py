@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -106,3 +107,28 @@ def test_discs_that_a_hand_can_press_through_are_told() -> None:
     assert "radius_m 0.01 or 1600 N/m" in note.problem
     assert report.faults == 0
     assert report.to_dict()["notes"] == [{"where": note.where, "problem": note.problem}]
+
+
+def test_an_autoregressive_texture_sounds_at_the_peak_of_its_loudest_model() -> None:
+    """Two poles r exp(+-i w): the peak of their spectrum is where cos is (1 + r^2) cos(w) / (2 r)."""
+
+    def model(hz: float, rms: float) -> dict[str, object]:
+        w, r = 2 * math.pi * hz / 2500.0, 0.95
+        return {
+            "speed_m_per_s": 0.1 * rms,
+            "force_n": 1.0,
+            "coefficients": [-2 * r * math.cos(w), r * r],
+            "rms_m_per_s2": rms,
+        }
+
+    texture = {"kind": "autoregressive", "rate_hz": 2500.0, "models": [model(120.0, 1.0), model(310.0, 2.0)]}
+    given = {
+        "servo": {"rate_hz": 2500, "realtime": "off"},
+        "materials": {"cloth": {"stiffness_n_per_m": 500.0, "texture": texture}},
+        "scene": {"objects": {"floor": {**FLOOR, "material": "cloth"}}},
+    }
+    (sound,) = next(each for each in check(load_config(given)).materials if each.name == "cloth").sounds
+    w = 2 * math.pi * 310.0 / 2500.0
+    peak_hz = math.acos((1 + 0.95**2) / (2 * 0.95) * math.cos(w)) * 2500.0 / (2 * math.pi)
+    assert sound.use == "texture" and sound.frequency_hz == pytest.approx(peak_hz, rel=1e-3)
+    assert sound.shown_hz == sound.frequency_hz

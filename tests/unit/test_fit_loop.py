@@ -45,7 +45,7 @@ def rendered(material: Material, seed: int, speeds: Floats = SPEEDS) -> Recordin
 
 
 def through_yaml(fit: TapFit, recording: Recording, table: bool) -> Material:
-    figures = fit.material(table=table)
+    figures = fit.material(law="table" if table else None)
     made = provenance.material(fit, figures, [recording], "m", 800.0, datetime.date(2026, 1, 31))
     data: Any = load_text(yaml_text({"materials": {"m": made.to_dict()}}), "m.yaml").data
     return validate_materials(data["materials"])["m"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -11,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from hapticd.fit.left_out import Left
 from hapticd.fit.panels import compared, density, law, level, overlay, page_of
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import Estimate
-from hapticd.fit.report import Panel
+from hapticd.fit.report import Curve, Panel
 from hapticd.fit.verdict import Verdict
 from hapticd.noise import stochastic_filter
 
@@ -31,6 +33,7 @@ class Fitted:
     parts: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ("careful",)
     judged: Verdict = JUDGED
+    left_out: tuple[Left, ...] = ()
 
     def material(self) -> Mapping[str, object]:
         return self.figures
@@ -189,6 +192,56 @@ def test_taps_that_bend_and_have_two_modes() -> None:
     assert np.allclose(curves(less)["table"][1], (0, -10, 1))
     assert one[0].title == "t0.2, 0.2 m/s" and two[0].title == "t0.2, 0.2 m/s, two modes"
     assert np.std(curves(two[1])["recording less model"][1]) < 2e-3
+
+
+def test_what_is_left_out_is_drawn_with_its_reason() -> None:
+    """Marks above the recording of which a tap was used; the samples about the other one; and a whole file."""
+    seen = np.random.default_rng(1).standard_normal(25_000)
+    (hit,) = hits_of(0.2)
+    hit.recording, hit.onset_s = "folder/a", 0.25
+    parts = {
+        "taps": [hit],
+        "linear": True,
+        "second": None,
+        "frequency_hz": Estimate(200.0, 199.0, 201.0),
+        "slope_per_s": Estimate(300.0, 299.0, 301.0),
+        "offset_slope_per_s": Estimate(290.0, 280.0, 300.0),
+        "offset_m_per_s2": Estimate(2.0, 0.0, 4.0),
+    }
+    left = (Left("folder/a", "it is clipped", "tap", 0.5), Left("b", "no onset"), Left("c", "cannot be read"))
+    fit = Fitted({}, parts, left_out=left)
+    page = page_of("tap", "pine: tap", fit, [recording("folder/a", seen)], [recording("b", seen[:50])])
+    marked, (tap, whole) = page.rows[-2:]
+    assert curves(marked[0])["fitted"][0].tolist() == [0.25] and curves(marked[0])["left out"][0].tolist() == [0.5]
+    assert marked[0].curves[2].crossed and curves(marked[0])["left out"][1][0] > seen.max()
+    assert (tap.title, whole.title) == ("a left out: it is clipped", "b left out: no onset")
+    x, y = curves(tap)["recording"]
+    assert x[0] == pytest.approx(490) and x[-1] == pytest.approx(560) and y[0] == seen[12_250]
+    assert len(curves(whole)["recording"][0]) == 50
+
+
+@pytest.mark.parametrize(("low", "high"), [(60, 85), (40, 130), (20, 500), (20, 5000), (1, 12_500)])
+def test_labels_of_logarithmic_axes_do_not_overlap(low: float, high: float) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    from hapticd.fit.report import _CELL, _draw
+
+    figure, axes = plt.subplots(figsize=(0.8 * _CELL[0], 0.7 * _CELL[1]))
+    hertz = np.linspace(low, high, 50)
+    _draw(axes, Panel("spectrum", "Hz", "dB", (Curve("one", hertz, 1 / hertz),), logarithmic=True))
+    figure.canvas.draw()
+    boxes = [
+        label.get_window_extent()
+        for label in (*axes.get_xticklabels(), *axes.get_xticklabels(minor=True))
+        if label.get_text() and axes.get_xlim()[0] <= label.get_position()[0] <= axes.get_xlim()[1]
+    ]
+    plt.close(figure)
+    boxes.sort(key=lambda box: box.x0)
+    assert len(boxes) >= 3
+    assert all(left.x1 + 3 < right.x0 for left, right in itertools.pairwise(boxes))
 
 
 def test_grooves() -> None:

@@ -136,10 +136,31 @@ def test_jitter_is_put_right(tmp_path: Path) -> None:
     assert np.abs(wave(TIME_S + late) - wave(TIME_S)).max() > 0.03
 
 
+@pytest.mark.parametrize("late", [0.0, 0.4])
+def test_a_gap_is_kept_as_one_and_what_is_beside_it_stays(late: float, tmp_path: Path) -> None:
+    """Samples 200 to 239 are lost; after them the clock goes on up to half a period off."""
+    kept = np.delete(np.arange(500), np.arange(200, 240))
+    time_s = TIME_S[kept] + np.where(kept >= 240, late / RATE_HZ, 0.0)
+    path = write(tmp_path / "lost.csv", {"time_s": time_s, "force_n": wave(time_s)})
+    found = load(path)
+    assert found.rate_hz == pytest.approx(RATE_HZ, rel=1e-6) and found.gaps == ((200, 240),)
+    assert found.force_n is not None and len(found.force_n) == 500
+    # Its clock begins where the samples do on average.
+    begin_s = np.mean(time_s - kept / RATE_HZ)
+    true = wave(np.arange(500) / RATE_HZ + begin_s)
+    away = np.abs(np.arange(500) - 219.5) > 26
+    assert found.force_n[away][2:-2] == pytest.approx(true[away][2:-2], abs=0.01)
+    line = np.diff(found.force_n[200:240])
+    assert line == pytest.approx(np.full(39, line[0]), abs=1e-9)
+
+
 def test_lost_and_doubled_samples_are_refused_by_their_place(tmp_path: Path) -> None:
-    kept = np.delete(np.arange(500), [200, 201])
+    kept = np.delete(np.arange(500), [*range(200, 202), *range(203, 490)])
     path = write(tmp_path / "lost.csv", {"time_s": TIME_S[kept], "force_n": wave(TIME_S[kept])})
     assert "samples are missing: between 0.0398 s and 0.0404 s" in refused(path)
+    often = np.delete(np.arange(500), np.arange(3, 500, 20))
+    path = write(tmp_path / "often.csv", {"time_s": TIME_S[often], "force_n": wave(TIME_S[often])})
+    assert "were samples lost" in refused(path)
     twice = np.sort(np.append(TIME_S, TIME_S[100]))
     path = write(tmp_path / "twice.csv", {"time_s": twice, "force_n": wave(twice)})
     assert "the time does not rise from sample 101 to 102" in refused(path)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hapticd.fit.recording import Recording
+from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import FitError
 from hapticd.fit.synthesize import Stylus
 from hapticd.fit.synthesize_strokes import Hand, texture
@@ -106,13 +106,13 @@ def test_hum_is_told(mains_hz: float) -> None:
         hum = 0.2 * np.std(heard) * np.sqrt(2) * np.sin(2 * np.pi * mains_hz * time)
         spoilt.append(dataclasses.replace(recording, acceleration_m_per_s2=heard + hum))
     (told,) = (warning for warning in fit_texture(spoilt).warnings if "hum" in warning)
-    assert f"a line at {round(mains_hz)} Hz holds" in told
+    assert f"a line at {mains_hz:g} Hz holds" in told
     assert float(told.split("holds ")[1].split(" %")[0]) == pytest.approx(100 * 0.04 / 1.04, rel=0.3)
     assert not any("hum" in warning for warning in fit_texture(clean).warnings)
 
 
 @pytest.mark.slow
-def test_two_textures_in_one_file_are_refused() -> None:
+def test_two_textures_in_one_file_are_left_out_and_refused_alone() -> None:
     one, other = strokes(sandpaper(120.0, 170.0), 1, 4.0), strokes(sandpaper(250.0, 280.0), 2, 4.0)
     both = dataclasses.replace(
         one[0],
@@ -121,8 +121,13 @@ def test_two_textures_in_one_file_are_refused() -> None:
         tangential_position_m=None,
         speed_m_per_s=0.05,
     )
+    both = dataclasses.replace(both, name="both", source=Source("both", ""))
     with pytest.raises(FitError, match="two textures"):
-        fit_texture([both, *one[1:]])
+        fit_texture([both])
+    fit = fit_texture([both, *one[1:]])
+    assert "both: left out: two textures" in fit.warnings[0] and {block.recording for block in fit.blocks} == {
+        recording.name for recording in one[1:]
+    }
 
 
 SPOILT: list[tuple[Callable[[Recording], dict[str, object]], str]] = [
@@ -172,5 +177,6 @@ def noises() -> dict[str, np.ndarray[tuple[int], np.dtype[np.float64]]]:
 @pytest.mark.parametrize("what", ["hiss", "tone", "moves"])
 def test_what_is_no_texture(what: str) -> None:
     one = texture(sandpaper(160.0, 210.0), 0.1, 1.0, Stylus(rate_hz=10_000.0), Hand(duration_s=4.0))
+    spoilt = dataclasses.replace(one, acceleration_m_per_s2=noises()[what], source=Source("noise", ""))
     with pytest.raises(FitError, match=what):
-        fit_texture([dataclasses.replace(one, acceleration_m_per_s2=noises()[what])] * 2)
+        fit_texture([spoilt] * 2)

@@ -1,0 +1,34 @@
+"""Clipped samples: those that stand still at an end of the sensor's range."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.fit.regression import Floats
+
+RUN: Final = 3
+"""So many equal samples at the largest or the smallest value are a clipped peak,"""
+LEAP: Final = 3.0
+"""where they are reached or left by more than so many steps of the numbers: a slow peak of coarse numbers stays at its
+highest step, too, but comes to it step by step."""
+
+
+def clipped(values: Floats) -> npt.NDArray[np.bool_]:
+    """(n,) which of the samples are."""
+    found = np.zeros(len(values), dtype=np.bool_)
+    steps = np.abs(np.diff(values))
+    if not steps.any():
+        return found
+    quantum = float(steps[steps > 0].min())
+    # Without noise, rest may be an end of the range, too.
+    rest = np.median(values)
+    for extreme in {values.max(), values.min()} - {rest}:
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False])).astype(np.int8)))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            around = np.concatenate((steps[max(0, begin - 1) : begin], steps[end - 1 : end]))
+            if end - begin >= RUN and around.size and around.max() > LEAP * quantum:
+                found[begin:end] = True
+    return found
