@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Final, Literal, TypeAlias, cast
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -19,9 +19,8 @@ from hapticd.fit.left_out import LeftOut
 from hapticd.fit.pulse_shape import Pulse
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, MistakenError, require_scipy
-from hapticd.fit.tap import HARDEST, SOFTEST, TapFit, check_speeds, fit_tap
+from hapticd.fit.tap import HARDEST, SOFTEST, TapFit, fit_tap
 from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
-from hapticd.fit.tap_hit import TapHit
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
 from hapticd.waveform import LONGEST_S, middle_hz
@@ -99,7 +98,6 @@ def _waveform(recordings: Sequence[Recording], left: LeftOut) -> WaveformFit:
     pulses = pulses_of(recordings, warnings, left)
     found = fit_waveform(pulses, tuple(recording.source for recording in recordings), left.lines() + warnings)
     found = dataclasses.replace(found, left_out=tuple(left.items))
-    check_speeds(cast(Sequence[TapHit], found.taps))
     ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
     if not SOFTEST <= ratio <= HARDEST:
         raise FitError(

@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, cast
 
 import numpy as np
 
@@ -28,7 +28,11 @@ from hapticd.fit.pulse_shape import (
     upright,
 )
 from hapticd.fit.recording import Source
-from hapticd.fit.regression import Estimate, FitError, Floats, improbable, least_squares, student_t, through_origin
+from hapticd.fit.regression import Estimate, FitError, Floats, student_t, through_origin
+from hapticd.fit.tap import check_speeds
+from hapticd.fit.tap_amplitude import Law, law_of
+from hapticd.fit.tap_hit import TapHit
+from hapticd.fit.tap_law import Amplitudes
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
 from hapticd.yaml_source import Json
@@ -51,11 +55,6 @@ AFTER: Final = 1.3
 """A pulse is looked at for so many times its length."""
 FEW_SAMPLES: Final = 4.0
 """Samples in a period of the frequency below which half of the energy lies: fewer do not tell the shape."""
-KNOTS: Final = 6
-"""Speeds of a table of amplitudes, at most."""
-BENT: Final = 0.05
-CHANCE: Final = 0.01
-"""A table is offered where the amplitudes are farther off a line, and by chance so seldom."""
 FADED: Final = 0.2
 """Over this part of its length."""
 
@@ -93,7 +92,7 @@ class WaveformFit:
     taps: tuple[PulseHit, ...]
     first_peak_slope_per_s: Estimate
     """The largest acceleration over the speed, of a line through the origin."""
-    amplitudes: tuple[tuple[float, Estimate], ...]
+    amplitudes: Amplitudes
     """Instead of the line, where that does not do: speeds in m/s, rising, and m/s^2. Empty where the line does."""
     rate_hz: float
     """Of the samples."""
@@ -298,6 +297,9 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     if float(np.median(peaks)) < 0:
         warnings.append("the taps push downwards: the acceleration is taken with its sign turned")
         peaks = -peaks
+    each = zip(pulses, shape.placed, shape.others.explained, strict=True)
+    hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
+    check_speeds(cast(Sequence[TapHit], hits))
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
@@ -319,16 +321,14 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     resolved = min(pulse.rate_hz for pulse in pulses) / middle_hz(shape.curve)
     few = f"{resolved:.1f} samples of the recordings are a period of its middle frequency"
     doubts.add(True, few if resolved < FEW_SAMPLES else "", "the waveform is not resolved: record faster")
-    amplitudes, off = _amplitudes(speeds, peaks, variances)
-    if amplitudes:
-        warnings.append(f"{off}: the material has a table of amplitudes over speed")
+    law = law_of(speeds, peaks, variances)
+    if law.kind != "line":
+        warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
     warnings += doubts.told
-    each = zip(pulses, shape.placed, shape.others.explained, strict=True)
-    hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
-        amplitudes=amplitudes,
+        amplitudes=_points(law),
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
         deviations=tuple(map(float, t * shape.others.deviations)),
@@ -340,9 +340,16 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
         warnings=tuple(warnings),
         judged=doubts.judged(
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
-            off or f"A(v) is a line through the origin (r^2 {line.r_squared:.3f})",
+            f"A(v) is {law.named} (r^2 {line.r_squared if law.kind == 'line' else law.r_squared:.3f})",
         ),
     )
+
+
+def _points(law: Law) -> Amplitudes:
+    """As a material has them; none of a line."""
+    if law.kind == "line":
+        return ()
+    return law.power.points if law.kind == "power" and law.power is not None else law.table
 
 
 def _wider(estimate: Estimate, part: float) -> Estimate:
@@ -411,23 +418,3 @@ def _hit(pulse: Pulse, placed: Placed, share: float, shape: Curve) -> PulseHit:
         measured=pulse.measured,
         modelled=placed.modelled(shape, pulse),
     )
-
-
-def _amplitudes(speeds: Floats, peaks: Floats, variances: Floats) -> tuple[tuple[tuple[float, Estimate], ...], str]:
-    """A table of amplitudes over speed where straight lines between its points explain more than a line through the
-    origin, and more than by chance, and why; else nothing."""
-    knots = np.unique(np.quantile(speeds, np.linspace(0.0, 1.0, min(KNOTS, len(speeds) // 2))))
-    if len(speeds) < LEAST_PULSES + 2 or len(knots) < 2:
-        return (), ""
-    nodes = np.concatenate(([0.0], knots))
-    hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
-    # Taps differ by parts of their amplitudes.
-    weights = 1.0 / np.sqrt(variances + np.mean(variances) * (speeds / np.mean(speeds)) ** 2)
-    line = through_origin(speeds * weights, peaks * weights)
-    bent = least_squares(hats * weights[:, None], peaks * weights)
-    off = float(np.sqrt(np.mean(((line.residual - bent.residual) / weights) ** 2)) / np.mean(peaks))
-    by_chance = improbable(line.squares, line.freedom, bent.squares, bent.freedom)
-    if off < BENT or by_chance > CHANCE or any(value.value < 0 for value in bent.coefficients):
-        return (), ""
-    points = tuple(zip(map(float, knots), bent.coefficients, strict=True))
-    return points, f"A(v) is {100 * off:.0f} % off a line through the origin"
