@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from bench import (
     closed_loop,
     command,
+    contacts,
     crowd,
     displayed,
     features,
@@ -70,6 +71,7 @@ MEASUREMENTS: dict[str, Measurement] = {
     "stability": Measurement("stability margins: maps, and 10,000 random walls and corners", stability.run),
     "passivity": Measurement("passivity observer and controller: energy given to the hand, cost", passivity.run),
     "fit": Measurement("taps fitted to synthetic recordings: errors, and coverage of the intervals", fit.run),
+    "contacts": Measurement("taps of a hundred kinds of contact, fitted and rendered", contacts.run),
     "tick": Measurement("work per tick, the estimator, subnormal numbers", tick.run, (SPEED,)),
     "crowd": Measurement("1 to 10,000 objects, and compiling them", crowd.run, (SPEED,)),
     "offline": Measurement("render and simulate, ticks a second", offline.run, (SPEED,)),

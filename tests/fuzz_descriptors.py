@@ -107,7 +107,7 @@ DEVICES: Final[tuple[bytes, ...]] = (
 )
 
 
-_SMALL: Final = (*[DEVICES.index(_LEAST)] * 6, *(at for at, one in enumerate(DEVICES) if len(one) < 800))
+_SMALL: Final = (*[DEVICES.index(_LEAST)] * 12, *(at for at, one in enumerate(DEVICES) if len(one) < 800))
 """Read fast, so most descriptors are of these."""
 
 # ---- Mutations -------------------------------------------------------------------------------------------------------
@@ -422,7 +422,7 @@ def fuzz(source: random.Random, runs: int, every: int = 0) -> tuple[Counter[str]
     with without_pauses(), warnings.catch_warnings():
         warnings.simplefilter("error")
         for number in range(runs):
-            which = source.choice(_SMALL) if source.random() < 0.7 else source.randrange(len(DEVICES))
+            which = source.choice(_SMALL) if source.random() < 0.8 else source.randrange(len(DEVICES))
             if source.random() < SPLIT:
                 descriptor = test_hid_descriptor.mutated(source, DEVICES[which])
             else:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import RECORDING, Left
-from hapticd.fit.provenance import Fit, estimates, plain_figures
+from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError
 from hapticd.fit.report import Curve, Page, Panel
@@ -48,11 +49,22 @@ SEEN: Final = 1e-3
 """Of the largest density; spectra are compared above it."""
 
 
-def page_of(kind: str, title: str, fit: Fit, recordings: Sequence[Recording], unused: Sequence[Recording] = ()) -> Page:
+def page_of(
+    kind: Kind, title: str, fit: Fit, recordings: Sequence[Recording], unused: Sequence[Recording] = ()
+) -> Page:
     """The report of a fit of this kind; of `unused` recordings there is why they are left out."""
     sources = {recording.source.path: recording.source.sha256 for recording in recordings}
-    rows = tuple(row for row in (*_ROWS[kind](fit, recordings), *_left_out(fit, [*recordings, *unused])) if row)
+    drawn = _ROWS[kind](fit, [_kept(each, kind) for each in recordings])
+    rows = tuple(row for row in (*drawn, *_left_out(fit, [*recordings, *unused])) if row)
     return Page(title, fit.verdict, fit.warnings, estimates(fit), plain_figures(fit), tuple(sources.items()), rows)
+
+
+def _kept(recording: Recording, kind: Kind) -> Recording:
+    """As it was fitted: without samples that cannot be."""
+    try:
+        return without_impossible(recording, kind).recording
+    except FitError:
+        return recording
 
 
 def density(values: Floats, rate_hz: float, segment: int = 4096) -> tuple[Floats, Floats]:

@@ -41,6 +41,13 @@ BOUNCE_S: Final = 0.15
 """What is weaker and comes so soon after a tap is its bounce, unless it has an approach of its own."""
 BASE_S: Final = 0.05
 """Gravity and drift are seen as medians over so long."""
+SHORT_S: Final = 0.5
+RISES: Final = 0.1
+"""Of its largest change: what a recording changes less before is its rest."""
+TELLING: Final = 5
+"""So many samples of it tell its noise,"""
+LUCKY: Final = 2.0
+"""within this factor."""
 BLOCK_S: Final = 0.002
 BLOCK: Final = 16
 """Samples at least."""
@@ -297,7 +304,13 @@ def _check_force(name: str, force: Floats) -> None:
 
 
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
-    """Gravity and drift: medians over blocks, and straight lines between them."""
+    """Gravity and drift: medians over blocks, and straight lines between them; of a short recording that begins at rest
+    the level of that rest, which slow ringing does not move."""
+    if len(acceleration) < SHORT_S * rate_hz:
+        off = np.abs(acceleration - acceleration[0])
+        rest = int(np.argmax(off > RISES * off.max()))
+        if rest >= LEAST_REST:
+            return np.full(len(acceleration), np.median(acceleration[:rest]))
     length = _samples(BASE_S, rate_hz, 32)
     count = max(1, len(acceleration) // length)
     blocks = np.array_split(acceleration, count)
@@ -332,6 +345,10 @@ def _events_in(recording: Recording, above: Floats) -> list[Event]:
     noise = float(np.percentile(blocks.std(axis=1), CALM)) if len(blocks) else 0.0
     noise /= 1 - CALMER / math.sqrt(2 * length)
     highest = float(np.abs(above).max())
+    rest = int(np.argmax(np.abs(above) > RISES * highest))
+    if len(above) < SHORT_S * recording.rate_hz and rest >= TELLING:
+        # A short recording may ring to its end. So few samples may be quieter than noise is, by chance.
+        noise = min(noise, LUCKY * float(np.std(above[:rest], ddof=1)))
     if not highest > OUTSTANDING * noise:
         times = "nothing" if highest == 0 else f"{highest / noise:.1f} times its noise"
         raise FitError(

@@ -49,6 +49,7 @@ LEAST_BLOCKS: Final = 8
 MOVES: Final = 0.05
 """A change of the mean frequency over the speeds or forces that is worth telling, as a part of it."""
 SELDOM: Final = 0.99
+"""And is more than what chance makes of it with this probability."""
 ROUNDS: Final = 30
 """Of the RMS law at most."""
 APART: Final = (0.15, 0.4)

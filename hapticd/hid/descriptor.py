@@ -172,7 +172,7 @@ class ReportField:
             elif usage in usages.aliases:
                 index = base
             else:
-                base += len(usages)
+                base += usages.last - usages.first + 1
                 continue
             return index if not self.is_variable or index < self.count else None
         return None
@@ -316,8 +316,8 @@ def _error(offset: int, name: str, what: str) -> DescriptorError:
 
 
 def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _Number]]:
-    at = 0
-    while at < len(data):
+    at, end = 0, len(data)
+    while at < end:
         prefix = data[at]
         if prefix == 0 and parser.closed and not any(data[at:]):
             return
@@ -327,10 +327,9 @@ def _items(data: bytes, parser: _Parser) -> Iterator[tuple[int, str, _Number]]:
         size = (0, 1, 2, 4)[prefix & 3]
         if prefix == _LONG_ITEM:
             size = 2 + data[at + 1] if at + 1 < len(data) else 2
-        body = data[at + 1 : at + 1 + size]
-        if len(body) < size:
-            raise _error(at, name, f"the descriptor ends after {len(body)} of its {size} bytes")
-        yield at, name, _Number(int.from_bytes(body, "little") if size <= 4 else 0, size)
+        if at + 1 + size > end:
+            raise _error(at, name, f"the descriptor ends after {end - at - 1} of its {size} bytes")
+        yield at, name, _Number(int.from_bytes(data[at + 1 : at + 1 + min(size, 4)], "little"), size)
         at += 1 + size
 
 

@@ -20,6 +20,7 @@ from hapticd.fit.synthesize import Stylus
 from hapticd.fit.synthesize_strokes import puncture
 from hapticd.fit.verdict import AT_LEAST, AT_MOST, Doubts, Verdict
 from hapticd.materials import validate_materials
+from hapticd.yaml_source import load_text
 
 FIT_PAGE = Path(__file__).parents[2] / "docs/fit.md"
 DAY = datetime.date(2026, 1, 31)
@@ -118,6 +119,18 @@ def test_check_shows_the_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[s
     shown = capsys.readouterr().out
     assert re.search(r"pine .* texture poor", shown)
     assert "the fit is poor: no law" in shown
+
+
+def test_the_list_of_materials_shows_the_verdict(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    origin = {"files": [{"path": "a"}], "date": "2026-01-01", "version": "1", "verdict": JUDGED}
+    made = validate_materials({"pine": {"stiffness_n_per_m": 300.0, "provenance": origin}})
+    monkeypatch.setattr("hapticd.materials.shipped_materials", lambda: made)
+    assert main(["material", "list", "--offline"]) == 0
+    listed = load_text(capsys.readouterr().out, "printed").data
+    assert isinstance(listed, dict)
+    assert listed["materials"]["pine"]["provenance"]["verdict"] == JUDGED
 
 
 def test_the_text_of_a_poor_verdict() -> None:
