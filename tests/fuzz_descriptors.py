@@ -240,7 +240,9 @@ class Loader:
         first, last = self.layout.effect_indices or (1, 1)
         if report_id == load.report_id:
             index = first + self.made - 1
-            there = index <= last and self.made <= self.room
+            # A device that cannot say that it is full has room.
+            says_full = load.status is None or "full" in load.status.entries
+            there = index <= last and (self.made <= self.room or not says_full)
             if load.status is not None:
                 entry = load.status.entries.get("success" if there else "full")
                 if entry is not None:

@@ -29,7 +29,7 @@ from hapticd.fit.regression import (
 from hapticd.fit.strokes import tell_few_samples
 from hapticd.fit.tap_amplitude import Law, LawKind, Power, law_of
 from hapticd.fit.tap_events import hits_of
-from hapticd.fit.tap_hit import LEAST_SPEED_M_PER_S, LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit
+from hapticd.fit.tap_hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit, check_speeds
 from hapticd.fit.tap_law import TABLE as TABLE
 from hapticd.fit.tap_law import (
     Amplitudes,
@@ -47,9 +47,6 @@ from hapticd.yaml_source import Json
 
 LEAST_HZ: Final = 15.0
 """What is slower than this is a hand's motion."""
-MOST_SPEED_M_PER_S: Final = 10.0
-SPEED_RANGE: Final = 1.2
-"""The fastest tap is at least so many times as fast as the slowest."""
 OTHER_WAY: Final = 0.25
 """Of the taps may begin the other way, and are left out."""
 SOFTEST: Final = 0.003
@@ -396,24 +393,6 @@ def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:
             "them, or is the rate too low?"
         )
     return found
-
-
-def check_speeds(taps: Sequence[TapHit]) -> None:
-    slowest, fastest = min(taps, key=lambda tap: tap.speed_m_per_s), max(taps, key=lambda tap: tap.speed_m_per_s)
-    for tap, allowed, unit in (
-        (fastest, fastest.speed_m_per_s <= MOST_SPEED_M_PER_S, "is it in mm/s, or are columns swapped?"),
-        (slowest, slowest.speed_m_per_s >= LEAST_SPEED_M_PER_S, "is it in km/s, or the position in the wrong unit?"),
-    ):
-        if not allowed:
-            raise FitError(
-                f"{tap.recording}: the tap at {tap.onset_s:.4g} s has a speed of {tap.speed_m_per_s:.4g} m/s, taps "
-                f"have {LEAST_SPEED_M_PER_S:g} to {MOST_SPEED_M_PER_S:g}: {unit}"
-            )
-    if fastest.speed_m_per_s < SPEED_RANGE * slowest.speed_m_per_s:
-        raise FitError(
-            f"all {len(taps)} taps have about one speed ({slowest.speed_m_per_s:.4g} to "
-            f"{fastest.speed_m_per_s:.4g} m/s): a slope over speed needs slow ones and fast ones"
-        )
 
 
 def _check_slope(slope: Estimate, angular: float) -> None:

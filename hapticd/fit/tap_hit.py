@@ -10,7 +10,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from hapticd.fit.regression import Floats
+from hapticd.fit.regression import FitError, Floats
 from hapticd.fit.ringing import Ringing
 from hapticd.fit.sensor import Sensor
 from hapticd.mode import Mode
@@ -18,6 +18,9 @@ from hapticd.yaml_source import Json
 
 LEAST_TAPS: Final = 3
 LEAST_SPEED_M_PER_S: Final = 1e-3
+MOST_SPEED_M_PER_S: Final = 10.0
+SPEED_RANGE: Final = 1.2
+"""The fastest tap is at least so many times as fast as the slowest."""
 ALIKE_NOISE: Final = 1.5
 NO_NOISE: Final = 1e-9
 """Of the coefficient: the least noise a tap is taken to have."""
@@ -160,4 +163,23 @@ class Figures:
             of_peak=levelled(np.array([peak_variance(ringing) for _, ringing in hits]), noise),
             of_decay=levelled(spreads[:, 1] / np.exp(2 * decays), relative),
             of_angular=levelled(spreads[:, 2] / np.exp(2 * angulars), relative),
+        )
+
+
+def check_speeds(taps: Sequence[TapHit]) -> None:
+    """Raises FitError where speeds cannot be, or are all about the same."""
+    slowest, fastest = min(taps, key=lambda tap: tap.speed_m_per_s), max(taps, key=lambda tap: tap.speed_m_per_s)
+    for tap, allowed, unit in (
+        (fastest, fastest.speed_m_per_s <= MOST_SPEED_M_PER_S, "is it in mm/s, or are columns swapped?"),
+        (slowest, slowest.speed_m_per_s >= LEAST_SPEED_M_PER_S, "is it in km/s, or the position in the wrong unit?"),
+    ):
+        if not allowed:
+            raise FitError(
+                f"{tap.recording}: the tap at {tap.onset_s:.4g} s has a speed of {tap.speed_m_per_s:.4g} m/s, taps "
+                f"have {LEAST_SPEED_M_PER_S:g} to {MOST_SPEED_M_PER_S:g}: {unit}"
+            )
+    if fastest.speed_m_per_s < SPEED_RANGE * slowest.speed_m_per_s:
+        raise FitError(
+            f"all {len(taps)} taps have about one speed ({slowest.speed_m_per_s:.4g} to "
+            f"{fastest.speed_m_per_s:.4g} m/s): a slope over speed needs slow ones and fast ones"
         )

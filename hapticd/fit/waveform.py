@@ -29,9 +29,8 @@ from hapticd.fit.pulse_shape import (
 )
 from hapticd.fit.recording import Source
 from hapticd.fit.regression import Estimate, FitError, Floats, student_t, through_origin
-from hapticd.fit.tap import check_speeds
 from hapticd.fit.tap_amplitude import Law, law_of
-from hapticd.fit.tap_hit import TapHit
+from hapticd.fit.tap_hit import TapHit, check_speeds
 from hapticd.fit.tap_law import Amplitudes
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz

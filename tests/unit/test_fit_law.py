@@ -60,6 +60,7 @@ def test_the_criterion_is_that_of_its_definition() -> None:
     assert law.above["line"] - law.above["power"] == pytest.approx(line - criterion(2 * power.cost, 2), abs=1.0)
 
 
+@pytest.mark.slow
 def test_a_line_is_seldom_taken_for_another_law() -> None:
     kinds = [law_of(SPEEDS, scattered(500 * SPEEDS, 0.1, seed), np.full(12, 1e-6)).kind for seed in range(60)]
     # Of AICc lower by 2 by luck; by a bound of the binomial distribution of 10 %.

@@ -417,7 +417,11 @@ def ceramic(ratios: Floats, first_hz: float = 1100.0, second_hz: float = 2900.0)
     return Recording("ceramic", rate_hz, heard + 9.81, None, None, None, speeds, Source("", ""))
 
 
-@pytest.mark.parametrize("ratios", [np.ones(12), np.tile([0.8, 1.25], 6)], ids=["alike", "by turns"])
+@pytest.mark.parametrize(
+    "ratios",
+    [np.ones(12), pytest.param(np.tile([0.8, 1.25], 6), marks=pytest.mark.slow)],
+    ids=["alike", "by turns"],
+)
 def test_two_modes_are_tried_before_a_tap_is_thrown_away(ratios: Floats) -> None:
     fit = fit_tap([ceramic(ratios)])
     # One mode explains about half of such a knock, and is now the one, now the other.
@@ -432,6 +436,7 @@ def test_two_modes_are_tried_before_a_tap_is_thrown_away(ratios: Floats) -> None
     assert fit.verdict.startswith("good: two modes explain ")
 
 
+@pytest.mark.slow
 def test_a_knock_with_other_modes_than_the_rest_is_left_out_and_told() -> None:
     strange = ceramic(np.ones(12), 800.0, 2000.0)
     usual = ceramic(np.ones(12))
