@@ -22,7 +22,7 @@ from hapticd._build import FLAGS
 from hapticd.errors import HapticdError
 
 FOLDER = ROOT / "bench" / "peers"
-CORE = ("velocity", "error", "voice", "kicks", "noise", "normal", "sim", "actuator", "operator")
+CORE = ("velocity", "error", "voice", "wave", "kicks", "noise", "normal", "sim", "actuator", "operator")
 _MODULE = "_hapticd_peers"
 
 
