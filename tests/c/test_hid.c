@@ -36,7 +36,7 @@ static const struct hd_hid_plan plan = {
                             .bytes = {5}},
                            {.length = 3,
                             .value_count = 1,
-                            .values = {{{0, 16, 1, 0}, HD_HID_Y, 0, 100.0, 0.0, -900.0, 900.0}},
+                            .values = {{{0, 16, 1, 0}, HD_HID_Y, 0, 100.0, 0.0, -900.0, 900.0, 0.0}},
                             .bytes = {6}}}},
     .stop = {.count = 2, .messages = {{.length = 2, .bytes = {8, 1}}, {.length = 2, .bytes = {9, 2}}}},
 };
