@@ -231,7 +231,8 @@ def shape_of(pulses: Sequence[Pulse]) -> Shape:
     pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz, math.floor(rest_s * rate_hz))
     samples, found, rate_hz = _coarser(pulses, samples, found, rate_hz)
     others = by_others(pulses, found, Equations(pulses, found, rate_hz, len(samples)), rate_hz)
-    return Shape(samples, rate_hz, tuple(found), others, _uncertain(pulses, samples, found, rate_hz), faded)
+    uncertain = _uncertain(pulses, samples, found, rate_hz, faded)
+    return Shape(samples, rate_hz, tuple(found), others, uncertain, faded)
 
 
 def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equations, rate_hz: float) -> Others:
@@ -245,7 +246,9 @@ def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equa
     return Others(explains[:, 0], explains[:, 1])
 
 
-def _uncertain(pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed], rate_hz: float) -> Uncertain:
+def _uncertain(
+    pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed], rate_hz: float, faded: bool
+) -> Uncertain:
     """Found anew, with all onsets, without each of the pulses, and with twice as many samples."""
     count, groups = len(samples), min(len(pulses), GROUPS)
     shapes, sizes = [], []
@@ -258,6 +261,8 @@ def _uncertain(pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed
     finer, found = common_shape(pulses, placed, 2 * rate_hz, 2 * count - 1, turns=2)
     between_s = np.arange(2 * count - 1) / (2 * rate_hz)
     changes = (FINER * (finer - Curve(samples, rate_hz).at(between_s))) ** 2
+    # That a shape is faded out says nothing of the amplitudes.
+    whole = changes[: math.floor((1 - FADED) * len(changes))] if faded else changes
     about = np.zeros(count)
     about[1:-1] = np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3)
     return Uncertain(
@@ -265,7 +270,7 @@ def _uncertain(pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed
         of_amplitudes=float(_jackknife(np.array(sizes))),
         freedom=groups - 1,
         unresolved=about,
-        of_amplitudes_unresolved=math.hypot(FINER * (_ratio(found, placed) - 1.0), math.sqrt(float(np.mean(changes)))),
+        of_amplitudes_unresolved=math.hypot(FINER * (_ratio(found, placed) - 1.0), math.sqrt(float(np.mean(whole)))),
     )
 
 

@@ -255,6 +255,10 @@ def test_a_pulse_that_is_not_over_is_faded_out_and_told() -> None:
     assert any("faded out" in line for line in found.warnings)
     assert found.verdict.startswith("fair")
     assert found.samples[-1] == 0
+    slope = found.first_peak_slope_per_s
+    assert slope.high - slope.value < 0.05 * slope.value
+    # The interval holds what the fading takes away.
+    assert found.deviations[-2] > 0.2
 
 
 def test_what_is_no_waveform_is_refused_in_a_line() -> None:
