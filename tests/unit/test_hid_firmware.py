@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+import yaml
 
 from hapticd.core import ffi, lib
 from hapticd.hid.calibrate import calibrate
@@ -317,6 +318,22 @@ def test_calibration_of_one_axis_leaves_the_other_alone() -> None:
         found = calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
         assert set(found.moved_m) == {"x"} and found.force_axes.x.sign == -1
         assert stick.force() == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_wheel_that_names_two_axes_is_told_what_it_needs(sign: int) -> None:
+    """Nothing moves along y: what was found of x is not lost, and drives the wheel the right way."""
+    variant = Variant(axes=("x",), signs=(sign, 1))
+    table = Table(bytes(Joystick(direction_bits=16)), variant, 5.0)
+    with table.stick as stick, pytest.raises(DeviceError) as caught:
+        calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
+    told = str(caught.value)
+    assert told.endswith(f"a device without a motor for y needs device.hid.force_axes: {{x: {{sign: {sign}}}}}")
+    keys = yaml.safe_load(told.split("device.hid.force_axes: ")[1])
+    assert hid(force_axes=keys).signs == "trust"
+    with driven(table.stick.descriptor, variant, force_axes=keys) as (stick, plan):
+        send(stick, plan, (4.0, 2.0))
+        assert stick.force() == pytest.approx((0.5, 0.0), abs=2e-4)
 
 
 def test_a_calibration_that_finds_nothing_says_what_was_sent() -> None:
