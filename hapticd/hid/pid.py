@@ -236,9 +236,13 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     if angle is not None:
         ways.append("polar")
     if not ways:
-        raise DeviceError(
-            "the device has two axes, and neither Direction nor Axes Enable to tell them apart in a force"
-        )
+        if not both:
+            told = "and neither Direction nor Axes Enable to tell them apart in a force"
+        elif signed:
+            told = "room for one effect, and no angle to say the direction of a force"
+        else:
+            told = "magnitudes without a sign, and no angle to say the direction of a force"
+        raise DeviceError(f"the device has two axes, {told}")
     return tuple(ways)
 
 

@@ -126,6 +126,20 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
         bytes(Joystick(force_axes=(), direction_bits=0)),
         {},
     ),
+    "one effect, and no angle": (
+        "the device has two axes, room for one effect, and no angle to say the direction of a force",
+        bytes(Joystick(direction_bits=0)),
+        {"quirks": ["one_effect"]},
+    ),
+    "a vector, and magnitudes without a sign": (
+        "the device has two axes, magnitudes without a sign, and no angle to say the direction of a force",
+        instead(
+            usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000),
+            usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127),
+            bytes(Joystick(is_magnitude_signed=False)),
+        ),
+        {},
+    ),
     "a scaled magnitude": (
         "does not say which count is no force",
         instead(
