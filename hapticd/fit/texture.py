@@ -490,7 +490,10 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, tuple[Es
         pushed = squares @ gains
         power = pushed @ gains
         if power.min() <= 0 or (np.sqrt(moments[:, [0, 2]]) @ gains).min() <= 0:
-            raise FitError("the RMS law is negative at some of these strokes: is a column swapped?")
+            raise FitError(
+                "the RMS law is negative at some of these strokes: the loudness does not grow in proportion to speed "
+                "and force, or a column is swapped"
+            )
         fit = least_squares(2 * pushed / power[:, None], rms**2 / power + 1)
         before, gains = gains, np.array([each.value for each in fit.coefficients])
         if np.abs(gains - before).max() < 1e-9 * np.abs(gains).max():

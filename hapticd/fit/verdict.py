@@ -38,6 +38,7 @@ AT_MOST: Final[Mapping[str, Bound]] = {
     "distance from the law": Bound(0.3, 0.6),
     "part left out": Bound(0.1, 0.3),
     "offset": Bound(0.1, 0.5),
+    "scatter of the frequency": Bound(0.05, 0.1),
 }
 """What is more than these is a doubt; all are parts of 1."""
 
