@@ -197,6 +197,13 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
         ("decay rate", decay),
     ):
         doubts.known(what, figure)
+    scatter = float(np.std([math.log(each.frequency_hz) for each in ruptures]))
+    doubts.at_most(
+        "scatter of the frequency",
+        scatter,
+        f"the frequency scatters by {100 * scatter:.0f} % between punctures",
+        "is it one membrane?",
+    )
     explained = float(np.median([each.variance_accounted_for for each in ruptures]))
     doubts.at_least(
         "variance that a rupture's mode explains",

@@ -27,7 +27,7 @@ from hapticd.fit.regression import (
     with_offset,
 )
 from hapticd.fit.strokes import tell_few_samples
-from hapticd.fit.tap_amplitude import Law, LawKind, Power, law_of
+from hapticd.fit.tap_amplitude import Law, LawKind, Power, doubt_the_law, law_of
 from hapticd.fit.tap_events import hits_of
 from hapticd.fit.tap_hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit, check_speeds
 from hapticd.fit.tap_law import TABLE as TABLE
@@ -52,12 +52,6 @@ OTHER_WAY: Final = 0.25
 SOFTEST: Final = 0.003
 HARDEST: Final = 10.0
 """Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
-WELL_LINEAR: Final = 0.9
-"""r^2 of A(v)."""
-WELL_KNOWN: Final = 0.15
-"""What taps are off a law that is no line, as a part of the amplitude."""
-SCATTERED: Final = 0.05
-"""Frequencies that scatter more are told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,6 +248,8 @@ def fit_tap(
     _doubt_the_mode(doubts, hits, second, explained, warnings)
     decay_time = decay.mapped(lambda log: math.exp(-log))
     modes = modes_of(figures, frequency, decay_time)
+    if modes is None:
+        doubts.known("decay time", decay_time)
     _doubt_the_speed(doubts, figures, modes)
     _doubt_the_law(doubts, law, astray, line.r_squared)
     doubts.add(False, most_are_left_out(left, len(taps), "tap"))
@@ -349,12 +345,12 @@ def _doubt_the_speed(doubts: Doubts, figures: Figures, modes: Modes | None) -> N
     """Whether frequency and decay are the same for all speeds."""
     told = math.nan if modes is None else modes.frequency_at(figures.speeds)
     scatter = float(np.std(figures.angulars - (0.0 if modes is None else np.log(told))))
-    if scatter > SCATTERED:
-        doubts.add(
-            scatter > 2 * SCATTERED,
-            f"the frequency scatters by {100 * scatter:.0f} % between taps",
-            "is it one material, held alike?",
-        )
+    doubts.at_most(
+        "scatter of the frequency",
+        scatter,
+        f"the frequency scatters by {100 * scatter:.0f} % between taps",
+        "is it one material, held alike?",
+    )
     if modes is not None:
         doubts.note(f"{modes.why}; the material has a table of modes over the speed")
 
@@ -366,12 +362,7 @@ def _doubt_the_law(doubts: Doubts, law: Law, astray: str, r_squared: float) -> N
         return
     if law.kind != "line":
         doubts.note(f"A(v) is {law.named}, no line through the origin: {law.why}")
-        # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
-        little = law.r_squared < WELL_LINEAR and law.left > WELL_KNOWN
-    else:
-        little = r_squared < WELL_LINEAR
-    told = r_squared if law.kind == "line" else law.r_squared
-    doubts.add(little, f"the speed says little of the amplitude (r^2 {told:.2f})" if little else "", "")
+    doubt_the_law(doubts, law, r_squared)
 
 
 def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:

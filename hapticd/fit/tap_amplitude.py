@@ -20,9 +20,14 @@ import numpy as np
 
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, through_origin
 from hapticd.fit.tap_law import BENT, TABLE, Amplitudes, json_of, table
+from hapticd.fit.verdict import Doubts
 from hapticd.yaml_source import Json
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
+WELL_LINEAR: Final = 0.9
+"""r^2 of A(v)."""
+WELL_KNOWN: Final = 0.15
+"""What taps are off a law that is no line, as a part of the amplitude."""
 POINTS_OFF: Final = 1e-3
 """The table of a power law is so near to it, as a part of it."""
 BEYOND: Final = 2.0
@@ -143,6 +148,14 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
         r_squared=1 - float(np.sum(weights * (amplitudes - model) ** 2)) / about if about > 0 and count > 1 else 0.0,
         left=float(np.sqrt(np.mean(((amplitudes - model) / np.maximum(np.abs(model), 1e-300)) ** 2))),
     )
+
+
+def doubt_the_law(doubts: Doubts, law: Law, r_squared: float) -> None:
+    """Whether the speed says what the amplitude is; `r_squared` of the line."""
+    told = r_squared if law.kind == "line" else law.r_squared
+    # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
+    little = told < WELL_LINEAR and (law.kind == "line" or law.left > WELL_KNOWN)
+    doubts.add(little, f"the speed says little of the amplitude (r^2 {told:.2f})" if little else "", "")
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:

@@ -27,6 +27,7 @@ from hapticd.fit.lines import common_lines, lines_of
 from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, student_t
+from hapticd.fit.spectrum_apart import apart_db
 from hapticd.fit.spectrum_peak import LOW_HZ, jackknifed, peak_of, smoothed
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
@@ -42,7 +43,7 @@ from hapticd.fit.strokes import (
 )
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
-from hapticd.noise import coefficients_of, power_spectrum
+from hapticd.noise import coefficients_of, power_spectrum, stochastic_filter
 
 BLOCK_S: Final = 0.5
 LEAST_BLOCKS: Final = 8
@@ -82,8 +83,6 @@ RMS_M_PER_S2: Final = (0.03, 300.0)
 MAX_ORDER: Final = 32
 KEPT: Final = 0.995
 """Of the power lies below 0.4 of the rate of the autoregressive models."""
-COMPARED_DB: Final = 20.0
-"""Spectra are compared where they are within this of their peak."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,6 +271,8 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
     elif not autoregressive:
         doubts.known("peak frequency", peak.hz)
     doubts.known("mean frequency", mean)
+    if peak.resolved and not autoregressive:
+        _compare(frequency, shape.mean(axis=0), peak.hz.value, mean.value, rate_hz, doubts)
     place = f"peak at {peak.hz.value:.4g} Hz" if peak.resolved else f"peak below {peak.hz.high:.3g} Hz"
     summary = f"{len(blocks) * BLOCK_S:g} s of noise with its {place} and its mean at {mean.value:.4g} Hz" + (
         f", {len(models)} autoregressive models" if models else ""
@@ -291,6 +292,21 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         warnings=tuple(doubts.told),
         judged=doubts.judged(summary),
         left_out=tuple(left.items),
+    )
+
+
+def _compare(
+    frequency: Floats, density: Floats, peak_hz: float, mean_hz: float, rate_hz: float, doubts: Doubts
+) -> None:
+    """The recorded spectrum with that of the material, which knows peak and mean alone."""
+    model = power_spectrum(stochastic_filter(peak_hz, mean_hz, rate_hz), frequency, rate_hz)
+    power = density / (density.sum() * frequency[1])
+    apart = apart_db(frequency, model, np.maximum(power, 1e-6 * power.max()))
+    doubts.at_most(
+        "decibels between the spectra",
+        apart,
+        f"noise with this peak and mean has another spectrum than the recorded one, {apart:.1f} dB apart",
+        "--ar takes the spectrum as it is",
     )
 
 
@@ -490,7 +506,10 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> tuple[Floats, tuple[Es
         pushed = squares @ gains
         power = pushed @ gains
         if power.min() <= 0 or (np.sqrt(moments[:, [0, 2]]) @ gains).min() <= 0:
-            raise FitError("the RMS law is negative at some of these strokes: is a column swapped?")
+            raise FitError(
+                "the RMS law is negative at some of these strokes: the loudness does not grow in proportion to speed "
+                "and force, or a column is swapped"
+            )
         fit = least_squares(2 * pushed / power[:, None], rms**2 / power + 1)
         before, gains = gains, np.array([each.value for each in fit.coefficients])
         if np.abs(gains - before).max() < 1e-9 * np.abs(gains).max():
@@ -634,20 +653,12 @@ def _ar_model(
     order = 1 + int(np.argmin(criteria))
     reflection = stages[:order]
     model = float(correlation[0]) * power_spectrum((reflection, None), frequency, rate_hz)
-    # Over bands of a twelfth of an octave, as a periodogram itself scatters.
-    loud = (frequency >= LOW_HZ) & (smoothed(power, 2) > 10 ** (-COMPARED_DB / 10) * smoothed(power, 2).max())
-    band = np.round(12 * np.log2(np.maximum(frequency, 1.0))).astype(int)
-    differences = [
-        10 * math.log10(float(model[here].mean() / power[here].mean()))
-        for each in np.unique(band[loud])
-        if np.count_nonzero(here := loud & (band == each))
-    ]
     return ArModel(
         speed,
         force,
         coefficients_of(reflection),
         math.sqrt(float(correlation[0])),
-        float(np.sqrt(np.mean(np.square(differences)))),
+        apart_db(frequency, model, power),
     )
 
 

@@ -38,8 +38,10 @@ AT_MOST: Final[Mapping[str, Bound]] = {
     "distance from the law": Bound(0.3, 0.6),
     "part left out": Bound(0.1, 0.3),
     "offset": Bound(0.1, 0.5),
+    "scatter of the frequency": Bound(0.05, 0.1),
+    "decibels between the spectra": Bound(3.0, 10.0),
 }
-"""What is more than these is a doubt; all are parts of 1."""
+"""What is more than these is a doubt; all are parts of 1, but for the decibels."""
 
 
 @dataclass(frozen=True, slots=True)

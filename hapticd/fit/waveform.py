@@ -30,7 +30,7 @@ from hapticd.fit.pulse_shape import (
 )
 from hapticd.fit.recording import Source
 from hapticd.fit.regression import Estimate, FitError, Floats, student_t, through_origin
-from hapticd.fit.tap_amplitude import Law, law_of
+from hapticd.fit.tap_amplitude import Law, doubt_the_law, law_of
 from hapticd.fit.tap_hit import TapHit, check_speeds
 from hapticd.fit.tap_law import Amplitudes
 from hapticd.fit.verdict import Doubts, Verdict
@@ -411,6 +411,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     law = law_of(speeds, peaks, variances)
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
+    doubt_the_law(doubts, law, line.r_squared)
     warnings += doubts.told
     return WaveformFit(
         taps=hits,

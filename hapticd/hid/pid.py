@@ -24,7 +24,7 @@ from typing import Final, Literal
 from hapticd.core import HidMeaning, HidQuantity, lib
 from hapticd.hid.config import HandleAxis, Hid
 from hapticd.hid.device import Device
-from hapticd.hid.directions import angle_of, counts_of, leak, mirrored, parts
+from hapticd.hid.directions import angle_of, counts_of, enabled_for, has_vector, leak, mirrored, parts
 from hapticd.hid.flags import number_of_on
 from hapticd.hid.layout import Axis, BlockLoad, Choice, Field, Layout, SetEffect
 from hapticd.hid.plan import (
@@ -43,6 +43,7 @@ from hapticd.hid.plan import (
     Value,
 )
 from hapticd.hid.pool import Pool, number_in, read_feature
+from hapticd.hid.same_report import shared_report
 from hapticd.hid.useful import duration_fault
 
 LOAD_TRIES: Final = 30
@@ -211,6 +212,9 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     """How a force can be shown, the best first. Raises DeviceError."""
     effect, force = layout.set_effect, layout.constant_force
     assert effect is not None and force is not None
+    shared = shared_report(layout)
+    if shared is not None:
+        raise DeviceError(shared)
     angle, signed = angle_of(effect), force.magnitude.is_signed
     if not signed and force.magnitude.physical_min < 0 < force.magnitude.physical_max:
         raise DeviceError(
@@ -219,8 +223,8 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
         )
     room = layout.effect_indices is None or layout.effect_indices[1] > layout.effect_indices[0]
     room = room and "one_effect" not in hid.quirks
-    both = len(effect.axes_enable) >= 2
-    if _single(layout):
+    both = len(effect.axes_enable) >= 2 or has_vector(effect)
+    if _single(layout, hid):
         if signed:
             return ("one",)
         if angle is not None and room:
@@ -232,24 +236,29 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     if angle is not None:
         ways.append("polar")
     if not ways:
-        raise DeviceError(
-            "the device has two axes, and neither Direction nor Axes Enable to tell them apart in a force"
-        )
+        if not both:
+            told = "and neither Direction nor Axes Enable to tell them apart in a force"
+        elif signed:
+            told = "room for one effect, and no angle to say the direction of a force"
+        else:
+            told = "magnitudes without a sign, and no angle to say the direction of a force"
+        raise DeviceError(f"the device has two axes, {told}")
     return tuple(ways)
 
 
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
     """The handle's axes. Raises DeviceError where the device has no such axis."""
     x = _axis(layout, hid.axes.x, "x", hid)
-    if _single(layout) and hid.axes.y.usage.lower() not in layout.input:
+    if _single(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
         return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_M_PER_COUNT)
     return x, _axis(layout, hid.axes.y, "y", hid)
 
 
-def _single(layout: Layout) -> bool:
-    """Whether the device pushes along one axis only."""
+def _single(layout: Layout, hid: Hid) -> bool:
+    """Whether the device pushes along one axis only, as a wheel does that has pedals and no Y."""
     assert layout.set_effect is not None
-    return len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
+    no_y = hid.axes.y.usage == "Y" and "y" not in layout.input
+    return no_y or len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
 
 
 def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
@@ -465,7 +474,7 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
     absent = [name for name, report in reports.items() if report is None]
     if not {"sine"} <= effect.effect_type.entries.keys() & create.effect_type.entries.keys():
         absent.append("ET Sine")
-    if angle_of(effect) is None or _single(layout):
+    if angle_of(effect) is None or _single(layout, hid):
         absent.append("Direction of two axes")
     if absent:
         return f"the device has no {', no '.join(absent)}"
@@ -582,11 +591,11 @@ def set_effect_report(layout: Layout, hid: Hid, index: int, effect: _Effect | No
     if to.gain is not None:
         report.put(to.gain, to.gain.logical_max)
     report.fill(to.trigger_button)
-    _aim(report, to, effect)
+    _aim(report, to, hid, effect)
     return bytes(report.data)
 
 
-def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
+def _aim(report: _Report, to: SetEffect, hid: Hid, effect: _Effect | None) -> None:
     """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
     angle, by_angle = angle_of(to), _by_angle(to, effect)
     if by_angle:
@@ -602,10 +611,10 @@ def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
     elif to.is_direction_cartesian and effect is not None:
         for name, field in zip(("x", "y"), to.direction, strict=False):
             report.put(field, field.logical_max if name == effect.axis else 0)
+        report.flag(to.direction_enable, not to.axes_enable)
     if not by_angle or to.direction_enable is None:
         for name, field in to.axes_enable.items():
-            # A device of one axis has it under any name.
-            report.flag(field, effect is None or name == effect.axis or len(to.axes_enable) == 1)
+            report.flag(field, effect is None or name == enabled_for(to, hid.axes, effect.axis))
 
 
 def _by_angle(to: SetEffect, effect: _Effect | None) -> bool:
