@@ -198,7 +198,7 @@ def test_a_third_axis_is_left_alone() -> None:
 
 
 def test_a_wheel_with_pedals_and_no_y_is_pushed_along_x() -> None:
-    """Though it names X and Y as axes of its forces, as some do; an axis that is named and not there is still refused."""
+    """Though it names X and Y as axes of its forces, as some do; an axis that is named and missing is refused."""
     wheel = bytes(Joystick(axes=(0x30, 0x32, 0x35)))
     with driven(wheel) as (stick, plan):
         assert plan.driven_axes == (True, False) and len(plan.force) == 1
