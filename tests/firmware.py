@@ -57,6 +57,8 @@ class Variant:
     """What an effect takes of the pool."""
     simultaneous: int | None = None
     """Effects that play at a time; None: all of them."""
+    never_full: bool = False
+    """Where there is no room it makes a new effect in the place of the first one, and says success."""
     load_after: int = 0
     """It answers so many times that nothing is loaded yet."""
     refuses: frozenset[str] = frozenset()
@@ -452,6 +454,8 @@ class Firmware:
         self._not_yet = self.variant.load_after
         end = self.variant.first_index + self.variant.most_effects
         free = next((n for n in range(self.variant.first_index, end) if n not in self.effects), None)
+        if free is None and self.variant.never_full:
+            free = self.variant.first_index
         if not kind or kind in self.variant.refuses:
             self._loaded = ("error", 0)
         elif free is None or self._ram_left() < self.variant.effect_ram:

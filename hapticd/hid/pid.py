@@ -130,11 +130,24 @@ class PidDriver:
         return self._pool.simultaneous(device) if wanted else None
 
     def _set_up(self, device: Device, way: Way, most: int | None) -> Plan:
-        layout = self._layout
-        effects = _effects(way, self._hid)
-        indices: list[int] = []
+        plan = self._constant(device, way)
+        problem = periodic_problem(self._layout, self._hid)
+        if problem is not None:
+            return replace(plan, no_periodic=problem)
         try:
-            for effect in effects:
+            return self._with_periodic(device, plan, most)
+        except DeviceError as error:
+            # They are worth something, the constant ones are needed; one of those may have been lost.
+            _undo(self._layout, device, self._indices)
+            _log.warning("%s; no effects are played by the device", error)
+            self._prepare(device)
+            return replace(self._constant(device, way), no_periodic=str(error))
+
+    def _constant(self, device: Device, way: Way) -> Plan:
+        """The constant forces, made and started, and their plan."""
+        layout, indices = self._layout, list[int]()
+        try:
+            for effect in _effects(way, self._hid):
                 index = self._create(device)
                 if index in indices:
                     raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
@@ -146,34 +159,26 @@ class PidDriver:
             _undo(layout, device, indices)
             raise
         self._indices = list(indices)
-        plan = plan_of(layout, self._hid, way, indices)
-        return self._with_periodic(device, plan, indices, most)
+        return plan_of(layout, self._hid, way, indices)
 
-    def _with_periodic(self, device: Device, plan: Plan, constant: Sequence[int], room: int | None) -> Plan:
+    def _with_periodic(self, device: Device, plan: Plan, room: int | None) -> Plan:
         """The plan, and what periodic effects there is room for beside the constant ones."""
-        layout, hid = self._layout, self._hid
-        problem = periodic_problem(layout, hid)
-        if problem is not None:
-            return replace(plan, no_periodic=problem)
-        made: list[int] = []
+        layout, problem = self._layout, "the device has no room for another effect"
+        constant, made = len(self._indices), list[int]()
         try:
-            most = room or len(constant) + lib.HD_HID_OFFERS
-            while len(made) < min(lib.HD_HID_OFFERS, most - len(constant)):
+            while len(made) < min(lib.HD_HID_OFFERS, (room or constant + lib.HD_HID_OFFERS) - constant):
                 index = self._create(device, "sine")
                 if index in self._indices:
                     raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
                 made.append(index)
                 self._indices.append(index)
         except _FullError:
-            problem = "the device has no room for another effect"  # as many as there are
+            pass  # as many as there are
         except _RefusedError:
             problem = "the device refuses to make such an effect"
-        except DeviceError:
-            _undo(layout, device, self._indices)
-            raise
         if not made:
-            return replace(plan, no_periodic=problem or "the device has no room for another effect")
-        periodic = periodic_of(layout, hid, made)
+            return replace(plan, no_periodic=problem)
+        periodic = periodic_of(layout, self._hid, made)
         frees = tuple(message for message in (_block_free(layout, index) for index in made) if message is not None)
         stops = () if _control(layout, "stop_all_effects") else tuple(block.stop for block in periodic.blocks)
         # Last of all: an effect that is not freed costs room, no force.

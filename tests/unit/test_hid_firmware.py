@@ -285,6 +285,20 @@ def test_a_killed_host_leaves_no_force(name: str) -> None:
 # ---- What the device plays by itself ---------------------------------------------------------------------------------
 
 
+def test_a_device_that_never_says_full_keeps_its_constant_forces(caplog: pytest.LogCaptureFixture) -> None:
+    """The first effect was lost to a periodic one: all are made anew, without any that the device plays itself."""
+    variant = Variant(most_effects=5, never_full=True, pool_stalls=True)
+    with driven(descriptors.SIDEWINDER_FF2, variant, offload="auto") as (stick, plan):
+        assert plan.periodic is None and "gives effect 1 twice" in plan.no_periodic
+        assert "gives effect 1 twice; no effects are played by the device" in caplog.text
+        assert len(stick.effects) == 2
+        for force_n in FORCES:
+            send(stick, plan, force_n)
+            wanted = (force_n[0] / FULL_N, force_n[1] / FULL_N)
+            assert stick.force() == pytest.approx(wanted, abs=0.52 * step_of(stick) + 1e-4), force_n
+        assert stick.faults == []
+
+
 @pytest.mark.parametrize("name", ["sidewinder", "openffboard", "fino", "adapt-ffb-joy"])
 def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
     """A ringing mode as a sine within an envelope: as near as the fit says, in the direction of the force."""
