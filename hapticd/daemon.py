@@ -70,13 +70,14 @@ def run(
     """
     with ExitStack() as stack:
         memory.settle()
+        stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_S)
         connections = descriptors.settle()
         stack.enter_context(journal.attached(log_level))
         stack.push(_told)
         chosen = choose(config_paths)
         config = chosen_config(chosen)
-        os.umask(0o007)
+        stack.callback(os.umask, os.umask(0o007))
         signals = stack.enter_context(_signals())
         mine = stack.enter_context(owned(runtime_paths(runtime_dir)))
         lib.hd_last_arm()

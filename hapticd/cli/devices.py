@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from hapticd.hid.claim import Claims
     from hapticd.hid.config import Hid
     from hapticd.hid.discover import Found
+    from hapticd.hid.layout import SetEffect
+    from hapticd.hid.plan import Plan
     from hapticd.hid.verdict import Verdict
 
 _MAX_FILE_BYTES: Final = 1 << 20
@@ -295,11 +297,28 @@ def descriptor_bytes(data: bytes, name: str) -> bytes:
     return bytes.fromhex("".join(digits))
 
 
+def _forces(plan: Plan) -> str:
+    """Along which axes the device is pushed, and by how many effects."""
+    pushed = [name for name, step_n in zip("xy", plan.force_steps_n, strict=True) if step_n > 0.0]
+    along = f"along {' and '.join(pushed)}{' only' if len(pushed) == 1 else ''}"
+    # A device with reports of its own has no effects.
+    return along if plan.foreign_s is None else f"{along}, by {words.count(len(plan.renew), 'effect')}"
+
+
+def _direction(effect: SetEffect) -> str:
+    """How an effect says where its force comes from."""
+    if not effect.direction:
+        return "none"
+    field = effect.direction[0]
+    kind = f"a vector of {len(effect.direction)} parts" if effect.is_direction_cartesian else "an angle"
+    return f"{kind}, {field.logical_min} to {field.logical_max}"
+
+
 def _lines(verdict: Verdict) -> list[str]:
     """What a person wants to know of a layout."""
     layout = verdict.layout
     if verdict.plan is not None:
-        lines = ["can be driven", *filter(None, [verdict.plan.leak_told])]
+        lines = ["can be driven", f"forces: {_forces(verdict.plan)}", *filter(None, [verdict.plan.leak_told])]
     elif verdict.is_lacking and layout is not None:
         lines = [f"cannot be driven; missing: {', '.join(layout.missing)}"]
     else:
@@ -320,10 +339,8 @@ def _lines(verdict: Verdict) -> list[str]:
         )
     if layout.set_effect is not None:
         effect = layout.set_effect
-        lines.append(
-            f"effects: {', '.join(effect.effect_type.entries)}; directions {len(effect.direction)}, "
-            f"axes enabled one by one: {', '.join(effect.axes_enable) or 'no'}"
-        )
+        lines.append(f"effects: {', '.join(effect.effect_type.entries)}")
+        lines.append(f"direction: {_direction(effect)}; Axes Enable: {', '.join(effect.axes_enable) or 'none'}")
     if layout.device_control is not None:
         lines.append(
             f"device control: output report {layout.device_control.report_id} ({layout.device_control.kind}): "

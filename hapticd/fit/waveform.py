@@ -17,6 +17,7 @@ import numpy as np
 
 from hapticd.fit.left_out import Left
 from hapticd.fit.pulse_shape import (
+    LARGE,
     Equations,
     Placed,
     Pulse,
@@ -41,6 +42,15 @@ CROSSES: Final = 0.25
 """Pulses begin to be laid over each other where they cross this part of their peak."""
 FAINT: Final = 5e-4
 """What of the shape lies before its beginning, and what after its end, has at most this part of its energy."""
+CLEAR: Final = 3.0
+"""The shape begins at the last sample before its rise that is within so many standard errors of the rest, and ends
+where no more stands out of twice the standard errors than FAINT."""
+QUIET: Final = 3
+"""Samples of rest that tell how the shape scatters there."""
+FINER: Final = 4 / 3
+"""How far samples are off, over what twice as many change: for errors that fall with the square of their distance."""
+GROUPS: Final = 16
+"""Of more taps, groups are left out in turn instead of single ones."""
 LEAST_SAMPLES: Final = 8
 COARSER: Final = 1e-4
 """The rate of the samples is halved as long as the shape explains no more than this less."""
@@ -164,10 +174,34 @@ class Others:
     """(n,) of each pulse, by the shape of the others."""
     beside_noise: Floats
     """(n,) the same with the noise taken off."""
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertain:
+    """How far a shape may be from the one that was recorded."""
+
     deviations: Floats
-    """Standard errors of the samples."""
-    of_peak: float
-    """The same of the largest magnitude of the curve, for given amplitudes of the pulses."""
+    """(count,) standard errors of the samples, of what differs between the pulses."""
+    of_amplitudes: float
+    """The same of what all amplitudes have in common, as a part of them."""
+    freedom: int
+    """Of both."""
+    unresolved: Floats
+    """(count,) how far the curve is off for want of samples, from half a sample before each to half a sample behind
+    (RMS)."""
+    of_amplitudes_unresolved: float
+    """The same of the amplitudes and of the whole curve (RMS), as a part of them: a peak between samples is missed by
+    no less than the curve is."""
+
+    @property
+    def halves(self) -> Floats:
+        """(count,) of the 95 % intervals of the samples."""
+        return np.asarray(np.hypot(student_t(self.freedom) * self.deviations, self.unresolved))
+
+    @property
+    def half_of_amplitudes(self) -> float:
+        """Of the 95 % interval of what all amplitudes have in common, as a part of them."""
+        return math.hypot(student_t(self.freedom) * self.of_amplitudes, self.of_amplitudes_unresolved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +212,7 @@ class Shape:
     rate_hz: float
     placed: tuple[Placed, ...]
     others: Others
+    uncertain: Uncertain
     faded: bool
 
     @property
@@ -187,32 +222,72 @@ class Shape:
 
 def shape_of(pulses: Sequence[Pulse]) -> Shape:
     """The waveform of pulses, 3 or more. Raises FitError where they have nothing in common."""
-    rate_hz, before_s, count = _window(pulses)
+    rate_hz, before_s, rest_s, count = _window(pulses)
     placed = []
     for pulse in pulses:
         above = pulse.measured - rest_of(pulse)
         peak = float(above[np.argmax(np.abs(above))])
         placed.append(Placed(peak, rest_of(pulse), crossing_s(pulse, CROSSES) - before_s, 0.0))
     samples, found = common_shape(pulses, placed, rate_hz, count)
-    pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz)
+    pulses, samples, found, rate_hz, faded = _trimmed(pulses, samples, found, rate_hz, math.floor(rest_s * rate_hz))
     samples, found, rate_hz = _coarser(pulses, samples, found, rate_hz)
-    Equations(pulses, found, rate_hz, len(samples))
     others = by_others(pulses, found, Equations(pulses, found, rate_hz, len(samples)), rate_hz)
-    return Shape(samples, rate_hz, tuple(found), others, faded)
+    uncertain = _uncertain(pulses, samples, found, rate_hz, faded)
+    return Shape(samples, rate_hz, tuple(found), others, uncertain, faded)
 
 
 def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equations, rate_hz: float) -> Others:
     """What the shape would be without each of the pulses."""
-    shares, shapes, peaks = [], [], []
+    shares = []
     for index, (pulse, where) in enumerate(zip(pulses, placed, strict=True)):
-        solved = equations.solved(without=index)
-        samples, other = upright(solved, rate_hz)
+        _, other = upright(equations.solved(without=index), rate_hz)
         alone = place(other, pulse, where.onset_s, 2.0 / rate_hz)
         shares.append([explained(other, pulse, alone, noise) for noise in (0.0, pulse.noise_m_per_s2)])
-        shapes.append(samples)
-        peaks.append(Curve(solved, rate_hz).peak)
     explains = np.array(shares)
-    return Others(explains[:, 0], explains[:, 1], _jackknife(np.array(shapes)), float(_jackknife(np.array(peaks))))
+    return Others(explains[:, 0], explains[:, 1])
+
+
+def _uncertain(
+    pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed], rate_hz: float, faded: bool
+) -> Uncertain:
+    """Found anew, with all onsets, without each of the pulses, and with twice as many samples."""
+    count, groups = len(samples), min(len(pulses), GROUPS)
+    shapes, sizes = [], []
+    for group in range(groups):
+        kept = [index for index in range(len(pulses)) if index % groups != group]
+        some = [placed[index] for index in kept]
+        shape, found = common_shape([pulses[index] for index in kept], some, rate_hz, count, turns=1)
+        shapes.append(shape)
+        sizes.append(_ratio(found, some))
+    finer, found = common_shape(pulses, placed, 2 * rate_hz, 2 * count - 1, turns=2)
+    between_s = np.arange(2 * count - 1) / (2 * rate_hz)
+    changes = (FINER * (finer - Curve(samples, rate_hz).at(between_s))) ** 2
+    # That a shape is faded out says nothing of the amplitudes.
+    whole = changes[: math.floor((1 - FADED) * len(changes))] if faded else changes
+    about = np.zeros(count)
+    about[1:-1] = np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3)
+    return Uncertain(
+        deviations=_with_neighbours(_jackknife(np.array(shapes))),
+        of_amplitudes=float(_jackknife(np.array(sizes))),
+        freedom=groups - 1,
+        unresolved=about,
+        of_amplitudes_unresolved=math.hypot(FINER * (_ratio(found, placed) - 1.0), math.sqrt(float(np.mean(whole)))),
+    )
+
+
+def _ratio(found: Sequence[Placed], before: Sequence[Placed]) -> float:
+    """Of all amplitudes to those before."""
+    old = np.array([each.amplitude for each in before])
+    return float(old @ np.array([each.amplitude for each in found]) / (old @ old))
+
+
+def _with_neighbours(errors: Floats) -> Floats:
+    """Standard errors (count,), 0 at the ends: their squares in the mean over five neighbours, fewer near the ends,
+    as with few taps some are small by luck."""
+    inner = np.ones(len(errors) - 2)
+    around = np.ones(5)
+    mean = np.convolve(errors[1:-1] ** 2, around)[2:-2] / np.convolve(inner, around)[2:-2]
+    return np.concatenate(([0.0], np.sqrt(mean), [0.0]))
 
 
 def _jackknife(without: Floats) -> Floats:
@@ -221,8 +296,9 @@ def _jackknife(without: Floats) -> Floats:
     return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
 
 
-def _window(pulses: Sequence[Pulse]) -> tuple[float, float, int]:
-    """The rate of the samples, how long before the crossing the shape may begin, and how many samples it may have."""
+def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
+    """The rate of the samples, how long before the crossing the shape may begin, how much of that is rest, and how many
+    samples it may have."""
     rate_hz = min(pulse.rate_hz for pulse in pulses)
     crossings = [crossing_s(pulse, CROSSES) for pulse in pulses]
     peaks = [np.argmax(np.abs(pulse.measured - rest_of(pulse))) / pulse.rate_hz for pulse in pulses]
@@ -231,24 +307,34 @@ def _window(pulses: Sequence[Pulse]) -> tuple[float, float, int]:
     ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
     length_s = min(LONGEST_S, before_s + float(np.median(np.subtract(ends, crossings))))
     rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
-    return rate_hz, before_s, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1)
+    # The rise from the crossing to the peak takes longer than the one from the contact to the crossing.
+    rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz))
+    return rate_hz, before_s, rest_s, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1)
 
 
 def _trimmed(
-    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float
+    pulses: Sequence[Pulse], samples: Floats, placed: list[Placed], rate_hz: float, rest: int
 ) -> tuple[list[Pulse], Floats, list[Placed], float, bool]:
     """The shape from where it begins to where it is over, at the rate of the recordings where that leaves room; and the
-    pulses until then."""
+    pulses until then. Its first `rest` samples are before the contact."""
     equations = Equations(pulses, placed, rate_hz, len(samples))
-    # Squares of errors add up to energy, too.
-    energy = samples**2 - equations.deviations(equations.solved()) ** 2
+    quiet = samples[1 : 1 + rest]
+    level, scatter = (float(np.median(quiet)), float(np.std(quiet, ddof=1))) if len(quiet) >= QUIET else (0.0, 0.0)
+    # Hum and noise are in the rest, too, and their squares add up to energy.
+    noise = np.hypot(equations.deviations(equations.solved()), scatter)
+    energy = samples**2 - noise**2
     total = float(energy.sum())
     if not total > 0:
         raise FitError("the taps have no shape in common that stands out of what differs between them")
     ahead = np.flatnonzero(np.cumsum(energy) <= FAINT * total)
-    behind = np.flatnonzero(np.cumsum(energy[::-1])[::-1] > FAINT * total)
-    begin = int(ahead[-1]) if len(ahead) else 0
-    end = min(len(samples) - 1, int(behind[-1]) + 1)
+    rise = int(np.argmax(np.abs(samples) >= LARGE * np.abs(samples).max()))
+    at_rest = np.flatnonzero(np.abs(samples - level)[:rise] <= CLEAR * noise[:rise])
+    begin = max(int(steps[-1]) if len(steps) else 0 for steps in (ahead, at_rest))
+    left = 0.0
+    end = len(samples) - 1
+    while end > rise and (left := max(0.0, left + samples[end] ** 2 - (2.0 * noise[end]) ** 2)) <= FAINT * total:
+        end -= 1
+    end = min(len(samples) - 1, end + 1)
     faded = end == len(samples) - 1 and float(np.abs(samples[-max(2, len(samples) // 20) :]).max()) > UNFINISHED
     length_s = (end - begin) / rate_hz
     finer_hz = min(min(pulse.rate_hz for pulse in pulses), (MOST_SAMPLES - 1) / max(length_s, 1e-9))
@@ -303,8 +389,8 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
-    t = student_t(len(pulses) - 1)
-    slope = _wider(line.coefficients[0], t * shape.others.of_peak)
+    part = shape.uncertain.half_of_amplitudes
+    slope = _wider(line.coefficients[0], part)
     if not slope.low > 0:
         raise FitError(
             f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
@@ -329,10 +415,10 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
-        amplitudes=_points(law),
+        amplitudes=tuple((speed, _wider(amplitude, part)) for speed, amplitude in _points(law)),
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
-        deviations=tuple(map(float, t * shape.others.deviations)),
+        deviations=tuple(map(float, shape.uncertain.halves)),
         length_s=shape.curve.length_s,
         samples_a_period=resolved,
         r_squared=line.r_squared,

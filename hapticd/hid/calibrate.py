@@ -174,11 +174,22 @@ def calibrate(
                 raise DeviceError(
                     f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "
                     f"nor for -{force_n:g} N: {pusher.told(along)} (hex, id first); is a hand on it, or does it take "
-                    "these reports otherwise? Else try more with --force"
+                    f"these reports otherwise? Else try more with --force{_alone(moved)}"
                 )
         return Calibration(_found(moved), moved)
     finally:
         _rest(device, plan)
+
+
+def _alone(moved: dict[str, tuple[float, float]]) -> str:
+    """What a device needs that pushes along its first axis and not along its second one, as wheels that name both."""
+    x, y = moved["x"]
+    if "y" not in moved or abs(x) < CLEARLY * abs(y):
+        return ""
+    sign = 1 if x > 0 else -1
+    return (
+        f". Along x it does move: a device without a motor for y needs device.hid.force_axes: {{x: {{sign: {sign}}}}}"
+    )
 
 
 def _found(moved: dict[str, tuple[float, float]]) -> ForceAxes:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, Literal
 
-from hapticd.hid.config import ForceAxes
+from hapticd.hid.config import ForceAxes, HandleAxes
 from hapticd.hid.layout import Field, SetEffect
 
 _COARSE: Final = 0.5
@@ -15,6 +15,20 @@ _COARSE: Final = 0.5
 def angle_of(effect: SetEffect) -> Field | None:
     """The direction as an angle; None where there is none, or parts of a vector stand for it."""
     return None if effect.is_direction_cartesian or not effect.direction else effect.direction[0]
+
+
+def has_vector(effect: SetEffect) -> bool:
+    """Whether the direction has a part along each of two axes."""
+    return effect.is_direction_cartesian and len(effect.direction) >= 2
+
+
+def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) -> str:
+    """Which axis is enabled for a force along the device's first axis (x) or its second one (y): X and Y where it has
+    both, else those of the handle, else its axes in their order. A device with one axis has it under any name."""
+    known = effect.axes_enable
+    handle = (axes.x.usage.lower(), axes.y.usage.lower())
+    names = next(names for names in (("x", "y"), handle, tuple(known)) if known.keys() >= set(names))
+    return names[min("xy".index(axis), len(names) - 1)]
 
 
 def counts_of(angle: Field, turns: float) -> float:

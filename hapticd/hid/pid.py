@@ -24,7 +24,7 @@ from typing import Final, Literal
 from hapticd.core import HidMeaning, HidQuantity, lib
 from hapticd.hid.config import HandleAxis, Hid
 from hapticd.hid.device import Device
-from hapticd.hid.directions import angle_of, counts_of, leak, mirrored, parts
+from hapticd.hid.directions import angle_of, counts_of, enabled_for, has_vector, leak, mirrored, parts
 from hapticd.hid.flags import number_of_on
 from hapticd.hid.layout import Axis, BlockLoad, Choice, Field, Layout, SetEffect
 from hapticd.hid.plan import (
@@ -43,6 +43,7 @@ from hapticd.hid.plan import (
     Value,
 )
 from hapticd.hid.pool import Pool, number_in, read_feature
+from hapticd.hid.same_report import shared_report
 from hapticd.hid.useful import duration_fault
 
 LOAD_TRIES: Final = 30
@@ -211,6 +212,9 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     """How a force can be shown, the best first. Raises DeviceError."""
     effect, force = layout.set_effect, layout.constant_force
     assert effect is not None and force is not None
+    shared = shared_report(layout)
+    if shared is not None:
+        raise DeviceError(shared)
     angle, signed = angle_of(effect), force.magnitude.is_signed
     if not signed and force.magnitude.physical_min < 0 < force.magnitude.physical_max:
         raise DeviceError(
@@ -219,7 +223,7 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
         )
     room = layout.effect_indices is None or layout.effect_indices[1] > layout.effect_indices[0]
     room = room and "one_effect" not in hid.quirks
-    both = len(effect.axes_enable) >= 2
+    both = len(effect.axes_enable) >= 2 or has_vector(effect)
     if _single(layout):
         if signed:
             return ("one",)
@@ -232,9 +236,13 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     if angle is not None:
         ways.append("polar")
     if not ways:
-        raise DeviceError(
-            "the device has two axes, and neither Direction nor Axes Enable to tell them apart in a force"
-        )
+        if not both:
+            told = "and neither Direction nor Axes Enable to tell them apart in a force"
+        elif signed:
+            told = "room for one effect, and no angle to say the direction of a force"
+        else:
+            told = "magnitudes without a sign, and no angle to say the direction of a force"
+        raise DeviceError(f"the device has two axes, {told}")
     return tuple(ways)
 
 
@@ -582,11 +590,11 @@ def set_effect_report(layout: Layout, hid: Hid, index: int, effect: _Effect | No
     if to.gain is not None:
         report.put(to.gain, to.gain.logical_max)
     report.fill(to.trigger_button)
-    _aim(report, to, effect)
+    _aim(report, to, hid, effect)
     return bytes(report.data)
 
 
-def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
+def _aim(report: _Report, to: SetEffect, hid: Hid, effect: _Effect | None) -> None:
     """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
     angle, by_angle = angle_of(to), _by_angle(to, effect)
     if by_angle:
@@ -602,10 +610,10 @@ def _aim(report: _Report, to: SetEffect, effect: _Effect | None) -> None:
     elif to.is_direction_cartesian and effect is not None:
         for name, field in zip(("x", "y"), to.direction, strict=False):
             report.put(field, field.logical_max if name == effect.axis else 0)
+        report.flag(to.direction_enable, not to.axes_enable)
     if not by_angle or to.direction_enable is None:
         for name, field in to.axes_enable.items():
-            # A device of one axis has it under any name.
-            report.flag(field, effect is None or name == effect.axis or len(to.axes_enable) == 1)
+            report.flag(field, effect is None or name == enabled_for(to, hid.axes, effect.axis))
 
 
 def _by_angle(to: SetEffect, effect: _Effect | None) -> bool:

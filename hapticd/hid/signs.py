@@ -32,7 +32,9 @@ _SEEN: Final[Mapping[SignsProblem, str]] = MappingProxyType(
     }
 )
 _log = logging.getLogger("hapticd")
-CORRECT: Final = "`hapticd devices calibrate` finds device.hid.force_axes; device.hid.signs trust leaves the check out"
+CORRECT: Final = (
+    "run `hapticd devices calibrate` to find device.hid.force_axes, or set device.hid.signs: trust to skip the check"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +105,7 @@ class Told:
         if self.state == SignsState.WRONG:
             return CORRECT
         if self.state == SignsState.UNCLEAR:
-            return f"let go of the handle and turn forces on again; or {CORRECT}"
+            return f"let go of the handle and turn forces on again, or {CORRECT}"
         away = "move it away and " if self.problem == SignsProblem.CONTACT else ""
         return f"{away}let go of it"
 

@@ -80,12 +80,32 @@ def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["devices", "parse", str(file)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "can be driven"
-    assert lines[1] == "axis x: input report 1, 16 bits at 0, -32767 to 32767"
+    assert lines[1] == "forces: along x and y, by 2 effects"
+    assert lines[2] == "axis x: input report 1, 16 bits at 0, -32767 to 32767"
+    assert "direction: an angle, 0 to 255; Axes Enable: x, y" in lines
     assert "constant force: output report 4 of 4 bytes, magnitude -10000 to 10000" in lines
     file.write_bytes(bytes(Joystick(without=frozenset({0x73, 0x96}))))
     assert main(["devices", "parse", str(file)]) == 0
     told = capsys.readouterr().out.splitlines()[0]
     assert told == "cannot be driven; missing: Set Constant Force, Device Control"
+
+
+@pytest.mark.parametrize(
+    ("like", "told"),
+    [
+        (Joystick(force_axes=(0x30,), directions=1), "forces: along x only, by 1 effect"),
+        (Joystick(is_magnitude_signed=False, direction_bits=16), "forces: along x and y, by 1 effect"),
+        (Joystick(direction_bits=0, without=frozenset({0x56})), "direction: none; Axes Enable: x, y"),
+        (Joystick(force_axes=()), "direction: an angle, 0 to 255; Axes Enable: none"),
+    ],
+)
+def test_along_what_it_is_pushed_and_how(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], like: Joystick, told: str
+) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(bytes(like))
+    assert main(["devices", "parse", str(file)]) == 0
+    assert told in capsys.readouterr().out.splitlines()
 
 
 def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

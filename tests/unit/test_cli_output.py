@@ -127,8 +127,8 @@ def test_the_status_says_how_far_the_check_of_signs_is_and_what_to_do() -> None:
         ("forces", "off by a fault: the signs of the device are not known"),
         (
             "",
-            "a force along x moves the handle along y: `hapticd devices calibrate` finds device.hid.force_axes; "
-            "device.hid.signs trust leaves the check out",
+            "a force along x moves the handle along y: run `hapticd devices calibrate` to find device.hid.force_axes, "
+            "or set device.hid.signs: trust to skip the check",
         ),
     ]
     assert ("signs", "wrong") in told
@@ -153,7 +153,8 @@ def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys:
         assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
         assert capsys.readouterr().err == (
             "hapticd: forces are off because a force along x moves the handle the other way: "
-            "`hapticd devices calibrate` finds device.hid.force_axes; device.hid.signs trust leaves the check out\n"
+            "run `hapticd devices calibrate` to find device.hid.force_axes, "
+            "or set device.hid.signs: trust to skip the check\n"
         )
 
 

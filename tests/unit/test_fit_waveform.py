@@ -99,6 +99,58 @@ def test_the_waveform_is_the_curve_that_was_recorded(
     assert found.verdict.startswith("good: a waveform explains ")
 
 
+def test_the_waveform_begins_at_the_contact() -> None:
+    """Hum lies over the seven samples of rest, and over what comes after the pulse."""
+    width_s, random = 0.0045, np.random.default_rng(4)
+    time_s = np.arange(160) / 1000
+    recordings, onsets_s = [], []
+    for index, speed in enumerate(SPEEDS):
+        onset_s = 0.006 + random.uniform(0, 0.001)
+        hum = 1.5 * np.sin(2 * np.pi * 200 * (time_s - onset_s) + random.uniform(-1, 1))
+        samples = 9.8 + PEAK_PER_S * speed * push((time_s - onset_s) / width_s) + hum
+        samples += 0.5 * random.standard_normal(160)
+        name = f"tap {index}"
+        recordings.append(Recording(name, 1000.0, samples, None, None, None, float(speed), Source(name, "")))
+        onsets_s.append(onset_s)
+    found = waveform_of(*recordings)
+    true_s = {recording.name: onset_s for recording, onset_s in zip(recordings, onsets_s, strict=True)}
+    off_s = [tap.onset_s - true_s[tap.recording] for tap in found.taps]
+    assert abs(float(np.median(off_s))) < 0.001
+    assert found.length_s < 3 * width_s
+    assert explained(found, push, width_s) > 0.98
+
+
+def held(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: float) -> float:
+    """Part of the samples whose intervals hold the true curve, laid over the one that was found."""
+    fine, at = np.arange(-0.01, found.length_s + 0.01, 1e-4), np.arange(len(found.samples)) / found.rate_hz
+    shifts = np.linspace(-0.4 * width_s, 0.4 * width_s, 401)
+    left = [np.sum((shape((fine + s) / width_s) - found.curve.at(fine)) ** 2) for s in shifts]
+    off = np.array(found.samples) - shape((at + shifts[int(np.argmin(left))]) / width_s)
+    return float(np.mean(np.abs(off)[1:-1] <= np.array(found.deviations)[1:-1]))
+
+
+def test_intervals_hold_what_lies_between_the_samples() -> None:
+    """A steep rise of 2.5 samples with next to no noise."""
+    found = waveform_of(recorded(thud, noise=0.01)[0])
+    assert held(found, thud, 0.01) >= 0.8
+    assert found.first_peak_slope_per_s.low < PEAK_PER_S < found.first_peak_slope_per_s.high
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [push, thud])
+def test_intervals_hold_the_truth_as_often_as_they_say(shape: Callable[[Floats], Floats]) -> None:
+    """In 100 sets; less the luck of so many."""
+    slopes, curves = [], []
+    for seed in range(100):
+        width_s = 0.01 + 0.00002 * seed
+        found = waveform_of(recorded(shape, width_s, noise=0.5, seed=seed)[0])
+        slope = found.first_peak_slope_per_s
+        slopes.append(slope.low <= PEAK_PER_S <= slope.high)
+        curves.append(held(found, shape, width_s))
+    assert np.mean(slopes) >= 0.91
+    assert np.mean(curves) >= 0.95 - 2 * float(np.std(curves)) / 10
+
+
 def test_the_rendered_tap_is_the_recorded_one() -> None:
     recording, _ = recorded(thud, 0.008)
     found = waveform_of(recording)
@@ -222,6 +274,10 @@ def test_a_pulse_that_is_not_over_is_faded_out_and_told() -> None:
     assert any("faded out" in line for line in found.warnings)
     assert found.verdict.startswith("fair")
     assert found.samples[-1] == 0
+    slope = found.first_peak_slope_per_s
+    assert slope.high - slope.value < 0.05 * slope.value
+    # The interval holds what the fading takes away.
+    assert found.deviations[-2] > 0.2
 
 
 def test_what_is_no_waveform_is_refused_in_a_line() -> None:

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 import pytest
+import yaml
 
 from hapticd.core import ffi, lib
 from hapticd.hid.calibrate import calibrate
@@ -19,6 +20,7 @@ from hapticd.hid.layout import layout_of
 from hapticd.hid.offload import effect_messages, fit
 from hapticd.hid.pid import PidDriver
 from hapticd.hid.plan import DeviceError, Plan, fill_message
+from hapticd.hid.usages import AXES
 from hapticd.mode import Mode
 from tests import firmware_descriptors as descriptors
 from tests.firmware import ADAPT, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
@@ -151,11 +153,11 @@ def test_more_than_the_full_force_along_one_axis_is_none_along_the_other() -> No
         assert stick.force() == pytest.approx((1.0, 0.0), abs=step_of(stick))
 
 
-def _vectors() -> bytes:
+def _vectors(force_axes: tuple[int, ...] = (0x30, 0x31), without: frozenset[int] = frozenset({0x56})) -> bytes:
     """A direction as parts of a vector: X and Y from -127 to 127."""
     angles = usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000)
     parts = usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127)
-    descriptor = bytes(Joystick(without=frozenset({0x56})))
+    descriptor = bytes(Joystick(force_axes=force_axes, without=without))
     assert descriptor.count(angles) == 1
     return descriptor.replace(angles, parts)
 
@@ -172,6 +174,39 @@ def test_axes_alone_go_the_way_of_the_device(name: str) -> None:
         for force_n in FORCES:
             send(stick, plan, force_n)
             assert stick.force() == pytest.approx((force_n[0] / FULL_N, force_n[1] / FULL_N), abs=2e-4), force_n
+        assert stick.faults == []
+
+
+@pytest.mark.parametrize(("first", "second"), [("Rx", "Ry"), ("Z", "Rz"), ("X", "Z")])
+def test_axes_of_other_names_are_enabled_one_by_one(first: str, second: str) -> None:
+    """A handle of other axes than X and Y, without an angle: no axis was enabled, so that no force was felt."""
+    pair = (AXES[first.lower()], AXES[second.lower()])
+    descriptor = bytes(Joystick(axes=pair, force_axes=pair, direction_bits=0, without=frozenset({0x56})))
+    with driven(descriptor, axes={"x": {"usage": first}, "y": {"usage": second}}) as (stick, _):
+        shown = [str(stick.read(report)[1]["axes"]) for report in stick.sent("set_effect")]
+        assert shown == [first.lower(), second.lower()]
+
+
+def test_a_third_axis_is_left_alone() -> None:
+    """The handle's axes are enabled, whatever stands between them."""
+    descriptor = bytes(
+        Joystick(axes=(0x30, 0x35), force_axes=(0x30, 0x32, 0x35), direction_bits=0, without=frozenset({0x56}))
+    )
+    with driven(descriptor, axes={"y": {"usage": "Rz"}}) as (stick, _):
+        shown = [str(stick.read(report)[1]["axes"]) for report in stick.sent("set_effect")]
+        assert shown == ["x", "rz"]
+
+
+@pytest.mark.parametrize("has_enable", [False, True])
+def test_a_direction_of_two_parts_needs_no_axes_enable(has_enable: bool) -> None:
+    """Parts of a vector tell the axes apart; Y grows towards the user, which a calibration finds."""
+    descriptor = _vectors(force_axes=(), without=frozenset() if has_enable else frozenset({0x56}))
+    with driven(descriptor, force_axes={"y": {"sign": -1}}) as (stick, plan):
+        for force_n in FORCES:
+            send(stick, plan, force_n)
+            assert stick.force() == pytest.approx((force_n[0] / FULL_N, force_n[1] / FULL_N), abs=2e-4), force_n
+        if has_enable:
+            assert [stick.read(report)[1]["direction_enable"] for report in stick.sent("set_effect")] == [1, 1]
         assert stick.faults == []
 
 
@@ -283,6 +318,22 @@ def test_calibration_of_one_axis_leaves_the_other_alone() -> None:
         found = calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
         assert set(found.moved_m) == {"x"} and found.force_axes.x.sign == -1
         assert stick.force() == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_wheel_that_names_two_axes_is_told_what_it_needs(sign: int) -> None:
+    """Nothing moves along y: what was found of x is not lost, and drives the wheel the right way."""
+    variant = Variant(axes=("x",), signs=(sign, 1))
+    table = Table(bytes(Joystick(direction_bits=16)), variant, 5.0)
+    with table.stick as stick, pytest.raises(DeviceError) as caught:
+        calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
+    told = str(caught.value)
+    assert told.endswith(f"a device without a motor for y needs device.hid.force_axes: {{x: {{sign: {sign}}}}}")
+    keys = yaml.safe_load(told.split("device.hid.force_axes: ")[1])
+    assert hid(force_axes=keys).signs == "trust"
+    with driven(table.stick.descriptor, variant, force_axes=keys) as (stick, plan):
+        send(stick, plan, (4.0, 2.0))
+        assert stick.force() == pytest.approx((0.5, 0.0), abs=2e-4)
 
 
 def test_a_calibration_that_finds_nothing_says_what_was_sent() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from hapticd.hid.plan import DeviceError
 from hapticd.hid.replay import Recording, text_of
 from hapticd.hid.sources import open_hid
 from hapticd.hid.verdict import verdict_of
-from tests.hid_descriptors import Joystick, logical, physical, unit, usage, usage_page
+from tests.hid_descriptors import DESKTOP, ORDINAL, Joystick, logical, physical, unit, usage, usage32, usage_page
 
 STICK = bytes(Joystick())
 MILLISECONDS = unit(0x1003, -3)
@@ -53,9 +54,40 @@ def with_axis(name: int) -> bytes:
     return instead(usage(0x30, 0x31) + logical(-32767, 32767), usage(name, name + 1) + logical(-32767, 32767))
 
 
+def with_id(report: int, number: int) -> bytes:
+    """An output report, by the usage of its collection, with another id."""
+    start = usage(report) + b"\xa1\x02\x85"
+    at = STICK.index(start) + len(start)
+    return STICK[:at] + bytes([number]) + STICK[at + 1 :]
+
+
 # What is wrong with a device, or None; the descriptor; and device.hid.
 CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
     "plain": (None, STICK, {}),
+    "two reports with one id": (
+        "Set Effect and Set Constant Force are output report 1: sending one would set the others to zero",
+        with_id(0x73, 1),
+        {},
+    ),
+    "a gain in the report of commands": (
+        "Device Control and Device Gain are output report 7",
+        with_id(0x7D, 7),
+        {},
+    ),
+    "no ids": (
+        "and Set Envelope are the one output report, which has no id",
+        re.sub(rb"\x85.", b"", STICK, flags=re.DOTALL),
+        {},
+    ),
+    "a direction of two parts, no Axes Enable": (
+        None,
+        instead(
+            usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000),
+            usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127),
+            bytes(Joystick(force_axes=())),
+        ),
+        {},
+    ),
     "a duration that ends at 0": (
         "Duration goes from -5 to 0 in counts of 0.001 s: it holds no duration",
         with_duration(logical(-5, 0) + physical(-5, 0) + MILLISECONDS),
@@ -92,6 +124,20 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
     "two axes and nothing that tells them apart": (
         "neither Direction nor Axes Enable to tell them apart",
         bytes(Joystick(force_axes=(), direction_bits=0)),
+        {},
+    ),
+    "one effect, and no angle": (
+        "the device has two axes, room for one effect, and no angle to say the direction of a force",
+        bytes(Joystick(direction_bits=0)),
+        {"quirks": ["one_effect"]},
+    ),
+    "a vector, and magnitudes without a sign": (
+        "the device has two axes, magnitudes without a sign, and no angle to say the direction of a force",
+        instead(
+            usage32(ORDINAL, 1, 2) + logical(0, 255) + physical(0, 36000),
+            usage32(DESKTOP, 0x30, 0x31) + logical(-127, 127) + physical(-127, 127),
+            bytes(Joystick(is_magnitude_signed=False)),
+        ),
         {},
     ),
     "a scaled magnitude": (

@@ -7,6 +7,7 @@ import shutil
 import socket
 import stat
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ import pytest
 
 from hapticd.calls import probe
 from hapticd.client import DaemonNotRunning
+from hapticd.daemon import run
 from hapticd.errors import HapticdError
 from hapticd.paths import RuntimePaths, runtime_paths
 from hapticd.runtime import Owned, owned
@@ -102,3 +104,17 @@ def test_a_daemon_that_fails_to_start_leaves_no_socket(paths: RuntimePaths) -> N
     with pytest.raises(HapticdError, match="refused"), owned(paths) as mine, mine.listen(paths.telemetry):
         raise HapticdError("real time is refused")
     assert os.listdir(paths.directory) == ["hapticd.lock"]
+
+
+def test_a_daemon_that_cannot_start_leaves_the_process_as_it_was(tmp_path: Path) -> None:
+    config = tmp_path / "c.yaml"
+    config.write_text("device: {kind: hid, hid: {path: /dev/none}}\n")
+    before = os.umask(0o022)
+    interval_s = sys.getswitchinterval()
+    try:
+        with pytest.raises(HapticdError, match="/dev/none"):
+            run([config], tmp_path / "run")
+        assert os.umask(0o022) == 0o022
+        assert sys.getswitchinterval() == interval_s
+    finally:
+        os.umask(before)

@@ -159,7 +159,12 @@ def test_one_wrong_axis_is_enough(
         assert run.tick().state == SignsState.WRONG
     assert not np.array(run.handle.forces)[pushed - 1 :].any()
     line = told.line()
-    assert line is not None and "hapticd devices calibrate" in line and "signs trust" in line and "\n" not in line
+    assert (
+        line is not None
+        and "hapticd devices calibrate" in line
+        and "device.hid.signs: trust" in line
+        and "\n" not in line
+    )
 
 
 def test_one_axis_is_pushed_alone() -> None:

@@ -232,7 +232,9 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
     assert engine.faults() == Fault.SIGNS
     world.hold(0.024)
     for _ in range(2):
-        with pytest.raises(MethodError, match="moves the handle the other way: `hapticd devices calibrate`") as caught:
+        with pytest.raises(
+            MethodError, match="moves the handle the other way: run `hapticd devices calibrate`"
+        ) as caught:
             Control(engine).call("set_forces", {"enabled": True})
         assert caught.value.code == -32003 and caught.value.data == {"faults": ["signs"]}
         settled(world)
@@ -271,7 +273,7 @@ def test_who_strikes_a_device_waits_for_the_check(world: Sprung, way: float, mon
                 samples = rig.run(0.1)
                 assert not (samples["flags"][-1] & Flag.CHECKING) and samples["flags"][-1] & Flag.FORCES_ON
         else:
-            with pytest.raises(HapticdError, match="moves the handle the other way: `hapticd devices calibrate`"):
+            with pytest.raises(HapticdError, match="moves the handle the other way: run `hapticd devices calibrate`"):
                 rig_of(config)
     finally:
         world._stop.set()
