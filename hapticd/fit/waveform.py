@@ -307,8 +307,10 @@ def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
     ends = [len(pulse.measured) / pulse.rate_hz for pulse in pulses]
     length_s = min(LONGEST_S, before_s + float(np.median(np.subtract(ends, crossings))))
     rate_hz = min(rate_hz, (MOST_SAMPLES - 1) / length_s)
-    # The rise from the crossing to the peak takes longer than the one from the contact to the crossing.
-    rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz))
+    # The rise from the crossing to the peak takes longer than the one from the contact to the crossing; and a sample
+    # before the first loud one of any pulse there is rest.
+    loud_s = min(before_s + pulse.onset_s - crossing for pulse, crossing in zip(pulses, crossings, strict=True))
+    rest_s = max(0.0, before_s - max(rise_s, 1.0 / rate_hz), min(loud_s, before_s) - 1.0 / rate_hz)
     return rate_hz, before_s, rest_s, max(LEAST_SAMPLES, math.floor(length_s * rate_hz) + 1)
 
 

@@ -224,7 +224,7 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
     room = layout.effect_indices is None or layout.effect_indices[1] > layout.effect_indices[0]
     room = room and "one_effect" not in hid.quirks
     both = len(effect.axes_enable) >= 2 or has_vector(effect)
-    if _single(layout):
+    if _single(layout, hid):
         if signed:
             return ("one",)
         if angle is not None and room:
@@ -249,15 +249,16 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
 def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
     """The handle's axes. Raises DeviceError where the device has no such axis."""
     x = _axis(layout, hid.axes.x, "x", hid)
-    if _single(layout) and hid.axes.y.usage.lower() not in layout.input:
+    if _single(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
         return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_M_PER_COUNT)
     return x, _axis(layout, hid.axes.y, "y", hid)
 
 
-def _single(layout: Layout) -> bool:
-    """Whether the device pushes along one axis only."""
+def _single(layout: Layout, hid: Hid) -> bool:
+    """Whether the device pushes along one axis only, as a wheel does that has pedals and no Y."""
     assert layout.set_effect is not None
-    return len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
+    no_y = hid.axes.y.usage == "Y" and "y" not in layout.input
+    return no_y or len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
 
 
 def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
@@ -473,7 +474,7 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
     absent = [name for name, report in reports.items() if report is None]
     if not {"sine"} <= effect.effect_type.entries.keys() & create.effect_type.entries.keys():
         absent.append("ET Sine")
-    if angle_of(effect) is None or _single(layout):
+    if angle_of(effect) is None or _single(layout, hid):
         absent.append("Direction of two axes")
     if absent:
         return f"the device has no {', no '.join(absent)}"

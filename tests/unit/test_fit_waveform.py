@@ -120,6 +120,24 @@ def test_the_waveform_begins_at_the_contact() -> None:
     assert explained(found, push, width_s) > 0.98
 
 
+def test_a_waveform_that_is_not_over_begins_at_the_contact() -> None:
+    """What lasts longer than a waveform may leaves the level of the rest open."""
+    random = np.random.default_rng(8)
+    time_s = np.arange(160) / 1000
+    recordings, off_s = [], []
+    for index, speed in enumerate(SPEEDS):
+        onset_s = 0.006 + random.uniform(0, 0.001)
+        since_s = np.maximum(time_s - onset_s, 0.0)
+        samples = 9.8 + PEAK_PER_S * speed * np.exp(-9 * since_s) * np.sin(2 * np.pi * 29 * since_s)
+        samples += 0.1 * random.standard_normal(160)
+        name = f"tap {index}"
+        recordings.append(Recording(name, 1000.0, samples, None, None, None, float(speed), Source(name, "")))
+        off_s.append(onset_s)
+    found = waveform_of(*recordings)
+    for tap in found.taps:
+        assert abs(tap.onset_s - off_s[int(tap.recording.split()[1])]) < 0.001
+
+
 def held(found: WaveformFit, shape: Callable[[Floats], Floats], width_s: float) -> float:
     """Part of the samples whose intervals hold the true curve, laid over the one that was found."""
     fine, at = np.arange(-0.01, found.length_s + 0.01, 1e-4), np.arange(len(found.samples)) / found.rate_hz

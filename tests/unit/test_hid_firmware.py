@@ -197,6 +197,22 @@ def test_a_third_axis_is_left_alone() -> None:
         assert shown == ["x", "rz"]
 
 
+def test_a_wheel_with_pedals_and_no_y_is_pushed_along_x() -> None:
+    """Though it names X and Y as axes of its forces, as some do; an axis that is named and missing is refused."""
+    wheel = bytes(Joystick(axes=(0x30, 0x32, 0x35)))
+    with driven(wheel) as (stick, plan):
+        assert plan.driven_axes == (True, False) and len(plan.force) == 1
+        for force_n in (4.0, -2.0, 0.5):
+            send(stick, plan, (force_n, 3.0))
+            assert stick.force()[0] == pytest.approx(force_n / FULL_N, abs=0.52 * step_of(stick) + 1e-4)
+        assert stick.faults == []
+    with (
+        pytest.raises(DeviceError, match="the device has no axis Rx; it has X, Z, Rz"),
+        driven(wheel, axes={"y": {"usage": "Rx"}}),
+    ):
+        pass
+
+
 @pytest.mark.parametrize("has_enable", [False, True])
 def test_a_direction_of_two_parts_needs_no_axes_enable(has_enable: bool) -> None:
     """Parts of a vector tell the axes apart; Y grows towards the user, which a calibration finds."""
