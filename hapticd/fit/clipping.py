@@ -14,10 +14,15 @@ RUN: Final = 3
 LEAP: Final = 3.0
 """where they are reached or left by more than so many steps of the numbers: a slow peak of coarse numbers stays at its
 highest step, too, but comes to it step by step."""
+SHORT: Final = 4
+"""Samples: so short a run of equal ones is what noise makes of the peak of a pulse in coarse numbers,"""
+NOISE: Final = 4.0
+"""where it is reached by steps of less than so many standard deviations of the noise. Clipping would take away little
+more than the noise there."""
 
 
-def clipped(values: Floats) -> npt.NDArray[np.bool_]:
-    """(n,) which of the samples are."""
+def clipped(values: Floats, noise: float = 0.0) -> npt.NDArray[np.bool_]:
+    """(n,) which of the samples are; `noise` is the standard deviation of the samples at rest, where it is known."""
     found = np.zeros(len(values), dtype=np.bool_)
     steps = np.abs(np.diff(values))
     if not steps.any():
@@ -29,6 +34,7 @@ def clipped(values: Floats) -> npt.NDArray[np.bool_]:
         edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False])).astype(np.int8)))
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             around = np.concatenate((steps[max(0, begin - 1) : begin], steps[end - 1 : end]))
-            if end - begin >= RUN and around.size and around.max() > LEAP * quantum:
+            leap = max(LEAP * quantum, NOISE * noise) if end - begin <= SHORT else LEAP * quantum
+            if end - begin >= RUN and around.size and around.max() > leap:
                 found[begin:end] = True
     return found

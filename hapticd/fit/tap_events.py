@@ -148,7 +148,8 @@ def loud_in(recording: Recording, warnings: list[str]) -> Loud:
         if len(kept) < len(events):
             warnings.append(f"{recording.name}: {len(events) - len(kept)} bounces after taps are left out")
         events = kept
-    return Loud(recording, events, speeds, clipped(acceleration), whole.replaced)
+    noise = min((event.noise for event in events), default=0.0)
+    return Loud(recording, events, speeds, clipped(acceleration, noise), whole.replaced)
 
 
 def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hit]:

@@ -15,13 +15,14 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.fit.left_out import LeftOut
+from hapticd.fit.left_out import LeftOut, most_are_left_out
 from hapticd.fit.pulse_shape import Pulse
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, MistakenError, require_scipy
 from hapticd.fit.tap import HARDEST, SOFTEST, TapFit, fit_tap
 from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
 from hapticd.fit.twins import refuse_twins
+from hapticd.fit.verdict import Verdict
 from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
 from hapticd.waveform import LONGEST_S, middle_hz
 
@@ -97,7 +98,7 @@ def _waveform(recordings: Sequence[Recording], left: LeftOut) -> WaveformFit:
     refuse_twins(recordings)
     pulses = pulses_of(recordings, warnings, left)
     found = fit_waveform(pulses, tuple(recording.source for recording in recordings), left.lines() + warnings)
-    found = dataclasses.replace(found, left_out=tuple(left.items))
+    found = dataclasses.replace(found, left_out=tuple(left.items), judged=_judged(found, left))
     ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
     if not SOFTEST <= ratio <= HARDEST:
         raise FitError(
@@ -106,6 +107,14 @@ def _waveform(recordings: Sequence[Recording], left: LeftOut) -> WaveformFit:
             "a thousand (mm, g)?"
         )
     return found
+
+
+def _judged(found: WaveformFit, left: LeftOut) -> Verdict:
+    """Not good where most of the taps are left out."""
+    judged, most = found.judged, most_are_left_out(left, len(found.taps), "tap")
+    if not most:
+        return judged
+    return Verdict("poor" if judged.quality == "poor" else "fair", judged.summary, (*judged.reasons, most))
 
 
 def pulses_of(recordings: Sequence[Recording], warnings: list[str], left: LeftOut) -> list[Pulse]:

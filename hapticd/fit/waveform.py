@@ -159,6 +159,7 @@ class WaveformFit:
             "r_squared": self.r_squared,
             "variance_accounted_for": self.variance_accounted_for,
             "taps": [tap.to_dict() for tap in self.taps],
+            "left_out": [each.to_dict() for each in self.left_out],
             "warnings": list(self.warnings),
             "verdict": self.verdict,
             "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},

@@ -231,6 +231,17 @@ def test_clipped_samples_are_those_that_stand_at_an_end_after_a_leap() -> None:
     assert not clipped(np.zeros(20)).any()
 
 
+def test_noise_on_the_peak_of_a_pulse_in_coarse_numbers_is_not_clipping() -> None:
+    pulse = np.concatenate((np.zeros(60), 240.0 * np.sin(np.linspace(0, np.pi, 50)), np.zeros(60)))
+    pulse[80:90] = [231.0, 234.0, 232.0, 236.0, 240.0, 240.0, 240.0, 236.0, 237.0, 234.0]
+    assert not clipped(0.25 * np.round(pulse), 0.25).any()
+    # A longer run is no chance, nor is one that is reached by a leap.
+    pulse[83] = pulse[87] = 240.0
+    assert np.count_nonzero(clipped(0.25 * np.round(pulse), 0.25)) == 5
+    sharp = np.concatenate((np.zeros(20), [1.0, 100.0, 240.0, 240.0, 240.0, 80.0], np.zeros(20)))
+    assert np.count_nonzero(clipped(0.25 * sharp, 0.25)) == 3
+
+
 def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
     seen = np.random.default_rng(1).standard_normal(10_000)
     seen[3000:3004] = 9.0

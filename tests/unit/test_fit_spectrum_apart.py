@@ -41,9 +41,9 @@ def test_a_second_resonance_is_told(second_hz: float | None, quality: str) -> No
         white = random.standard_normal((2, round(6 * RATE_HZ)))
         noise = resonance(white[0], 120.0, 2.0)
         if second_hz is not None:
-            noise = (noise + resonance(white[1], second_hz, 6.0)) / np.sqrt(2)
-        pressed: Floats = force + 0.01 * random.standard_normal(len(noise))
-        moved: Floats = speed * np.arange(len(noise)) / RATE_HZ
+            noise = np.sqrt(0.5) * (noise + resonance(white[1], second_hz, 6.0))
+        pressed = force + 0.01 * random.standard_normal(len(noise))
+        moved = np.asarray(speed * np.arange(len(noise)) / RATE_HZ, dtype=np.float64)
         seen = np.asarray((24.0 * speed + 2.4 * force) * noise, dtype=np.float64)
         recordings.append(Recording(f"{index}", RATE_HZ, seen, pressed, None, moved, None, Source("", "")))
     fit = fit_texture(recordings)

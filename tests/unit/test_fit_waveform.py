@@ -245,6 +245,25 @@ def test_a_tap_that_is_another_is_left_out_and_told() -> None:
     assert [line for line in found.warnings if "pushes the other way, and is left out" in line]
 
 
+@pytest.mark.slow
+def test_a_waveform_of_the_minority_of_the_taps_is_not_good() -> None:
+    recording, onsets_s = recorded()
+    assert waveform_of(recording).judged.quality == "good"
+    samples = recording.acceleration_m_per_s2
+    assert samples is not None
+    usable, top = 5, samples.max() + 1.0
+    for onset_s in onsets_s[usable:]:
+        first = round(onset_s * recording.rate_hz) + 2
+        samples[first : first + 4] = top
+    found = waveform_of(recording)
+    assert len(found.taps) == usable
+    assert found.judged.quality == "fair"
+    gone = len(SPEEDS) - usable
+    assert found.judged.reasons == (f"{gone} of {len(SPEEDS)} taps are left out",)
+    told = found.to_dict()["left_out"]
+    assert isinstance(told, list) and len(told) == gone
+
+
 def test_taps_that_push_downwards_are_turned() -> None:
     recording, _ = recorded(lambda x: -push(x))
     found = waveform_of(recording)
