@@ -360,7 +360,6 @@ class Control:
         """This thread performs beside the one that serves commands meanwhile, and tells `work` how far it is."""
         with self._engine.beside(work):
             yield
-            self._told.scene(self._engine.scene)  # who asks for it next does not hold others up
 
     def end(self) -> None:
         """Gives up what is being taken in: the daemon ends. For any thread."""
@@ -426,6 +425,7 @@ class Control:
         self._engine.working()
         if self._brief and self._engine.missing(objects.values(), materials) > _BRIEF_FILTERS:
             raise TakesLongError
+        self._told.prepare(objects)  # before they are in force: who asks for them then does not hold others up
 
     def _problems_of(
         self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None

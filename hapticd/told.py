@@ -6,6 +6,8 @@ else would wait for it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from hapticd.materials import Material, Materials
 from hapticd.model import AT_ONCE
 from hapticd.patches import Patches
@@ -18,6 +20,12 @@ class Told:
 
     def __init__(self) -> None:
         self._materials: dict[str, tuple[Material, Encoded]] = {}
+
+    def prepare(self, objects: Mapping[str, SceneObject]) -> None:
+        """Encodes what takes long, once."""
+        for item in objects.values():
+            if isinstance(item, Wall) and len(item.patches) > AT_ONCE:
+                self._object(item)
 
     def scene(self, scene: Scene) -> Encoded:
         """As `scene.to_dict()`."""

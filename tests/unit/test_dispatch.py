@@ -20,6 +20,7 @@ from hapticd.control import Control
 from hapticd.dispatch import Dispatch
 from hapticd.engine import Engine
 from hapticd.errors import HapticdError
+from hapticd.scene import Scene
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SANDED = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "sand"}
@@ -331,6 +332,27 @@ def patched(count: int, **keys: object) -> dict[str, object]:
         for place in range(count)
     ]
     return FLOOR | {"patches": patches} | keys
+
+
+@pytest.mark.parametrize("method", ["set_scene", "update_scene"])
+def test_a_wall_of_many_patches_is_encoded_before_it_is_in_force(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """Who asks for the scene then would encode it, while others wait."""
+    daemon.engine.set_materials(load_config({}).materials)
+    encoded: list[bool] = []
+    for name in ("set_scene", "update_objects"):
+        take = getattr(Engine, name)
+
+        def looked(self: Engine, given: Any, *rest: Any, take: Callable[..., int] = take) -> int:
+            walls = given.objects if isinstance(given, Scene) else given
+            encoded.append(walls["one"].patches.encoded is not None)
+            return take(self, given, *rest)
+
+        monkeypatch.setattr(Engine, name, looked)
+    objects = {"one": patched(2000)}
+    daemon.control.call(method, {"scene": {"objects": objects}} if method == "set_scene" else {"objects": objects})
+    assert encoded == [True]
 
 
 def test_a_tiny_change_of_a_wall_looks_at_none_of_its_patches(

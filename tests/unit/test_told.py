@@ -34,6 +34,11 @@ def test_many_patches_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert told.scene(made) == first
     assert told.scene(made.model_copy(update={"ramp_s": 0.1})) != first
     assert asked.count(2000) == 1
+    prepared = scene(3000)
+    told.prepare(prepared.objects)
+    assert asked.count(3000) == 1
+    told.scene(prepared)
+    assert asked.count(3000) == 1
 
 
 def test_materials_are_encoded_once_and_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
