@@ -405,6 +405,7 @@ class Control:
         if problems:
             raise _faulty(problems)
         self._weigh(scene.objects, self._engine.materials)
+        self._told.prepare(scene.objects)
         revision = self._engine.set_scene(scene, params.expect_revision)
         return Changed(revision, params.wait, self._warnings(scene.objects, ("scene", "objects")))
 
@@ -417,6 +418,7 @@ class Control:
         if problems:
             raise _faulty(problems)
         self._weigh(present, engine.materials)
+        self._told.prepare(present)
         revision = engine.update_objects(changes, params.expect_revision)
         return Changed(revision, params.wait, self._warnings(present, ("objects",)))
 
@@ -425,7 +427,6 @@ class Control:
         self._engine.working()
         if self._brief and self._engine.missing(objects.values(), materials) > _BRIEF_FILTERS:
             raise TakesLongError
-        self._told.prepare(objects)  # before they are in force: who asks for them then does not hold others up
 
     def _problems_of(
         self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
@@ -493,6 +494,7 @@ class Control:
         if problems:
             raise _faulty(problems)
         self._weigh(scene.objects, materials)
+        self._told.prepare(scene.objects)
         revision = engine.replace(scene, materials, params.expect_revision)
         objects = scene.objects if "scene" in params.model_fields_set else {}
         warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
@@ -539,6 +541,7 @@ class Control:
                 self._expect(params)
                 revision = engine.revision
             else:
+                self._told.prepare(config.scene.objects)
                 revision = engine.replace(config.scene, config.materials, params.expect_revision)
         except InvalidError as error:
             self._tell(logging.ERROR, f"not reloaded: {error}")

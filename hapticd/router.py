@@ -71,8 +71,6 @@ class Router(Peers):
         if peer.closed:
             self.undelivered += 1
             return
-        if isinstance(body, bytes):
-            self._send(peer, zmtp.message(wire.close_envelope(delimited, body)))
-        else:
-            head = zmtp.header(0, zmtp.MORE) if delimited else b""
-            self._send(peer, head + zmtp.header(len(body), 0), *body.parts)
+        first, *rest = (body,) if isinstance(body, bytes) else body.parts
+        delimiter = zmtp.header(0, zmtp.MORE) if delimited else b""
+        self._send(peer, delimiter + zmtp.header(len(body), 0) + first, *rest)

@@ -22,14 +22,14 @@ class Told:
         self._materials: dict[str, tuple[Material, Encoded]] = {}
 
     def prepare(self, objects: Mapping[str, SceneObject]) -> None:
-        """Encodes what takes long, once."""
+        """Encodes what takes long. To be called before the objects are in force: who asks for them then would encode
+        it, while others wait."""
         for item in objects.values():
-            if isinstance(item, Wall) and len(item.patches) > AT_ONCE:
-                self._object(item)
+            _patches_of(item)
 
     def scene(self, scene: Scene) -> Encoded:
         """As `scene.to_dict()`."""
-        objects = encoded_map({id: self._object(item) for id, item in scene.objects.items()})
+        objects = encoded_map({id: _object(item) for id, item in scene.objects.items()})
         return encoded_map({**scene.to_dict(without={"objects"}), "objects": objects})
 
     def materials(self, materials: Materials) -> Encoded:
@@ -42,10 +42,17 @@ class Told:
         self._materials = found
         return encoded_map({name: told for name, (_, told) in found.items()})
 
-    def _object(self, item: SceneObject) -> object:
-        if not isinstance(item, Wall) or not isinstance(item.patches, Patches) or len(item.patches) <= AT_ONCE:
-            return item.to_dict()
-        patches = item.patches
-        if patches.encoded is None:
-            patches.encoded = encoded_list(len(patches), patches.texts())
-        return encoded_map({**item.to_dict(without={"patches"}), "patches": patches.encoded})
+
+def _object(item: SceneObject) -> object:
+    patches = _patches_of(item)
+    return item.to_dict() if patches is None else encoded_map({**item.to_dict(without={"patches"}), "patches": patches})
+
+
+def _patches_of(item: SceneObject) -> Encoded | None:
+    """Many patches, encoded once; None where there are few or none."""
+    if not isinstance(item, Wall) or not isinstance(item.patches, Patches) or len(item.patches) <= AT_ONCE:
+        return None
+    patches = item.patches
+    if patches.encoded is None:
+        patches.encoded = encoded_list(len(patches), patches.texts())
+    return patches.encoded

@@ -50,11 +50,14 @@ def taken(seed: int = 1) -> dict[str, Any]:
     return {"materials": {"sand": sand(seed=seed)}, "scene": {"objects": {"floor": SANDED}}}
 
 
+SERVO = {"realtime": "off", "overruns": {"threshold": 1.0}}
+
+
 class Daemon:
     """A daemon without sockets: what the thread that serves commands does, step by step."""
 
     def __init__(self, load: Callable[[], Config] | None = None) -> None:
-        config = load_config({"device": {"kind": "sim"}, "servo": {"realtime": "off", "overruns": {"threshold": 1.0}}})
+        config = load_config({"device": {"kind": "sim"}, "servo": SERVO})
         self.engine = Engine(config)
         self.control = Control(self.engine, load)
         self.dispatch = Dispatch(self.control)
@@ -334,14 +337,14 @@ def patched(count: int, **keys: object) -> dict[str, object]:
     return FLOOR | {"patches": patches} | keys
 
 
-@pytest.mark.parametrize("method", ["set_scene", "update_scene"])
-def test_a_wall_of_many_patches_is_encoded_before_it_is_in_force(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, method: str
-) -> None:
+@pytest.mark.parametrize("method", ["set_scene", "update_scene", "apply", "reload"])
+def test_a_wall_of_many_patches_is_encoded_before_it_is_in_force(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
     """Who asks for the scene then would encode it, while others wait."""
+    scene = {"objects": {"one": patched(2000)}}
+    daemon = Daemon(lambda: load_config({"device": {"kind": "sim"}, "servo": SERVO, "scene": scene}))
     daemon.engine.set_materials(load_config({}).materials)
     encoded: list[bool] = []
-    for name in ("set_scene", "update_objects"):
+    for name in ("update_objects", "replace"):  # by one of which every change comes
         take = getattr(Engine, name)
 
         def looked(self: Engine, given: Any, *rest: Any, take: Callable[..., int] = take) -> int:
@@ -350,8 +353,7 @@ def test_a_wall_of_many_patches_is_encoded_before_it_is_in_force(
             return take(self, given, *rest)
 
         monkeypatch.setattr(Engine, name, looked)
-    objects = {"one": patched(2000)}
-    daemon.control.call(method, {"scene": {"objects": objects}} if method == "set_scene" else {"objects": objects})
+    daemon.control.call(method, {"update_scene": scene, "reload": {}}.get(method, {"scene": scene}))
     assert encoded == [True]
 
 
