@@ -288,7 +288,7 @@ def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytes
 
 def test_levels_of_periodic_effects_that_end_at_zero_are_no_levels() -> None:
     """The fade's level was divided by."""
-    from hapticd.hid.pid import periodic_problem
+    from hapticd.hid.periodic import periodic_problem
 
     fade = usage(0x5D) + logical(0, 255) + physical(0, 255)
     descriptor = instead(fade, usage(0x5D) + logical(-5, 0) + physical(-5, 0))
