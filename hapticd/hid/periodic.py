@@ -16,6 +16,7 @@ from hapticd.hid.reports import (
     polar_effect_report,
     time_scale,
 )
+from hapticd.hid.same_report import shared_report
 
 
 def periodic_problem(layout: Layout, hid: Hid) -> str | None:
@@ -32,6 +33,9 @@ def periodic_problem(layout: Layout, hid: Hid) -> str | None:
         absent.append("Direction of two axes")
     if absent:
         return f"the device has no {', no '.join(absent)}"
+    shared = shared_report(layout, with_periodic=True)
+    if shared is not None:
+        return shared
     assert layout.set_periodic is not None and layout.set_envelope is not None
     lines = layout.set_envelope
     if min(level.logical_max for level in (layout.set_periodic.magnitude, lines.attack_level, lines.fade_level)) <= 0:
