@@ -30,6 +30,7 @@ from hapticd.hid.periodic import periodic_of, periodic_problem
 from hapticd.hid.plan import (
     STILL_M_PER_COUNT,
     AxisPlan,
+    Bits,
     DeviceError,
     Message,
     Plan,
@@ -316,18 +317,18 @@ def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
         foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
         write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
         leak=_leak_of(layout) if way == "polar" else 0.0,
-        report_names=_names(layout),
+        effect_reports=_effect_reports(layout),
     )
 
 
-def _names(layout: Layout) -> dict[int, str]:
-    """The specification's names of what is sent for an effect."""
+def _effect_reports(layout: Layout) -> dict[int, tuple[str, Bits]]:
+    """What is sent for an effect, by the specification's names."""
     effect, force, operation = layout.set_effect, layout.constant_force, layout.effect_operation
     assert effect is not None and force is not None and operation is not None
     return {
-        effect.report_id: "Set Effect",
-        force.report_id: "Set Constant Force",
-        operation.report_id: "Effect Operation",
+        effect.report_id: ("Set Effect", bits_of(effect.effect_index)),
+        force.report_id: ("Set Constant Force", bits_of(force.effect_index)),
+        operation.report_id: ("Effect Operation", bits_of(operation.effect_index)),
     }
 
 

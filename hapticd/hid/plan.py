@@ -243,8 +243,9 @@ class Plan:
     """Why there is none."""
     leak: float = 0.0
     """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
-    report_names: Mapping[int, str] = field(default_factory=dict)
-    """What output reports are called, by id, for those who look at what was sent."""
+    effect_reports: Mapping[int, tuple[str, Bits]] = field(default_factory=dict)
+    """Output reports of one effect, by id: the name, and where the effect's index lies; for those who look at what was
+    sent. Empty: the device has no effects."""
     signs: Signs | None = None
     """What is checked before the first force of the scene; None: the signs are trusted."""
 
