@@ -73,13 +73,11 @@ class Found:
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether it has a report that says which effects play: without, a reset by another program is not noticed.
-        None where it cannot be driven, and where it has no effects (device.hid.report). A device with such a report
-        may still not send it."""
-        if not self.usable or self.layout is None or self.hid.report is not None:
-            return None
-        state = self.layout.pid_state
-        return state is not None and state.effect_index is not None and state.effect_playing is not None
+        """Whether it has a report that says which of our effects play: without, a reset by another program is not
+        noticed. None where it cannot be driven, and where it has no effects (device.hid.report). A device with such a
+        report may still not send it."""
+        plan = self.verdict.plan
+        return None if plan is None or plan.foreign_s is None else plan.effects is not None
 
     @property
     def missing(self) -> tuple[str, ...]:
