@@ -234,8 +234,8 @@ class Plan:
     restore_s: float = 0.04
     """Between two messages of `restore`."""
     foreign_s: float | None = None
-    """So long an effect of another program lasts in the place of ours at most, where it cannot be seen: as far as the
-    renewals are concerned, and once the link is known altogether. None: the device keeps no effects."""
+    """At most so long another program's effect acts in the place of ours, where the device does not report it. Until
+    `restore.paced` has taken the link into account, it follows from the renewals alone. None: it keeps no effects."""
     write_interval_s: float = 0.0
     """Between two writes at least; 0: as fast as the device takes them."""
     periodic: Periodic | None = None
