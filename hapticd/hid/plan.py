@@ -242,7 +242,7 @@ class Plan:
     no_periodic: str = "the device has no periodic effects"
     """Why there is none."""
     leak: float = 0.0
-    """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
+    """At most this part of a force comes out across it, since a direction is a whole number of counts."""
     effect_reports: Mapping[int, tuple[str, Bits]] = field(default_factory=dict)
     """Output reports of one effect, by id: the name, and where the effect's index lies; for those who look at what was
     sent. Empty: the device has no effects."""

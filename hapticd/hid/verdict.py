@@ -40,7 +40,7 @@ class Verdict:
     """One line; None where it can be driven."""
 
     is_lacking: bool = False
-    """Whether that is what the descriptor lacks (`Layout.missing`)."""
+    """Whether it cannot be driven because its descriptor lacks a report or a field (`Layout.missing`)."""
 
     @property
     def drivable(self) -> bool:
