@@ -33,7 +33,7 @@ from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discover import choose, find
 from hapticd.hid.plan import UndrivableError
 from hapticd.hid.replay import load
-from hapticd.hid.verdict import expected_plan
+from hapticd.hid.verdict import verdict_of
 from hapticd.judged import Stability, judge
 from hapticd.lagging import lag_warnings
 from hapticd.materials import Material
@@ -193,7 +193,7 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None,
     if device.kind == "replay":
         assert device.replay is not None
         try:
-            expected_plan(device.hid, load(device.replay.path).descriptor)
+            verdict_of(device.hid, load(device.replay.path).descriptor).sound()
         except HapticdError as error:
             return f"a recording: {error}", None, None, _UNPLUGGED, [Problem("device.replay", str(error))]
         return "a recording, which nothing pushes", None, None, "a recording has no loop", []
@@ -209,7 +209,7 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None,
         return f"not there: {error}{handle}", None, limit_hz, unknown, []
     told = f"{found.name} at {found.path}{handle}"
     try:
-        plan = expected_plan(hid, found.descriptor)
+        _, plan = found.verdict.sound()
     except HapticdError as error:
         return f"{told}: {error}", None, limit_hz, _UNPLUGGED, [Problem("device.hid", f"{found}: {error}")]
     link_hz = link_of(plan, found.out_interval_s).carried_hz(rate_hz)

@@ -27,12 +27,8 @@ without end. Forces are parts of the full force along each axis, limited to it. 
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import math
-import queue
-import socket
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -40,6 +36,7 @@ from typing import Final
 from hapticd.hid.plan import DeviceError  # what a Device raises: the interface, no part of the encoding
 from tests.firmware_effects import CONDITIONS, ENDLESS, Condition, Effect
 from tests.firmware_reports import AXES, DESKTOP, FEATURE, INPUT, OUTPUT, Form, Place, forms_of, places_of
+from tests.hid_node import Node
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,7 @@ class _Moment:
     gain: float
 
 
-class Firmware:
+class Firmware(Node):
     """The device."""
 
     def __init__(
@@ -121,16 +118,10 @@ class Firmware:
         """Time, kind (output, set, get) and bytes, the id first; of a get what was answered."""
         self.said: list[str] = []
         self.faults: list[str] = []
-        self.gone = False
         self._now = 0.0
         self._pools = 0
-        self.changed = threading.Condition()
-        self.heard: queue.Queue[bytes] = queue.Queue()
-        self.ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._open("firmware")
         self.power_on()
-        self.device = FirmwareDevice(self)
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
 
     # ---- Time --------------------------------------------------------------------------------------------------------
 
@@ -538,12 +529,6 @@ class Firmware:
                     place.put(data, round(low + (high - low) * (share + 1.0) / 2.0))
             self._send(bytes([report, *data]))
 
-    def _send(self, report: bytes) -> None:
-        report = report if report[0] else report[1:]
-        self.heard.put(report)
-        with contextlib.suppress(OSError):  # nobody may be there, or nobody may read
-            self.theirs.send(report, socket.MSG_DONTWAIT)
-
     # ---- What a test does --------------------------------------------------------------------------------------------
 
     def stranger(
@@ -578,73 +563,11 @@ class Firmware:
         del self.faults[before:]
         return index
 
-    def wait(self, until: Callable[[], bool], timeout_s: float = 60.0) -> None:
-        """Waits until something holds after a report; the bound only keeps a broken test from hanging."""
-        with self.changed:
-            assert self.changed.wait_for(until, timeout_s), self.said[-20:]
-
-    def _serve(self) -> None:
-        while True:
-            try:
-                report = self.theirs.recv(4096)
-            except ConnectionResetError:
-                continue  # it was closed with positions unread; what was written before is still to be read
-            except OSError:
-                return
-            if not report:
-                return
-            self.take(report)
-
-    def unplug(self) -> None:
-        """It is gone."""
-        self.gone = True
-        self.theirs.shutdown(socket.SHUT_RDWR)
-        self.theirs.close()
-
-    def close(self) -> None:
-        if not self.gone:
-            self.unplug()
-        self.ours.close()
-        self._thread.join(60)
+    def _words(self) -> list[str]:
+        return self.said
 
     def __enter__(self) -> Firmware:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class FirmwareDevice:
-    """The firmware as `hapticd.hid.device.Device`."""
-
-    def __init__(self, stick: Firmware) -> None:
-        self._stick = stick
-        self.path = "firmware"
-        self.closed = False
-
-    def fileno(self) -> int:
-        return self._stick.ours.fileno()
-
-    def _there(self) -> Firmware:
-        if self._stick.gone:
-            raise DeviceError("firmware: gone")
-        return self._stick
-
-    def write(self, report: bytes) -> None:
-        self._there().take(report)
-
-    def send_feature(self, report: bytes) -> None:
-        self._there().set_feature(report)
-
-    def get_feature(self, report_id: int, length: int) -> bytes:
-        return self._there().get_feature(report_id, length)
-
-    def listen(self, timeout_s: float) -> bytes:
-        try:
-            return self._stick.heard.get(timeout=timeout_s)
-        except queue.Empty:
-            return b""
-
-    def close(self) -> None:
-        self.closed = True
-        self._stick.ours.close()

@@ -1,14 +1,19 @@
-"""Reports as a simulated firmware reads them: a report descriptor item by item, numbers bit by bit, names by the PID
-specification. Nothing of it is taken from the product."""
+"""Reports as a simulated firmware reads them: its report descriptor by tests/report_fields.py, numbers bit by bit, and
+names by the PID specification. Nothing of it is taken from the product."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
+
+from tests import report_fields
+from tests.report_fields import Numbers, reports_of
 
 PID: Final = 0x0F0000
 DESKTOP: Final = 0x010000
 INPUT, OUTPUT, FEATURE = "input", "output", "feature"
+_KINDS: Final = {report_fields.INPUT: INPUT, report_fields.OUTPUT: OUTPUT, report_fields.FEATURE: FEATURE}
 
 REPORTS: Final = {
     (INPUT, 0x92): "state",
@@ -142,89 +147,26 @@ class Place:
 
 def places_of(descriptor: bytes) -> list[Place]:
     """Reads a report descriptor, one place for each element of a field, in order."""
-    found: list[Place] = []
-    state: dict[int, tuple[int, int]] = {}  # a global item's data and its size
-    stack: list[dict[int, tuple[int, int]]] = []
-    usages: list[int] = []
-    least: int | None = None
-    inside: list[int] = []
-    ends: dict[tuple[str, int], int] = {}
-    at = 0
-    while at < len(descriptor):
-        head = descriptor[at]
-        size = (0, 1, 2, 4)[head & 3]
-        value = int.from_bytes(descriptor[at + 1 : at + 1 + size], "little")
-        at += 1 + size
-        tag, kind = head >> 4, head >> 2 & 3
-        if kind == 1:
-            if tag == 0xA:
-                stack.append(dict(state))
-            elif tag == 0xB:
-                state = stack.pop()
-            else:
-                state[tag] = (value, size)
-        elif kind == 2:
-            full = value if size == 4 else _number(state, 0) << 16 | value
-            if tag == 0:
-                usages.append(full)
-            elif tag == 1:
-                least = full
-            elif tag == 2 and least is not None:
-                usages += range(least, full + 1)
-        elif kind == 0:
-            if tag == 0xA:
-                inside.append(usages[0] if usages else 0)
-            elif tag == 0xC:
-                inside.pop()
-            elif tag in (8, 9, 0xB):
-                of = {8: INPUT, 9: OUTPUT, 0xB: FEATURE}[tag]
-                found += _elements(of, value, state, usages, tuple(inside), ends)
-            usages, least = [], None
-    return found
+    return [place for one in reports_of(descriptor).every for place in _elements(one)]
 
 
-def _number(state: dict[int, tuple[int, int]], tag: int, *, signed: bool = False) -> int:
-    value, size = state.get(tag, (0, 0))
-    return value - (1 << 8 * size) if signed and size and value >> 8 * size - 1 else value
-
-
-def _range(state: dict[int, tuple[int, int]], tag: int) -> tuple[int, int]:
-    """A minimum is signed; a maximum is where its minimum is below zero."""
-    least = _number(state, tag, signed=True)
-    return least, _number(state, tag + 1, signed=least < 0)
-
-
-def _elements(
-    kind: str,
-    flags: int,
-    state: dict[int, tuple[int, int]],
-    usages: list[int],
-    inside: tuple[int, ...],
-    ends: dict[tuple[str, int], int],
-) -> list[Place]:
-    report, bits, count = (_number(state, tag) for tag in (8, 7, 9))
-    start = ends.get((kind, report), 0)
-    ends[kind, report] = start + bits * count
-    exponent = _number(state, 5) & 0xFF
-    exponent = exponent - 16 if 8 <= exponent < 16 else exponent - 256 if exponent > 127 else exponent
-    is_array = not flags & 2
-    return [
-        Place(
-            kind,
-            report,
-            start + number * bits,
-            bits,
-            tuple(usages) if is_array else tuple(usages[min(number, len(usages) - 1) :][:1]),
-            is_array,
-            bool(flags & 1),
-            _range(state, 1),
-            _range(state, 3),
-            _number(state, 6),
-            exponent,
-            inside,
+def _elements(one: Numbers) -> Iterator[Place]:
+    listed = tuple(usage for first, last in one.usages for usage in range(first, last + 1))
+    for element in range(one.count):
+        yield Place(
+            _KINDS[one.tag],
+            one.report,
+            one.at + element * one.bits,
+            one.bits,
+            listed[min(element, len(listed) - 1) :][:1] if one.is_variable else listed,
+            not one.is_variable,
+            one.is_constant,
+            one.logical,
+            one.physical,
+            one.unit,
+            one.exponent,
+            one.around,
         )
-        for number in range(count)
-    ]
 
 
 @dataclass

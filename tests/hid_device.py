@@ -1,4 +1,4 @@
-"""A joystick for tests that speaks PID: one end of a SOCK_SEQPACKET pair stands for its hidraw node.
+"""A joystick for tests that speaks PID (tests/hid_node.py: how the code under test opens it).
 
 It is a state machine of its own: it reads output and feature reports by its own layout, keeps effects, and
 says what force it would display. Nothing is timed; its effects do not expire by themselves.
@@ -6,11 +6,7 @@ says what force it would display. Nothing is timed; its effects do not expire by
 
 from __future__ import annotations
 
-import contextlib
 import math
-import queue
-import socket
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -19,7 +15,8 @@ import numpy.typing as npt
 
 from hapticd.hid.descriptor import parse
 from hapticd.hid.layout import Choice, Field, Layout, layout_of
-from hapticd.hid.plan import Bits, DeviceError
+from hapticd.hid.plan import Bits
+from tests.hid_node import Node
 
 
 def number(report: bytes, place: Field) -> int:
@@ -54,8 +51,8 @@ class Strike:
 
 
 @dataclass
-class FakePid:
-    """The device. `device` is what the code under test opens."""
+class FakePid(Node):
+    """The device."""
 
     descriptor: bytes
     room: int = 16
@@ -73,34 +70,15 @@ class FakePid:
     strikes: list[Strike] = field(default_factory=list)
     """Periodic effects that were started, in order."""
     enabled: bool = False
-    gone: bool = False
 
     def __post_init__(self) -> None:
         self.layout: Layout = layout_of(parse(self.descriptor))
         self.loaded = 0
-        self.changed = threading.Condition()
-        self.heard: queue.Queue[bytes] = queue.Queue()
-        self.ours, self.theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.device = FakeDevice(self)
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
+        self._open("fake0")
 
     # ---- What the code under test calls ------------------------------------------------------------------------------
 
-    def _serve(self) -> None:
-        while True:
-            try:
-                report = self.theirs.recv(4096)
-            except ConnectionResetError:
-                continue  # it was closed with positions unread; what it wrote before is still to be read
-            except OSError:
-                return
-            if not report:
-                return
-            self.take(report)
-
     def take(self, report: bytes) -> None:
-        """An output report."""
         with self.changed:
             self._take(report)
             self.changed.notify_all()
@@ -170,6 +148,9 @@ class FakePid:
     def _of(self, index: int) -> Effect:
         # A report for an effect that does not exist is heard and ignored.
         return self.effects.get(index, Effect())
+
+    def _words(self) -> list[str]:
+        return self.log
 
     def _note(self, text: str) -> None:
         self.log.append(text)
@@ -242,18 +223,6 @@ class FakePid:
                 _put(data, state.effect_playing, int(self._of(index).playing))
             self._send(bytes(data))
 
-    def _send(self, data: bytes) -> None:
-        self.heard.put(data if data[0] else data[1:])
-        # Nobody may be there, or nobody may read.
-        with contextlib.suppress(OSError):
-            self.theirs.send(data if data[0] else data[1:], socket.MSG_DONTWAIT)
-
-    def unplug(self) -> None:
-        """It is gone."""
-        self.gone = True
-        self.theirs.shutdown(socket.SHUT_RDWR)
-        self.theirs.close()
-
     def force(self) -> tuple[float, float]:
         """What it displays, as parts of its largest magnitude, [x, y]: by the specification, a force comes from its
         direction, which is counted clockwise from the north."""
@@ -307,54 +276,6 @@ class FakePid:
         place = effect_to.direction[0]
         angle = 2 * math.pi * _turns(number(strike.set_effect, place), place)
         return np.outer(value, [-math.sin(angle), -math.cos(angle)])
-
-    def wait(self, until: Callable[[], bool], timeout_s: float = 60.0) -> None:
-        """Waits until something holds after a report; the bound only keeps a broken test from hanging."""
-        with self.changed:
-            assert self.changed.wait_for(until, timeout_s), self.log[-20:]
-
-    def close(self) -> None:
-        if not self.gone:
-            self.unplug()
-        self.ours.close()
-        self._thread.join(60)
-
-
-class FakeDevice:
-    """FakePid as `hapticd.hid.device.Device`."""
-
-    def __init__(self, stick: FakePid) -> None:
-        self._stick = stick
-        self.path = "fake0"
-        self.closed = False
-
-    def fileno(self) -> int:
-        return self._stick.ours.fileno()
-
-    def write(self, report: bytes) -> None:
-        if self._stick.gone:
-            raise DeviceError("fake0: gone")
-        self._stick.take(report)
-
-    def send_feature(self, report: bytes) -> None:
-        if self._stick.gone:
-            raise DeviceError("fake0: gone")
-        self._stick.set_feature(report)
-
-    def get_feature(self, report_id: int, length: int) -> bytes:
-        if self._stick.gone:
-            raise DeviceError("fake0: gone")
-        return self._stick.get_feature(report_id, length)
-
-    def listen(self, timeout_s: float) -> bytes:
-        try:
-            return self._stick.heard.get(timeout=timeout_s)
-        except queue.Empty:
-            return b""
-
-    def close(self) -> None:
-        self.closed = True
-        self._stick.ours.close()
 
 
 def _turns(counts: int, place: Field) -> float:

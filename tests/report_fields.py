@@ -1,6 +1,7 @@
 """A report descriptor read by the HID specification alone, and numbers read out of reports bit by bit: what the fuzzer
-of descriptors holds the reports against that the product makes. It shares nothing with the product, and never fails: of
-what makes no sense it reads as much as it can."""
+of descriptors holds the reports against that the product makes, and what the simulated firmware (tests/firmware.py)
+reads its own descriptor with. It shares nothing with the product, and never fails: of what makes no sense it reads as
+much as it can."""
 
 from __future__ import annotations
 
@@ -39,6 +40,7 @@ _REPORTS: Final = frozenset(
 class Numbers:
     """Elements of one main item. The range is what the logical one leaves of the bits; empty: least > most."""
 
+    tag: int
     at: int
     bits: int
     count: int
@@ -51,6 +53,31 @@ class Numbers:
     """First and last, page << 16 | usage."""
     inside: tuple[int, int]
     """The collection around it that stands for a report of the PID class: its number and usage; 0, 0: none."""
+    around: tuple[int, ...]
+    """Usages of all collections around it, the outermost first."""
+    state: dict[int, tuple[int, int]]
+    """Data and size of the global items that hold for it, by their tags."""
+
+    @property
+    def report(self) -> int:
+        return _plain(self.state, 8)
+
+    @property
+    def logical(self) -> tuple[int, int]:
+        return _range(self.state, 1)
+
+    @property
+    def physical(self) -> tuple[int, int]:
+        return _range(self.state, 3)
+
+    @property
+    def unit(self) -> int:
+        return _plain(self.state, 6)
+
+    @property
+    def exponent(self) -> int:
+        number = _signed(self.state, 5)
+        return number - 16 if 8 <= number < 16 else number
 
     def usage(self, element: int) -> int:
         """Of a variable field; the last one repeats; 0 without one."""
@@ -76,6 +103,8 @@ class Reports:
 
     fields: dict[tuple[int, int], list[Numbers]] = field(default_factory=dict)
     bits: dict[tuple[int, int], int] = field(default_factory=dict)
+    every: list[Numbers] = field(default_factory=list)
+    """All fields, as they stand in the descriptor."""
 
 
 def reports_of(descriptor: bytes) -> Reports:
@@ -87,6 +116,7 @@ def reports_of(descriptor: bytes) -> Reports:
     least: tuple[int, int] | None = None
     most: tuple[int, int] | None = None
     branch, depth, path, opened = 0, 0, [(0, 0)], 0
+    around: tuple[int, ...] = ()
     at = 0
     while at < len(descriptor):
         head = descriptor[at]
@@ -128,11 +158,13 @@ def reports_of(descriptor: bytes) -> Reports:
                     one[0], one[1] = page | one[0] & 0xFFFF, page | one[1] & 0xFFFF
             if tag == 0xA:
                 opened += 1
-                path.append((opened, usages[0][0]) if usages and usages[0][0] in _REPORTS else path[-1])
+                around = (*around, usages[0][0] if usages else 0)
+                path.append((opened, around[-1]) if around[-1] in _REPORTS else path[-1])
             elif tag == 0xC and len(path) > 1:
                 path.pop()
+                around = around[:-1]
             elif tag in (INPUT, OUTPUT, FEATURE):
-                _declare(found, tag, value, state, tuple((one[0], one[1]) for one in usages), path[-1])
+                _declare(found, tag, value, state, tuple((one[0], one[1]) for one in usages), path[-1], around)
             usages, least, most, branch, depth = [], None, None, 0, 0
     return found
 
@@ -144,6 +176,7 @@ def _declare(
     state: dict[int, tuple[int, int]],
     usages: tuple[tuple[int, int], ...],
     inside: tuple[int, int],
+    around: tuple[int, ...],
 ) -> None:
     report, bits, count = (_plain(state, name) for name in (8, 7, 9))
     key = tag, report
@@ -151,17 +184,35 @@ def _declare(
     found.bits[key] = start + bits * count
     if not bits * count:
         return
-    low = _signed(state, 1)
-    high = _signed(state, 2) if low < 0 else _plain(state, 2)
+    low, high = _range(state, 1)
     first, last = (-(1 << bits - 1), (1 << bits - 1) - 1) if low < 0 else (0, (1 << bits) - 1)
     one = Numbers(
-        start, bits, count, max(low, first), min(high, last), low < 0, bool(flags & 1), bool(flags & 2), usages, inside
+        tag,
+        start,
+        bits,
+        count,
+        max(low, first),
+        min(high, last),
+        low < 0,
+        bool(flags & 1),
+        bool(flags & 2),
+        usages,
+        inside,
+        around,
+        dict(state),
     )
     found.fields.setdefault(key, []).append(one)
+    found.every.append(one)
 
 
 def _plain(state: dict[int, tuple[int, int]], tag: int) -> int:
     return state.get(tag, (0, 0))[0]
+
+
+def _range(state: dict[int, tuple[int, int]], tag: int) -> tuple[int, int]:
+    """A minimum is signed; a maximum is where its minimum is below zero."""
+    least = _signed(state, tag)
+    return least, _signed(state, tag + 1) if least < 0 else _plain(state, tag + 1)
 
 
 def _signed(state: dict[int, tuple[int, int]], tag: int) -> int:

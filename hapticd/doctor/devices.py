@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs
 from hapticd.errors import unseen_text
+from hapticd.hid.nodes import event_nodes, is_for_others
 
 if TYPE_CHECKING:
     from hapticd.hid.discover import Found
@@ -21,14 +21,9 @@ _MOST_PROCESSES: Final = 32768
 _SHOWN: Final = 4
 
 
-def found(machine: Machine) -> list[Found]:
-    """The HID devices."""
-    return machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
-
-
 def judged(machine: Machine, needs: Needs) -> list[Found]:
     """The HID devices, each judged by the configuration if that may mean it."""
-    devices = found(machine)
+    devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
     return devices if needs.device is None else [device.judged_by(needs.device) for device in devices]
 
 
@@ -37,11 +32,11 @@ def drivable(machine: Machine, needs: Needs) -> list[Found]:
     return [device for device in judged(machine, needs) if device.usable]
 
 
-def refused(machine: Machine, needs: Needs) -> Iterator[Finding]:
+def refused(devices: Iterable[Found], needs: Needs) -> Iterator[Finding]:
     """Those that are made for forces, or that the configuration names, and cannot be driven."""
     from hapticd.hid.discover import is_meant
 
-    for device in judged(machine, needs):
+    for device in devices:
         why_not = device.verdict.why_not
         meant = needs.device is not None and needs.device.names_one and is_meant(needs.device, device)
         if why_not is not None and (meant or not device.is_other):
@@ -51,10 +46,10 @@ def refused(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
     """Whether the joysticks that can be driven may be."""
-    usable = drivable(machine, needs)
+    devices = judged(machine, needs)
+    usable = [device for device in devices if device.usable]
     if not usable:
-        others = len(found(machine))
-        other = f"; there are {others} other HID devices" if others else ""
+        other = f"; there are {len(devices)} other HID devices" if devices else ""
         described = needs.device is not None and needs.device.report is not None
         kind = "of the PID class" if not described else "that the configuration describes"
         yield Finding(
@@ -63,7 +58,7 @@ def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
             f"no force-feedback joystick {kind} is connected{other}",
             "plug it in; `hapticd devices` says what is there" if needs.hid else "",
         )
-    yield from refused(machine, needs)
+    yield from refused(devices, needs)
     for device in usable:
         name = f"{device.name or 'no name'} at /dev/{Path(device.path).name}"
         if device.permission == "ok":
@@ -118,7 +113,8 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
     blind = f" ({hidden} processes could not be looked at: ask as root)" if hidden else ""
     for device in usable:
         node = f"/dev/{Path(device.path).name}"
-        events = _event_nodes(machine, Path(device.path).name)
+        sysfs = machine.path(f"/sys/class/hidraw/{Path(device.path).name}/device")
+        events = [f"/dev/input/{name}" for name in event_nodes(sysfs)]
         holders = sorted({name for path in (node, *events) for name in users.get(path, ())})
         if holders:
             yield Finding(
@@ -127,7 +123,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
                 f"{node} or its event nodes are open in {', '.join(holders[:_SHOWN])}{blind}",
                 "end it: what it uploads resets the joystick",
             )
-        loose = [path for path in events if _for_others(machine, path)]
+        loose = [path for path in events if is_for_others(machine.path(path))]
         if loose and _kernel_effects(machine, Path(device.path).name):
             yield Finding(
                 "competitors",
@@ -168,26 +164,8 @@ def _users(machine: Machine) -> tuple[dict[str, set[str]], int]:
     return users, hidden
 
 
-def _event_nodes(machine: Machine, hidraw: str) -> list[str]:
-    """Nodes of the kernel's own driver for the same device."""
-    base = f"/sys/class/hidraw/{hidraw}/device/input"
-    return [
-        f"/dev/input/{name}"
-        for entry in machine.names(base, r"input\d+")
-        for name in machine.names(f"{base}/{entry}", r"(?:event|js)\d+")
-    ]
-
-
 def _kernel_effects(machine: Machine, hidraw: str) -> bool:
     """Whether the kernel's own driver offers effects (EV_FF) of the device."""
     base = f"/sys/class/hidraw/{hidraw}/device/input"
     masks = [machine.text(f"{base}/{entry}/capabilities/ff") for entry in machine.names(base, r"input\d+")]
     return any(mask and mask.replace(" ", "").strip("0") for mask in masks)
-
-
-def _for_others(machine: Machine, node: str) -> bool:
-    try:
-        status = os.stat(machine.path(node))
-    except OSError:
-        return False
-    return bool(status.st_mode & (stat.S_IRWXG | stat.S_IRWXO))

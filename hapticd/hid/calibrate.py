@@ -41,18 +41,18 @@ class Calibration:
 
 
 class _Noting:
-    """A device, and the last of each output report that it was sent, by id and the byte after it: an effect's index."""
+    """A device, and the output reports that it was sent."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self.path = device.path
-        self.sent: dict[bytes, bytes] = {}
+        self.sent: list[bytes] = []
 
     def fileno(self) -> int:
         return self._device.fileno()
 
     def write(self, report: bytes) -> None:
-        self.sent[report[:2]] = report
+        self.sent.append(report)
         self._device.write(report)
 
     def send_feature(self, report: bytes) -> None:
@@ -73,7 +73,7 @@ class _Pusher:
 
     def __init__(self, device: _Noting, plan: Plan, now: Callable[[], float], pause: Callable[[float], None]) -> None:
         self._device, self._plan = device, plan
-        self._pushed: dict[bytes, bytes] = {}
+        self._pushed: list[bytes] = []
         self._now, self._pause = now, pause
         self._described = plan.to_c()
         self._renewed = now()
@@ -122,7 +122,7 @@ class _Pusher:
             moved = (x, y)
             if max(abs(x), abs(y)) > ENOUGH * half_m:
                 break
-        self._pushed = dict(self._device.sent)
+        self._pushed = list(self._device.sent)
         self.put(0.0, 0.0)
         return moved
 
@@ -130,13 +130,17 @@ class _Pusher:
         """What the device was sent for the last push along an axis (0 or 1): its effect, and the reports in hex."""
         quantities = ((HidQuantity.X, HidQuantity.Y)[along], HidQuantity.MAGNITUDE)
         carried = [m.data for m in self._plan.force if any(value.quantity in quantities for value in m.values)]
-        names = self._plan.report_names
-        if not names:
-            sent = [report for key, report in self._pushed.items() if key[0] in {data[0] for data in carried}]
-            return f"sent was {', '.join(report.hex(' ') for report in sent)}"
-        effects = {data[1] for data in carried}
-        sent = [report for key, report in self._pushed.items() if key[0] in names and key[1] in effects]
-        words = "; ".join(f"{names[report[0]]} {report.hex(' ')}" for report in sent)
+        known = self._plan.effect_reports
+        if not known:
+            last = {report[0]: report for report in self._pushed}
+            return f"sent was {', '.join(last[data[0]].hex(' ') for data in carried)}"
+        effects = {known[data[0]][1].get(data) for data in carried}
+        of_effects = {
+            (report[0], index): report
+            for report in self._pushed
+            if report[0] in known and (index := known[report[0]][1].get(report)) in effects
+        }
+        words = "; ".join(f"{known[report[0]][0]} {report.hex(' ')}" for report in of_effects.values())
         return f"effect {', '.join(map(str, sorted(effects)))} had {words}"
 
 

@@ -25,6 +25,7 @@ from typing import Final
 
 from hapticd.errors import HapticdError
 from hapticd.hid.discover import Found
+from hapticd.hid.nodes import event_nodes, is_for_others
 
 RULES: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
 """It sorts behind 70-uaccess, which hands joysticks to whoever sits at the seat, and before 73-seat-late."""
@@ -71,7 +72,7 @@ class Claims:
         if name in claimed:
             raise HapticdError(f"{found} is claimed already; `hapticd devices release {found.path}` lets others at it")
         nodes = self.nodes(name)
-        if nodes and not any(map(_is_for_others, nodes)):
+        if nodes and not any(map(is_for_others, nodes)):
             raise HapticdError(
                 f"{found}: its event nodes are root's alone already, as a line of 70-hapticd.rules makes them"
             )
@@ -89,7 +90,8 @@ class Claims:
         """Lets others at it again; the driver that it has now. Raises HapticdError, one line."""
         name, claimed = self._name(found), self.names()
         if name not in claimed:
-            kept = not any(map(_is_for_others, self.nodes(name))) and bool(self.nodes(name))
+            nodes = self.nodes(name)
+            kept = nodes and not any(map(is_for_others, nodes))
             why = "; its event nodes are root's alone, as a line of 70-hapticd.rules makes them" if kept else ""
             raise HapticdError(f"{found} is not claimed{why}")
         try:
@@ -102,10 +104,7 @@ class Claims:
 
     def nodes(self, name: str) -> list[Path]:
         """The event and joystick nodes of a device."""
-        entries = sorted(self._device(name).glob("input/input*/*"))
-        return [
-            self._root / "dev" / "input" / entry.name for entry in entries if re.fullmatch(r"(event|js)\d+", entry.name)
-        ]
+        return [self._root / "dev" / "input" / node for node in event_nodes(self._device(name))]
 
     def path(self, name: str) -> str | None:
         """Its hidraw node; None while there is none."""
@@ -171,13 +170,6 @@ def _rule(name: str) -> str:
         f'SUBSYSTEM=="input", KERNELS=="{name}", ENV{{ID_INPUT_JOYSTICK}}="", TAG-="uaccess"\n'
         f'SUBSYSTEM=="input", KERNEL=="event*|js*", KERNELS=="{name}", GROUP:="root", MODE:="0600"\n'
     )
-
-
-def _is_for_others(node: Path) -> bool:
-    try:
-        return bool(os.stat(node).st_mode & 0o077)
-    except OSError:
-        return False
 
 
 def _hide(node: Path) -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Final, Literal
 
-from hapticd.hid.config import ForceAxes, HandleAxes
-from hapticd.hid.layout import Field, SetEffect
+from hapticd.hid.config import ForceAxes, HandleAxes, Hid
+from hapticd.hid.layout import Field, Layout, SetEffect
 
 _COARSE: Final = 0.5
 """Two directions whose sine is below this do not tell the axes apart."""
@@ -20,6 +20,13 @@ def angle_of(effect: SetEffect) -> Field | None:
 def has_vector(effect: SetEffect) -> bool:
     """Whether the direction has a part along each of two axes."""
     return effect.is_direction_cartesian and len(effect.direction) >= 2
+
+
+def has_one_axis(layout: Layout, hid: Hid) -> bool:
+    """Whether the device pushes along one axis only, as a wheel does that has pedals and no Y."""
+    assert layout.set_effect is not None
+    no_y = hid.axes.y.usage == "Y" and "y" not in layout.input
+    return no_y or len(layout.input) == 1 or len(layout.set_effect.axes_enable) == 1
 
 
 def enabled_for(effect: SetEffect, axes: HandleAxes, axis: Literal["x", "y"]) -> str:

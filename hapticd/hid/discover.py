@@ -43,20 +43,28 @@ class Found:
     """Of its interrupt endpoints (USB); None where it has none."""
     out_interval_s: float | None
     permission: Literal["ok", "denied", "absent"]
-    layout: Layout | None
-    problem: str | None
-    """Why its report descriptor cannot be read."""
     hid_name: str = ""
     """As /sys/bus/hid/devices has it."""
     port: str = ""
     """Where it is plugged in."""
     hid: Hid = field(default=Hid(), kw_only=True)
     """The configuration by which it is judged."""
+    verdict: Verdict = field(init=False, repr=False, compare=False)
+    """Whether it can be driven."""
+
+    def __post_init__(self) -> None:
+        # Once: reading the descriptor and planning take some milliseconds.
+        object.__setattr__(self, "verdict", verdict_of(self.hid, self.descriptor))
 
     @property
-    def verdict(self) -> Verdict:
-        """Whether it can be driven."""
-        return verdict_of(self.hid, self.descriptor)
+    def layout(self) -> Layout | None:
+        """None where its report descriptor cannot be read."""
+        return self.verdict.layout
+
+    @property
+    def problem(self) -> str | None:
+        """Why its report descriptor cannot be read."""
+        return self.verdict.problem
 
     @property
     def usable(self) -> bool:
@@ -65,13 +73,11 @@ class Found:
 
     @property
     def resets_seen(self) -> bool | None:
-        """Whether it has a report that says which effects play: without, a reset by another program is not noticed.
-        None where it cannot be driven, and where it has no effects (device.hid.report). A device with such a report
-        may still not send it."""
-        if not self.usable or self.layout is None or self.hid.report is not None:
-            return None
-        state = self.layout.pid_state
-        return state is not None and state.effect_index is not None and state.effect_playing is not None
+        """Whether it has a report that says which of our effects play: without, a reset by another program is not
+        noticed. None where it cannot be driven, and where it has no effects (device.hid.report). A device with such a
+        report may still not send it."""
+        plan = self.verdict.plan
+        return None if plan is None or plan.foreign_s is None else plan.effects is not None
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -93,7 +99,7 @@ class Found:
 
     def judged_by(self, hid: Hid) -> Found:
         """The same, judged by a configuration if that may mean it."""
-        return replace(self, hid=hid) if is_meant(hid, self) else self
+        return replace(self, hid=hid) if hid != self.hid and is_meant(hid, self) else self
 
     def to_dict(self) -> dict[str, object]:
         """For programs."""
@@ -193,7 +199,6 @@ def _look(entry: Path, node: Path) -> Found:
     told = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
     bus, vendor, product = (int(part, 16) for part in told.get("HID_ID", "0:0:0").split(":"))
     descriptor = (device / "report_descriptor").read_bytes()
-    verdict = verdict_of(Hid(), descriptor)
     intervals = _intervals(device.resolve().parent)
     absent = not node.exists()
     denied = not absent and not os.access(node, os.R_OK | os.W_OK)
@@ -209,8 +214,6 @@ def _look(entry: Path, node: Path) -> Found:
         in_interval_s=intervals.get("in"),
         out_interval_s=intervals.get("out"),
         permission="absent" if absent else "denied" if denied else "ok",
-        layout=verdict.layout,
-        problem=verdict.problem,
         hid_name=device.resolve().name,
         port=told.get("HID_PHYS", ""),
     )

@@ -234,17 +234,18 @@ class Plan:
     restore_s: float = 0.04
     """Between two messages of `restore`."""
     foreign_s: float | None = None
-    """So long an effect of another program lasts in the place of ours at most, where it cannot be seen: as far as the
-    renewals are concerned, and once the link is known altogether. None: the device keeps no effects."""
+    """At most so long another program's effect acts in the place of ours, where the device does not report it. Until
+    `restore.paced` has taken the link into account, it follows from the renewals alone. None: it keeps no effects."""
     write_interval_s: float = 0.0
     """Between two writes at least; 0: as fast as the device takes them."""
     periodic: Periodic | None = None
     no_periodic: str = "the device has no periodic effects"
     """Why there is none."""
     leak: float = 0.0
-    """At most such a part of a force comes out along the other axis: a direction is a whole number of counts."""
-    report_names: Mapping[int, str] = field(default_factory=dict)
-    """What output reports are called, by id, for those who look at what was sent."""
+    """At most this part of a force comes out across it, since a direction is a whole number of counts."""
+    effect_reports: Mapping[int, tuple[str, Bits]] = field(default_factory=dict)
+    """Output reports of one effect, by id: the name, and where the effect's index lies; for those who look at what was
+    sent. Empty: the device has no effects."""
     signs: Signs | None = None
     """What is checked before the first force of the scene; None: the signs are trusted."""
 

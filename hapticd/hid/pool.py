@@ -13,7 +13,8 @@ from typing import Final
 from hapticd.hid.config import Hid
 from hapticd.hid.device import Device
 from hapticd.hid.layout import Field, Layout
-from hapticd.hid.plan import Bits, DeviceError
+from hapticd.hid.plan import DeviceError
+from hapticd.hid.reports import bits_of
 from hapticd.repeats import Repeats
 
 AGAIN_S: Final = 0.05
@@ -68,6 +69,6 @@ def read_feature(device: Device, report_id: int, report_bytes: int, name: str) -
 def number_in(answer: bytes, field: Field, name: str, device: Device) -> int:
     """A number of a report, its id first. Raises DeviceError for a report that ends before it."""
     try:
-        return Bits(field.bit_offset, field.bit_size, field.is_signed).get(answer)
+        return bits_of(field).get(answer)
     except ValueError:
         raise DeviceError(f"{device.path}: {name} is too short: {len(answer)} bytes") from None

@@ -12,25 +12,25 @@ import math
 from dataclasses import replace
 from typing import Final
 
+from hapticd.core import lib
 from hapticd.hid.plan import Plan
 
 MOST_S: Final = 0.1
 """An effect of another program lasts so long at most, where the link allows that."""
 SHARE: Final = 1 / 3
-"""Of the reports that a link carries, so many may restore effects at most."""
+"""At most this part of the reports that a link carries restores effects."""
 SPARE_S: Final = 0.005
-"""For a writer that the machine holds up."""
-_STRIKE: Final = 4
-"""Reports of one strike that the device plays by itself."""
+"""Added to each bound: the machine may hold the writer up so long."""
 
 
 def paced(plan: Plan, force_hz: float | None) -> Plan:
-    """The plan with `restore_s` and `foreign_s` for a link that carries so many whole forces a second; None: any."""
+    """The plan with `restore_s` and `foreign_s` for a link that carries so many whole forces a second; None: the link
+    does not hold anything up."""
     if plan.foreign_s is None:
         return plan
     report_s = 0.0 if force_hz is None else 1.0 / (force_hz * max(1, len(plan.force)))
     # What may be under way before the next report that restores something.
-    strike = 0 if plan.periodic is None else _STRIKE
+    strike = 0 if plan.periodic is None else lib.HD_HID_OFFER_MESSAGES
     held_up_s = (len(plan.force) + len(plan.renew) + 1 + strike) * report_s + SPARE_S
     count = max(1, len(plan.restore))
     gap_s = max((MOST_S - held_up_s) / count, report_s / SHARE, 1e-3)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from hapticd.hid.layout import Layout
 
 
-def shared_report(layout: Layout) -> str | None:
-    """Which output reports of a device have one id, and what comes of it; None: each has its own."""
+def shared_report(layout: Layout, *, with_periodic: bool = False) -> str | None:
+    """Which output reports of a device have one id, and what comes of it; None: each has its own. `with_periodic`:
+    periodic effects are sent, too."""
     sent = {
         "Set Effect": layout.set_effect,
         "Set Constant Force": layout.constant_force,
@@ -15,6 +16,7 @@ def shared_report(layout: Layout) -> str | None:
         "Device Gain": layout.device_gain,
         "PID Block Free": layout.block_free,
         "Set Envelope": layout.set_envelope,
+        "Set Periodic": layout.set_periodic if with_periodic else None,
     }
     by_id: dict[int, list[str]] = {}
     for name, report in sent.items():

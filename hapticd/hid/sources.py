@@ -9,7 +9,7 @@ from hapticd.hid.device import Device, HidrawDevice
 from hapticd.hid.discover import choose, find
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.hid.replay import ReplayDevice, load
-from hapticd.hid.verdict import driver_of, expected_plan
+from hapticd.hid.verdict import verdict_of
 
 
 def source_of(device: DeviceConfig) -> Source:
@@ -23,7 +23,7 @@ def source_of(device: DeviceConfig) -> Source:
 def open_hid(hid: Hid) -> Opened:
     """The device that the configuration means, open. Raises DeviceError, one line."""
     found = choose(hid, find())
-    driver = driver_of(hid, found.descriptor)
+    driver, _ = found.verdict.sound()
     on_change = True if "reports_on_change" in hid.quirks else False if "reports_steadily" in hid.quirks else None
     return Opened(
         HidrawDevice(found.path), driver, found.name, found.out_interval_s, on_change, identity=found.identity
@@ -50,7 +50,7 @@ class _ReplayDriver:
     """A recording is not set up."""
 
     def __init__(self, hid: Hid, descriptor: bytes) -> None:
-        self._plan = expected_plan(hid, descriptor)
+        _, self._plan = verdict_of(hid, descriptor).sound()
 
     def set_up(self, device: Device) -> Plan:
         """Nothing but the plan."""

@@ -40,11 +40,19 @@ class Verdict:
     """One line; None where it can be driven."""
 
     is_lacking: bool = False
-    """Whether that is what the descriptor lacks (`Layout.missing`)."""
+    """Whether it cannot be driven because its descriptor lacks a report or a field (`Layout.missing`)."""
 
     @property
     def drivable(self) -> bool:
         return self.why_not is None
+
+    def sound(self) -> tuple[Driver, Plan]:
+        """Its driver and its plan. Raises UndrivableError where it cannot be driven."""
+        if self.driver is None or self.plan is None:
+            told = str(self.why_not)
+            # A fault of the configuration names its key, which says enough.
+            raise UndrivableError(told if told.startswith("device.hid.") else f"the device cannot be driven: {told}")
+        return self.driver, self.plan
 
     def to_dict(self) -> dict[str, object]:
         """As JSON: the layout, and the verdict."""
@@ -82,25 +90,6 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
         if layout is not None and not told.startswith("device.hid."):
             told += _unused(layout)
         return Verdict(layout, problem, None, None, told)
-
-
-def driver_of(hid: Hid, descriptor: bytes) -> Driver:
-    """How a device with this report descriptor is driven. Raises UndrivableError."""
-    return _sound(verdict_of(hid, descriptor))[0]
-
-
-def expected_plan(hid: Hid, descriptor: bytes) -> Plan:
-    """The plan for a device with this report descriptor that is not set up (`Verdict.plan`). Raises
-    UndrivableError."""
-    return _sound(verdict_of(hid, descriptor))[1]
-
-
-def _sound(verdict: Verdict) -> tuple[Driver, Plan]:
-    if verdict.driver is None or verdict.plan is None:
-        told = str(verdict.why_not)
-        # A fault of the configuration names its key, which says enough.
-        raise UndrivableError(told if told.startswith("device.hid.") else f"the device cannot be driven: {told}")
-    return verdict.driver, verdict.plan
 
 
 def _lacking(layout: Layout) -> str:

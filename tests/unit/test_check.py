@@ -11,10 +11,8 @@ from hapticd.check import check
 from hapticd.config import load_config
 from hapticd.engine import Engine
 from hapticd.hid.connection import Opened
-from hapticd.hid.descriptor import parse
 from hapticd.hid.discover import Found
-from hapticd.hid.layout import layout_of
-from hapticd.hid.verdict import driver_of
+from hapticd.hid.verdict import verdict_of
 from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid
 
@@ -35,8 +33,7 @@ def source(**hid: Any) -> dict[str, Any]:
 
 def plugged(monkeypatch: pytest.MonkeyPatch, descriptor: bytes, interval_s: float | None) -> None:
     """The only device of this machine, as sysfs tells of it."""
-    layout = layout_of(parse(descriptor))
-    found = Found("stick", "stick", 1, 2, "", "USB", "", descriptor, interval_s, interval_s, "ok", layout, None)
+    found = Found("stick", "stick", 1, 2, "", "USB", "", descriptor, interval_s, interval_s, "ok")
     monkeypatch.setattr("hapticd.check.find", lambda: [found])
 
 
@@ -62,7 +59,7 @@ def test_link_and_steps_are_the_daemons(
     plugged(monkeypatch, bytes(stick), interval_s)
     report = check(config)
     fake = FakePid(bytes(stick))
-    driver = driver_of(config.device.hid, bytes(stick))
+    driver, _ = verdict_of(config.device.hid, bytes(stick)).sound()
     opened = Opened(fake.device, driver, "stick", interval_s, on_change=False, measure=False)
     monkeypatch.setattr("hapticd.engine.source_of", lambda device: lambda: opened)
     engine = Engine(config)

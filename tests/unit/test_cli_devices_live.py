@@ -13,10 +13,9 @@ from hapticd.config import load_config
 from hapticd.hid import discover, sources
 from hapticd.hid.config import ForceAxes, ForceAxis, Hid
 from hapticd.hid.connection import Opened
-from hapticd.hid.descriptor import parse
 from hapticd.hid.discover import Found
-from hapticd.hid.layout import layout_of
 from hapticd.hid.pid import PidDriver
+from hapticd.hid.verdict import Verdict, verdict_of
 from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid
 
@@ -36,8 +35,6 @@ def found(path: str = "/dev/hidraw0", descriptor: bytes = STICK) -> Found:
         in_interval_s=0.001,
         out_interval_s=0.004,
         permission="ok",
-        layout=layout_of(parse(descriptor)),
-        problem=None,
     )
 
 
@@ -55,6 +52,24 @@ def test_list(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     assert lines[5].startswith("    can be driven, a report every 4 ms; but no permission: install ")
     assert main(["devices", "--json"]) == 0
     assert [item["usable"] for item in json.loads(capsys.readouterr().out)] == [True, False, True]
+
+
+@pytest.mark.parametrize(("keys", "times"), [({}, 1), ({"travel_m": 0.04}, 2)], ids=["defaults", "configured"])
+def test_a_descriptor_is_read_once_for_each_configuration(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, keys: dict[str, object], times: int
+) -> None:
+    judged = []
+
+    def noted(hid: Hid, descriptor: bytes) -> Verdict:
+        judged.append(hid)
+        return verdict_of(hid, descriptor)
+
+    monkeypatch.setattr(discover, "verdict_of", noted)
+    here(monkeypatch, found())
+    config = tmp_path / "config.yaml"
+    config.write_text(json.dumps({"device": {"kind": "hid", "hid": keys}}))
+    assert main(["devices", "-c", str(config)]) == 0
+    assert len(judged) == times
 
 
 def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,8 @@ from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import parse
 from hapticd.hid.layout import layout_of
 from hapticd.hid.offload import _times
-from hapticd.hid.pid import PidDriver, periodic_of
+from hapticd.hid.periodic import periodic_of
+from hapticd.hid.pid import PidDriver
 from hapticd.hid.verdict import verdict_of
 from tests import fuzz_descriptors as fuzz
 from tests.hid_descriptors import Joystick, logical, physical, usage

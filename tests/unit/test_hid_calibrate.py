@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import os
 from itertools import product
 from typing import Any
 
@@ -12,8 +14,10 @@ from hapticd.hid.calibrate import MOST_OF_FULL, Calibration, calibrate
 from hapticd.hid.config import Hid
 from hapticd.hid.pid import PidDriver
 from hapticd.hid.plan import DeviceError
+from hapticd.hid.vendor import VendorDriver
 from tests.hid_descriptors import Joystick
 from tests.hid_device import FakePid
+from tests.unit.test_hid_vendor import DESCRIPTOR, REPORT, Recorder
 
 FULL_N = 8.9
 M_PER_N = 0.02
@@ -110,3 +114,35 @@ def test_no_more_than_a_tenth() -> None:
         bench.calibrate(1.1 * MOST_OF_FULL * FULL_N)
     bench.stick.close()
     assert bench.stick.log == []
+
+
+class Deaf(Recorder):
+    """It takes every report, and its handle stays where it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._ours, self._theirs = os.pipe()
+
+    def fileno(self) -> int:
+        return self._ours
+
+    def close(self) -> None:
+        os.close(self._ours)
+        os.close(self._theirs)
+
+
+def test_of_a_report_of_its_own_the_last_one_is_told() -> None:
+    """-0.4 N of 1000 counts a newton, 16 bits, the highest byte first; y at rest, 0x800 from bit 20 on."""
+    hid = Hid.model_validate({"report": REPORT, "full_scale_force_n": FULL_N})
+    device, clock = Deaf(), itertools.count()
+    with pytest.raises(DeviceError) as caught:
+        calibrate(
+            device,
+            VendorDriver(hid, DESCRIPTOR),
+            hid,
+            0.4,
+            now=lambda: 0.005 * next(clock),
+            pause=lambda duration_s: None,
+        )
+    device.close()
+    assert "sent was 02 fe 70 00 80 00 00 (hex" in str(caught.value)

@@ -11,7 +11,18 @@ import pytest
 from hapticd.hid.config import Hid
 from hapticd.hid.discover import Found, choose, find
 from hapticd.hid.plan import DeviceError
-from tests.hid_descriptors import APPLICATION, INPUT, Joystick, collection, data, logical, size, usage, usage_page
+from tests.hid_descriptors import (
+    APPLICATION,
+    INPUT,
+    Joystick,
+    collection,
+    data,
+    logical,
+    physical,
+    size,
+    usage,
+    usage_page,
+)
 
 STICK = bytes(Joystick())
 MOUSE = collection(usage_page(1) + usage(2), APPLICATION, usage(0x30), logical(-127, 127), size(8), data(INPUT))
@@ -80,6 +91,16 @@ def test_what_sysfs_says(machine: Machine) -> None:
     assert (mouse.bus, mouse.out_interval_s, mouse.usable) == ("Bluetooth", None, False)
     assert "Set Constant Force" in mouse.missing
     assert stick.to_dict()["usable"] is True
+
+
+def test_resets_are_seen_as_far_as_reports_can_name_our_effects(machine: Machine) -> None:
+    """Of one whose PID State can only name effects that are never ours, a reset is not noticed."""
+    index = logical(1, 40) + physical(1, 40) + size(7) + data(INPUT)
+    assert STICK.count(index) == 1
+    machine.add(0)
+    machine.add(1, STICK.replace(index, logical(41, 60) + physical(41, 60) + size(7) + data(INPUT)))
+    machine.add(2, MOUSE)
+    assert [found.resets_seen for found in machine.find()] == [True, False, None]
 
 
 def test_microsecond_intervals(machine: Machine) -> None:

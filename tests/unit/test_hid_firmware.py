@@ -24,7 +24,7 @@ from hapticd.hid.usages import AXES
 from hapticd.mode import Mode
 from tests import firmware_descriptors as descriptors
 from tests.firmware import ADAPT, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
-from tests.hid_descriptors import DESKTOP, ORDINAL, Joystick, logical, physical, usage32
+from tests.hid_descriptors import DESKTOP, ORDINAL, OUTPUT, Joystick, logical, pad, physical, usage, usage32
 
 FULL_N = 8.0
 FORCES = (
@@ -366,16 +366,26 @@ def test_a_wheel_that_names_two_axes_is_told_what_it_needs(sign: int) -> None:
         assert stick.force() == pytest.approx((0.5, 0.0), abs=2e-4)
 
 
-def test_a_calibration_that_finds_nothing_says_what_was_sent() -> None:
-    table = Table(descriptors.SIDEWINDER_FF2, Variant(), 0.0)
+def _index_later() -> bytes:
+    """The reports of an effect begin with a byte that means nothing; then comes the effect's index."""
+    descriptor = bytes(Joystick(direction_bits=16))
+    for name in (0x21, 0x73, 0x77):
+        head = usage(name) + b"\xa1\x02\x85"
+        at = descriptor.index(head) + len(head) + 1
+        descriptor = descriptor[:at] + pad(OUTPUT, 8) + descriptor[at:]
+    return descriptor
+
+
+@pytest.mark.parametrize("name", ["sidewinder", "index later"])
+def test_a_calibration_that_finds_nothing_says_what_was_sent(name: str) -> None:
+    descriptor = {"sidewinder": descriptors.SIDEWINDER_FF2, "index later": _index_later()}[name]
+    table = Table(descriptor, Variant(), 0.0)
     with table.stick as stick:
         with pytest.raises(DeviceError) as caught:
             calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
         told = str(caught.value)
         (set_effect, _) = stick.sent("set_effect")
-        strongest = min(
-            stick.sent("constant_force"), key=lambda report: int.from_bytes(report[2:4], "little", signed=True)
-        )
+        strongest = min(stick.sent("constant_force"), key=lambda report: stick.read(report)[1]["magnitude"])
         assert "device's x axis" in told and "0.4 N" in told and "effect 1 had" in told and "\n" not in told
         assert f"Set Effect {set_effect.hex(' ')}" in told
         assert f"Set Constant Force {strongest.hex(' ')}" in told

@@ -23,7 +23,8 @@ from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import parse
 from hapticd.hid.layout import layout_of
 from hapticd.hid.offload import LONGEST_S, Fit, Offload, effect_messages, fit, streamed_error
-from hapticd.hid.pid import PidDriver, periodic_of
+from hapticd.hid.periodic import periodic_of
+from hapticd.hid.pid import PidDriver
 from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan, fill_message
 from hapticd.materials import Material, shipped_materials
 from hapticd.mode import Mode

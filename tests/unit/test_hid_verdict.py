@@ -19,6 +19,7 @@ from hapticd.hid.config import Hid
 from hapticd.hid.descriptor import parse
 from hapticd.hid.discover import Found
 from hapticd.hid.layout import layout_of
+from hapticd.hid.periodic import periodic_problem
 from hapticd.hid.plan import DeviceError
 from hapticd.hid.replay import Recording, text_of
 from hapticd.hid.sources import open_hid
@@ -185,10 +186,7 @@ CASES: dict[str, tuple[str | None, bytes, dict[str, Any]]] = {
 
 
 def plugged(descriptor: bytes) -> Found:
-    verdict = verdict_of(Hid(), descriptor)
-    return Found(
-        "/dev/hidraw0", "Stick", 1, 2, "", "USB", "", descriptor, 1e-3, 1e-3, "ok", verdict.layout, verdict.problem
-    )
+    return Found("/dev/hidraw0", "Stick", 1, 2, "", "USB", "", descriptor, 1e-3, 1e-3, "ok")
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -291,13 +289,20 @@ def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytes
 
 def test_levels_of_periodic_effects_that_end_at_zero_are_no_levels() -> None:
     """The fade's level was divided by."""
-    from hapticd.hid.pid import periodic_problem
-
     fade = usage(0x5D) + logical(0, 255) + physical(0, 255)
     descriptor = instead(fade, usage(0x5D) + logical(-5, 0) + physical(-5, 0))
     hid = Hid(offload="auto")
     assert periodic_problem(layout_of(parse(STICK)), hid) is None
     assert periodic_problem(layout_of(parse(descriptor)), hid) == "the device has no levels above zero"
+
+
+def test_periodic_effects_that_share_a_report_are_not_used() -> None:
+    """Each Set Periodic would have written zeros over the numbers of the other report. Constant forces need none."""
+    hid = Hid(offload="auto")
+    descriptor = with_id(0x6E, 4)
+    assert verdict_of(hid, descriptor).drivable
+    told = periodic_problem(layout_of(parse(descriptor)), hid)
+    assert told == ("Set Constant Force and Set Periodic are output report 4: sending one would set the others to zero")
 
 
 def test_a_faulty_default_configuration_does_not_hide_the_devices(
