@@ -15,7 +15,7 @@ from typing import Final, cast
 
 import numpy as np
 
-from hapticd.fit.left_out import Left
+from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
 from hapticd.fit.pulse_shape import (
     LARGE,
     Equations,
@@ -372,14 +372,15 @@ def _coarser(
         samples, placed, rate_hz = tried, found, half_hz
 
 
-def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str] = ()) -> WaveformFit:
-    """The waveform of taps that are pulses; `told` are warnings of how the pulses were found.
+def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str], left: LeftOut) -> WaveformFit:
+    """The waveform of taps that are pulses; `told` are warnings of how the pulses were found. Taps that cannot be used
+    are told to `left`.
 
     Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
     with the speed.
     """
-    warnings = list(told)
-    pulses, shape = _alike(list(pulses), warnings)
+    pulses, shape = _alike(list(pulses), told, left)
+    warnings = [*left.lines(), *told]
     doubts = Doubts()
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
@@ -413,6 +414,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
     doubt_the_law(doubts, law, line.r_squared)
+    doubts.add(False, most_are_left_out(left, len(hits), "tap"))
     warnings += doubts.told
     return WaveformFit(
         taps=hits,
@@ -431,6 +433,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {line.r_squared if law.kind == 'line' else law.r_squared:.3f})",
         ),
+        left_out=tuple(left.items),
     )
 
 
@@ -455,20 +458,24 @@ def _less(share: float, wanted: float) -> str:
     return f"a waveform explains {100 * share:.1f} % of a tap" if share < wanted else ""
 
 
-def _alike(pulses: list[Pulse], warnings: list[str]) -> tuple[list[Pulse], Shape]:
-    """The pulses that have a shape in common."""
-    _check_count(len(pulses), warnings)
+def _alike(pulses: list[Pulse], told: Sequence[str], left: LeftOut) -> tuple[list[Pulse], Shape]:
+    """The pulses that have a shape in common; the others are told to `left`."""
+    if len(pulses) < LEAST_PULSES:
+        reasons = [*left.lines(), *told]
+        why = f" ({'; '.join(reasons[:3])})" if reasons else ""
+        raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
     shape = shape_of(pulses)
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
     for pulse, placed, share in zip(pulses, shape.placed, shape.others.beside_noise, strict=True):
-        place_s = f"{pulse.recording}: the tap at {pulse.begin_s + placed.onset_s:.4g} s"
         if share < ALIKE:
-            warnings.append(f"{place_s} is left out: the waveform of the others explains {100 * share:.0f} % of it")
+            reason = f"the waveform of the others explains {100 * share:.0f} % of it"
         elif placed.amplitude * usual <= 0:
-            warnings.append(f"{place_s} pushes the other way, and is left out")
+            reason = "it pushes the other way"
         else:
             kept.append(pulse)
+            continue
+        left.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape
     if len(kept) < max(LEAST_PULSES, len(pulses) / 2):
@@ -477,12 +484,6 @@ def _alike(pulses: list[Pulse], warnings: list[str]) -> tuple[list[Pulse], Shape
             "material, tapped alike?"
         )
     return kept, shape_of(kept)
-
-
-def _check_count(count: int, warnings: Sequence[str]) -> None:
-    if count < LEAST_PULSES:
-        told = f" ({'; '.join(warnings[:3])})" if warnings else ""
-        raise FitError(f"{count} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{told}")
 
 
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:
