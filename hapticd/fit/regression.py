@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.errors import HapticdError
+from hapticd.yaml_source import Json
 
 Floats = npt.NDArray[np.float64]
 LEVEL: Final = 0.95
@@ -51,7 +52,7 @@ class Estimate:
         low, high = sorted((function(self.low), function(self.high)))
         return Estimate(function(self.value), low, high)
 
-    def to_dict(self) -> dict[str, float]:
+    def to_dict(self) -> dict[str, Json]:
         return {"value": self.value, "low": self.low, "high": self.high}
 
 

@@ -33,7 +33,6 @@ from hapticd.fit.tap_hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit
 from hapticd.fit.tap_law import TABLE as TABLE
 from hapticd.fit.tap_law import (
     Amplitudes,
-    json_of,
     json_table,
     one_astray,
 )
@@ -185,7 +184,7 @@ class TapFit:
             "offset_slope_per_s",
             "offset_m_per_s2",
         ):
-            told[name] = json_of(getattr(self, name))
+            told[name] = getattr(self, name).to_dict()
         told |= {
             "r_squared": self.r_squared,
             "r_squared_offset": self.r_squared_offset,

@@ -19,7 +19,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, through_origin
-from hapticd.fit.tap_law import BENT, TABLE, Amplitudes, json_of, table
+from hapticd.fit.tap_law import BENT, TABLE, Amplitudes, table
 from hapticd.fit.verdict import Doubts
 from hapticd.yaml_source import Json
 
@@ -55,8 +55,8 @@ class Power:
 
     def to_dict(self) -> dict[str, Json]:
         return {
-            "exponent": json_of(self.exponent),
-            "coefficient_m_per_s2": json_of(self.coefficient_m_per_s2),
+            "exponent": self.exponent.to_dict(),
+            "coefficient_m_per_s2": self.coefficient_m_per_s2.to_dict(),
             "points": [[speed, amplitude.value] for speed, amplitude in self.points],
             "points_off": self.off,
         }

@@ -133,9 +133,5 @@ def moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: flo
     )
 
 
-def json_of(estimate: Estimate) -> Json:
-    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-
-
 def json_table(amplitudes: Amplitudes) -> Json:
-    return [{"speed_m_per_s": speed, "coefficient_m_per_s2": json_of(amplitude)} for speed, amplitude in amplitudes]
+    return [{"speed_m_per_s": speed, "coefficient_m_per_s2": amplitude.to_dict()} for speed, amplitude in amplitudes]

@@ -10,7 +10,7 @@ import numpy as np
 
 from hapticd.fit.regression import Estimate, FitError, Floats, Regression, least_squares
 from hapticd.fit.tap_hit import Figures
-from hapticd.fit.tap_law import APART, MOVED_DECAY, MOVED_FREQUENCY, json_of, moves
+from hapticd.fit.tap_law import APART, MOVED_DECAY, MOVED_FREQUENCY, moves
 from hapticd.yaml_source import Json
 
 MOST_POINTS: Final = 5
@@ -43,8 +43,8 @@ class Modes:
     def to_dict(self) -> dict[str, Json]:
         return {
             "speeds_m_per_s": list(self.speeds_m_per_s),
-            "frequencies_hz": [json_of(each) for each in self.frequencies_hz],
-            "decay_times_s": [json_of(each) for each in self.decay_times_s],
+            "frequencies_hz": [each.to_dict() for each in self.frequencies_hz],
+            "decay_times_s": [each.to_dict() for each in self.decay_times_s],
             "why": self.why,
         }
 

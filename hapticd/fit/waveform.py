@@ -142,12 +142,11 @@ class WaveformFit:
 
     def to_dict(self) -> dict[str, Json]:
         """As JSON has it, without the stretches."""
-        slope = self.first_peak_slope_per_s
         return {
-            "first_peak_slope_per_s": {"value": slope.value, "low": slope.low, "high": slope.high},
+            "first_peak_slope_per_s": self.first_peak_slope_per_s.to_dict(),
             "amplitudes": [
-                {"speed_m_per_s": speed, "first_peak_m_per_s2": {"value": a.value, "low": a.low, "high": a.high}}
-                for speed, a in self.amplitudes
+                {"speed_m_per_s": speed, "first_peak_m_per_s2": amplitude.to_dict()}
+                for speed, amplitude in self.amplitudes
             ],
             "waveform": {
                 "rate_hz": self.rate_hz,
