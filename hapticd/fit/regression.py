@@ -155,6 +155,22 @@ def improbable(squares: float, freedom: int, fuller: float, fuller_freedom: int)
     return float(fdtrc(extra, fuller_freedom, max(0.0, (squares - fuller) / extra) / (fuller / fuller_freedom)))
 
 
+def aicc(squares: float, count: int, unknowns: int) -> float:
+    """Akaike's criterion, corrected for few points, of a model with so many `unknowns`, which leaves these weighted
+    squares of `count` points; infinite for too few points. The scale of the scatter is one unknown more."""
+    known = unknowns + 1
+    freedom = count - known - 1
+    if freedom < 1:
+        return math.inf
+    return count * math.log(squares / count) + 2 * known + 2 * known * (known + 1) / freedom
+
+
+def jackknife_error(without: Floats) -> Floats:
+    """Standard errors (...) of figures from what they are without each of n points, or groups of them, (n, ...)."""
+    count = len(without)
+    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
+
+
 def _correlation(one: Floats, other: Floats) -> float:
     one, other = one - one.mean(), other - other.mean()
     norm = math.sqrt(float(np.sum(one**2)) * float(np.sum(other**2)))

@@ -18,7 +18,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, through_origin
+from hapticd.fit.regression import Estimate, FitError, Floats, aicc, least_squares, through_origin
 from hapticd.fit.tap_law import BENT, TABLE, Amplitudes, table
 from hapticd.fit.verdict import Doubts
 from hapticd.yaml_source import Json
@@ -37,7 +37,6 @@ MOST_POINTS: Final = 256
 MOST_EXPONENT: Final = 5.0
 CLEARLY: Final = 2.0
 """Of AICc."""
-LEAST_FREEDOM: Final = 1
 _STEPS: Final = 50
 
 
@@ -177,14 +176,10 @@ def _weighted_line(speeds: Floats, amplitudes: Floats, weights: Floats) -> float
 
 
 def _aicc(model: Floats, amplitudes: Floats, weights: Floats, unknowns: int) -> float:
-    count, known = len(amplitudes), unknowns + 1
-    freedom = count - known - 1
-    if freedom < LEAST_FREEDOM:
-        return math.inf
     squares = float(np.sum(weights * (amplitudes - model) ** 2))
     # Of taps without any noise the rounding.
     squares = max(squares, 1e-24 * float(np.sum(weights * amplitudes**2)))
-    return count * math.log(squares / count) + 2 * known + 2 * known * (known + 1) / freedom
+    return aicc(squares, len(amplitudes), unknowns)
 
 
 def _tables(speeds: Floats, amplitudes: Floats, variances: Floats) -> list[Amplitudes]:

@@ -37,15 +37,21 @@ Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 """Speeds in m/s, rising, and m/s^2."""
 
 
+def knots_of(speeds: Floats, count: int) -> Floats:
+    """From the slowest to the fastest, with about as many taps between any two; so many, or fewer where they are not
+    APART."""
+    order = np.sort(speeds)
+    found: list[float] = []
+    for speed in order[np.linspace(0, len(order) - 1, count).round().astype(int)]:
+        if not found or speed > (1 + APART) * found[-1]:
+            found.append(float(speed))
+    return np.array(found)
+
+
 def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = TABLE) -> Amplitudes:
     """The straight lines between so many of the speeds that are nearest to the amplitudes, none below 0."""
-    order = np.sort(speeds)
-    count = min(most, max(2, len(speeds) - 2))
-    knots: list[float] = []
-    for place in np.linspace(0, len(speeds) - 1, count).round().astype(int):
-        if not knots or order[place] > (1 + APART) * knots[-1]:
-            knots.append(float(order[place]))
-    nodes = np.array([0.0, *knots])
+    knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
+    nodes = np.concatenate(([0.0], knots))
     hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
     # What would be negative is 0, and the others are fitted without it.
     kept = np.ones(len(knots), dtype=np.bool_)
@@ -56,7 +62,9 @@ def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = TAB
             break
         kept[np.flatnonzero(kept)[below]] = False
     found = iter(line.coefficients)
-    points = [(knot, next(found) if keep else Estimate(0.0, 0.0, 0.0)) for knot, keep in zip(knots, kept, strict=True)]
+    points = [
+        (float(knot), next(found) if keep else Estimate(0.0, 0.0, 0.0)) for knot, keep in zip(knots, kept, strict=True)
+    ]
     return tuple((knot, Estimate(value.value, max(0.0, value.low), value.high)) for knot, value in points)
 
 

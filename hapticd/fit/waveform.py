@@ -29,7 +29,7 @@ from hapticd.fit.pulse_shape import (
     upright,
 )
 from hapticd.fit.recording import Source
-from hapticd.fit.regression import Estimate, FitError, Floats, student_t, through_origin
+from hapticd.fit.regression import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.fit.tap_amplitude import Law, doubt_the_law, law_of
 from hapticd.fit.tap_hit import TapHit, check_speeds
 from hapticd.fit.tap_law import Amplitudes
@@ -266,8 +266,8 @@ def _uncertain(
     about = np.zeros(count)
     about[1:-1] = np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3)
     return Uncertain(
-        deviations=_with_neighbours(_jackknife(np.array(shapes))),
-        of_amplitudes=float(_jackknife(np.array(sizes))),
+        deviations=_with_neighbours(jackknife_error(np.array(shapes))),
+        of_amplitudes=float(jackknife_error(np.array(sizes))),
         freedom=groups - 1,
         unresolved=about,
         of_amplitudes_unresolved=math.hypot(FINER * (_ratio(found, placed) - 1.0), math.sqrt(float(np.mean(whole)))),
@@ -287,12 +287,6 @@ def _with_neighbours(errors: Floats) -> Floats:
     around = np.ones(5)
     mean = np.convolve(errors[1:-1] ** 2, around)[2:-2] / np.convolve(inner, around)[2:-2]
     return np.concatenate(([0.0], np.sqrt(mean), [0.0]))
-
-
-def _jackknife(without: Floats) -> Floats:
-    """Standard errors (...) of what was found without each of n points, (n, ...)."""
-    count = len(without)
-    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
 
 
 def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
