@@ -31,6 +31,7 @@ from hapticd.fit.lines import Line, common_lines, lines_beside
 from hapticd.fit.lines import told as lines_told
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
+from hapticd.fit.spans import Bools
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     Ints,
@@ -55,7 +56,6 @@ from hapticd.fit.verdict import AT_LEAST, Doubts, Verdict
 from hapticd.mode import Mode
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
-Bools: TypeAlias = npt.NDArray[np.bool_]
 
 LEAST_S: Final = 0.1
 """Of a stretch of a recording, between gaps and clipped samples."""
