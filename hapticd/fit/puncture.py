@@ -17,8 +17,7 @@ import numpy as np
 from hapticd.fit.clipping import clipped
 from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import Line, common_lines, lines_beside
-from hapticd.fit.lines import told as lines_told
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, common, with_offset
 from hapticd.fit.ringing import fit_ringing
@@ -27,11 +26,11 @@ from hapticd.fit.strokes import (
     acceleration_of,
     excludes_zero,
     force_of,
-    gravity_of,
     plain,
     running_mean,
     slope_of,
     tell_few_samples,
+    tell_gravity,
     told_of,
     too_slow,
 )
@@ -144,14 +143,11 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     weigh(left, recordings, doubts)
     used = {each.recording for each in ruptures}
     recordings = [recording for recording in recordings if recording.name in used]
-    for line in (told for recording in recordings for told in gravity_of(recording)):
-        doubts.tell(line)
+    tell_gravity(recordings, doubts)
     by_name = {recording.name: recording for recording in recordings}
-    hum = common_lines(
-        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed)
+    tell_lines(
+        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed), doubts
     )
-    if hum:
-        doubts.tell(lines_told(hum))
     count = len(ruptures)
     doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
 

@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
-from hapticd.fit.lines import Line, common_lines, lines_beside
-from hapticd.fit.lines import told as lines_told
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import (
     Estimate,
@@ -240,9 +239,7 @@ def fit_tap(
     law = law_of(figures.speeds, figures.amplitudes, figures.of_amplitude, "line" if astray else None)
     doubts = Doubts()
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
-    hum = common_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed))
-    if hum:
-        doubts.tell(lines_told(hum))
+    tell_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed), doubts)
     tell_few_samples(of_taps, frequency.value, doubts)
     _doubt_the_mode(doubts, hits, second, explained, warnings)
     decay_time = decay.mapped(lambda log: math.exp(-log))
