@@ -18,8 +18,9 @@ from hapticd.fit.left_out import LeftOut
 from hapticd.fit.pulse_shape import Pulse
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, MistakenError, require_scipy
-from hapticd.fit.tap import HARDEST, SOFTEST, TapFit, fit_tap
+from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
+from hapticd.fit.tap_law import check_hardness
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
 from hapticd.waveform import LONGEST_S, middle_hz
@@ -99,13 +100,8 @@ def _waveform(
 ) -> WaveformFit:
     """Of the pulses of these recordings."""
     found = fit_waveform(pulses, tuple(recording.source for recording in recordings), warnings, left)
-    ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
-    if not SOFTEST <= ratio <= HARDEST:
-        raise FitError(
-            f"the amplitude over speed is {found.first_peak_slope_per_s.value:.4g} 1/s, {ratio:.2g} times the angular "
-            f"frequency of the pulses; a touch has {SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by "
-            "a thousand (mm, g)?"
-        )
+    angular = 2.0 * math.pi * middle_hz(found.curve)
+    check_hardness(found.first_peak_slope_per_s.value, angular, "the angular frequency of the pulses")
     return found
 
 

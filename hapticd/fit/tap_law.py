@@ -10,6 +10,7 @@ import numpy as np
 
 from hapticd.fit.regression import (
     Estimate,
+    FitError,
     Floats,
     Regression,
     improbable,
@@ -29,6 +30,9 @@ APART: Final = 0.02
 """And they are apart by so much."""
 ASTRAY: Final = 0.25
 """A tap this far off the line of the others is told."""
+SOFTEST: Final = 0.003
+HARDEST: Final = 10.0
+"""Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
 MOVED_FREQUENCY: Final = 0.02
 MOVED_DECAY: Final = 0.1
 """From the slowest to the fastest tap; what is less is not told."""
@@ -92,6 +96,25 @@ def bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
         value = offset.coefficients[1].value
         return f"A(v) does not go through the origin: it has {value:.3g} m/s^2 at rest"
     return ""
+
+
+def check_slope(slope: Estimate) -> None:
+    """Raises FitError where the amplitude does not rise with the speed."""
+    if not slope.low > 0:
+        raise FitError(
+            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
+            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
+        )
+
+
+def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
+    """Raises FitError where the slope is none of a touch at an angular frequency, which is `named` so."""
+    ratio = slope_per_s / angular
+    if not SOFTEST <= ratio <= HARDEST:
+        raise FitError(
+            f"the amplitude over speed is {slope_per_s:.4g} 1/s, {ratio:.2g} times {named}; a touch has "
+            f"{SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by a thousand (mm, g)?"
+        )
 
 
 def one_astray(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:

@@ -32,7 +32,7 @@ from hapticd.fit.recording import Source
 from hapticd.fit.regression import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.fit.tap_amplitude import Law, doubt_the_law, law_of
 from hapticd.fit.tap_hit import TapHit, check_speeds
-from hapticd.fit.tap_law import Amplitudes
+from hapticd.fit.tap_law import Amplitudes, check_slope
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
 from hapticd.yaml_source import Json
@@ -387,11 +387,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     line = through_origin(speeds, peaks, variances, speeds**2)
     part = shape.uncertain.half_of_amplitudes
     slope = _wider(line.coefficients[0], part)
-    if not slope.low > 0:
-        raise FitError(
-            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
-            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
-        )
+    check_slope(slope)
     share = float(np.median(shape.others.explained))
     doubts.add(share < POORLY_EXPLAINED, _less(share, WELL_EXPLAINED), "the taps differ in shape")
     if shape.faded:
