@@ -11,7 +11,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from hapticd.fit.pulse_shape import (
 from hapticd.fit.recording import Source
 from hapticd.fit.regression import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.fit.tap_amplitude import Law, doubt_the_law, law_of
-from hapticd.fit.tap_hit import TapHit, check_speeds
+from hapticd.fit.tap_hit import check_speeds
 from hapticd.fit.tap_law import Amplitudes, check_slope
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
@@ -381,7 +381,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
         peaks = -peaks
     each = zip(pulses, shape.placed, shape.others.explained, strict=True)
     hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
-    check_speeds(cast(Sequence[TapHit], hits))
+    check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
