@@ -24,8 +24,6 @@ from hapticd.fit.verdict import Doubts
 from hapticd.yaml_source import Json
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
-WELL_LINEAR: Final = 0.9
-"""r^2 of A(v)."""
 WELL_KNOWN: Final = 0.15
 """What taps are off a law that is no line, as a part of the amplitude."""
 POINTS_OFF: Final = 1e-3
@@ -153,8 +151,8 @@ def doubt_the_law(doubts: Doubts, law: Law, r_squared: float) -> None:
     """Whether the speed says what the amplitude is; `r_squared` of the line."""
     told = r_squared if law.kind == "line" else law.r_squared
     # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
-    little = told < WELL_LINEAR and (law.kind == "line" or law.left > WELL_KNOWN)
-    doubts.add(little, f"the speed says little of the amplitude (r^2 {told:.2f})" if little else "", "")
+    if law.kind == "line" or law.left > WELL_KNOWN:
+        doubts.at_least("r^2 of the law of taps", told, f"the speed says little of the amplitude (r^2 {told:.2f})")
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:

@@ -22,7 +22,8 @@ from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
 from hapticd.fit.tap_law import check_hardness
 from hapticd.fit.twins import refuse_twins
-from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
+from hapticd.fit.verdict import AT_LEAST
+from hapticd.fit.waveform import WaveformFit, fit_waveform
 from hapticd.waveform import LONGEST_S, middle_hz
 
 TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
@@ -80,8 +81,9 @@ def _other(ringing: TapFit | FitError, recordings: Sequence[Recording], left: Le
         pulses = pulses_of(recordings, warnings, left)
         if isinstance(ringing, FitError):
             found = _waveform(pulses, recordings, warnings, left)
-            well = found.variance_accounted_for >= POORLY_EXPLAINED and found.samples_a_period >= FEW_SAMPLES
-            return found if well else None
+            explains = found.variance_accounted_for >= AT_LEAST["variance that a waveform explains"].poor
+            resolved = found.samples_a_period >= AT_LEAST["samples in a period of a waveform"].poor
+            return found if explains and resolved else None
         by_mode = ringing.variance_accounted_for
         rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= RINGS
         if ringing.second is not None and rings:

@@ -56,14 +56,10 @@ COARSER: Final = 1e-4
 """The rate of the samples is halved as long as the shape explains no more than this less."""
 ALIKE: Final = 0.5
 """A tap of which the shape of the others explains less is left out."""
-WELL_EXPLAINED: Final = 0.95
-POORLY_EXPLAINED: Final = 0.8
 UNFINISHED: Final = 0.05
 """Of the peak: a shape that is larger where it has to end is faded out."""
 AFTER: Final = 1.3
 """A pulse is looked at for so many times its length."""
-FEW_SAMPLES: Final = 4.0
-"""Samples in a period of the frequency below which half of the energy lies: fewer do not tell the shape."""
 FADED: Final = 0.2
 """Over this part of its length."""
 
@@ -389,7 +385,12 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     slope = _wider(line.coefficients[0], part)
     check_slope(slope)
     share = float(np.median(shape.others.explained))
-    doubts.add(share < POORLY_EXPLAINED, _less(share, WELL_EXPLAINED), "the taps differ in shape")
+    doubts.at_least(
+        "variance that a waveform explains",
+        share,
+        f"a waveform explains {100 * share:.1f} % of a tap",
+        "the taps differ in shape",
+    )
     if shape.faded:
         doubts.add(
             False,
@@ -397,8 +398,12 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"the waveform is faded out over its last {100 * FADED:.0f} %",
         )
     resolved = min(pulse.rate_hz for pulse in pulses) / middle_hz(shape.curve)
-    few = f"{resolved:.1f} samples of the recordings are a period of its middle frequency"
-    doubts.add(True, few if resolved < FEW_SAMPLES else "", "the waveform is not resolved: record faster")
+    doubts.at_least(
+        "samples in a period of a waveform",
+        resolved,
+        f"{resolved:.1f} samples of the recordings are a period of its middle frequency",
+        "the waveform is not resolved: record faster",
+    )
     law = law_of(speeds, peaks, variances)
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
@@ -441,10 +446,6 @@ def _wider(estimate: Estimate, part: float) -> Estimate:
         estimate.value - math.sqrt((estimate.value - estimate.low) ** 2 + further),
         estimate.value + math.sqrt((estimate.high - estimate.value) ** 2 + further),
     )
-
-
-def _less(share: float, wanted: float) -> str:
-    return f"a waveform explains {100 * share:.1f} % of a tap" if share < wanted else ""
 
 
 def _alike(pulses: list[Pulse], told: Sequence[str], left: LeftOut) -> tuple[list[Pulse], Shape]:
