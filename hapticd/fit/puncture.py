@@ -133,15 +133,18 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     """
     left = LeftOut() if left is None else left
     refuse_twins(recordings)
-    doubts = Doubts()
-    ruptures = left.each(recordings, lambda recording: _rupture(recording, doubts))
-    if not ruptures:
+    found = left.each(recordings, _rupture)
+    if not found:
         raise left.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
-    ruptures = _together(ruptures, left)
+    ruptures = _together([rupture for rupture, _ in found], left)
     if len(ruptures) < 2:
         raise left.refused("one puncture has no interval: needs two recordings of a puncture at least")
-    weigh(left, recordings, doubts)
     used = {each.recording for each in ruptures}
+    doubts = Doubts()
+    for rupture, own in found:
+        if rupture.recording in used:
+            doubts.take(own)
+    weigh(left, recordings, doubts)
     recordings = [recording for recording in recordings if recording.name in used]
     tell_gravity(recordings, doubts)
     by_name = {recording.name: recording for recording in recordings}
@@ -226,8 +229,9 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     )
 
 
-def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
-    """The puncture of a recording. FitError where there is none, or it cannot be fitted."""
+def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
+    """The puncture of a recording, and what speaks against it. FitError where there is none, or it cannot be fitted."""
+    doubts = Doubts()
     kept = without_impossible(recording, "puncture")
     told_of([kept], doubts)
     recording = kept.recording
@@ -361,7 +365,7 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
             )
     if ringing.variance_accounted_for < 0.8:
         doubts.note(f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
-    return Rupture(
+    found = Rupture(
         recording=name,
         time_s=(at + 0.5) / rate_hz,
         speed_m_per_s=abs(speed),
@@ -373,6 +377,7 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
         decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
         variance_accounted_for=float(ringing.variance_accounted_for),
     )
+    return found, doubts
 
 
 def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[Line]:

@@ -95,6 +95,14 @@ class Doubts:
         """A warning that is no reason: the fit is as good with it."""
         self.told.append(line)
 
+    def take(self, other: Doubts) -> None:
+        """Those of one recording, which is used."""
+        self.told += other.told
+        self.reasons += other.reasons
+        self.poor |= other.poor
+        for what, count in other.cases.items():
+            self.cases[what] = self.cases.get(what, 0) + count
+
     def at_least(self, rule: str, value: float, reason: str, more: str = "") -> None:
         """A reason where the value is less than the rule of AT_LEAST asks. A value that is no number is poor."""
         bound = AT_LEAST[rule]
