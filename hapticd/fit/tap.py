@@ -102,7 +102,7 @@ class TapFit:
     def amplitudes(self) -> Amplitudes:
         """The coefficient over the speed, as `amplitudes` of a material has it: straight lines from rest to the first
         speed and from one to the next; those of the power law, where A(v) is one."""
-        return self.law.table if self.power is None else self.power.points
+        return self.law.points
 
     def material(
         self,

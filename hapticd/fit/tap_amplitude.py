@@ -85,6 +85,11 @@ class Law:
         return f"a power law of exponent {self.power.exponent.value:.2f}"
 
     @property
+    def points(self) -> Amplitudes:
+        """As `amplitudes` of a material has A(v): points of the power law, where it is one, else the table."""
+        return self.power.points if self.kind == "power" and self.power is not None else self.table
+
+    @property
     def why(self) -> str:
         """Why this one: the criterion of the others."""
         names: Mapping[LawKind, str] = {"line": "a line", "power": "a power law", "table": "a table"}

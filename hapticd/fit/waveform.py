@@ -30,7 +30,7 @@ from hapticd.fit.pulse_shape import (
 )
 from hapticd.fit.recording import Source
 from hapticd.fit.regression import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
-from hapticd.fit.tap_amplitude import Law, doubt_the_law, law_of
+from hapticd.fit.tap_amplitude import doubt_the_law, law_of
 from hapticd.fit.tap_hit import check_speeds
 from hapticd.fit.tap_law import Amplitudes, check_slope
 from hapticd.fit.verdict import Doubts, Verdict
@@ -413,7 +413,9 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
-        amplitudes=tuple((speed, _wider(amplitude, part)) for speed, amplitude in _points(law)),
+        amplitudes=tuple(
+            (speed, _wider(amplitude, part)) for speed, amplitude in (() if law.kind == "line" else law.points)
+        ),
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
         deviations=tuple(map(float, shape.uncertain.halves)),
@@ -429,13 +431,6 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
         ),
         left_out=tuple(left.items),
     )
-
-
-def _points(law: Law) -> Amplitudes:
-    """As a material has them; none of a line."""
-    if law.kind == "line":
-        return ()
-    return law.power.points if law.kind == "power" and law.power is not None else law.table
 
 
 def _wider(estimate: Estimate, part: float) -> Estimate:
