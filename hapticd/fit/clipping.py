@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd.fit.regression import Floats
+from hapticd.fit.spans import Bools, spans_of
 
 RUN: Final = 3
 """So many equal samples at the largest or the smallest value are a clipped peak,"""
@@ -21,7 +21,7 @@ NOISE: Final = 4.0
 more than the noise there."""
 
 
-def clipped(values: Floats, noise: float = 0.0) -> npt.NDArray[np.bool_]:
+def clipped(values: Floats, noise: float = 0.0) -> Bools:
     """(n,) which of the samples are; `noise` is the standard deviation of the samples at rest, where it is known."""
     found = np.zeros(len(values), dtype=np.bool_)
     steps = np.abs(np.diff(values))
@@ -31,8 +31,7 @@ def clipped(values: Floats, noise: float = 0.0) -> npt.NDArray[np.bool_]:
     # Without noise, rest may be an end of the range, too.
     rest = np.median(values)
     for extreme in {values.max(), values.min()} - {rest}:
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False])).astype(np.int8)))
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        for begin, end in spans_of(values == extreme):
             around = np.concatenate((steps[max(0, begin - 1) : begin], steps[end - 1 : end]))
             leap = max(LEAP * quantum, NOISE * noise) if end - begin <= SHORT else LEAP * quantum
             if end - begin >= RUN and around.size and around.max() > leap:

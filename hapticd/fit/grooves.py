@@ -27,10 +27,10 @@ import numpy.typing as npt
 
 from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import Line, common_lines, lines_beside
-from hapticd.fit.lines import told as lines_told
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
+from hapticd.fit.spans import Bools
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     Ints,
@@ -38,13 +38,13 @@ from hapticd.fit.strokes import (
     Robust,
     acceleration_of,
     excludes_zero,
-    gravity_of,
     motion_of,
     plain,
     pressed,
     robust,
     running_mean,
     tell_few_samples,
+    tell_gravity,
     told_apart,
     told_of,
     too_slow,
@@ -55,7 +55,6 @@ from hapticd.fit.verdict import AT_LEAST, Doubts, Verdict
 from hapticd.mode import Mode
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
-Bools: TypeAlias = npt.NDArray[np.bool_]
 
 LEAST_S: Final = 0.1
 """Of a stretch of a recording, between gaps and clipped samples."""
@@ -200,11 +199,8 @@ def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) ->
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for row, mode in zip(rows, each, strict=True) for strike in row.strikes(mode))
     strokes = tuple(row.stroke(mode) for row, mode in zip(rows, each, strict=True))
-    for line in (told for recording in recordings for told in gravity_of(recording)):
-        doubts.tell(line)
-    hum = common_lines(len(strokes), lambda place, needed: strokes[place].lines(needed))
-    if hum:
-        doubts.tell(lines_told(hum))
+    tell_gravity(recordings, doubts)
+    tell_lines(len(strokes), lambda place, needed: strokes[place].lines(needed), doubts)
     for row in rows:
         doubts.at_least(
             "cycles from strike to strike",

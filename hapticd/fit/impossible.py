@@ -17,18 +17,14 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd.fit.provenance import Kind
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, Floats, MistakenError
-
-Bools: TypeAlias = npt.NDArray[np.bool_]
-Spans: TypeAlias = list[tuple[int, int]]
-"""First sample, and first after the last."""
+from hapticd.fit.spans import Bools, Spans, spans_of
 
 MOST: Final = 0.01
 """Part of the samples of a column beyond its limit that is a wrong unit or column, and no fault of single samples."""
@@ -161,7 +157,7 @@ class _Column:
         if not over.any():
             return
         first = int(np.argmax(over))
-        spans = _spans(over)
+        spans = spans_of(over)
         value = f"{self.values[first]:.6g} {self._unit} at {self._at(first)}"
         bound = "" if limit is None else f" (at most {most:g})"
         if np.mean(over) > MOST or len(spans) > MOST_FINDINGS:
@@ -185,13 +181,13 @@ class _Column:
         usual = float(np.median(values))
         half = max(WIDEST, round(2 * SPIKE_S * self._rate_hz))
         found: Spans = []
-        near = _spans(np.abs(values - usual) > 0.75 * far)
+        near = spans_of(np.abs(values - usual) > 0.75 * far)
         for low, high in near if len(near) <= 10 * MOST_FINDINGS else ():
             if high - low > 2 * half:
                 continue
             about = float(np.median(values[max(0, low - half) : high + half]))
             off = np.abs(values[low:high] - about) > far
-            found += [(low + a, low + b) for a, b in _spans(off) if b - a <= half / 2]
+            found += [(low + a, low + b) for a, b in spans_of(off) if b - a <= half / 2]
         self._take_out(found, "leaps to")
 
     def stuck(self) -> None:
@@ -221,7 +217,7 @@ class _Column:
         if not size.max() > loud:
             return
         found: Spans = []
-        for low, high in _spans(size > max(loud, size.max() / FALLS**2)):
+        for low, high in spans_of(size > max(loud, size.max() / FALLS**2)):
             around = np.concatenate((size[max(0, low - WIDEST) : low], size[high : high + WIDEST]))
             peak = float(size[low:high].max())
             if high - low <= WIDEST and peak > FALLS * float(around.max(initial=0.0)):
@@ -323,11 +319,6 @@ class _Column:
 
     def _at(self, sample: int) -> str:
         return f"{sample / self._rate_hz:.6g} s"
-
-
-def _spans(mask: Bools) -> Spans:
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(np.int8)))
-    return [(int(low), int(high)) for low, high in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def _more(found: Sequence[object]) -> str:

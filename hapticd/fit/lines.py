@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.regression import Floats
+from hapticd.fit.verdict import Doubts
 
 LOWEST_HZ: Final = 20.0
 """What is slower is a hand's."""
@@ -111,6 +112,12 @@ def common_lines(count: int, lines_in: Callable[[int, int], Sequence[Line]]) -> 
         if weight / len(recordings) > LEAST_SHARE:
             found.append(Line(middle, weight / len(recordings)))
     return found
+
+
+def tell_lines(count: int, lines_in: Callable[[int, int], Sequence[Line]], doubts: Doubts) -> None:
+    """A doubt where there are lines, as of `common_lines`."""
+    if hum := common_lines(count, lines_in):
+        doubts.tell(told(hum))
 
 
 def told(lines: Sequence[Line]) -> str:

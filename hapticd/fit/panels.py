@@ -190,7 +190,7 @@ def _ringing(fit: TapFit) -> Iterator[Row]:
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
     """What was left out: where it is in a recording of which more was used, and the first of it as it was recorded."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
-    left: list[Left] = [each for each in getattr(fit, "left_out", ()) if each.recording in seen]
+    left: list[Left] = [each for each in fit.left_out if each.recording in seen]
     if not left:
         return
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]

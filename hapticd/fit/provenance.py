@@ -11,6 +11,7 @@ from typing import Final, Literal, Protocol, TypeAlias
 
 from hapticd._version import __version__
 from hapticd.errors import InvalidError, Problem
+from hapticd.fit.left_out import Left
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate
 from hapticd.fit.verdict import Verdict
@@ -39,6 +40,9 @@ class Fit(Protocol):
 
     @property
     def judged(self) -> Verdict: ...
+
+    @property
+    def left_out(self) -> tuple[Left, ...]: ...
 
     def material(self) -> Mapping[str, object]: ...
 

@@ -17,8 +17,7 @@ import numpy as np
 from hapticd.fit.clipping import clipped
 from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import Line, common_lines, lines_beside
-from hapticd.fit.lines import told as lines_told
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, common, with_offset
 from hapticd.fit.ringing import fit_ringing
@@ -27,11 +26,11 @@ from hapticd.fit.strokes import (
     acceleration_of,
     excludes_zero,
     force_of,
-    gravity_of,
     plain,
     running_mean,
     slope_of,
     tell_few_samples,
+    tell_gravity,
     told_of,
     too_slow,
 )
@@ -134,24 +133,24 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     """
     left = LeftOut() if left is None else left
     refuse_twins(recordings)
-    doubts = Doubts()
-    ruptures = left.each(recordings, lambda recording: _rupture(recording, doubts))
-    if not ruptures:
+    found = left.each(recordings, _rupture)
+    if not found:
         raise left.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
-    ruptures = _together(ruptures, left)
+    ruptures = _together([rupture for rupture, _ in found], left)
     if len(ruptures) < 2:
         raise left.refused("one puncture has no interval: needs two recordings of a puncture at least")
-    weigh(left, recordings, doubts)
     used = {each.recording for each in ruptures}
+    doubts = Doubts()
+    for rupture, own in found:
+        if rupture.recording in used:
+            doubts.take(own)
+    weigh(left, recordings, doubts)
     recordings = [recording for recording in recordings if recording.name in used]
-    for line in (told for recording in recordings for told in gravity_of(recording)):
-        doubts.tell(line)
+    tell_gravity(recordings, doubts)
     by_name = {recording.name: recording for recording in recordings}
-    hum = common_lines(
-        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed)
+    tell_lines(
+        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed), doubts
     )
-    if hum:
-        doubts.tell(lines_told(hum))
     count = len(ruptures)
     doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
 
@@ -230,8 +229,9 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     )
 
 
-def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
-    """The puncture of a recording. FitError where there is none, or it cannot be fitted."""
+def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
+    """The puncture of a recording, and what speaks against it. FitError where there is none, or it cannot be fitted."""
+    doubts = Doubts()
     kept = without_impossible(recording, "puncture")
     told_of([kept], doubts)
     recording = kept.recording
@@ -365,7 +365,7 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
             )
     if ringing.variance_accounted_for < 0.8:
         doubts.note(f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
-    return Rupture(
+    found = Rupture(
         recording=name,
         time_s=(at + 0.5) / rate_hz,
         speed_m_per_s=abs(speed),
@@ -377,6 +377,7 @@ def _rupture(recording: Recording, doubts: Doubts) -> Rupture:
         decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
         variance_accounted_for=float(ringing.variance_accounted_for),
     )
+    return found, doubts
 
 
 def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[Line]:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.errors import HapticdError
+from hapticd.yaml_source import Json
 
 Floats = npt.NDArray[np.float64]
 LEVEL: Final = 0.95
@@ -51,7 +52,7 @@ class Estimate:
         low, high = sorted((function(self.low), function(self.high)))
         return Estimate(function(self.value), low, high)
 
-    def to_dict(self) -> dict[str, float]:
+    def to_dict(self) -> dict[str, Json]:
         return {"value": self.value, "low": self.low, "high": self.high}
 
 
@@ -152,6 +153,22 @@ def improbable(squares: float, freedom: int, fuller: float, fuller_freedom: int)
         return 0.0 if squares > 0 else 1.0
     extra = freedom - fuller_freedom
     return float(fdtrc(extra, fuller_freedom, max(0.0, (squares - fuller) / extra) / (fuller / fuller_freedom)))
+
+
+def aicc(squares: float, count: int, unknowns: int) -> float:
+    """Akaike's criterion, corrected for few points, of a model with so many `unknowns`, which leaves these weighted
+    squares of `count` points; infinite for too few points. The scale of the scatter is one unknown more."""
+    known = unknowns + 1
+    freedom = count - known - 1
+    if freedom < 1:
+        return math.inf
+    return count * math.log(squares / count) + 2 * known + 2 * known * (known + 1) / freedom
+
+
+def jackknife_error(without: Floats) -> Floats:
+    """Standard errors (...) of figures from what they are without each of n points, or groups of them, (n, ...)."""
+    count = len(without)
+    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
 
 
 def _correlation(one: Floats, other: Floats) -> float:

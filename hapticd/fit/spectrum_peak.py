@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.fit.regression import Estimate, Floats
+from hapticd.fit.regression import Estimate, Floats, jackknife_error
 from hapticd.fit.strokes import Ints, about
 
 LOW_HZ: Final = 20.0
@@ -89,9 +89,9 @@ def groups_of(blocks: int) -> list[Ints]:
 def _left_out(figure: Callable[[Floats], float], shape: Floats, groups: Sequence[Ints]) -> tuple[float, int]:
     """Standard error and degrees of freedom; groups of different sizes count alike (Busing, Meijer and van der Leeden,
     1999, have the weights, which change little)."""
-    total, count = shape.sum(axis=0), len(groups)
+    total = shape.sum(axis=0)
     without = np.array([figure((total - shape[each].sum(axis=0)) / (len(shape) - len(each))) for each in groups])
-    return math.sqrt((count - 1) / count * float(np.sum((without - without.mean()) ** 2))), count - 1
+    return float(jackknife_error(without)), len(groups) - 1
 
 
 def smoothed(values: Floats, half: int) -> Floats:

@@ -12,6 +12,7 @@ from hapticd.fit.clipping import clipped
 from hapticd.fit.left_out import PART, LeftOut
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, Floats
+from hapticd.fit.spans import spans_of
 
 LEAST_PART: Final = 0.5
 """A recording of which less is whole is left out altogether."""
@@ -40,12 +41,11 @@ def whole_stretches(recording: Recording, least_s: float, left: LeftOut) -> list
     bad |= cut
     if not bad.any():
         return [recording]
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], bad, [True])).astype(np.int8)))
-    kept = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least_s * rate_hz]
+    kept = [(begin, end) for begin, end in spans_of(~bad) if end - begin >= least_s * rate_hz]
     there = sum(end - begin for begin, end in kept)
     reasons = []
     if acceleration is not None and cut.any():
-        places = int(np.count_nonzero(np.diff(np.concatenate(([False], cut)).astype(np.int8)) == 1))
+        places = len(spans_of(cut))
         levels = " and ".join(f"{level:.4g}" for level in np.unique(acceleration[cut]))
         reasons.append(f"clipped at {levels} m/s^2 in {places} {'place' if places == 1 else 'places'}")
     if recording.gaps:

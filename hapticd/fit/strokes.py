@@ -89,6 +89,13 @@ def gravity_of(recording: Recording) -> list[str]:
     return []
 
 
+def tell_gravity(recordings: Sequence[Recording], doubts: Doubts) -> None:
+    """What rest values tell of the unit."""
+    for recording in recordings:
+        for line in gravity_of(recording):
+            doubts.tell(line)
+
+
 def told_of(kept: Sequence[Kept], doubts: Doubts) -> None:
     """What was left out of recordings, and where that is a doubt."""
     for line in (line for each in kept for line in each.told):

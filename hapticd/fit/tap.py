@@ -15,8 +15,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
-from hapticd.fit.lines import Line, common_lines, lines_beside
-from hapticd.fit.lines import told as lines_told
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.regression import (
     Estimate,
@@ -33,7 +32,8 @@ from hapticd.fit.tap_hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit
 from hapticd.fit.tap_law import TABLE as TABLE
 from hapticd.fit.tap_law import (
     Amplitudes,
-    json_of,
+    check_hardness,
+    check_slope,
     json_table,
     one_astray,
 )
@@ -49,9 +49,6 @@ LEAST_HZ: Final = 15.0
 """What is slower than this is a hand's motion."""
 OTHER_WAY: Final = 0.25
 """Of the taps may begin the other way, and are left out."""
-SOFTEST: Final = 0.003
-HARDEST: Final = 10.0
-"""Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +102,7 @@ class TapFit:
     def amplitudes(self) -> Amplitudes:
         """The coefficient over the speed, as `amplitudes` of a material has it: straight lines from rest to the first
         speed and from one to the next; those of the power law, where A(v) is one."""
-        return self.law.table if self.power is None else self.power.points
+        return self.law.points
 
     def material(
         self,
@@ -185,7 +182,7 @@ class TapFit:
             "offset_slope_per_s",
             "offset_m_per_s2",
         ):
-            told[name] = json_of(getattr(self, name))
+            told[name] = getattr(self, name).to_dict()
         told |= {
             "r_squared": self.r_squared,
             "r_squared_offset": self.r_squared_offset,
@@ -230,8 +227,8 @@ def fit_tap(
     line, shifted = through_origin(*over), with_offset(*over)
     peak_line = through_origin(figures.speeds, figures.peaks, figures.of_peak, figures.speeds**2)
     slope = line.coefficients[0]
-    _check_slope(slope, math.exp(angular.value))
-
+    check_slope(slope)
+    check_hardness(slope.value, math.exp(angular.value), "the angular frequency")
     frequency = angular.mapped(lambda log: math.exp(log) / (2 * math.pi))
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
     _check_ringing(frequency.value, math.exp(-decay.value), taps)
@@ -241,9 +238,7 @@ def fit_tap(
     law = law_of(figures.speeds, figures.amplitudes, figures.of_amplitude, "line" if astray else None)
     doubts = Doubts()
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
-    hum = common_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed))
-    if hum:
-        doubts.tell(lines_told(hum))
+    tell_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed), doubts)
     tell_few_samples(of_taps, frequency.value, doubts)
     _doubt_the_mode(doubts, hits, second, explained, warnings)
     decay_time = decay.mapped(lambda log: math.exp(-log))
@@ -384,20 +379,6 @@ def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:
             "them, or is the rate too low?"
         )
     return found
-
-
-def _check_slope(slope: Estimate, angular: float) -> None:
-    if not slope.low > 0:
-        raise FitError(
-            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
-            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
-        )
-    ratio = slope.value / angular
-    if not SOFTEST <= ratio <= HARDEST:
-        raise FitError(
-            f"the amplitude over speed is {slope.value:.4g} 1/s, {ratio:.2g} times the angular frequency; a touch has "
-            f"{SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by a thousand (mm, g)?"
-        )
 
 
 def _check_ringing(frequency_hz: float, decay_time_s: float, taps: Sequence[TapHit]) -> None:

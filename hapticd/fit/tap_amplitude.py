@@ -18,14 +18,12 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, through_origin
-from hapticd.fit.tap_law import BENT, TABLE, Amplitudes, json_of, table
+from hapticd.fit.regression import Estimate, FitError, Floats, aicc, least_squares, through_origin
+from hapticd.fit.tap_law import BENT, TABLE, Amplitudes, table
 from hapticd.fit.verdict import Doubts
 from hapticd.yaml_source import Json
 
 LawKind: TypeAlias = Literal["line", "power", "table"]
-WELL_LINEAR: Final = 0.9
-"""r^2 of A(v)."""
 WELL_KNOWN: Final = 0.15
 """What taps are off a law that is no line, as a part of the amplitude."""
 POINTS_OFF: Final = 1e-3
@@ -37,7 +35,6 @@ MOST_POINTS: Final = 256
 MOST_EXPONENT: Final = 5.0
 CLEARLY: Final = 2.0
 """Of AICc."""
-LEAST_FREEDOM: Final = 1
 _STEPS: Final = 50
 
 
@@ -55,8 +52,8 @@ class Power:
 
     def to_dict(self) -> dict[str, Json]:
         return {
-            "exponent": json_of(self.exponent),
-            "coefficient_m_per_s2": json_of(self.coefficient_m_per_s2),
+            "exponent": self.exponent.to_dict(),
+            "coefficient_m_per_s2": self.coefficient_m_per_s2.to_dict(),
             "points": [[speed, amplitude.value] for speed, amplitude in self.points],
             "points_off": self.off,
         }
@@ -86,6 +83,11 @@ class Law:
         if self.kind == "table" or self.power is None:
             return f"a table of {len(self.table)} speeds"
         return f"a power law of exponent {self.power.exponent.value:.2f}"
+
+    @property
+    def points(self) -> Amplitudes:
+        """As `amplitudes` of a material has A(v): points of the power law, where it is one, else the table."""
+        return self.power.points if self.kind == "power" and self.power is not None else self.table
 
     @property
     def why(self) -> str:
@@ -154,8 +156,8 @@ def doubt_the_law(doubts: Doubts, law: Law, r_squared: float) -> None:
     """Whether the speed says what the amplitude is; `r_squared` of the line."""
     told = r_squared if law.kind == "line" else law.r_squared
     # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
-    little = told < WELL_LINEAR and (law.kind == "line" or law.left > WELL_KNOWN)
-    doubts.add(little, f"the speed says little of the amplitude (r^2 {told:.2f})" if little else "", "")
+    if law.kind == "line" or law.left > WELL_KNOWN:
+        doubts.at_least("r^2 of the law of taps", told, f"the speed says little of the amplitude (r^2 {told:.2f})")
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:
@@ -177,14 +179,10 @@ def _weighted_line(speeds: Floats, amplitudes: Floats, weights: Floats) -> float
 
 
 def _aicc(model: Floats, amplitudes: Floats, weights: Floats, unknowns: int) -> float:
-    count, known = len(amplitudes), unknowns + 1
-    freedom = count - known - 1
-    if freedom < LEAST_FREEDOM:
-        return math.inf
     squares = float(np.sum(weights * (amplitudes - model) ** 2))
     # Of taps without any noise the rounding.
     squares = max(squares, 1e-24 * float(np.sum(weights * amplitudes**2)))
-    return count * math.log(squares / count) + 2 * known + 2 * known * (known + 1) / freedom
+    return aicc(squares, len(amplitudes), unknowns)
 
 
 def _tables(speeds: Floats, amplitudes: Floats, variances: Floats) -> list[Amplitudes]:

@@ -6,10 +6,9 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from hapticd.fit.clipping import clipped
 from hapticd.fit.impossible import ACCELERATION, without_impossible
@@ -17,13 +16,12 @@ from hapticd.fit.left_out import LeftOut
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, Floats, MistakenError
 from hapticd.fit.ringing import Ringing, fit_ringing
+from hapticd.fit.spans import Bools
 from hapticd.fit.stretches import between_gaps
 from hapticd.fit.strokes import force_of, gravity_of, too_slow
 from hapticd.fit.tap_hit import LEAST_SPEED_M_PER_S, LEAST_TAPS, NO_NOISE, WELL_EXPLAINED, Hit, TapHit
 from hapticd.fit.tap_second import EXPLAINED, pair_of
 from hapticd.mode import Mode
-
-Bools: TypeAlias = npt.NDArray[np.bool_]
 
 LEAST_M_PER_S2: Final = 1e-3
 """An acceleration whose largest is less is none."""

@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -166,7 +166,20 @@ class Figures:
         )
 
 
-def check_speeds(taps: Sequence[TapHit]) -> None:
+class Approached(Protocol):
+    """What a tap of any form has."""
+
+    @property
+    def recording(self) -> str: ...
+
+    @property
+    def onset_s(self) -> float: ...
+
+    @property
+    def speed_m_per_s(self) -> float: ...
+
+
+def check_speeds(taps: Sequence[Approached]) -> None:
     """Raises FitError where speeds cannot be, or are all about the same."""
     slowest, fastest = min(taps, key=lambda tap: tap.speed_m_per_s), max(taps, key=lambda tap: tap.speed_m_per_s)
     for tap, allowed, unit in (

@@ -8,22 +8,22 @@ judged on each tap by the other taps: the comparison favours the mode.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.fit.left_out import LeftOut, most_are_left_out
+from hapticd.fit.left_out import LeftOut
 from hapticd.fit.pulse_shape import Pulse
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import FitError, MistakenError, require_scipy
-from hapticd.fit.tap import HARDEST, SOFTEST, TapFit, fit_tap
+from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
+from hapticd.fit.tap_law import check_hardness
 from hapticd.fit.twins import refuse_twins
-from hapticd.fit.verdict import Verdict
-from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
+from hapticd.fit.verdict import AT_LEAST
+from hapticd.fit.waveform import WaveformFit, fit_waveform
 from hapticd.waveform import LONGEST_S, middle_hz
 
 TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
@@ -48,11 +48,13 @@ def fit_taps(
     Raises FitError (one line) for what they do not support; where neither fits, of the mode.
     """
     require_scipy()
+    refuse_twins(recordings)
     left = LeftOut() if left is None else left
     if kind == "mode":
         return fit_tap(recordings, progress, left)
     if kind == "waveform":
-        return _waveform(recordings, left)
+        warnings: list[str] = []
+        return _waveform(pulses_of(recordings, warnings, left), recordings, warnings, left)
     # What the form that is not taken leaves out does not matter.
     of_mode, of_waveform = left.apart(), left.apart()
     ringing: TapFit | FitError
@@ -74,47 +76,35 @@ def _other(ringing: TapFit | FitError, recordings: Sequence[Recording], left: Le
     """The waveform, where it says more of the taps than the modes do."""
     if isinstance(ringing, MistakenError):
         return None
+    warnings: list[str] = []
     try:
+        pulses = pulses_of(recordings, warnings, left)
         if isinstance(ringing, FitError):
-            found = _waveform(recordings, left)
-            well = found.variance_accounted_for >= POORLY_EXPLAINED and found.samples_a_period >= FEW_SAMPLES
-            return found if well else None
+            found = _waveform(pulses, recordings, warnings, left)
+            explains = found.variance_accounted_for >= AT_LEAST["variance that a waveform explains"].poor
+            resolved = found.samples_a_period >= AT_LEAST["samples in a period of a waveform"].poor
+            return found if explains and resolved else None
         by_mode = ringing.variance_accounted_for
         rings = ringing.decay_time_s.value * ringing.frequency_hz.value >= RINGS
         if ringing.second is not None and rings:
             by_mode = max(by_mode, ringing.second.variance_accounted_for)
-        pulses = pulses_of(recordings, [], left.apart())
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
         if rings and by_mode >= ENOUGH:
             return None
-        found = _waveform(recordings, left)
+        found = _waveform(pulses, recordings, warnings, left)
     except FitError:
         return None
     return found if 1 - found.variance_accounted_for < LEAVES * (1 - by_mode) else None
 
 
-def _waveform(recordings: Sequence[Recording], left: LeftOut) -> WaveformFit:
-    warnings: list[str] = []
-    refuse_twins(recordings)
-    pulses = pulses_of(recordings, warnings, left)
-    found = fit_waveform(pulses, tuple(recording.source for recording in recordings), left.lines() + warnings)
-    found = dataclasses.replace(found, left_out=tuple(left.items), judged=_judged(found, left))
-    ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
-    if not SOFTEST <= ratio <= HARDEST:
-        raise FitError(
-            f"the amplitude over speed is {found.first_peak_slope_per_s.value:.4g} 1/s, {ratio:.2g} times the angular "
-            f"frequency of the pulses; a touch has {SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by "
-            "a thousand (mm, g)?"
-        )
+def _waveform(
+    pulses: Sequence[Pulse], recordings: Sequence[Recording], warnings: Sequence[str], left: LeftOut
+) -> WaveformFit:
+    """Of the pulses of these recordings."""
+    found = fit_waveform(pulses, tuple(recording.source for recording in recordings), warnings, left)
+    angular = 2.0 * math.pi * middle_hz(found.curve)
+    check_hardness(found.first_peak_slope_per_s.value, angular, "the angular frequency of the pulses")
     return found
-
-
-def _judged(found: WaveformFit, left: LeftOut) -> Verdict:
-    """Not good where most of the taps are left out."""
-    judged, most = found.judged, most_are_left_out(left, len(found.taps), "tap")
-    if not most:
-        return judged
-    return Verdict("poor" if judged.quality == "poor" else "fair", judged.summary, (*judged.reasons, most))
 
 
 def pulses_of(recordings: Sequence[Recording], warnings: list[str], left: LeftOut) -> list[Pulse]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from hapticd.fit.regression import (
     Estimate,
+    FitError,
     Floats,
     Regression,
     improbable,
@@ -29,6 +30,9 @@ APART: Final = 0.02
 """And they are apart by so much."""
 ASTRAY: Final = 0.25
 """A tap this far off the line of the others is told."""
+SOFTEST: Final = 0.003
+HARDEST: Final = 10.0
+"""Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
 MOVED_FREQUENCY: Final = 0.02
 MOVED_DECAY: Final = 0.1
 """From the slowest to the fastest tap; what is less is not told."""
@@ -37,15 +41,21 @@ Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 """Speeds in m/s, rising, and m/s^2."""
 
 
+def knots_of(speeds: Floats, count: int) -> Floats:
+    """From the slowest to the fastest, with about as many taps between any two; so many, or fewer where they are not
+    APART."""
+    order = np.sort(speeds)
+    found: list[float] = []
+    for speed in order[np.linspace(0, len(order) - 1, count).round().astype(int)]:
+        if not found or speed > (1 + APART) * found[-1]:
+            found.append(float(speed))
+    return np.array(found)
+
+
 def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = TABLE) -> Amplitudes:
     """The straight lines between so many of the speeds that are nearest to the amplitudes, none below 0."""
-    order = np.sort(speeds)
-    count = min(most, max(2, len(speeds) - 2))
-    knots: list[float] = []
-    for place in np.linspace(0, len(speeds) - 1, count).round().astype(int):
-        if not knots or order[place] > (1 + APART) * knots[-1]:
-            knots.append(float(order[place]))
-    nodes = np.array([0.0, *knots])
+    knots = knots_of(speeds, min(most, max(2, len(speeds) - 2)))
+    nodes = np.concatenate(([0.0], knots))
     hats = np.column_stack([np.interp(speeds, nodes, row) for row in np.eye(len(nodes))[1:]])
     # What would be negative is 0, and the others are fitted without it.
     kept = np.ones(len(knots), dtype=np.bool_)
@@ -56,7 +66,9 @@ def table(speeds: Floats, amplitudes: Floats, variances: Floats, most: int = TAB
             break
         kept[np.flatnonzero(kept)[below]] = False
     found = iter(line.coefficients)
-    points = [(knot, next(found) if keep else Estimate(0.0, 0.0, 0.0)) for knot, keep in zip(knots, kept, strict=True)]
+    points = [
+        (float(knot), next(found) if keep else Estimate(0.0, 0.0, 0.0)) for knot, keep in zip(knots, kept, strict=True)
+    ]
     return tuple((knot, Estimate(value.value, max(0.0, value.low), value.high)) for knot, value in points)
 
 
@@ -84,6 +96,25 @@ def bends(speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
         value = offset.coefficients[1].value
         return f"A(v) does not go through the origin: it has {value:.3g} m/s^2 at rest"
     return ""
+
+
+def check_slope(slope: Estimate) -> None:
+    """Raises FitError where the amplitude does not rise with the speed."""
+    if not slope.low > 0:
+        raise FitError(
+            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
+            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
+        )
+
+
+def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
+    """Raises FitError where the slope is none of a touch at an angular frequency, which is `named` so."""
+    ratio = slope_per_s / angular
+    if not SOFTEST <= ratio <= HARDEST:
+        raise FitError(
+            f"the amplitude over speed is {slope_per_s:.4g} 1/s, {ratio:.2g} times {named}; a touch has "
+            f"{SOFTEST:g} to {HARDEST:g}: is the acceleration or the speed off by a thousand (mm, g)?"
+        )
 
 
 def one_astray(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
@@ -133,9 +164,5 @@ def moves(speeds: Floats, logs: Floats, variances: Floats, what: str, least: flo
     )
 
 
-def json_of(estimate: Estimate) -> Json:
-    return {"value": estimate.value, "low": estimate.low, "high": estimate.high}
-
-
 def json_table(amplitudes: Amplitudes) -> Json:
-    return [{"speed_m_per_s": speed, "coefficient_m_per_s2": json_of(amplitude)} for speed, amplitude in amplitudes]
+    return [{"speed_m_per_s": speed, "coefficient_m_per_s2": amplitude.to_dict()} for speed, amplitude in amplitudes]

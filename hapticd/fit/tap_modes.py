@@ -8,9 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.fit.regression import Estimate, FitError, Floats, Regression, least_squares
+from hapticd.fit.regression import Estimate, FitError, Floats, Regression, aicc, least_squares
 from hapticd.fit.tap_hit import Figures
-from hapticd.fit.tap_law import APART, MOVED_DECAY, MOVED_FREQUENCY, json_of, moves
+from hapticd.fit.tap_law import MOVED_DECAY, MOVED_FREQUENCY, knots_of, moves
 from hapticd.yaml_source import Json
 
 MOST_POINTS: Final = 5
@@ -43,8 +43,8 @@ class Modes:
     def to_dict(self) -> dict[str, Json]:
         return {
             "speeds_m_per_s": list(self.speeds_m_per_s),
-            "frequencies_hz": [json_of(each) for each in self.frequencies_hz],
-            "decay_times_s": [json_of(each) for each in self.decay_times_s],
+            "frequencies_hz": [each.to_dict() for each in self.frequencies_hz],
+            "decay_times_s": [each.to_dict() for each in self.decay_times_s],
             "why": self.why,
         }
 
@@ -60,9 +60,9 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
         return None
     hertz, times = np.exp(figures.angulars) / (2 * math.pi), np.exp(-figures.decays)
     pairs = [(hertz, figures.of_angular * hertz**2), (times, figures.of_decay * times**2)]
-    knots, least = _knots(figures.speeds, 2), math.inf
+    knots, least = knots_of(figures.speeds, 2), math.inf
     for count in range(2, MOST_POINTS + 1):
-        tried = _knots(figures.speeds, count)
+        tried = knots_of(figures.speeds, count)
         if len(tried) < count:
             continue
         criteria = [_aicc(figures.speeds, *pair, tried) for pair, reason in zip(pairs, moved, strict=True) if reason]
@@ -77,31 +77,17 @@ def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -
     )
 
 
-def _knots(speeds: Floats, count: int) -> Floats:
-    """From the slowest to the fastest, with about as many taps between any two."""
-    order = np.sort(speeds)
-    places = np.linspace(0, len(order) - 1, count).round().astype(int)
-    found = [float(order[0])]
-    for speed in order[places[1:]]:
-        if speed > (1 + APART) * found[-1]:
-            found.append(float(speed))
-    return np.array(found)
-
-
 def _laid(speeds: Floats, values: Floats, variances: Floats, knots: Floats) -> Regression:
     hats = np.column_stack([np.interp(speeds, knots, row) for row in np.eye(len(knots))])
     return least_squares(hats, values, variances)
 
 
 def _aicc(speeds: Floats, values: Floats, variances: Floats, knots: Floats) -> float:
-    """As of tap_amplitude.py, with the weights of two points."""
-    count, known = len(values), len(knots) + 1
-    if count - known - 1 < 1:
-        return math.inf
+    """With the weights of two points."""
     try:
-        scatter = _laid(speeds, values, variances, _knots(speeds, 2)).scatter
+        scatter = _laid(speeds, values, variances, knots_of(speeds, 2)).scatter
         left = _laid(speeds, values, variances, knots).residual
     except FitError:
         return math.inf
     squares = max(float(np.sum(left**2 / (variances + scatter**2))), 1e-24)
-    return count * math.log(squares / count) + 2 * known + 2 * known * (known + 1) / (count - known - 1)
+    return aicc(squares, len(values), len(knots))

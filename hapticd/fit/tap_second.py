@@ -26,7 +26,7 @@ from hapticd.fit.tap_hit import (
     levelled,
     noise_of,
 )
-from hapticd.fit.tap_law import Amplitudes, json_of, json_table, table
+from hapticd.fit.tap_law import Amplitudes, json_table, table
 from hapticd.mode import Mode
 from hapticd.yaml_source import Json
 
@@ -73,12 +73,12 @@ class SecondMode:
 
     def to_dict(self) -> dict[str, Json]:
         return {
-            "frequency_hz": json_of(self.frequency_hz),
-            "decay_time_s": json_of(self.decay_time_s),
-            "ratio": json_of(self.ratio),
-            "first_slope_per_s": json_of(self.first_slope_per_s),
-            "first_frequency_hz": json_of(self.first_frequency_hz),
-            "first_decay_time_s": json_of(self.first_decay_time_s),
+            "frequency_hz": self.frequency_hz.to_dict(),
+            "decay_time_s": self.decay_time_s.to_dict(),
+            "ratio": self.ratio.to_dict(),
+            "first_slope_per_s": self.first_slope_per_s.to_dict(),
+            "first_frequency_hz": self.first_frequency_hz.to_dict(),
+            "first_decay_time_s": self.first_decay_time_s.to_dict(),
             "amplitudes": json_table(self.amplitudes),
             "variance_accounted_for": self.variance_accounted_for,
             "variance_by_one_mode": self.alone,

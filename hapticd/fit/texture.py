@@ -23,8 +23,7 @@ import numpy as np
 
 from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import common_lines, lines_of
-from hapticd.fit.lines import told as lines_told
+from hapticd.fit.lines import lines_of, tell_lines
 from hapticd.fit.recording import Recording
 from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, student_t
 from hapticd.fit.spectrum_apart import apart_db
@@ -33,10 +32,10 @@ from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     LEAST_RATE,
     acceleration_of,
-    gravity_of,
     motion_of,
     plain,
     pressed,
+    tell_gravity,
     told_apart,
     told_of,
     varied_force,
@@ -219,13 +218,10 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
     least, most = RMS_M_PER_S2
     if not least <= usual <= most:
         raise FitError(f"an RMS of {usual:.3g} m/s^2 is no texture's ({least:g} to {most:g}): is its unit another one?")
-    for line in (told for recording in recordings for told in gravity_of(recording)):
-        doubts.tell(line)
-    hum = common_lines(
-        len(recordings), lambda place, needed: lines_of(acceleration_of(recordings[place]), rate_hz, needed)
+    tell_gravity(recordings, doubts)
+    tell_lines(
+        len(recordings), lambda place, needed: lines_of(acceleration_of(recordings[place]), rate_hz, needed), doubts
     )
-    if hum:
-        doubts.tell(lines_told(hum))
     varied_force(recordings, force, doubts)
     gains: tuple[Estimate | None, Estimate | None] = (None, None)
     correlation = math.nan

@@ -1,4 +1,5 @@
-"""The verdict on a fit: good, fair or poor, with the reasons. The one place for the thresholds of all four kinds.
+"""The verdict on a fit: good, fair or poor, with the reasons. The one place for the thresholds that a single value
+decides, of all kinds of fits.
 
 A fit collects its doubts in `Doubts`. Without one it is good; with one it is fair, and poor where a doubt says that
 the figures should not be used. docs/fit.md has the table of BOUNDS, and a test compares them.
@@ -27,8 +28,11 @@ AT_LEAST: Final[Mapping[str, Bound]] = {
     "correlation of the law": Bound(0.7, 0.5),
     "variance that grooves explain": Bound(0.8, 0.6),
     "variance that a rupture's mode explains": Bound(0.9, 0.8),
+    "variance that a waveform explains": Bound(0.95, 0.8),
+    "r^2 of the law of taps": Bound(0.9, 0.9),
     "cycles from strike to strike": Bound(2.5, 1.0),
     "samples in a cycle": Bound(8.0, 2.05),
+    "samples in a period of a waveform": Bound(4.0, 4.0),
     "punctures": Bound(3.0, 2.0),
 }
 """What is less than these is a doubt."""
@@ -90,6 +94,14 @@ class Doubts:
     def note(self, line: str) -> None:
         """A warning that is no reason: the fit is as good with it."""
         self.told.append(line)
+
+    def take(self, other: Doubts) -> None:
+        """Those of one recording, which is used."""
+        self.told += other.told
+        self.reasons += other.reasons
+        self.poor |= other.poor
+        for what, count in other.cases.items():
+            self.cases[what] = self.cases.get(what, 0) + count
 
     def at_least(self, rule: str, value: float, reason: str, more: str = "") -> None:
         """A reason where the value is less than the rule of AT_LEAST asks. A value that is no number is poor."""

@@ -11,11 +11,11 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
 
-from hapticd.fit.left_out import Left
+from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
 from hapticd.fit.pulse_shape import (
     LARGE,
     Equations,
@@ -29,10 +29,10 @@ from hapticd.fit.pulse_shape import (
     upright,
 )
 from hapticd.fit.recording import Source
-from hapticd.fit.regression import Estimate, FitError, Floats, student_t, through_origin
-from hapticd.fit.tap_amplitude import Law, doubt_the_law, law_of
-from hapticd.fit.tap_hit import TapHit, check_speeds
-from hapticd.fit.tap_law import Amplitudes
+from hapticd.fit.regression import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
+from hapticd.fit.tap_amplitude import doubt_the_law, law_of
+from hapticd.fit.tap_hit import check_speeds
+from hapticd.fit.tap_law import Amplitudes, check_slope
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
 from hapticd.yaml_source import Json
@@ -56,14 +56,10 @@ COARSER: Final = 1e-4
 """The rate of the samples is halved as long as the shape explains no more than this less."""
 ALIKE: Final = 0.5
 """A tap of which the shape of the others explains less is left out."""
-WELL_EXPLAINED: Final = 0.95
-POORLY_EXPLAINED: Final = 0.8
 UNFINISHED: Final = 0.05
 """Of the peak: a shape that is larger where it has to end is faded out."""
 AFTER: Final = 1.3
 """A pulse is looked at for so many times its length."""
-FEW_SAMPLES: Final = 4.0
-"""Samples in a period of the frequency below which half of the energy lies: fewer do not tell the shape."""
 FADED: Final = 0.2
 """Over this part of its length."""
 
@@ -142,12 +138,11 @@ class WaveformFit:
 
     def to_dict(self) -> dict[str, Json]:
         """As JSON has it, without the stretches."""
-        slope = self.first_peak_slope_per_s
         return {
-            "first_peak_slope_per_s": {"value": slope.value, "low": slope.low, "high": slope.high},
+            "first_peak_slope_per_s": self.first_peak_slope_per_s.to_dict(),
             "amplitudes": [
-                {"speed_m_per_s": speed, "first_peak_m_per_s2": {"value": a.value, "low": a.low, "high": a.high}}
-                for speed, a in self.amplitudes
+                {"speed_m_per_s": speed, "first_peak_m_per_s2": amplitude.to_dict()}
+                for speed, amplitude in self.amplitudes
             ],
             "waveform": {
                 "rate_hz": self.rate_hz,
@@ -267,8 +262,8 @@ def _uncertain(
     about = np.zeros(count)
     about[1:-1] = np.sqrt((changes[1:-3:2] + changes[2:-2:2] + changes[3:-1:2]) / 3)
     return Uncertain(
-        deviations=_with_neighbours(_jackknife(np.array(shapes))),
-        of_amplitudes=float(_jackknife(np.array(sizes))),
+        deviations=_with_neighbours(jackknife_error(np.array(shapes))),
+        of_amplitudes=float(jackknife_error(np.array(sizes))),
         freedom=groups - 1,
         unresolved=about,
         of_amplitudes_unresolved=math.hypot(FINER * (_ratio(found, placed) - 1.0), math.sqrt(float(np.mean(whole)))),
@@ -288,12 +283,6 @@ def _with_neighbours(errors: Floats) -> Floats:
     around = np.ones(5)
     mean = np.convolve(errors[1:-1] ** 2, around)[2:-2] / np.convolve(inner, around)[2:-2]
     return np.concatenate(([0.0], np.sqrt(mean), [0.0]))
-
-
-def _jackknife(without: Floats) -> Floats:
-    """Standard errors (...) of what was found without each of n points, (n, ...)."""
-    count = len(without)
-    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
 
 
 def _window(pulses: Sequence[Pulse]) -> tuple[float, float, float, int]:
@@ -372,14 +361,15 @@ def _coarser(
         samples, placed, rate_hz = tried, found, half_hz
 
 
-def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str] = ()) -> WaveformFit:
-    """The waveform of taps that are pulses; `told` are warnings of how the pulses were found.
+def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str], left: LeftOut) -> WaveformFit:
+    """The waveform of taps that are pulses; `told` are warnings of how the pulses were found. Taps that cannot be used
+    are told to `left`.
 
     Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
     with the speed.
     """
-    warnings = list(told)
-    pulses, shape = _alike(list(pulses), warnings)
+    pulses, shape = _alike(list(pulses), told, left)
+    warnings = [*left.lines(), *told]
     doubts = Doubts()
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
@@ -387,19 +377,20 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
         peaks = -peaks
     each = zip(pulses, shape.placed, shape.others.explained, strict=True)
     hits = tuple(_hit(pulse, placed, share, shape.curve) for pulse, placed, share in each)
-    check_speeds(cast(Sequence[TapHit], hits))
+    check_speeds(hits)
     speeds = np.array([pulse.speed_m_per_s for pulse in pulses])
     variances = _variances(pulses, shape)
     line = through_origin(speeds, peaks, variances, speeds**2)
     part = shape.uncertain.half_of_amplitudes
     slope = _wider(line.coefficients[0], part)
-    if not slope.low > 0:
-        raise FitError(
-            f"the speed says nothing of the amplitude: the slope is {slope.value:.4g} 1/s, from {slope.low:.4g} to "
-            f"{slope.high:.4g}: are these taps of one material, and is each speed that of its tap?"
-        )
+    check_slope(slope)
     share = float(np.median(shape.others.explained))
-    doubts.add(share < POORLY_EXPLAINED, _less(share, WELL_EXPLAINED), "the taps differ in shape")
+    doubts.at_least(
+        "variance that a waveform explains",
+        share,
+        f"a waveform explains {100 * share:.1f} % of a tap",
+        "the taps differ in shape",
+    )
     if shape.faded:
         doubts.add(
             False,
@@ -407,17 +398,24 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"the waveform is faded out over its last {100 * FADED:.0f} %",
         )
     resolved = min(pulse.rate_hz for pulse in pulses) / middle_hz(shape.curve)
-    few = f"{resolved:.1f} samples of the recordings are a period of its middle frequency"
-    doubts.add(True, few if resolved < FEW_SAMPLES else "", "the waveform is not resolved: record faster")
+    doubts.at_least(
+        "samples in a period of a waveform",
+        resolved,
+        f"{resolved:.1f} samples of the recordings are a period of its middle frequency",
+        "the waveform is not resolved: record faster",
+    )
     law = law_of(speeds, peaks, variances)
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
     doubt_the_law(doubts, law, line.r_squared)
+    doubts.add(False, most_are_left_out(left, len(hits), "tap"))
     warnings += doubts.told
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
-        amplitudes=tuple((speed, _wider(amplitude, part)) for speed, amplitude in _points(law)),
+        amplitudes=tuple(
+            (speed, _wider(amplitude, part)) for speed, amplitude in (() if law.kind == "line" else law.points)
+        ),
         rate_hz=shape.rate_hz,
         samples=tuple(map(float, shape.samples)),
         deviations=tuple(map(float, shape.uncertain.halves)),
@@ -431,14 +429,8 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {line.r_squared if law.kind == 'line' else law.r_squared:.3f})",
         ),
+        left_out=tuple(left.items),
     )
-
-
-def _points(law: Law) -> Amplitudes:
-    """As a material has them; none of a line."""
-    if law.kind == "line":
-        return ()
-    return law.power.points if law.kind == "power" and law.power is not None else law.table
 
 
 def _wider(estimate: Estimate, part: float) -> Estimate:
@@ -451,24 +443,24 @@ def _wider(estimate: Estimate, part: float) -> Estimate:
     )
 
 
-def _less(share: float, wanted: float) -> str:
-    return f"a waveform explains {100 * share:.1f} % of a tap" if share < wanted else ""
-
-
-def _alike(pulses: list[Pulse], warnings: list[str]) -> tuple[list[Pulse], Shape]:
-    """The pulses that have a shape in common."""
-    _check_count(len(pulses), warnings)
+def _alike(pulses: list[Pulse], told: Sequence[str], left: LeftOut) -> tuple[list[Pulse], Shape]:
+    """The pulses that have a shape in common; the others are told to `left`."""
+    if len(pulses) < LEAST_PULSES:
+        reasons = [*left.lines(), *told]
+        why = f" ({'; '.join(reasons[:3])})" if reasons else ""
+        raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
     shape = shape_of(pulses)
     usual = math.copysign(1.0, float(np.median([each.amplitude for each in shape.placed])))
     kept = []
     for pulse, placed, share in zip(pulses, shape.placed, shape.others.beside_noise, strict=True):
-        place_s = f"{pulse.recording}: the tap at {pulse.begin_s + placed.onset_s:.4g} s"
         if share < ALIKE:
-            warnings.append(f"{place_s} is left out: the waveform of the others explains {100 * share:.0f} % of it")
+            reason = f"the waveform of the others explains {100 * share:.0f} % of it"
         elif placed.amplitude * usual <= 0:
-            warnings.append(f"{place_s} pushes the other way, and is left out")
+            reason = "it pushes the other way"
         else:
             kept.append(pulse)
+            continue
+        left.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape
     if len(kept) < max(LEAST_PULSES, len(pulses) / 2):
@@ -477,12 +469,6 @@ def _alike(pulses: list[Pulse], warnings: list[str]) -> tuple[list[Pulse], Shape
             "material, tapped alike?"
         )
     return kept, shape_of(kept)
-
-
-def _check_count(count: int, warnings: Sequence[str]) -> None:
-    if count < LEAST_PULSES:
-        told = f" ({'; '.join(warnings[:3])})" if warnings else ""
-        raise FitError(f"{count} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{told}")
 
 
 def _variances(pulses: Sequence[Pulse], shape: Shape) -> Floats:

@@ -23,6 +23,7 @@ from hapticd._version import __version__
 from hapticd.cli import main
 from hapticd.config import load_config
 from hapticd.errors import HapticdError
+from hapticd.fit.left_out import Left
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.regression import Estimate
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
@@ -57,6 +58,7 @@ class FakeFit:
     nothing: Estimate | None = None
     warnings: tuple[str, ...] = ("the first tap is weak",)
     judged: Verdict = JUDGED
+    left_out: tuple[Left, ...] = ()
     found: tuple[tuple[str, object], ...] = ()
     linear: bool = True
     second: object = None

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -136,13 +136,16 @@ def test_a_soft_touch_is_told() -> None:
     assert any("softer at first" in warning for warning in fit.warnings)
 
 
+def in_contact(recording: Recording) -> Recording:
+    """Without what comes before the touch."""
+    assert recording.force_n is not None
+    first = int(np.argmax(recording.force_n > 0.1))
+    columns = ("acceleration_m_per_s2", "force_n", "position_m")
+    return dataclasses.replace(recording, **{name: getattr(recording, name)[first:] for name in columns})
+
+
 def test_a_recording_that_begins_in_contact_is_told() -> None:
-    begun = []
-    for each in punctures(membrane(), 5):
-        assert each.force_n is not None
-        first = int(np.argmax(each.force_n > 0.1))
-        columns = ("acceleration_m_per_s2", "force_n", "position_m")
-        begun.append(dataclasses.replace(each, **{name: getattr(each, name)[first:] for name in columns}))
+    begun = [in_contact(each) for each in punctures(membrane(), 5)]
     fit = fit_puncture(begun)
     assert fit.depth_m.value == pytest.approx(0.005, rel=0.01)
     assert sum("begins in contact" in warning for warning in fit.warnings) == len(begun)
@@ -164,6 +167,21 @@ def test_a_rupture_that_rings_with_more_is_left_out(others_hz: Sequence[float], 
     (line,) = (warning for warning in fit.warnings if "left out" in warning)
     assert re.search(told, line), line
     assert fit.amplitude_m_per_s2.value == pytest.approx(38.0, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("heard", [lambda above: np.minimum(above, 0.6 * above.max()), lambda above: 6 * above])
+def test_what_is_told_of_a_puncture_that_is_left_out_is_no_reason(heard: Callable[[Floats], Floats]) -> None:
+    """It is clipped, or rings with another amplitude than the others."""
+    recordings = punctures(membrane(), 5)
+    first = in_contact(recordings[0])
+    assert first.acceleration_m_per_s2 is not None
+    rest = float(np.median(first.acceleration_m_per_s2))
+    seen = rest + heard(first.acceleration_m_per_s2 - rest)
+    fit = fit_puncture([dataclasses.replace(first, acceleration_m_per_s2=seen), *recordings[1:]])
+    assert len(fit.ruptures) == len(recordings) - 1
+    assert fit.judged.reasons == (f"1 of {len(recordings)} recordings are left out",)
+    assert not any("begins in contact" in warning for warning in fit.warnings)
 
 
 def test_few_samples_in_a_cycle_are_told() -> None:

@@ -12,6 +12,7 @@ import pytest
 
 import hapticd
 from hapticd.cli import main
+from hapticd.fit.left_out import LeftOut
 from hapticd.fit.pulse_shape import Equations, Placed, Pulse
 from hapticd.fit.recording import Recording, Source, save
 from hapticd.fit.regression import FitError
@@ -242,7 +243,10 @@ def test_a_tap_that_is_another_is_left_out_and_told() -> None:
     found = waveform_of(recording)
     assert len(found.taps) == len(SPEEDS) - 2
     assert [line for line in found.warnings if "is left out: the waveform of the others explains" in line]
-    assert [line for line in found.warnings if "pushes the other way, and is left out" in line]
+    assert [line for line in found.warnings if "is left out: it pushes the other way" in line]
+    assert len(found.left_out) == 2
+    with pytest.raises(FitError, match="--strict refuses that"):
+        fit_taps([recording], "waveform", left=LeftOut(strict=True))
 
 
 @pytest.mark.slow
