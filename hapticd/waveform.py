@@ -69,14 +69,12 @@ class Waveform(CheckedTogether):
 
     def energy_above(self, frequency_hz: float) -> float:
         """Share of the curve's energy above a frequency, 0 to 1."""
-        frequency, below = _spectrum(self.samples, self.rate_hz)
-        return 1.0 - float(np.interp(frequency_hz, frequency, below))
+        return _energy_above(self.curve, frequency_hz)
 
     @property
     def middle_hz(self) -> float:
         """The frequency below which half of the curve's energy lies."""
-        frequency, below = _spectrum(self.samples, self.rate_hz)
-        return float(np.interp(0.5, below, frequency))
+        return self.curve.middle_hz
 
 
 class Curve:
@@ -132,6 +130,12 @@ class Curve:
         k = int(np.argmax(values))
         return (k + float(places[k])) / self.rate_hz
 
+    @cached_property
+    def middle_hz(self) -> float:
+        """The frequency below which half of the energy lies."""
+        frequency, below = _energy(self)
+        return float(np.interp(0.5, below, frequency))
+
     def peaks_from(self, parts: int) -> Floats:
         """(parts,): the largest magnitude from the beginning of each of so many equal parts to the end, or a little
         more: of the cubic in which a part begins, the whole counts."""
@@ -150,19 +154,15 @@ def _curve(samples: tuple[float, ...], rate_hz: float) -> Curve:
     return Curve(samples, rate_hz)
 
 
-def middle_hz(curve: Curve) -> float:
-    """The frequency below which half of a curve's energy lies."""
-    frequency, below = _energy(curve)
-    return float(np.interp(0.5, below, frequency))
-
-
 @lru_cache(maxsize=256)
-def _spectrum(samples: tuple[float, ...], rate_hz: float) -> tuple[Floats, Floats]:
-    return _energy(_curve(samples, rate_hz))
+def _energy_above(curve: Curve, frequency_hz: float) -> float:
+    return 1.0 - float(np.interp(frequency_hz, *_energy(curve)))
 
 
+@lru_cache(maxsize=1)
 def _energy(curve: Curve) -> tuple[Floats, Floats]:
-    """Frequencies in Hz, rising, and the share of the curve's energy up to each."""
+    """Frequencies in Hz, rising, and the share of the curve's energy up to each: up to 8 MiB, so that only what was
+    found in them is kept."""
     rate = _FINER * curve.rate_hz
     count = round(curve.length_s * rate) + 1
     values = curve.at(np.arange(count) / rate)

@@ -24,7 +24,7 @@ from hapticd.fit.tap_events import LEAST_REST, Loud, No, loud_in
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Verdict
 from hapticd.fit.waveform import FEW_SAMPLES, POORLY_EXPLAINED, WaveformFit, fit_waveform
-from hapticd.waveform import LONGEST_S, middle_hz
+from hapticd.waveform import LONGEST_S
 
 TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
 ENOUGH: Final = 0.95
@@ -99,7 +99,7 @@ def _waveform(recordings: Sequence[Recording], left: LeftOut) -> WaveformFit:
     pulses = pulses_of(recordings, warnings, left)
     found = fit_waveform(pulses, tuple(recording.source for recording in recordings), left.lines() + warnings)
     found = dataclasses.replace(found, left_out=tuple(left.items), judged=_judged(found, left))
-    ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * middle_hz(found.curve))
+    ratio = found.first_peak_slope_per_s.value / (2.0 * math.pi * found.curve.middle_hz)
     if not SOFTEST <= ratio <= HARDEST:
         raise FitError(
             f"the amplitude over speed is {found.first_peak_slope_per_s.value:.4g} 1/s, {ratio:.2g} times the angular "

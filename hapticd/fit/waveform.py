@@ -34,7 +34,7 @@ from hapticd.fit.tap_amplitude import Law, doubt_the_law, law_of
 from hapticd.fit.tap_hit import TapHit, check_speeds
 from hapticd.fit.tap_law import Amplitudes
 from hapticd.fit.verdict import Doubts, Verdict
-from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
+from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve
 from hapticd.yaml_source import Json
 
 LEAST_PULSES: Final = 3
@@ -406,7 +406,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
             f"the waveform is faded out over its last {100 * FADED:.0f} %",
         )
-    resolved = min(pulse.rate_hz for pulse in pulses) / middle_hz(shape.curve)
+    resolved = min(pulse.rate_hz for pulse in pulses) / shape.curve.middle_hz
     few = f"{resolved:.1f} samples of the recordings are a period of its middle frequency"
     doubts.add(True, few if resolved < FEW_SAMPLES else "", "the waveform is not resolved: record faster")
     law = law_of(speeds, peaks, variances)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from hapticd.errors import InvalidError
 from hapticd.materials import validate_materials
 from hapticd.offline import render_run, simulate_run
 from hapticd.replayed import replay
-from hapticd.waveform import MOST_SAMPLES, Curve
+from hapticd.waveform import MOST_SAMPLES, Curve, Waveform
 from tests.rig import FLOOR, Rig
 
 Floats = npt.NDArray[np.float64]
@@ -105,6 +106,20 @@ def test_the_energy_above_a_frequency_is_that_of_the_fourier_integral() -> None:
         above = float(np.trapezoid(energy[frequency >= limit], dx=5.0)) / total
         assert made.waveform.energy_above(limit) == pytest.approx(above, abs=1e-3)
     assert made.waveform.energy_above(made.waveform.middle_hz) == pytest.approx(0.5)
+
+
+def test_of_spectra_only_what_was_found_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of 100,000 samples a second has 8 MiB."""
+    waveforms = [
+        Waveform(rate_hz=1e5, samples=(0.0, *np.random.default_rng(k).normal(size=40).tolist(), 0.0)) for k in range(4)
+    ]
+    tracemalloc.start()
+    found = [(waveform.middle_hz, waveform.energy_above(400.0)) for waveform in waveforms]
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 12e6
+    monkeypatch.delattr(np.fft, "rfft")
+    assert found == [(waveform.middle_hz, waveform.energy_above(400.0)) for waveform in waveforms]
 
 
 # ---- The tick --------------------------------------------------------------------------------------------------------
