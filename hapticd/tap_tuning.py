@@ -50,10 +50,6 @@ class TapTuning:
         if len(self.nodes) > 0:
             complete_tail(record.tap, self.tail, period_s)
 
-    def lies_at(self, record: CData, first: int) -> None:
-        """Says in the `struct hd_material` where the numbers begin."""
-        record.mode_first = first
-
     def numbers(self) -> npt.NDArray[np.float64]:
         """As the core's table holds them."""
         angular = 2.0 * math.pi * np.array(self.table.frequencies_hz)

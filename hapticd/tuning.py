@@ -53,10 +53,6 @@ class Tuning:
             return
         complete_tail(record.groove, self.tail, period_s)
 
-    def lies_at(self, record: CData, first: int) -> None:
-        """Says in the `struct hd_material` where the numbers begin."""
-        record.tune_first = first
-
     def numbers(self) -> npt.NDArray[np.float64]:
         """As the core's table holds them."""
         grid = 2.0 * math.pi * np.array(self.table.frequencies_hz)
