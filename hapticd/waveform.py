@@ -36,7 +36,10 @@ class Waveform(CheckedTogether):
 
     rate_hz: float = Field(ge=100, le=1e5, description="Samples a second.")
     samples: Annotated[tuple[Sample, ...], Strict(False), Field(min_length=LEAST_SAMPLES, max_length=MOST_SAMPLES)] = (
-        Field(description="The curve over the tap's amplitude, from the onset on; the first and the last are 0.")
+        Field(
+            description="The curve, as a multiple of the tap's amplitude, from the onset on; the first and the last "
+            "are 0."
+        )
     )
 
     def cross_faults(self) -> list[str]:
