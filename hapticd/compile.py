@@ -197,8 +197,8 @@ def _tail_record(tail: Ringing, period_s: float) -> tuple[float, ...]:
 
 def _struck(material: Material) -> Iterator[Mode]:
     """The modes that a device may play by itself."""
-    if material.tap is not None and material.tap.ringing is not None and material.tap.mode_table is None:
-        yield material.tap.ringing
+    if material.tap is not None and material.tap.one_mode is not None:
+        yield material.tap.one_mode
     if material.rupture is not None:
         yield material.rupture.mode
 
