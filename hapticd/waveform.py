@@ -61,9 +61,9 @@ class Waveform(CheckedTogether):
         """Time from the first sample to the last."""
         return (len(self.samples) - 1) / self.rate_hz
 
-    @property
+    @cached_property
     def curve(self) -> Curve:
-        """The curve through the samples."""
+        """The curve through the samples; what is found of it is kept with it."""
         return _curve(self.samples, self.rate_hz)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
@@ -72,7 +72,7 @@ class Waveform(CheckedTogether):
 
     def energy_above(self, frequency_hz: float) -> float:
         """Share of the curve's energy above a frequency, 0 to 1."""
-        return _energy_above(self.curve, frequency_hz)
+        return self.curve.energy_above(frequency_hz)
 
     @property
     def middle_hz(self) -> float:
@@ -94,6 +94,7 @@ class Curve:
         self._slope: Floats = 0.5 * (end - before)
         self._square: Floats = 0.5 * (2 * before - 5 * begin + 4 * end - after)
         self._cube: Floats = 0.5 * (3 * (begin - end) + after - before)
+        self._above: tuple[float, float] | None = None
 
     def at(self, time_s: npt.ArrayLike) -> Floats:
         """The curve at times since the onset, of any shape; 0 before the onset and after the last sample."""
@@ -139,6 +140,13 @@ class Curve:
         frequency, below = _energy(self)
         return float(np.interp(0.5, below, frequency))
 
+    def energy_above(self, frequency_hz: float) -> float:
+        """Share of the energy above a frequency, 0 to 1."""
+        known = self._above
+        if known is None or known[0] != frequency_hz:
+            known = self._above = frequency_hz, 1.0 - float(np.interp(frequency_hz, *_energy(self)))
+        return known[1]
+
     def peaks_from(self, parts: int) -> Floats:
         """(parts,): the largest magnitude from the beginning of each of so many equal parts to the end, or a little
         more: of the cubic in which a part begins, the whole counts."""
@@ -154,12 +162,8 @@ class Curve:
 
 @lru_cache(maxsize=256)
 def _curve(samples: tuple[float, ...], rate_hz: float) -> Curve:
+    """One curve of the same samples, whose material is changed again and again."""
     return Curve(samples, rate_hz)
-
-
-@lru_cache(maxsize=256)
-def _energy_above(curve: Curve, frequency_hz: float) -> float:
-    return 1.0 - float(np.interp(frequency_hz, *_energy(curve)))
 
 
 @lru_cache(maxsize=1)
