@@ -570,7 +570,7 @@ class _Materials:
 
     def to_design(self, names: Iterable[str], source: Mapping[str, Material]) -> Iterator[tuple[_Noise | None, int]]:
         """Of each material that would be compiled if `names` were used and all were taken from `source`: its noise,
-        where that is not designed yet, and how many filters and shapes it needs."""
+        where that is not designed yet, and how many filters, shapes and spectra of waveforms it needs."""
         known: Material | None
         for name in dict.fromkeys(names):
             if name not in self._index:
@@ -588,8 +588,9 @@ class _Materials:
             texture = None
         tuned = shapes_needed(material) + tap_shapes_needed(material)
         shapes = 0 if self.output.compensation == "off" else len(modes_of(material)) + tuned
+        spectra = 0 if waveform_of(material) is None else 1
         noise = cast("_Noise | None", texture)
-        return noise, shapes + (0 if noise is None else _filters(noise))
+        return noise, shapes + spectra + (0 if noise is None else _filters(noise))
 
     def _silence(self, index: int) -> None:
         place = self._noise_of.pop(index, None)
@@ -812,8 +813,8 @@ class Compiler:
         )
 
     def missing(self, names: Set[str], materials: Mapping[str, Material]) -> int:
-        """Filters and shapes that `update` would have to design, were it given these materials and objects that are
-        made of `names`; a few milliseconds each."""
+        """Filters and shapes that `update` would have to design, and spectra of waveforms that it would have to find,
+        were it given these materials and objects that are made of `names`; a few milliseconds each."""
         if self._materials.has(names, materials):
             return 0
         return sum(count for _, count in self._materials.to_design(names, materials))
