@@ -53,22 +53,29 @@ HD_RT static double first_peak(double decay_rate_per_s, double angular_frequency
     HD_RT_FOREIGN_END
 }
 
-HD_RT int hd_tune_strike(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
-                         double force_n, struct hd_strike *strike) {
-    double wanted = frequency(table, material, hd_magnitude(speed_m_per_s), force_n);
+/* Gives a strike its frequency. One that is too high is lowered, so that its first peak stays, which is at `peak_s`
+ * then; or the strike is silent: 0. */
+HD_RT static int tune(const struct hd_material *material, double decay_rate_per_s, double wanted_rad_per_s,
+                      struct hd_strike *strike, double *peak_s) {
     const double highest = material->tune_highest_rad_per_s;
-    if (wanted > highest) {
+    strike->tuned = material;
+    strike->tuned_rad_per_s = wanted_rad_per_s;
+    if (wanted_rad_per_s > highest) {
         if (material->tune_mutes) {
             return 0;
         }
-        const double decay = material->groove.decay_rate_per_s;
-        double time_s;
-        strike->units *= first_peak(decay, wanted, &time_s) / first_peak(decay, highest, &time_s);
-        wanted = highest;
+        const double peak = first_peak(decay_rate_per_s, wanted_rad_per_s, peak_s);
+        strike->units *= peak / first_peak(decay_rate_per_s, highest, peak_s);
+        strike->tuned_rad_per_s = highest;
     }
-    strike->tuned = material;
-    strike->tuned_rad_per_s = wanted;
     return 1;
+}
+
+HD_RT int hd_tune_strike(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
+                         double force_n, struct hd_strike *strike) {
+    const double wanted = frequency(table, material, hd_magnitude(speed_m_per_s), force_n);
+    double peak_s;
+    return tune(material, material->groove.decay_rate_per_s, wanted, strike, &peak_s);
 }
 
 HD_RT int hd_tune_tap(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
@@ -78,26 +85,16 @@ HD_RT int hd_tune_tap(const struct hd_table *table, const struct hd_material *ma
     const double *frequencies = speeds + count;
     const double *times = frequencies + count;
     const struct between place = find(speeds, count, 1, speed_m_per_s);
-    const double highest = material->tune_highest_rad_per_s;
-    double wanted = along(frequencies[place.from], frequencies[place.to], place.share);
+    const double wanted = along(frequencies[place.from], frequencies[place.to], place.share);
     const double decay = 1.0 / along(times[place.from], times[place.to], place.share);
     const double peak = first_peak(decay, wanted, peak_s);
     if (material->mode_by_peak != 0) {
         *units /= peak;
     }
     strike->units = *units;
-    if (wanted > highest) {
-        if (material->tune_mutes) {
-            return 0;
-        }
-        strike->units *= peak / first_peak(decay, highest, peak_s);
-        wanted = highest;
-    }
-    strike->tuned = material;
-    strike->tuned_rad_per_s = wanted;
     strike->tuned_decay_rate_per_s = decay;
     strike->tuned_m_per_s = speed_m_per_s;
-    return 1;
+    return tune(material, decay, wanted, strike, peak_s);
 }
 
 HD_RT static void compensate(const double *nodes, uint32_t count, double at, struct hd_mode *mode) {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from hapticd.compile import Compiler
 from hapticd.config import Config
@@ -121,8 +121,9 @@ def check(config: Config) -> Report:
     """Checks a configuration. Raises nothing for what cannot be shown: that is what is reported."""
     rate_hz = config.servo.rate_hz
     scene, materials = config.scene, config.materials
-    device, loop, link_hz, unknown, undrivable = _device(config)
-    output = output_of(config, rate_hz, link_hz)
+    device = _device(config)
+    loop = device.loop
+    output = output_of(config, rate_hz, device.link_hz)
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
     slow = () if refused else lag_warnings(shown, output)
@@ -132,10 +133,10 @@ def check(config: Config) -> Report:
     told = (*slow, *(problem for problem in others if problem.where not in slowed))
     return Report(
         output=output,
-        device=device,
+        device=device.words,
         materials=tuple(_checked(name, material, name in shown, output) for name, material in materials.items()),
-        stability=Stability(unknown, None) if loop is None else _stability(config, output, loop),
-        refused=(*undrivable, *refused),
+        stability=Stability(device.unknown, None) if loop is None else _stability(config, output, loop),
+        refused=(*device.undrivable, *refused),
         undisplayable=tuple(Problem(f"materials.{mode.material}", str(mode)) for mode in undisplayable(shown, output)),
         warnings=told,
         notes=(*_gone_through(config), *_doubtful(shown, materials)),
@@ -184,19 +185,30 @@ def _stability(config: Config, output: Output, loop: Loop) -> Stability:
     return judge(compiler.parts(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
 
 
-def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None, list[Problem]]:
-    """The device in words, what closes its loop, the forces a second that its link carries, what is not known, and why
-    the daemon would not start with a device that is there."""
+class _Device(NamedTuple):
+    """What a configuration drives."""
+
+    words: str
+    unknown: str | None = None
+    """What is not known, where there is no loop."""
+    loop: Loop | None = None
+    link_hz: float | None = None
+    """Forces a second that its link carries, where that is known."""
+    undrivable: tuple[Problem, ...] = ()
+    """Why the daemon would not start with a device that is there."""
+
+
+def _device(config: Config) -> _Device:
     device, rate_hz = config.device, config.servo.rate_hz
     if device.kind == "sim":
-        return "the simulated joystick", loop_of(config, rate_hz), None, None, []
+        return _Device("the simulated joystick", loop=loop_of(config, rate_hz))
     if device.kind == "replay":
         assert device.replay is not None
         try:
             verdict_of(device.hid, load(device.replay.path).descriptor).sound()
         except HapticdError as error:
-            return f"a recording: {error}", None, None, _UNPLUGGED, [Problem("device.replay", str(error))]
-        return "a recording, which nothing pushes", None, None, "a recording has no loop", []
+            return _Device(f"a recording: {error}", _UNPLUGGED, undrivable=(Problem("device.replay", str(error)),))
+        return _Device("a recording, which nothing pushes", "a recording has no loop")
     hid = device.hid
     limit_hz = Link(None, None, hid.max_rate_hz).carried_hz(rate_hz)
     handle = "" if device.handle is not None else "; what its handle is, is not given"
@@ -204,14 +216,15 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None,
     try:
         found = choose(hid, find())
     except UndrivableError as error:
-        return f"{error}{handle}", None, limit_hz, unknown, [Problem("device.hid", str(error))]
+        return _Device(f"{error}{handle}", unknown, None, limit_hz, (Problem("device.hid", str(error)),))
     except HapticdError as error:
-        return f"not there: {error}{handle}", None, limit_hz, unknown, []
+        return _Device(f"not there: {error}{handle}", unknown, None, limit_hz)
     told = f"{found.name} at {found.path}{handle}"
     try:
         _, plan = found.verdict.sound()
     except HapticdError as error:
-        return f"{told}: {error}", None, limit_hz, _UNPLUGGED, [Problem("device.hid", f"{found}: {error}")]
+        problem = Problem("device.hid", f"{found}: {error}")
+        return _Device(f"{told}: {error}", _UNPLUGGED, None, limit_hz, (problem,))
     link_hz = link_of(plan, found.out_interval_s).carried_hz(rate_hz)
     loop = loop_of(
         config,
@@ -220,7 +233,7 @@ def _device(config: Config) -> tuple[str, Loop | None, float | None, str | None,
         force_step_n=max(plan.force_steps_n),
         link_rate_hz=link_hz,
     )
-    return told, loop, link_hz, None if loop is not None else UNKNOWN_HANDLE, []
+    return _Device(told, None if loop is not None else UNKNOWN_HANDLE, loop, link_hz)
 
 
 def _waveform_sound(waveform: Waveform, output: Output) -> Sound:

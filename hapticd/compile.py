@@ -59,14 +59,14 @@ from hapticd.displayable import (
     waveform_of,
 )
 from hapticd.gone import Gone
-from hapticd.materials import Material, TapPoint
+from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.patches import Patch
 from hapticd.scene import Scene, SceneObject, Surface, Wall
-from hapticd.tap_tuning import TapTuning, tap_shapes_needed, tap_tuning_of
+from hapticd.tap_tuning import tap_shapes_needed, tap_tuning_of
 from hapticd.texture import Autoregressive, AutoregressiveModel, Grooves, Stochastic
 from hapticd.together import Parts
-from hapticd.tuning import Tuning, shapes_needed, tuning_of
+from hapticd.tuning import shapes_needed, tuning_of
 from hapticd.waveform import Waveform
 
 _RECORD = struct.Struct("=8I6d")
@@ -197,14 +197,14 @@ def _tail_record(tail: Ringing, period_s: float) -> tuple[float, ...]:
 
 def _struck(material: Material) -> Iterator[Mode]:
     """The modes that a device may play by itself."""
-    if material.tap is not None and material.tap.ringing is not None and material.tap.mode_table is None:
-        yield material.tap.ringing
+    if material.tap is not None and material.tap.one_mode is not None:
+        yield material.tap.one_mode
     if material.rupture is not None:
         yield material.rupture.mode
 
 
 def _play(record: CData, waveform: Waveform, slope: float, coefficient: float, output: Output) -> None:
-    """A tap that plays a waveform; where its numbers lie is not known yet."""
+    """A tap that plays a waveform."""
     rate_hz = displayed_wave_rate(waveform, output)
     shown_hz = waveform.rate_hz if rate_hz is None else rate_hz
     tap, slowed = record.tap, waveform.rate_hz / shown_hz
@@ -213,14 +213,27 @@ def _play(record: CData, waveform: Waveform, slope: float, coefficient: float, o
     tap.amplitude_per_unit = slope
     tap.force_per_unit = 0.0 if rate_hz is None else output.effective_mass_kg * coefficient
     tap.gain_re = 1.0
-    record.wave_rate_hz = shown_hz
+    record.wave_rate_hz, record.wave_count = shown_hz, len(waveform.samples)
+
+
+def _numbers_of(material: Material, output: Output) -> Iterator[tuple[str, npt.NDArray[np.float64]]]:
+    """What a material has in the table's numbers: the member of its record that says where they begin, and they."""
+    if material.tap is not None and material.tap.amplitudes is not None:
+        yield "tap_first", np.array(material.tap.amplitudes).T.ravel()
+    tuning, tap_tuning, waveform = tuning_of(material, output), tap_tuning_of(material, output), waveform_of(material)
+    if tuning is not None:
+        yield "tune_first", tuning.numbers()
+    if tap_tuning is not None:
+        yield "mode_first", tap_tuning.numbers()
+    if waveform is not None:
+        yield "wave_first", waveform.curve.numbers()
 
 
 def material_record(
     material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
 ) -> CData:
-    """A `struct hd_material *`; `noise_index` is where its noise is, for a texture that is noise; `effects` are what a
-    device plays by itself."""
+    """A `struct hd_material *`, of which only the places of its numbers are missing (`_numbers_of`); `noise_index` is
+    where its noise is, for a texture that is noise; `effects` are what a device plays by itself."""
     record = ffi.new("struct hd_material *")
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m
@@ -229,6 +242,7 @@ def material_record(
         mode, slope = material.tap.ringing, material.tap.attack_slope_per_s
         if slope is None:  # the points give A itself
             slope = 1.0
+            record.tap_count = len(material.tap.amplitudes or ())
         tuned = tap_tuning_of(material, output)
         # Of a table the tick knows the mode, and what a first peak is of it.
         coefficient = material.tap.coefficient(slope) if tuned is None else slope
@@ -451,12 +465,8 @@ class _Materials:
         """Material to noise."""
         self._heard: dict[int, tuple[Stochastic | Autoregressive, int, _Design]] = {}
         """Material to what its noise is made of, the version of that, and its filters."""
-        self._points: dict[int, tuple[TapPoint, ...]] = {}
-        """Material to the amplitudes of its tap over speed, where they are given so."""
-        self._waveforms: dict[int, Waveform] = {}
-        """Material to what its tap plays, where that does not ring."""
-        self._tunings: dict[int, tuple[Tuning | TapTuning, ...]] = {}
-        """Material to the modes of its grooves and of its tap, where they follow speed and force."""
+        self._own_numbers: dict[int, tuple[tuple[str, npt.NDArray[np.float64]], ...]] = {}
+        """Material to what `_numbers_of` finds, where it finds anything."""
         self.prepared: Mapping[_Noise, _Design] = {}
         """Designed for what is taken in now."""
         self._versions = 0
@@ -535,16 +545,9 @@ class _Materials:
         else:
             self._silence(index)
         self._let_go(index)
-        if material.tap is not None and material.tap.amplitudes is not None:
-            self._points[index] = material.tap.amplitudes
-            self._numbers_changed = True
-        waveform = waveform_of(material)
-        if waveform is not None:
-            self._waveforms[index] = waveform
-            self._numbers_changed = True
-        tunings = (tuning_of(material, self.output), tap_tuning_of(material, self.output))
-        if any(tunings):
-            self._tunings[index] = tuple(each for each in tunings if each is not None)
+        numbers = tuple(_numbers_of(material, self.output))
+        if numbers:
+            self._own_numbers[index] = numbers
             self._numbers_changed = True
         self.working()
         effects = {mode: self._effects.take(mode) for mode in _struck(material)}
@@ -553,9 +556,7 @@ class _Materials:
         self.changed = True
 
     def _let_go(self, index: int) -> None:
-        self._numbers_changed |= self._points.pop(index, None) is not None
-        self._numbers_changed |= self._tunings.pop(index, None) is not None
-        self._numbers_changed |= self._waveforms.pop(index, None) is not None
+        self._numbers_changed |= self._own_numbers.pop(index, None) is not None
         for mode in self._struck.pop(index, ()):
             self._effects.give(mode)
 
@@ -569,7 +570,7 @@ class _Materials:
 
     def to_design(self, names: Iterable[str], source: Mapping[str, Material]) -> Iterator[tuple[_Noise | None, int]]:
         """Of each material that would be compiled if `names` were used and all were taken from `source`: its noise,
-        where that is not designed yet, and how many filters and shapes it needs."""
+        where that is not designed yet, and how many filters, shapes and spectra of waveforms it needs."""
         known: Material | None
         for name in dict.fromkeys(names):
             if name not in self._index:
@@ -587,8 +588,9 @@ class _Materials:
             texture = None
         tuned = shapes_needed(material) + tap_shapes_needed(material)
         shapes = 0 if self.output.compensation == "off" else len(modes_of(material)) + tuned
+        spectra = 0 if waveform_of(material) is None else 1
         noise = cast("_Noise | None", texture)
-        return noise, shapes + (0 if noise is None else _filters(noise))
+        return noise, shapes + spectra + (0 if noise is None else _filters(noise))
 
     def _silence(self, index: int) -> None:
         place = self._noise_of.pop(index, None)
@@ -614,7 +616,7 @@ class _Materials:
         self.changed = self._numbers_changed = False
 
     def _rebuild_numbers(self) -> None:
-        """All noises, the points and waveforms of all taps, and their numbers. A place that is free is silent."""
+        """All noises and their numbers, and those of the materials. A place that is free is silent."""
         self._noises = records(NOISE_DTYPE, self._noise_places.count)
         used = {place: index for index, place in self._noise_of.items()}
         numbers: list[npt.NDArray[np.float64]] = []
@@ -635,21 +637,11 @@ class _Materials:
             record.force_per_unit = 0.0 if design.muted else self.output.effective_mass_kg
             numbers.append(design.numbers())
             first += len(numbers[-1])
-        for index, points in self._points.items():
-            material = self._rows.pointer[index]
-            material.tap_count, material.tap_first = len(points), first
-            numbers.append(np.array(points).T.ravel())
-            first += len(numbers[-1])
-        for index, tunings in self._tunings.items():
-            for tuning in tunings:
-                tuning.lies_at(self._rows.pointer[index], first)
-                numbers.append(tuning.numbers())
-                first += len(numbers[-1])
-        for index, waveform in self._waveforms.items():
-            material = self._rows.pointer[index]
-            material.wave_count, material.wave_first = len(waveform.samples), first
-            numbers.append(waveform.curve.numbers())
-            first += len(numbers[-1])
+        for index, each in self._own_numbers.items():
+            for key, own in each:
+                setattr(self._rows.pointer[index], key, first)
+                numbers.append(own)
+                first += len(own)
         self._numbers = np.concatenate(numbers) if numbers else np.zeros(0)
 
 
@@ -821,8 +813,8 @@ class Compiler:
         )
 
     def missing(self, names: Set[str], materials: Mapping[str, Material]) -> int:
-        """Filters and shapes that `update` would have to design, were it given these materials and objects that are
-        made of `names`; a few milliseconds each."""
+        """Filters and shapes that `update` would have to design, and spectra of waveforms that it would have to find,
+        were it given these materials and objects that are made of `names`; a few milliseconds each."""
         if self._materials.has(names, materials):
             return 0
         return sum(count for _, count in self._materials.to_design(names, materials))

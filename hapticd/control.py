@@ -260,11 +260,14 @@ class Control:
             return True
         materials = params.get("materials")
         return isinstance(materials, dict) and any(
-            self._has_models(name, material) for name, material in materials.items()
+            self._is_analysed(name, material) for name, material in materials.items()
         )
 
-    def _has_models(self, name: str, given: object) -> bool:
-        """Whether a material, or one that is patched, has models to be analysed."""
+    def _is_analysed(self, name: str, given: object) -> bool:
+        """Whether a material, or one that is patched, has models to be analysed, or a new waveform."""
+        tap = given.get("tap") if isinstance(given, dict) else None
+        if isinstance(tap, dict) and "waveform" in tap:
+            return True
         texture = given.get("texture") if isinstance(given, dict) else None
         if isinstance(texture, dict) and "models" in texture:
             return True

@@ -599,7 +599,7 @@ class Engine:
         return self._take(self.scene, (), materials, expected)
 
     def missing(self, objects: Iterable[SceneObject], materials: Materials) -> int:
-        """Filters and shapes that are yet to be designed for these objects and for what is in use, with these
+        """Filters, shapes and spectra that are yet to be found for these objects and for what is in use, with these
         materials; a few milliseconds each."""
         return self._compiler.missing(used_materials(objects), materials)
 

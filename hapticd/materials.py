@@ -98,7 +98,7 @@ class SecondMode(ModeKeys):
     ratio: float = Field(ge=-10, le=10, description="Its coefficient over that of the tap's own mode.")
 
 
-_RINGING: Final = (
+_RINGING: Final[tuple[str, ...]] = (
     "frequency_hz",
     "angular_frequency_rad_per_s",
     "decay_time_s",
@@ -144,15 +144,14 @@ class Tap(AimedKeys):
     waveform: Waveform | None = Field(default=None, description="A curve that is played, instead of a mode that rings.")
 
     def mode_faults(self) -> list[str]:
-        if self.waveform is None and self.mode_table is None:
+        if self.waveform is not None:
+            why, excluded = "has a waveform, and does not ring", _RINGING
+        elif self.mode_table is not None:
+            why, excluded = "has a mode_table, which says frequency and decay", _ONE_MODE
+        else:
             return super().mode_faults()
-        if self.waveform is None:
-            given = [name for name in _ONE_MODE if getattr(self, name) is not None]
-            return (
-                [f"has a mode_table, which says frequency and decay: leave out {' and '.join(given)}"] if given else []
-            )
-        given = [name for name in _RINGING if getattr(self, name) is not None]
-        return [f"has a waveform, and does not ring: leave out {' and '.join(given)}"] if given else []
+        given = [name for name in excluded if getattr(self, name) is not None]
+        return [f"{why}: leave out {' and '.join(given)}"] if given else []
 
     @property
     def mode(self) -> Mode:
@@ -174,6 +173,11 @@ class Tap(AimedKeys):
     def ringing(self) -> Mode | None:
         """The mode; None of a waveform."""
         return None if self.waveform is not None else self.mode
+
+    @property
+    def one_mode(self) -> Mode | None:
+        """The mode of a tap that rings alike at all speeds; None of a table and of a waveform."""
+        return None if self.mode_table is not None else self.ringing
 
     def coefficient(self, amplitude: float) -> float:
         """The A of the mode's or the waveform's equation for an amplitude as `attack` means it."""
@@ -320,12 +324,13 @@ class Material(Model):
             return texture
         # A tap that is itself faulty is not in `data`; then its own fault is enough.
         tap = info.data.get("tap", True)
-        if tap is None or (isinstance(tap, Tap) and (tap.ringing is None or tap.mode_table is not None)):
-            many = tap is not None and tap.mode_table is not None
-            kind = "has a mode_table" if many else "is a waveform"
-            other = "or a tap of the material" if tap is None else f"as the tap {kind}"
-            raise ValueError(f"needs a mode to ring with: frequency_hz and decay_time_s of its own, {other}")
-        return texture
+        if tap is None:
+            other = "or a tap of the material"
+        elif isinstance(tap, Tap) and tap.one_mode is None:
+            other = f"as the tap {'is a waveform' if tap.mode_table is None else 'has a mode_table'}"
+        else:
+            return texture
+        raise ValueError(f"needs a mode to ring with: frequency_hz and decay_time_s of its own, {other}")
 
     @property
     def fitted(self) -> Mapping[str, FitVerdict]:

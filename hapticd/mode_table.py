@@ -6,19 +6,14 @@ Between the points both lie on straight lines, beyond the outermost they stay. T
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
-from itertools import pairwise
-from typing import Annotated, Final
+from typing import Annotated
 
 from pydantic import Field, Strict
 
 from hapticd.mode import DecayTime, Frequency, Mode
 from hapticd.model import CheckedTogether
-
-MAX_POINTS: Final = 16
-"""HD_TUNE_POINTS."""
-MIN_STEP_M_PER_S: Final = 1e-6
+from hapticd.rising import MAX_POINTS, around, rising_faults
 
 
 class ModeTable(CheckedTogether):
@@ -35,14 +30,7 @@ class ModeTable(CheckedTogether):
     )
 
     def cross_faults(self) -> list[str]:
-        faults = []
-        for index, (before, speed) in enumerate(pairwise(self.speeds_m_per_s)):
-            if speed < before + MIN_STEP_M_PER_S:
-                faults.append(
-                    f"speeds_m_per_s[{index + 1}] must be at least {MIN_STEP_M_PER_S:g} above the one before, "
-                    f"{before:.15g}, is {speed:.15g}"
-                )
-                break
+        faults = list(rising_faults("speeds_m_per_s", self.speeds_m_per_s))
         count = len(self.speeds_m_per_s)
         for key, what in (("frequencies_hz", "a frequency"), ("decay_times_s", "a decay time")):
             if len(getattr(self, key)) != count:
@@ -51,10 +39,7 @@ class ModeTable(CheckedTogether):
 
     def at(self, speed_m_per_s: float) -> Mode:
         """The mode of a strike at this approach speed."""
-        points = self.speeds_m_per_s
-        end = bisect_right(points, speed_m_per_s)
-        first, last = max(end - 1, 0), min(end, len(points) - 1)
-        share = 0.0 if first == last else (speed_m_per_s - points[first]) / (points[last] - points[first])
+        first, last, share = around(self.speeds_m_per_s, speed_m_per_s)
 
         def along(values: Sequence[float]) -> float:
             return values[first] + share * (values[last] - values[first])

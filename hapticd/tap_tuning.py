@@ -21,7 +21,7 @@ from hapticd.displayable import DISPLAYABLE, TOUCHED_N_PER_M, Output, Touched, t
 from hapticd.materials import Material
 from hapticd.mode import Mode
 from hapticd.mode_table import ModeTable
-from hapticd.tuning import PEAK, between, complete_tail, row
+from hapticd.tuning import complete_tail, node_rows
 
 NODES: Final = 16
 """Between the first speed and the last are about so many steps; with the points at most HD_TUNE_NODES nodes."""
@@ -49,10 +49,6 @@ class TapTuning:
         record.tune_highest_rad_per_s, record.tune_mutes = self.highest_rad_per_s, self.mutes
         if len(self.nodes) > 0:
             complete_tail(record.tap, self.tail, period_s)
-
-    def lies_at(self, record: CData, first: int) -> None:
-        """Says in the `struct hd_material` where the numbers begin."""
-        record.mode_first = first
 
     def numbers(self) -> npt.NDArray[np.float64]:
         """As the core's table holds them."""
@@ -104,8 +100,4 @@ def _nodes(
     met = touched.stiffness_n_per_m or TOUCHED_N_PER_M
     load = Load(met, touched.damping_n_s_per_m, output.age_s, output.actuator)
     pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.own)
-    rows = np.array([(speed, *row(mode, *pair)[1:]) for speed, mode, pair in zip(speeds, modes, pairs, strict=True)])
-    # A strike between two nodes is no larger than the line between their peaks.
-    for column, which in ((PEAK, 1), (PEAK + 1, 0)):
-        rows[:, column] *= max([1.0, *between([pair[which] for pair in pairs])])
-    return pairs[0][0].tail, rows
+    return pairs[0][0].tail, node_rows(speeds, pairs)

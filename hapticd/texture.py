@@ -6,10 +6,8 @@ the peak and the mean of its spectrum (`stochastic`) or by models identified fro
 """
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from typing import Annotated, Final, Literal, Self, TypeAlias
 
 from pydantic import (
@@ -28,6 +26,7 @@ from pydantic.config import JsonDict
 from hapticd.direction import Direction
 from hapticd.mode import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
 from hapticd.model import MAX_FAULTS, CheckedTogether, Damping, Model
+from hapticd.rising import MAX_POINTS, around, rising_faults
 
 MAX_ORDER: Final = 32
 MAX_MODELS: Final = 400
@@ -42,11 +41,6 @@ Gain: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
 Threshold: TypeAlias = Annotated[float, Field(ge=1e-5, le=1)]
 Seed: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SEED)]
 Coefficient: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
-
-MAX_FREQUENCIES: Final = 16
-"""HD_TUNE_POINTS."""
-MIN_STEP: Final = 1e-6
-"""Between two speeds (m/s), and between two forces (N), of a table of frequencies."""
 
 _MODE_KEYS: Final = tuple(ModeKeys.model_fields)
 _ONE_FREQUENCY: Final = ("frequency_hz", "angular_frequency_rad_per_s")
@@ -66,28 +60,18 @@ class FrequencyTable(CheckedTogether):
     """The frequency of a groove's strikes over tangential speed and normal force."""
 
     speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False)] = Field(
-        min_length=1, max_length=MAX_FREQUENCIES, description="Tangential speeds, rising."
+        min_length=1, max_length=MAX_POINTS, description="Tangential speeds, rising."
     )
     forces_n: Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], Strict(False)] = Field(
-        min_length=1, max_length=MAX_FREQUENCIES, description="Normal forces, rising."
+        min_length=1, max_length=MAX_POINTS, description="Normal forces, rising."
     )
     frequencies_hz: Annotated[
-        tuple[Annotated[tuple[Frequency, ...], Strict(False), Field(min_length=1, max_length=MAX_FREQUENCIES)], ...],
+        tuple[Annotated[tuple[Frequency, ...], Strict(False), Field(min_length=1, max_length=MAX_POINTS)], ...],
         Strict(False),
-    ] = Field(
-        min_length=1, max_length=MAX_FREQUENCIES, description="A list for each speed: a frequency for each force."
-    )
+    ] = Field(min_length=1, max_length=MAX_POINTS, description="A list for each speed: a frequency for each force.")
 
     def cross_faults(self) -> list[str]:
-        faults = []
-        for key in ("speeds_m_per_s", "forces_n"):
-            for index, (before, value) in enumerate(pairwise(getattr(self, key))):
-                if value < before + MIN_STEP:
-                    faults.append(
-                        f"{key}[{index + 1}] must be at least {MIN_STEP:g} above the one before, {before:.15g}, "
-                        f"is {value:.15g}"
-                    )
-                    break
+        faults = [fault for key in ("speeds_m_per_s", "forces_n") for fault in rising_faults(key, getattr(self, key))]
         speeds, forces, rows = len(self.speeds_m_per_s), len(self.forces_n), self.frequencies_hz
         if len(rows) != speeds:
             faults.append(f"frequencies_hz must have a list for each speed, {speeds}, has {len(rows)}")
@@ -105,20 +89,11 @@ class FrequencyTable(CheckedTogether):
 
     def at(self, speed_m_per_s: float, force_n: float) -> float:
         """Hz: bilinear between the points, beyond the outermost as there."""
-        i, j, fast = _between(self.speeds_m_per_s, abs(speed_m_per_s))
-        k, m, hard = _between(self.forces_n, force_n)
+        i, j, fast = around(self.speeds_m_per_s, abs(speed_m_per_s))
+        k, m, hard = around(self.forces_n, force_n)
         slow, quick = self.frequencies_hz[i], self.frequencies_hz[j]
         low, high = (row[k] + hard * (row[m] - row[k]) for row in (slow, quick))
         return low + fast * (high - low)
-
-
-def _between(points: Sequence[float], value: float) -> tuple[int, int, float]:
-    """The points around a value, and how far it is from the first to the second."""
-    end = bisect_right(points, value)
-    if end in (0, len(points)):
-        here = max(end - 1, 0)
-        return here, here, 0.0
-    return end - 1, end, (value - points[end - 1]) / (points[end] - points[end - 1])
 
 
 class Grooves(CheckedTogether):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -27,7 +27,7 @@ from hapticd.texture import FrequencyTable, Grooves
 
 NODES: Final = 17
 """So many frequencies are designed; at most HD_TUNE_NODES."""
-PEAK: Final = TUNE_NODE - 2
+_PEAK: Final = TUNE_NODE - 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +52,6 @@ class Tuning:
         if len(self.nodes) == 0:
             return
         complete_tail(record.groove, self.tail, period_s)
-
-    def lies_at(self, record: CData, first: int) -> None:
-        """Says in the `struct hd_material` where the numbers begin."""
-        record.tune_first = first
 
     def numbers(self) -> npt.NDArray[np.float64]:
         """As the core's table holds them."""
@@ -114,24 +110,30 @@ def _nodes(
     modes = tuple(Mode(decay_rate_per_s, float(w)) for w in np.geomspace(low_rad_per_s, high_rad_per_s, count))
     load = Load(TOUCHED_N_PER_M, 0.0, output.age_s, output.actuator)
     pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load)
-    rows = np.array([row(mode, *pair) for mode, pair in zip(modes, pairs, strict=True)])
+    return pairs[0][0].tail, node_rows([mode.angular_frequency_rad_per_s for mode in modes], pairs)
+
+
+def node_rows(places: Sequence[float], pairs: Sequence[tuple[Shape, Shape]]) -> npt.NDArray[np.float64]:
+    """(n, HD_TUNE_NODE): the nodes at these places (frequencies or speeds), of shapes where nothing is touched and
+    where the surface is."""
+    rows = np.array([_row(place, *pair) for place, pair in zip(places, pairs, strict=True)])
     # A strike between two nodes is no larger than the line between their peaks.
-    for column, which in ((PEAK, 1), (PEAK + 1, 0)):
-        rows[:, column] *= max([1.0, *between([pair[which] for pair in pairs])])
-    return pairs[0][0].tail, rows
+    for column, which in ((_PEAK, 1), (_PEAK + 1, 0)):
+        rows[:, column] *= max([1.0, *_between([pair[which] for pair in pairs])])
+    return rows
 
 
-def between(shapes: list[Shape]) -> Iterator[float]:
+def _between(shapes: list[Shape]) -> Iterator[float]:
     """By how much what lies half way between two neighbours exceeds the line between their peaks."""
     for one, other in pairwise(shapes):
         yield peak_between(one, other, (one.mode.pole + other.mode.pole) / 2)
 
 
-def row(mode: Mode, free: Shape, touched: Shape) -> tuple[float, ...]:
+def _row(place: float, free: Shape, touched: Shape) -> tuple[float, ...]:
     """A node, in the order of enum hd_tune_number."""
     gains = [gain for shape in (touched, free) for gain in (shape.mode.gain, _tail_gain(shape))]
     numbers = [part for gain in gains for part in (gain.real, gain.imag)]
-    return mode.angular_frequency_rad_per_s, *numbers, touched.peak, free.peak
+    return place, *numbers, touched.peak, free.peak
 
 
 def _tail_gain(shape: Shape) -> complex:

@@ -36,7 +36,10 @@ class Waveform(CheckedTogether):
 
     rate_hz: float = Field(ge=100, le=1e5, description="Samples a second.")
     samples: Annotated[tuple[Sample, ...], Strict(False), Field(min_length=LEAST_SAMPLES, max_length=MOST_SAMPLES)] = (
-        Field(description="The curve over the tap's amplitude, from the onset on; the first and the last are 0.")
+        Field(
+            description="The curve, as a multiple of the tap's amplitude, from the onset on; the first and the last "
+            "are 0."
+        )
     )
 
     def cross_faults(self) -> list[str]:
@@ -58,9 +61,9 @@ class Waveform(CheckedTogether):
         """Time from the first sample to the last."""
         return (len(self.samples) - 1) / self.rate_hz
 
-    @property
+    @cached_property
     def curve(self) -> Curve:
-        """The curve through the samples."""
+        """The curve through the samples; what is found of it is kept with it."""
         return _curve(self.samples, self.rate_hz)
 
     def coefficient(self, amplitude: float, attack: Attack) -> float:
@@ -69,14 +72,12 @@ class Waveform(CheckedTogether):
 
     def energy_above(self, frequency_hz: float) -> float:
         """Share of the curve's energy above a frequency, 0 to 1."""
-        frequency, below = _spectrum(self.samples, self.rate_hz)
-        return 1.0 - float(np.interp(frequency_hz, frequency, below))
+        return self.curve.energy_above(frequency_hz)
 
     @property
     def middle_hz(self) -> float:
         """The frequency below which half of the curve's energy lies."""
-        frequency, below = _spectrum(self.samples, self.rate_hz)
-        return float(np.interp(0.5, below, frequency))
+        return self.curve.middle_hz
 
 
 class Curve:
@@ -93,6 +94,7 @@ class Curve:
         self._slope: Floats = 0.5 * (end - before)
         self._square: Floats = 0.5 * (2 * before - 5 * begin + 4 * end - after)
         self._cube: Floats = 0.5 * (3 * (begin - end) + after - before)
+        self._above: tuple[float, float] | None = None
 
     def at(self, time_s: npt.ArrayLike) -> Floats:
         """The curve at times since the onset, of any shape; 0 before the onset and after the last sample."""
@@ -132,6 +134,19 @@ class Curve:
         k = int(np.argmax(values))
         return (k + float(places[k])) / self.rate_hz
 
+    @cached_property
+    def middle_hz(self) -> float:
+        """The frequency below which half of the energy lies."""
+        frequency, below = _energy(self)
+        return float(np.interp(0.5, below, frequency))
+
+    def energy_above(self, frequency_hz: float) -> float:
+        """Share of the energy above a frequency, 0 to 1."""
+        known = self._above
+        if known is None or known[0] != frequency_hz:
+            known = self._above = frequency_hz, 1.0 - float(np.interp(frequency_hz, *_energy(self)))
+        return known[1]
+
     def peaks_from(self, parts: int) -> Floats:
         """(parts,): the largest magnitude from the beginning of each of so many equal parts to the end, or a little
         more: of the cubic in which a part begins, the whole counts."""
@@ -147,22 +162,14 @@ class Curve:
 
 @lru_cache(maxsize=256)
 def _curve(samples: tuple[float, ...], rate_hz: float) -> Curve:
+    """One curve of the same samples, whose material is changed again and again."""
     return Curve(samples, rate_hz)
 
 
-def middle_hz(curve: Curve) -> float:
-    """The frequency below which half of a curve's energy lies."""
-    frequency, below = _energy(curve)
-    return float(np.interp(0.5, below, frequency))
-
-
-@lru_cache(maxsize=256)
-def _spectrum(samples: tuple[float, ...], rate_hz: float) -> tuple[Floats, Floats]:
-    return _energy(_curve(samples, rate_hz))
-
-
+@lru_cache(maxsize=1)
 def _energy(curve: Curve) -> tuple[Floats, Floats]:
-    """Frequencies in Hz, rising, and the share of the curve's energy up to each."""
+    """Frequencies in Hz, rising, and the share of the curve's energy up to each: up to 8 MiB, so that only what was
+    found in them is kept."""
     rate = _FINER * curve.rate_hz
     count = round(curve.length_s * rate) + 1
     values = curve.at(np.arange(count) / rate)

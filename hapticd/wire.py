@@ -10,7 +10,7 @@ import enum
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from sys import intern
+from functools import partial
 from typing import Final, TypeAlias, TypeGuard, cast
 
 import msgpack
@@ -36,7 +36,7 @@ LARGE_PART: Final = 16 * 1024
 """Bytes; a part of an answer that is as large, and encoded already, is sent from where it stands."""
 
 _OFTEN: Final = 64
-"""Strings of so many characters at most, names of materials above all, are kept once."""
+"""Strings of so many characters at most, names of materials above all, are kept once in a body."""
 
 # Up to this size a header can claim at most this many elements, which is cheap enough to try.
 _SMALL: Final = 4096
@@ -94,12 +94,14 @@ def _too_long(size: int, limit: int) -> str:
     return f"the body has {size} bytes: at most {limit} are taken"
 
 
-def _map(pairs: list[tuple[str, object]]) -> dict[str, object]:
+def _map(strings: dict[str, str], pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """`strings` are those of the body that were met so far. (They are not interned: some versions of Python keep what
+    is interned for ever, and clients can think of any number.)"""
     result = {}
     for key, value in pairs:
         if key.__class__ is not str:
             raise _bad(f"a key is of type {type(key).__name__}: keys are strings")
-        result[key] = intern(value) if type(value) is str and len(value) <= _OFTEN else value
+        result[key] = strings.setdefault(value, value) if type(value) is str and len(value) <= _OFTEN else value
     if len(result) != len(pairs):
         seen = set[str]()
         for key, _ in pairs:
@@ -161,7 +163,7 @@ def decode(body: bytes, limit: int = MAX_BODY) -> object:
             raw=False,
             strict_map_key=False,
             max_map_len=MAX_MEMBERS if size > MAX_MEMBERS else size,
-            object_pairs_hook=_map,
+            object_pairs_hook=partial(_map, {}),
             ext_hook=_extension,
         )
     except WireError:

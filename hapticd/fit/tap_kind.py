@@ -24,7 +24,7 @@ from hapticd.fit.tap_law import check_hardness
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import AT_LEAST
 from hapticd.fit.waveform import WaveformFit, fit_waveform
-from hapticd.waveform import LONGEST_S, middle_hz
+from hapticd.waveform import LONGEST_S
 
 TapKind: TypeAlias = Literal["auto", "mode", "waveform"]
 ENOUGH: Final = 0.95
@@ -102,7 +102,7 @@ def _waveform(
 ) -> WaveformFit:
     """Of the pulses of these recordings."""
     found = fit_waveform(pulses, tuple(recording.source for recording in recordings), warnings, left)
-    angular = 2.0 * math.pi * middle_hz(found.curve)
+    angular = 2.0 * math.pi * found.curve.middle_hz
     check_hardness(found.first_peak_slope_per_s.value, angular, "the angular frequency of the pulses")
     return found
 

@@ -34,7 +34,7 @@ from hapticd.fit.tap_amplitude import doubt_the_law, law_of
 from hapticd.fit.tap_hit import check_speeds
 from hapticd.fit.tap_law import Amplitudes, check_slope
 from hapticd.fit.verdict import Doubts, Verdict
-from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve, middle_hz
+from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve
 from hapticd.yaml_source import Json
 
 LEAST_PULSES: Final = 3
@@ -397,7 +397,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
             f"the waveform is faded out over its last {100 * FADED:.0f} %",
         )
-    resolved = min(pulse.rate_hz for pulse in pulses) / middle_hz(shape.curve)
+    resolved = min(pulse.rate_hz for pulse in pulses) / shape.curve.middle_hz
     doubts.at_least(
         "samples in a period of a waveform",
         resolved,

@@ -14,7 +14,7 @@ from scipy import signal
 
 from hapticd import gone as gone_module
 from hapticd.compile import Compiler
-from hapticd.core import OBJECT_DTYPE, CData, Shape, Status, Texture, ffi, invalid_reason, lib
+from hapticd.core import OBJECT_DTYPE, WAVE_PARTS, CData, Shape, Status, Texture, ffi, invalid_reason, lib
 from hapticd.displayable import Output
 from hapticd.materials import Material, shipped_materials, validate_materials
 from hapticd.scene import Scene, validate_scene
@@ -614,10 +614,14 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
     def material(index: int) -> object:
         copy = ffi.new("struct hd_material *")
         copy[0] = table.materials[index]
-        copy.noise = copy.tap_first = copy.tune_first = 0
-        if copy.tap_count:
-            first = table.materials[index].tap_first
-            return bytes(ffi.buffer(copy)), bytes(ffi.buffer(table.numbers + first, 16 * copy.tap_count))
+        copy.noise = copy.tap_first = copy.tune_first = copy.mode_first = copy.wave_first = 0
+        if copy.tap_count or copy.mode_count or copy.wave_count:
+            parts = (
+                (table.materials[index].tap_first, 2 * copy.tap_count),
+                (table.materials[index].mode_first, 3 * copy.mode_count),
+                (table.materials[index].wave_first, copy.wave_count and copy.wave_count + WAVE_PARTS),
+            )
+            return bytes(ffi.buffer(copy)), [bytes(ffi.buffer(table.numbers + first, 8 * n)) for first, n in parts]
         if copy.texture != Texture.NOISE:
             return bytes(ffi.buffer(copy))
         noise = ffi.new("struct hd_noise *")
@@ -646,11 +650,18 @@ def content(table: Any, compiler: Compiler, of: Scene) -> Iterator[tuple[str, ob
 def test_any_sequence_of_updates_ends_where_a_fresh_start_does() -> None:
     rng = random.Random(11)
     curves = [[[0.1, 5]], [[0.1, 5], [0.2, 7], [0.5, 8]]]
+    modes: list[dict[str, object]] = [
+        {"frequency_hz": 100, "decay_time_s": 0.01},
+        {"mode_table": {"speeds_m_per_s": [0.1], "frequencies_hz": [90], "decay_times_s": [0.02]}},
+        {"mode_table": {"speeds_m_per_s": [0.1, 0.2], "frequencies_hz": [90, 80], "decay_times_s": [0.02, 0.01]}},
+        {"waveform": {"rate_hz": 2000, "samples": [0, 1, 0]}},
+        {"waveform": {"rate_hz": 2000, "samples": [0, 1, -0.5, 0]}},
+    ]
     textures: list[object] = [None, GRIT, {**GRIT, "seed": 9}, {**COMB, "display": "geometry", "depth_m": 0.0002}]
 
     def material() -> dict[str, object]:
         texture = rng.choice(textures)
-        tap: dict[str, object] = {"frequency_hz": 100, "decay_time_s": 0.01, "amplitudes": rng.choice(curves)}
+        tap: dict[str, object] = {**rng.choice(modes), "amplitudes": rng.choice(curves)}
         made = {"stiffness_n_per_m": rng.choice([500, 600]), **({} if texture is None else {"texture": texture})}
         return made if texture is not None or rng.random() < 0.5 else {**made, "tap": tap}
 

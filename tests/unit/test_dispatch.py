@@ -189,6 +189,26 @@ def test_a_brief_change_waits_no_longer_than_it_should(
     assert "result" in daemon.answers[long] and all("result" in daemon.answers[id] for id in waiting)
 
 
+def test_spectra_of_waveforms_are_found_beside(daemon: Daemon) -> None:
+    """A short message holds a hundred: 1.7 s, in which nobody would be answered."""
+    waveform = {"rate_hz": 100.0, "samples": [0.0, 1.0, 0.0]}
+    cushion = {"stiffness_n_per_m": 300.0, "tap": {"attack_slope_per_s": 1.0, "waveform": waveform}}
+    for method, params in (
+        ("update_materials", {"materials": {"cushion": cushion}}),
+        ("update_materials", {"materials": {"cushion": {"tap": {"waveform": {"rate_hz": 200.0}}}}}),
+        ("apply", {"materials": {"cushion": cushion}}),
+        ("set_materials", {"materials": {f"m{place}": cushion for place in range(5)}}),
+        ("set_scene", {"scene": {"objects": {f"o{n}": FLOOR | {"material": f"m{n}"} for n in range(5)}}}),
+    ):
+        asked = daemon.send(method, params)
+        assert daemon.ask("get_status")["intake"]["method"] == method
+        assert asked not in daemon.answers
+        daemon.over()
+        assert "result" in daemon.answers[asked]
+    asked = daemon.send("update_materials", {"materials": {"m0": {"stiffness_n_per_m": 200.0}}})
+    assert "result" in daemon.answers[asked]
+
+
 def test_a_revision_is_expected_when_the_change_is_made(
     daemon: Daemon, hold: tuple[threading.Event, threading.Event]
 ) -> None:

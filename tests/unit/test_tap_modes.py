@@ -11,11 +11,12 @@ import pytest
 
 from hapticd.calibration.walls import verdicts_on_walls
 from hapticd.config import load_config
-from hapticd.core import EventKind
+from hapticd.core import EventKind, lib
 from hapticd.displayable import undisplayable
 from hapticd.engine import output_of
 from hapticd.errors import InvalidError
 from hapticd.materials import validate_materials
+from hapticd.rising import MAX_POINTS
 from tests.rig import FLOOR, Rig
 
 Floats = npt.NDArray[np.float64]
@@ -189,3 +190,12 @@ def test_a_material_comes_back_as_it_was_given() -> None:
         assert found.tap.mode_at(speed).frequency_hz == pytest.approx(hertz, rel=1e-12)
         assert found.tap.mode_at(speed).decay_time_s == pytest.approx(decay_s, rel=1e-12)
     assert found.tap.mode.frequency_hz == pytest.approx(float(np.interp(0.25, SPEEDS, HERTZ)))
+
+
+def test_a_table_has_as_many_points_as_the_tick_takes() -> None:
+    assert MAX_POINTS == lib.HD_TUNE_POINTS
+    rises = (0.1 * np.arange(1, MAX_POINTS + 1)).tolist()
+    full = {"speeds_m_per_s": rises, "frequencies_hz": [100.0] * MAX_POINTS, "decay_times_s": [0.01] * MAX_POINTS}
+    rig, found, since = struck(material(full), 0.3)
+    assert rig.table.materials[0].mode_count == MAX_POINTS
+    assert np.abs(found - SLOPE * 0.3 * form(since, 100.0, 0.01)).max() < 1e-11 * np.abs(found).max()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,13 @@ import pytest
 from hapticd.cli.simulation import simulate_files
 from hapticd.config import load_config
 from hapticd.core import EventKind, lib
-from hapticd.displayable import undisplayable, warnings
+from hapticd.displayable import material_warnings, undisplayable, warnings
 from hapticd.engine import output_of
 from hapticd.errors import InvalidError
 from hapticd.materials import validate_materials
 from hapticd.offline import render_run, simulate_run
 from hapticd.replayed import replay
-from hapticd.waveform import MOST_SAMPLES, Curve
+from hapticd.waveform import MOST_SAMPLES, Curve, Waveform
 from tests.rig import FLOOR, Rig
 
 Floats = npt.NDArray[np.float64]
@@ -105,6 +106,38 @@ def test_the_energy_above_a_frequency_is_that_of_the_fourier_integral() -> None:
         above = float(np.trapezoid(energy[frequency >= limit], dx=5.0)) / total
         assert made.waveform.energy_above(limit) == pytest.approx(above, abs=1e-3)
     assert made.waveform.energy_above(made.waveform.middle_hz) == pytest.approx(0.5)
+
+
+def test_of_spectra_only_what_was_found_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of 100,000 samples a second has 8 MiB."""
+    waveforms = [
+        Waveform(rate_hz=1e5, samples=(0.0, *np.random.default_rng(k).normal(size=40).tolist(), 0.0)) for k in range(4)
+    ]
+    tracemalloc.start()
+    found = [(waveform.middle_hz, waveform.energy_above(400.0)) for waveform in waveforms]
+    kept, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert kept < 12e6
+    with monkeypatch.context() as patch:
+        patch.delattr(np.fft, "rfft")
+        assert found == [(waveform.middle_hz, waveform.energy_above(400.0)) for waveform in waveforms]
+
+
+def test_what_was_found_of_a_waveform_is_kept_as_long_as_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many there are: who asks for the status of a scene of hundreds would have all found again."""
+    given = {f"m{k}": material([0.0, 1.0, 0.001 * k, 0.0], 100.0) for k in range(300)}
+    made = validate_materials(given)
+    output = output_of(load_config({}), 1000)
+    found = undisplayable(made, output), [material_warnings(name, each, output) for name, each in made.items()]
+    dumped = {name: each.to_dict() for name, each in made.items()}
+    with monkeypatch.context() as patch:
+        patch.delattr(np.fft, "rfft")
+        assert found == (
+            undisplayable(made, output),
+            [material_warnings(name, each, output) for name, each in made.items()],
+        )
+    assert dumped == {name: each.to_dict() for name, each in validate_materials(given).items()}
+    assert made == validate_materials(given)
 
 
 # ---- The tick --------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import sys
 import tracemalloc
 from typing import Any
 
@@ -218,6 +219,16 @@ def test_a_map_that_would_hold_everybody_up_is_refused_before_it_is_built() -> N
     assert wire.decode(msgpack.packb({"params": most})) == {"params": most}
     with pytest.raises(wire.WireError, match="a map has more than 65536 members"):
         wire.decode(msgpack.packb({"params": {**most, "one": 0}}))
+
+
+def test_a_short_string_is_kept_once_in_a_body_and_not_beyond_it() -> None:
+    """In some versions of Python a string that is interned stays for ever: clients could fill the memory with names."""
+    name = "a name that nothing else here has"
+    body = wire.encode([{"material": name}, {"material": name}])
+    decoded: Any = wire.decode(body)
+    first, second = (each["material"] for each in decoded)
+    assert first is second and first == name
+    assert sys.intern(name) is not first
 
 
 def test_what_cannot_be_encoded_is_an_error() -> None:
