@@ -22,8 +22,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 BUILT := $(VENV)/.built
 SETUP := pyproject.toml setup.py hapticd/_version.py
-C_SOURCES := $(wildcard csrc/*.c)
-C_FILES := $(wildcard csrc/*.[ch] tests/c/*.[ch] tests/model/*.[ch] tests/sanitized/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
+C_SOURCES := $(wildcard csrc/*/*.c)
+C_FILES := $(wildcard csrc/*/*.[ch] tests/c/*.[ch] tests/model/*.[ch] tests/sanitized/*.[ch] tests/vm/*.[ch] bench/peers/*.[ch])
 JOBS := $(shell nproc 2>/dev/null || echo 1)
 
 .DEFAULT_GOAL := help
@@ -42,7 +42,7 @@ help: ## this list
 build: $(BUILT) ## set up .venv and compile the C core
 
 # A change of the packaging installs anew; a change of the C core alone only recompiles.
-$(BUILT): $(SETUP) hapticd/_build.py $(wildcard csrc/*.[ch])
+$(BUILT): $(SETUP) hapticd/_build.py $(wildcard csrc/*/*.[ch])
 	@if [ ! -x $(BIN)/hapticd ] || [ -n "$(filter $(SETUP),$?)" ]; then \
 		$(MAKE) --no-print-directory install; \
 	else \
@@ -82,7 +82,7 @@ prerequisites:
 
 .PHONY: demo
 demo: build ## daemon, simulated joystick and a second process over ZeroMQ: 75 s, with the first set-up 150 s
-	@$(BIN)/python -m hapticd.demo
+	@$(BIN)/python -m examples.demo
 
 # pytest in a process more than there are processors, as many tests wait for a daemon. What Python and pytest compile is
 # kept, whatever the shell says: to do it anew costs seconds.
@@ -107,9 +107,10 @@ test: build ## C tests and pytest without what is slow: about two minutes on two
 	$(call beside_ctest,-m 'not slow')
 
 # Unit tests but for those of whole fields that take long, and the commands against a real daemon; C tests beside them.
-QUICK_NOT := fit_* cli_fit* bench_* *calibrat* verify* displayed* fuzz* hid_descriptor* velocity* noise* sandpaper* \
-	stability* closed_loop* reliability* hid_offload* reach* reading* threads*
-QUICK := tests/unit tests/integration/test_cli_live.py $(QUICK_NOT:%=--ignore-glob='tests/unit/test_%')
+QUICK_NOT := analysis/* bench/* fit/* *fuzz* *calibrat* cli/test_fit hid/test_descriptor hid/test_offload base/test_threads \
+	recording/test_reading* rendering/test_closed_loop rendering/test_displayed* rendering/test_filter_design rendering/test_stability* \
+	daemon/test_reliability tick/test_velocity tick/test_noise* tick/test_reach tick/test_sandpaper
+QUICK := tests tests/integration/test_cli_live.py --ignore=tests/integration $(QUICK_NOT:%=--ignore-glob='tests/%*')
 
 .PHONY: quick
 quick: build ## the tests that take a minute at most: C tests, most of the unit tests, the commands against a daemon
@@ -185,7 +186,7 @@ warnings: build
 .PHONY: verify-units
 verify-units: build ## systemd's own word on the units: valid, and exposed as little as docs/service.md says
 	@if command -v systemd-analyze >/dev/null; then \
-		$(BIN)/python -m pytest -q tests/unit/test_service.py -k 'the_units_are' && \
+		$(BIN)/python -m pytest -q tests/system/test_service_files.py -k 'the_units_are' && \
 		for unit in hapticd hapticd-bridge; do \
 			systemd-analyze security --offline=true --no-pager systemd/$$unit.service | tail -n 1; \
 		done; \
@@ -287,8 +288,8 @@ ubsan-daemon: build ## the whole daemon under UndefinedBehaviorSanitizer
 rtsan-daemon: build ## the whole daemon under RealtimeSanitizer
 	$(call sanitized_daemon,rtsan,realtime)
 
-# What cffi makes of csrc/hd_api.h, and how an executable is linked with this Python.
-build/c/_core.c: csrc/hd_api.h hapticd/_build.py $(BUILT)
+# What cffi makes of csrc/api/hd_api.h, and how an executable is linked with this Python.
+build/c/_core.c: csrc/api/hd_api.h hapticd/_build.py $(BUILT)
 	@mkdir -p $(@D)
 	@$(BIN)/python -c 'import runpy; runpy.run_path("hapticd/_build.py")["ffibuilder"].emit_c_code("$@")' >/dev/null
 
@@ -324,21 +325,21 @@ fuzz: build ## libFuzzer on what C is given, FUZZ_SECONDS=60 each; DESCRIPTORS, 
 	$(call fuzzed,report,512)
 	$(call fuzzed,replay,4096)
 	$(call fuzzed,sim,1024)
-	$(BIN)/python -m tests.fuzz_descriptors --runs $(DESCRIPTORS)
-	$(BIN)/python -m tests.fuzz_messages --runs $(MESSAGES)
-	$(BIN)/python -m tests.fuzz_zmtp --runs $(CONVERSATIONS)
-	$(BIN)/python -m tests.fuzz_yaml --runs $(DOCUMENTS)
+	$(BIN)/python -m tests.soak.fuzz_descriptors --runs $(DESCRIPTORS)
+	$(BIN)/python -m tests.soak.fuzz_messages --runs $(MESSAGES)
+	$(BIN)/python -m tests.soak.fuzz_zmtp --runs $(CONVERSATIONS)
+	$(BIN)/python -m tests.soak.fuzz_yaml --runs $(DOCUMENTS)
 	@for kind in check bridge operator key; do \
-		$(BIN)/python -m tests.fuzz_yaml --kind $$kind --runs $$(($(DOCUMENTS) / 50)) || exit 1; \
+		$(BIN)/python -m tests.soak.fuzz_yaml --kind $$kind --runs $$(($(DOCUMENTS) / 50)) || exit 1; \
 	done
-	$(BIN)/python -m tests.fuzz_yaml --kind reload --runs $(RELOADS)
-	$(BIN)/python -m tests.fuzz_recordings --runs $(RECORDINGS)
+	$(BIN)/python -m tests.soak.fuzz_yaml --kind reload --runs $(RELOADS)
+	$(BIN)/python -m tests.soak.fuzz_recordings --runs $(RECORDINGS)
 
 .PHONY: torture
 torture: build ## random changes under a hand, the rule of ramps in every tick: TICKS=10000000, CHANGES=50000, offline and live
 	@$(MAKE) --no-print-directory -j$(JOBS) $(C_DIR)/test_ramp
 	$(C_DIR)/test_ramp $(TICKS) $(CHANGES) 1
-	$(BIN)/python -m tests.torture_live --ticks $(TICKS) --changes $(CHANGES)
+	$(BIN)/python -m tests.soak.torture_live --ticks $(TICKS) --changes $(CHANGES)
 
 # $(call fuzzed,NAME,LONGEST): tests/c/test_fuzz_NAME.c on inputs of up to LONGEST bytes, from the first one on: what the
 # bytes do not say is zero, and a short input says nearly nothing.

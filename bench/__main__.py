@@ -39,8 +39,8 @@ from bench import (
     velocity,
 )
 from bench.report import PICTURES, ROOT, Advance, Options, Section, machine
-from hapticd.errors import HapticdError
-from hapticd.place import is_there
+from hapticd.base.errors import HapticdError
+from hapticd.base.files import is_there
 
 DOCS = ROOT / "docs"
 ACCURACY, SPEED, DEVICES = "accuracy.md", "benchmarks.md", "devices.md"
@@ -194,7 +194,7 @@ def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
             "turns in one process, and ratios are of one run, round by round; a cost is the median over the rounds, "
             "and in brackets the tenth to the ninetieth percentile of them. In the figures the way that hapticd takes "
             "is ringed. What a wake-up, a command and a scene cost is in [benchmarks.md](benchmarks.md). All that a "
-            "section claims is shown by the command at its end; errors are asserted, with margins, in `tests/unit` "
+            "section claims is shown by the command at its end; errors are asserted, with margins, in `tests/` "
             "(`test_bench_*.py`, `test_modes.py`, `test_contacts.py`, `test_sim.py`, `test_velocity.py`, "
             "`test_closed_loop.py`).",
         ),

@@ -18,8 +18,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
-from hapticd import wire, zmtp
-from hapticd.client import Client, RemoteError, connect
+from hapticd.client.blocking import Client, RemoteError, connect
+from hapticd.protocol import messages, zmtp
 
 CONNECTIONS = 250
 """Of one attacker that holds connections; half of them to each socket."""
@@ -115,7 +115,7 @@ def connections(directory: Path) -> None:
 
 def garbage(path: Path) -> Iterator[None]:
     """Bytes without sense, and right ones with a mistake."""
-    right = zmtp.GREETING + zmtp.ready(b"DEALER") + zmtp.message([b"", wire.request(1, "get_status")]) * 3
+    right = zmtp.GREETING + zmtp.ready(b"DEALER") + zmtp.message([b"", messages.request(1, "get_status")]) * 3
     with open_to(path, None) as made:
         if random.random() < 0.3:
             made.sendall(random.randbytes(random.randrange(1, 5000)))
@@ -174,7 +174,7 @@ def deaf(path: Path) -> Iterator[None]:
 
 def unread(path: Path) -> Iterator[None]:
     """Questions whose answers nobody reads."""
-    question = zmtp.message([wire.request(1, "get_materials")]) * 20
+    question = zmtp.message([messages.request(1, "get_materials")]) * 20
     with contextlib.ExitStack() as stack:
         made = several(stack, path, b"DEALER", 50)
         for each in made:
@@ -189,7 +189,7 @@ def unread(path: Path) -> Iterator[None]:
 
 def ask(path: Path) -> Iterator[None]:
     """Questions as fast as they go, over many connections."""
-    question = zmtp.message([b"", wire.request(1, "get_scene")])
+    question = zmtp.message([b"", messages.request(1, "get_scene")])
     with contextlib.ExitStack() as stack:
         made = several(stack, path, b"REQ", 20)
         for _ in range(500):
@@ -202,7 +202,7 @@ def ask(path: Path) -> Iterator[None]:
 
 def fuzz(directory: Path) -> None:
     """Mutated requests of every method, each answer checked. Without leases: one that lapses is a fault by right."""
-    from tests import fuzz_messages
+    from tests.soak import fuzz_messages
 
     source, tally = random.Random(), Tally("messages, each answer as the protocol says")
     traffic = fuzz_messages.Traffic(directory)
@@ -244,7 +244,7 @@ def _taken(client: Client, method: str, params: Mapping[str, object]) -> None:
             client.call(method, params)
             return
         except RemoteError as error:
-            if error.code != wire.Code.RING_FULL:
+            if error.code != messages.Code.RING_FULL:
                 raise
             time.sleep(0.1)
 

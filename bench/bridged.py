@@ -23,9 +23,9 @@ from pathlib import Path
 
 from bench import hostile, strangers
 from bench.daemon import daemon
-from hapticd.client import Client, connect
-from hapticd.errors import HapticdError
-from hapticd.keys import new_certificate, write_certificate
+from hapticd.base.errors import HapticdError
+from hapticd.client.blocking import Client, connect
+from hapticd.protocol.keys import new_certificate, write_certificate
 
 CLIENTS = {"ours": "command", "theirs": "command"}
 READY = "ready: commands at "

@@ -22,9 +22,9 @@ import hapticd
 from bench.plots import Figure, Point, beside, trade
 from bench.report import Advance, Floats, Options, Section, Table, spread
 from bench.tick import FLOOR, Stretch, walls
-from hapticd.core import EventKind
-from hapticd.materials import Mode, shipped_materials
-from hapticd.offline import render_run, simulate_run
+from hapticd.base.core import EventKind
+from hapticd.config.materials import Mode, shipped_materials
+from hapticd.rendering.offline import render_run, simulate_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas

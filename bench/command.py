@@ -21,7 +21,7 @@ import zmq
 
 from bench.daemon import daemon, dealer
 from bench.report import ROOT, Advance, Options, Section, Table, spread
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 RATE_HZ = 10_000
 

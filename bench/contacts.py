@@ -17,12 +17,12 @@ import numpy as np
 
 import hapticd
 from bench.report import Advance, Floats, Options, Section, Table, verdict
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
+from hapticd.config.materials import validate_materials
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import TapFit
-from hapticd.fit.tap_kind import fit_taps
+from hapticd.fit.taps.kind import fit_taps
 from hapticd.fit.waveform import WaveformFit
-from hapticd.materials import validate_materials
 
 Kind: TypeAlias = Literal["one mode", "two modes", "pulse", "pulse and mode"]
 

@@ -17,13 +17,13 @@ import numpy as np
 from bench.features import strokes
 from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
 from bench.tick import FLOOR, MATERIALS, RATE_HZ, STRETCH, Motion, Stretch
-from hapticd.compile import Compiler
-from hapticd.config import Config, load_config
-from hapticd.core import CData, Flag
-from hapticd.engine import Engine, output_of
-from hapticd.offline import new_world
-from hapticd.scene import load_scene, validate_object
-from hapticd.yaml_source import load_bytes
+from hapticd.base.core import CData, Flag
+from hapticd.base.yaml_source import load_bytes
+from hapticd.config.configuration import Config, load_config
+from hapticd.config.scene import load_scene, validate_object
+from hapticd.daemon.engine import Engine, output_of
+from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.offline import new_world
 
 COUNTS = (1, 10, 100, 1000, 10_000)
 TOUCHED = 3

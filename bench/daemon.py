@@ -16,8 +16,8 @@ import msgpack
 import yaml
 import zmq
 
-from hapticd.errors import HapticdError
-from hapticd.paths import RuntimePaths
+from hapticd.base.errors import HapticdError
+from hapticd.system.paths import RuntimePaths
 
 SCENE: Mapping[str, object] = {
     "objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}}

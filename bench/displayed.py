@@ -1,6 +1,7 @@
 """What the handle does with a strike: displayed error of every material in three grips, and what a tail costs.
 
-The displayed error (hapticd/displayed.py) is the RMS of the difference between the handle's acceleration and the
+The displayed error (hapticd/rendering/displayed_error.py) is the RMS of the difference between the handle's
+acceleration and the
 library's waveform over the RMS of the waveform, both limited to 30 Hz to 0.4 of the rate. Here it is measured on the
 motion: what `hapticd.render` gives for a tap, held from tick to tick, moves the linear device.
 """
@@ -13,17 +14,17 @@ import numpy as np
 
 from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
 from bench.tick import FLOOR, STRETCH, Stretch
-from hapticd.calibration.walls import AT_TICK, acceleration_on, tap_force
-from hapticd.compensation import Compensation, pole_gain, pole_shape, shape_of
-from hapticd.compile import Compiler
-from hapticd.config import Hand, Sim, load_config
-from hapticd.core import Flag
-from hapticd.displayed import FINER, band_error, handle_acceleration, waveform
-from hapticd.dynamics import Dynamics
-from hapticd.engine import output_of
-from hapticd.materials import shipped_materials
-from hapticd.mode import Mode
-from hapticd.offline import new_world
+from hapticd.analysis.calibration.walls import AT_TICK, acceleration_on, tap_force
+from hapticd.base.core import Flag
+from hapticd.config.configuration import Hand, Sim, load_config
+from hapticd.config.dynamics import Dynamics
+from hapticd.config.materials import shipped_materials
+from hapticd.config.modes import Mode
+from hapticd.daemon.engine import output_of
+from hapticd.rendering.compensation import Compensation, pole_gain, pole_shape, shape_of
+from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.displayed_error import FINER, band_error, handle_acceleration, waveform
+from hapticd.rendering.offline import new_world
 
 RATE_HZ = 10_000.0
 RATES_HZ = (1000.0, 2000.0, 4000.0, 5000.0, 10_000.0)

@@ -15,8 +15,8 @@ import numpy as np
 
 from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
 from bench.tick import RATE_HZ, STRETCH, Motion, Stretch
-from hapticd.core import EventKind, Flag
-from hapticd.offline import Run, render_run
+from hapticd.base.core import EventKind, Flag
+from hapticd.rendering.offline import Run, render_run
 
 STIFFNESS, DAMPING = 800.0, 1.0
 DEPTH_M = 1e-3

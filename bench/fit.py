@@ -11,10 +11,10 @@ import numpy as np
 
 from bench import fit_strokes
 from bench.report import Advance, Floats, Options, Section, Table
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
+from hapticd.config.materials import Tap, shipped_materials
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import fit_tap
-from hapticd.materials import Tap, shipped_materials
 
 SEVEN = ("wood", "acrylic", "delrin", "aluminum", "glass", "cast_iron", "steel")
 TAPS = 10

@@ -14,14 +14,14 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from bench.report import Options, Table
+from hapticd.analysis.statistics import Estimate
+from hapticd.config.materials import Material, validate_materials
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate
 from hapticd.fit.synthesize import Stylus
 from hapticd.fit.synthesize_strokes import Hand, grooves, puncture, texture
 from hapticd.fit.texture import fit_texture
-from hapticd.materials import Material, validate_materials
 
 Figures: TypeAlias = Mapping[str, Estimate]
 Truths: TypeAlias = Mapping[str, float]

@@ -24,10 +24,10 @@ import numpy.typing as npt
 import zmq
 
 from bench.daemon import daemon
-from hapticd import wire
-from hapticd.client import Client, connect
-from hapticd.keys import new_certificate, write_certificate
-from hapticd.remote import Named, remote
+from hapticd.client.blocking import Client, connect
+from hapticd.protocol import messages
+from hapticd.protocol.keys import new_certificate, write_certificate
+from hapticd.protocol.remote import Named, remote
 
 RATE_HZ = 10_000
 CLIENTS = {"flooding": "command", "other": "command"}
@@ -38,7 +38,7 @@ Times = npt.NDArray[np.float64]
 def send(address: str, key: str, server_key: str) -> None:
     """Sends requests as fast as they go, and reads what comes back, for ever."""
     place = remote(Named(address), Named(key), Named(server_key))
-    body = wire.request(1, "get_status")
+    body = messages.request(1, "get_status")
     with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
         place.secure(socket)
         socket.connect(place.command_endpoint)

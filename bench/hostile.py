@@ -44,9 +44,9 @@ import numpy as np
 from bench import attackers
 from bench.daemon import daemon
 from bench.report import ROOT, Table
-from hapticd import wire
-from hapticd.client import Client, RemoteError, connect
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
+from hapticd.client.blocking import Client, RemoteError, connect
+from hapticd.protocol import messages
 
 OFF_EVERY_S = 0.02
 TELL_EVERY_S = 10.0
@@ -326,7 +326,7 @@ def restore(client: Client, scene: object, materials: object) -> None:
             client.call("update_materials", {"materials": others | materials})
             return
         except RemoteError as error:
-            if error.code != wire.Code.RING_FULL or time.monotonic() > deadline:
+            if error.code != messages.Code.RING_FULL or time.monotonic() > deadline:
                 raise
             time.sleep(0.5)
 

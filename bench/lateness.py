@@ -29,10 +29,10 @@ from bench.closed_loop import library_modes
 from bench.daemon import DEVICE, SCENE
 from bench.plots import COLOURS, MARKERS, Figure, beside
 from bench.report import ROOT, Advance, Floats, Options, Section, Table, spread, verdict
-from hapticd.config import load_config
-from hapticd.core import SAMPLE_DTYPE, records
-from hapticd.engine import SAMPLE_CAPACITY, Engine
-from hapticd.errors import HapticdError
+from hapticd.base.core import SAMPLE_DTYPE, records
+from hapticd.base.errors import HapticdError
+from hapticd.config.configuration import load_config
+from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from bench.report import Advance, Floats, Options, Section, Table
-from hapticd.config import Sim, load_config
-from hapticd.core import EventKind, ffi, lib, pointer
-from hapticd.joystick import new_sim
-from hapticd.materials import Material, shipped_materials
-from hapticd.mode import Mode
-from hapticd.offline import Run, simulate_run
+from hapticd.base.core import EventKind, ffi, lib, pointer
+from hapticd.config.configuration import Sim, load_config
+from hapticd.config.materials import Material, shipped_materials
+from hapticd.config.modes import Mode
+from hapticd.rendering.joystick import new_sim
+from hapticd.rendering.offline import Run, simulate_run
 
 RATE_HZ = 10_000.0
 LINKS_HZ: tuple[float | None, ...] = (None, 1000.0, 500.0, 250.0)

@@ -27,13 +27,13 @@ from bench.end_state import EndState, end_state
 from bench.passivity import work
 from bench.report import Floats
 from bench.stability import judged
-from hapticd.check import check
-from hapticd.compile import Compiler
-from hapticd.config import Config, load_config
-from hapticd.core import SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
-from hapticd.engine import output_of
-from hapticd.joystick import new_operator, new_sim
-from hapticd.offline import new_world
+from hapticd.analysis.check import check
+from hapticd.base.core import SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.config.configuration import Config, load_config
+from hapticd.daemon.engine import output_of
+from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.joystick import new_operator, new_sim
+from hapticd.rendering.offline import new_world
 
 Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)

@@ -12,7 +12,7 @@ import zmq
 from bench.daemon import Running, call, daemon, dealer
 from bench.lateness import lateness_of
 from bench.report import Advance, Floats, Options, Section, Table, spread
-from hapticd.samples import dtype_of
+from hapticd.client.samples import dtype_of
 
 RATE_HZ = 10_000
 PER_S = (0, 10, 1000)

@@ -15,7 +15,7 @@ from bench.closed_loop import library_modes
 from bench.peers import Peers, compiled
 from bench.plots import Figure, Point, beside, trade
 from bench.report import Advance, Floats, Options, Section, Table, alternated, between, spread
-from hapticd.mode import Mode
+from hapticd.config.modes import Mode
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas

@@ -1,6 +1,7 @@
 """Ways to make coloured noise: ns a sample against the error of its power and of its spectrum.
 
-The reference is the analytic spectrum of the filter that is meant (hapticd.noise.power_spectrum is not asked: the
+The reference is the analytic spectrum of the filter that is meant (hapticd.rendering.filter_design.power_spectrum is
+not asked: the
 transfer function is written out here). A filter that stays is judged by its power, whole and in third octaves; one that
 is another one every few samples by its power, which is one whatever happens, if it is right.
 """
@@ -18,7 +19,7 @@ import numpy as np
 from bench.peers import Peers, compiled
 from bench.plots import Figure, Point, beside, trade
 from bench.report import Advance, Floats, Options, Section, Table, alternated, between, spread
-from hapticd.core import ffi
+from hapticd.base.core import ffi
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas

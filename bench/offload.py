@@ -7,9 +7,9 @@ in their resolution.
 from __future__ import annotations
 
 from bench.report import Table
+from hapticd.config.materials import shipped_materials
 from hapticd.hid.offload import fit
 from hapticd.hid.plan import Bits, Numbers, Scale
-from hapticd.materials import shipped_materials
 
 RESOLUTIONS_S = (1e-3, 1e-4, 1e-5)
 FULL_N = 8.9

@@ -19,10 +19,10 @@ import numpy.typing as npt
 
 from bench.report import ROOT, Floats
 from hapticd._build import FLAGS
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 FOLDER = ROOT / "bench" / "peers"
-CORE = ("velocity", "error", "voice", "wave", "kicks", "noise", "normal", "sim", "actuator", "operator")
+CORE = ("velocity", "error", "mode", "waveform", "kicks", "noise", "normal", "sim", "actuator", "operator")
 _MODULE = "_hapticd_peers"
 
 
@@ -66,7 +66,7 @@ class Peers:
         return out, self.lib.peer_velocity(kind, parameter, step_m, len(position_m), *pointers)
 
     def each_update_ns(self, step_m: float, interval_s: Floats, position_m: Floats) -> Floats:
-        """Every update of csrc/hd_velocity.c on its own; a negative step: the clock alone."""
+        """Every update of csrc/tick/hd_velocity.c on its own; a negative step: the clock alone."""
         out = np.empty(len(position_m))
         pointers = [self.doubles(array) for array in (interval_s, position_m, out)]
         self.lib.peer_velocity_each_ns(step_m, len(position_m), *pointers)
@@ -124,8 +124,8 @@ class Peers:
         return out, taken
 
     def lattice(self, noise: Any, numbers: Floats, speed_m_per_s: Floats, force_n: Floats) -> tuple[Floats, float]:
-        """csrc/hd_noise.c on a `struct hd_noise` of hapticd.core's ffi, and the ns that took."""
-        from hapticd.core import ffi
+        """csrc/tick/hd_noise.c on a `struct hd_noise` of hapticd.base.core's ffi, and the ns that took."""
+        from hapticd.base.core import ffi
 
         out = np.empty(len(speed_m_per_s))
         where = self.ffi.cast("const void *", int(ffi.cast("uintptr_t", noise)))
@@ -166,7 +166,10 @@ def compiled() -> Peers:
     builder.set_source(
         _MODULE,
         '#include <stddef.h>\n#include <stdint.h>\n#include "peers.h"',
-        sources=[str(path) for path in (*sorted(FOLDER.glob("*.c")), *(ROOT / f"csrc/hd_{x}.c" for x in CORE))],
+        sources=[
+            str(path)
+            for path in (*sorted(FOLDER.glob("*.c")), *(next((ROOT / "csrc").rglob(f"hd_{x}.c")) for x in CORE))
+        ],
         include_dirs=[str(ROOT / "csrc"), str(FOLDER)],
         define_macros=[("_GNU_SOURCE", "1")],
         extra_compile_args=FLAGS,

@@ -46,11 +46,11 @@ import numpy.typing as npt
 
 from bench.report import machine
 from bench.visitor import Visit
-from hapticd.client import Client, connect
-from hapticd.errors import HapticdError
-from hapticd.keys import new_certificate, write_certificate
-from hapticd.merge_patch import merge_patch
-from hapticd.samples import SampleStream
+from hapticd.base.errors import HapticdError
+from hapticd.base.merge_patch import merge_patch
+from hapticd.client.blocking import Client, connect
+from hapticd.client.samples import SampleStream
+from hapticd.protocol.keys import new_certificate, write_certificate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -158,7 +158,7 @@ def samples_in(path: Path) -> npt.NDArray[np.void]:
     if path.suffix == ".npz":
         with np.load(path) as file:
             return np.asarray(file["samples"])
-    from hapticd.core import SAMPLE_DTYPE
+    from hapticd.base.core import SAMPLE_DTYPE
 
     if path.suffix == ".mcap":
         from mcap.reader import make_reader

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import zmq
 
 from bench.attackers import Tally, keep
-from hapticd import wire
-from hapticd.remote import Named, Remote, remote
+from hapticd.protocol import messages
+from hapticd.protocol.remote import Named, Remote, remote
 
 CONNECTIONS = 250
 """Of one attacker that holds connections; half of them to each port."""
@@ -83,7 +83,7 @@ def forgotten(target: Target) -> None:
 def unread(target: Target) -> None:
     """Questions of a client with a key, whose answers nobody reads."""
     tally = Tally("questions")
-    question = wire.request(1, "get_materials")
+    question = messages.request(1, "get_materials")
     while True:
         until_s = time.monotonic() + _HELD_S
         with zmq.Context() as context:

@@ -18,7 +18,7 @@ from bench.daemon import Running, call, daemon, dealer
 from bench.lateness import lateness_of, said_by
 from bench.report import Advance, Options, Section, Table
 from bench.resources import memory_kib
-from hapticd.samples import dtype_of
+from hapticd.client.samples import dtype_of
 
 RATE_HZ = 10_000
 READERS = 9

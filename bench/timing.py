@@ -13,8 +13,8 @@ from bench.peers import Peers, compiled
 from bench.plots import Figure, Point, beside, trade
 from bench.report import Advance, Floats, Options, Section, Table, alternated, between, spread
 from bench.velocity import quantise
-from hapticd.core import EventKind
-from hapticd.offline import render_run
+from hapticd.base.core import EventKind
+from hapticd.rendering.offline import render_run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas

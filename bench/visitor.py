@@ -15,9 +15,9 @@ from typing import Any
 
 import zmq
 
-from hapticd.client import Client, RemoteError, Subscription, connect
-from hapticd.errors import HapticdError
-from hapticd.wire import Code
+from hapticd.base.errors import HapticdError
+from hapticd.client.blocking import Client, RemoteError, Subscription, connect
+from hapticd.protocol.messages import Code
 
 TOPICS = ("samples", "state", "event", "change", "status")
 TIMEOUT_S = 30.0

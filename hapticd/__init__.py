@@ -17,7 +17,28 @@ from hapticd._version import __version__
 
 if TYPE_CHECKING:
     from hapticd import aio
-    from hapticd.calls import (
+    from hapticd.base.core import SAMPLE_DTYPE, Flag
+    from hapticd.base.errors import HapticdError, InvalidError, Problem
+    from hapticd.base.yaml_source import Json
+    from hapticd.client.blocking import Client, Subscription, connect
+    from hapticd.client.samples import SampleBatch
+    from hapticd.config.configuration import Config, load_config
+    from hapticd.config.materials import Friction, Material, Rupture, Tap
+    from hapticd.config.modes import Mode
+    from hapticd.config.scene import (
+        Box,
+        Constant,
+        Disc,
+        Membrane,
+        Scene,
+        SceneObject,
+        Spring,
+        Viscous,
+        Wall,
+        load_scene,
+    )
+    from hapticd.config.texture import Autoregressive, Grooves, Stochastic
+    from hapticd.protocol.calls import (
         DaemonNotRunning,
         ForcesOff,
         KeyRefused,
@@ -27,16 +48,7 @@ if TYPE_CHECKING:
         TimedOut,
         Topic,
     )
-    from hapticd.client import Client, Subscription, connect
-    from hapticd.config import Config, load_config
-    from hapticd.core import SAMPLE_DTYPE, Flag
-    from hapticd.errors import HapticdError, InvalidError, Problem
-    from hapticd.materials import Friction, Material, Rupture, Tap
-    from hapticd.mode import Mode
-    from hapticd.offline import render, simulate
-    from hapticd.recording import Recording, load
-    from hapticd.replayed import replay
-    from hapticd.results import (
+    from hapticd.protocol.results import (
         ConfigResult,
         Event,
         FlightResult,
@@ -54,10 +66,9 @@ if TYPE_CHECKING:
         TickResult,
         Warned,
     )
-    from hapticd.samples import SampleBatch
-    from hapticd.scene import Box, Constant, Disc, Membrane, Scene, SceneObject, Spring, Viscous, Wall, load_scene
-    from hapticd.texture import Autoregressive, Grooves, Stochastic
-    from hapticd.yaml_source import Json
+    from hapticd.recording.recording import Recording, load
+    from hapticd.recording.replay import replay
+    from hapticd.rendering.offline import render, simulate
 
 __all__ = [
     "SAMPLE_DTYPE",
@@ -124,65 +135,65 @@ __all__ = [
 ]
 
 _HOMES = {
-    "ConfigResult": "results",
-    "DaemonNotRunning": "calls",
-    "Event": "results",
-    "FlightResult": "results",
-    "ForcesResult": "results",
-    "GestureEnd": "results",
-    "KeyRefused": "calls",
-    "LeaseResult": "results",
-    "MaterialsResult": "results",
-    "OperatorResult": "results",
-    "OperatorStatus": "results",
-    "PlayResult": "results",
-    "RemoteError": "calls",
-    "RevisionResult": "results",
-    "SceneResult": "results",
-    "State": "results",
-    "Status": "results",
-    "ForcesOff": "calls",
-    "MissedPeriods": "calls",
-    "TelemetryLoss": "calls",
-    "TickResult": "results",
-    "TimedOut": "calls",
-    "Topic": "calls",
-    "Warned": "results",
-    "Client": "client",
-    "Subscription": "client",
-    "connect": "client",
-    "Config": "config",
-    "load_config": "config",
-    "SAMPLE_DTYPE": "core",
-    "Flag": "core",
-    "HapticdError": "errors",
-    "InvalidError": "errors",
-    "Problem": "errors",
-    "Friction": "materials",
-    "Material": "materials",
-    "Rupture": "materials",
-    "Tap": "materials",
-    "Mode": "mode",
-    "render": "offline",
-    "simulate": "offline",
-    "Recording": "recording",
-    "load": "recording",
-    "replay": "replayed",
-    "SampleBatch": "samples",
-    "Box": "scene",
-    "Constant": "scene",
-    "Disc": "scene",
-    "Membrane": "scene",
-    "Scene": "scene",
-    "SceneObject": "scene",
-    "Spring": "scene",
-    "Viscous": "scene",
-    "Wall": "scene",
-    "load_scene": "scene",
-    "Autoregressive": "texture",
-    "Grooves": "texture",
-    "Stochastic": "texture",
-    "Json": "yaml_source",
+    "ConfigResult": "protocol.results",
+    "DaemonNotRunning": "protocol.calls",
+    "Event": "protocol.results",
+    "FlightResult": "protocol.results",
+    "ForcesResult": "protocol.results",
+    "GestureEnd": "protocol.results",
+    "KeyRefused": "protocol.calls",
+    "LeaseResult": "protocol.results",
+    "MaterialsResult": "protocol.results",
+    "OperatorResult": "protocol.results",
+    "OperatorStatus": "protocol.results",
+    "PlayResult": "protocol.results",
+    "RemoteError": "protocol.calls",
+    "RevisionResult": "protocol.results",
+    "SceneResult": "protocol.results",
+    "State": "protocol.results",
+    "Status": "protocol.results",
+    "ForcesOff": "protocol.calls",
+    "MissedPeriods": "protocol.calls",
+    "TelemetryLoss": "protocol.calls",
+    "TickResult": "protocol.results",
+    "TimedOut": "protocol.calls",
+    "Topic": "protocol.calls",
+    "Warned": "protocol.results",
+    "Client": "client.blocking",
+    "Subscription": "client.blocking",
+    "connect": "client.blocking",
+    "Config": "config.configuration",
+    "load_config": "config.configuration",
+    "SAMPLE_DTYPE": "base.core",
+    "Flag": "base.core",
+    "HapticdError": "base.errors",
+    "InvalidError": "base.errors",
+    "Problem": "base.errors",
+    "Friction": "config.materials",
+    "Material": "config.materials",
+    "Rupture": "config.materials",
+    "Tap": "config.materials",
+    "Mode": "config.modes",
+    "render": "rendering.offline",
+    "simulate": "rendering.offline",
+    "Recording": "recording.recording",
+    "load": "recording.recording",
+    "replay": "recording.replay",
+    "SampleBatch": "client.samples",
+    "Box": "config.scene",
+    "Constant": "config.scene",
+    "Disc": "config.scene",
+    "Membrane": "config.scene",
+    "Scene": "config.scene",
+    "SceneObject": "config.scene",
+    "Spring": "config.scene",
+    "Viscous": "config.scene",
+    "Wall": "config.scene",
+    "load_scene": "config.scene",
+    "Autoregressive": "config.texture",
+    "Grooves": "config.texture",
+    "Stochastic": "config.texture",
+    "Json": "base.yaml_source",
 }
 """The public names, and the module that each stands in."""
 

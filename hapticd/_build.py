@@ -1,4 +1,4 @@
-"""Build `hapticd._core`: every file of csrc/, behind the boundary that csrc/hd_api.h declares.
+"""Build `hapticd._core`: every file of csrc/, behind the boundary that csrc/api/hd_api.h declares.
 
 Run by setuptools (setup.py), never imported by the package. cffi reads the very header that the C compiler
 reads, so the two cannot disagree. HAPTICD_WERROR=1 turns warnings into errors; a user's build never fails for
@@ -12,8 +12,8 @@ from cffi import FFI
 
 ROOT = Path(__file__).resolve().parent.parent
 # Relative, because setuptools refuses absolute paths in its file lists; it runs in ROOT.
-SOURCES = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("csrc/*.c"))
-HEADERS = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("csrc/*.h"))
+SOURCES = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("csrc/*/*.c"))
+HEADERS = sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("csrc/*/*.h"))
 WARNINGS = ["-Wall", "-Wextra", "-Wshadow", "-Wdouble-promotion"]
 # Results must be the same bits on every run and at every optimisation level: no contraction into fused
 # operations, nothing of fast-math even if the environment's CFLAGS ask for it. Nobody looks at libm's errno.
@@ -30,10 +30,10 @@ FLAGS = [
 ]
 
 ffibuilder = FFI()
-ffibuilder.cdef((ROOT / "csrc" / "hd_api.h").read_text(encoding="utf-8"))
+ffibuilder.cdef((ROOT / "csrc" / "api" / "hd_api.h").read_text(encoding="utf-8"))
 ffibuilder.set_source(
     "hapticd._core",
-    '#include "hd_core.h"',
+    '#include "api/hd_core.h"',
     sources=SOURCES,
     depends=[*HEADERS, "hapticd/_build.py"],
     include_dirs=["csrc"],

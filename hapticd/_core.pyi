@@ -1,4 +1,4 @@
-"""Types of the compiled extension. class Lib repeats csrc/hd_api.h; test_core_layout.py compares the two."""
+"""Types of the compiled extension. class Lib repeats csrc/api/hd_api.h; test_core_layout.py compares the two."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, final

@@ -61,8 +61,8 @@ def _neither_the_users_configuration_nor_an_installed_service(
     (home / "hapticd" / "config.yaml").write_text(built_in, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CONFIG_HOME", str(home))
-        patch.setattr("hapticd.config_files.SYSTEM_CONFIG", none / "config.yaml")
-        for module in ("hapticd.paths", "hapticd.calls"):
+        patch.setattr("hapticd.config.locations.SYSTEM_CONFIG", none / "config.yaml")
+        for module in ("hapticd.system.paths", "hapticd.protocol.calls"):
             patch.setattr(f"{module}.SYSTEM_DIRECTORY", none / "run")
         yield
 
@@ -71,5 +71,5 @@ def _neither_the_users_configuration_nor_an_installed_service(
 def _a_servo_of_this_process_may_be_held_up() -> Iterator[None]:
     """A command waits for the servo's thread until it comes to run; the bound only keeps a broken test from hanging."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hapticd.engine.WAIT_S", 60.0)
+        patch.setattr("hapticd.daemon.engine.WAIT_S", 60.0)
         yield

@@ -1,5 +1,5 @@
 /* Ways to make a ringing mode A exp(-B t) sin(w t), each in two directions, with strikes that add. What bench/modes.py
- * compares; csrc/hd_voice.c is called as the tick calls it.
+ * compares; csrc/tick/hd_mode.c is called as the tick calls it.
  *
  * Every way counts down the ticks that a mode still sounds, as the core must. Where a mode is not a linear recursion
  * (libm, tables), a strike turns what rings into one new coefficient and starts its time anew, so that a tick costs the
@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "hd_voice.h"
+#include "tick/hd_mode.h"
 #include "peers.h"
 
 #define PI 3.14159265358979323846

@@ -1,9 +1,9 @@
-/* Ways to make coloured noise, for bench/noise.py. All take the same white numbers as csrc/hd_noise.c: Gaussian,
+/* Ways to make coloured noise, for bench/noise.py. All take the same white numbers as csrc/tick/hd_noise.c: Gaussian,
  * of unit power, from splitmix64. */
 #include <string.h>
 
-#include "hd_noise.h"
-#include "hd_normal.h"
+#include "tick/hd_noise.h"
+#include "base/hd_normal.h"
 #include "peers.h"
 
 static inline double white(uint64_t *random) {

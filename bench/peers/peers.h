@@ -11,7 +11,7 @@ double peer_clock_ns(void);
 
 enum peer_mode_kind {
     PEER_MODE_FLOOR = 0, /* adds up two stored numbers a mode: no synthesis at all */
-    PEER_MODE_ROTOR = 1, /* csrc/hd_voice.c */
+    PEER_MODE_ROTOR = 1, /* csrc/tick/hd_mode.c */
     PEER_MODE_ROTOR_SINGLE = 2,
     PEER_MODE_LIBM = 3, /* exp, sin and cos at each tick */
     PEER_MODE_RECURRENCE = 4,
@@ -39,7 +39,7 @@ void peer_modes_play(struct peer_modes *modes, size_t ticks, size_t strikes, con
  */
 
 enum peer_velocity_kind {
-    PEER_VELOCITY_OURS = 0, /* csrc/hd_velocity.c */
+    PEER_VELOCITY_OURS = 0, /* csrc/tick/hd_velocity.c */
     PEER_VELOCITY_BACKWARD = 1,
     PEER_VELOCITY_LOW_PASS = 2, /* parameter: its corner, Hz */
     PEER_VELOCITY_LEAST_SQUARES = 3,
@@ -51,7 +51,7 @@ enum peer_velocity_kind {
 /* Both axes; `parameter`: of a window, its samples. `position` and `velocity` [count][2]. ns */
 double peer_velocity(int kind, double parameter, double step_m, size_t count, const double *interval_s,
                      const double *position, double *velocity);
-/* Each update of csrc/hd_velocity.c on its own, with the clock's two readings still in it. step_m < 0: only those. */
+/* Each update of csrc/tick/hd_velocity.c on its own, with the clock's two readings still in it. step_m < 0: only those. */
 void peer_velocity_each_ns(double step_m, size_t count, const double *interval_s, const double *position, double *ns);
 
 /* ---- Times of events: bench/timing.py -----------------------------------------------------------------------------
@@ -94,7 +94,7 @@ enum peer_noise_kind {
  * ladder k_i) and `gains` [nodes]; of the table `coefficients` [order], its numbers. ns */
 double peer_noise(int kind, size_t order, const double *coefficients, const double *gains, size_t count,
                   const uint8_t *which, uint64_t seed, double *out);
-/* csrc/hd_noise.c: `noise` is a struct hd_noise. ns */
+/* csrc/tick/hd_noise.c: `noise` is a struct hd_noise. ns */
 double peer_noise_lattice(const void *noise, const double *numbers, size_t count, const double *speed,
                           const double *force, double *out);
 
@@ -102,7 +102,7 @@ double peer_noise_lattice(const void *noise, const double *numbers, size_t count
  */
 
 enum peer_joystick_kind {
-    PEER_JOYSTICK_EXACT = 0, /* csrc/hd_sim.c */
+    PEER_JOYSTICK_EXACT = 0, /* csrc/device/hd_sim.c */
     PEER_JOYSTICK_EULER = 1,
     PEER_JOYSTICK_SEMI_IMPLICIT = 2,
     PEER_JOYSTICK_RK4 = 3

@@ -1,5 +1,5 @@
 /* When an onset was, and when grooves were passed: what bench/timing.py compares. The crossings are those of
- * csrc/hd_wall.c and csrc/hd_groove.c, without what a contact does with them. */
+ * csrc/shapes/hd_wall.c and csrc/tick/hd_groove.c, without what a contact does with them. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>

@@ -1,4 +1,4 @@
-/* Velocity estimators to compare with csrc/hd_velocity.c; for bench/velocity.py. Each takes time-stamped positions of
+/* Velocity estimators to compare with csrc/tick/hd_velocity.c; for bench/velocity.py. Each takes time-stamped positions of
  * both axes, in order.
  *
  * FOAW: first-order adaptive windowing (Janabi-Sharifi, Hayward, Chen, "Discrete-time adaptive windowing for velocity
@@ -13,7 +13,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "hd_velocity.h"
+#include "tick/hd_velocity.h"
 #include "peers.h"
 
 #define RING 128u

@@ -7,14 +7,14 @@ from typing import Final, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from hapticd.document_kinds import refuse_other_kinds
-from hapticd.errors import InvalidError, Problem, quoted
-from hapticd.keys import is_key
-from hapticd.model import Model, Name, faults_of
-from hapticd.remote import PORT, host_and_port, is_loopback
-from hapticd.trusted import read_trusted
-from hapticd.wire import MAX_BODY
-from hapticd.yaml_source import MAX_BYTES, Document, load_bytes
+from hapticd.base.errors import InvalidError, Problem, quoted
+from hapticd.base.model import Model, Name, faults_of
+from hapticd.base.yaml_source import MAX_BYTES, Document, load_bytes
+from hapticd.config.document_kinds import refuse_other_kinds
+from hapticd.protocol.keys import is_key
+from hapticd.protocol.messages import MAX_BODY
+from hapticd.protocol.remote import PORT, host_and_port, is_loopback
+from hapticd.system.trusted_files import read_trusted
 
 DEFAULT_PATH: Final = "/etc/hapticd/bridge.yaml"
 METRICS_PORT: Final = 9417

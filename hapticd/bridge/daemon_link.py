@@ -11,9 +11,9 @@ import zmq
 import zmq.asyncio
 from zmq.utils.monitor import recv_monitor_message
 
-from hapticd import calls, wire
-from hapticd.errors import HapticdError
-from hapticd.paths import RuntimePaths
+from hapticd.base.errors import HapticdError
+from hapticd.protocol import calls, messages
+from hapticd.system.paths import RuntimePaths
 
 STALE_S: Final = 3.0
 """The daemon tells its status every second; where it did not for so long, it is away."""
@@ -83,7 +83,7 @@ class DaemonLink:
     async def _read_status(self, socket: zmq.asyncio.Socket) -> None:
         while True:
             _, body = await socket.recv_multipart()
-            status = wire.decode_trusted(body)
+            status = messages.decode_trusted(body)
             assert isinstance(status, dict)
             if not self._gone:  # else it was on its way, and says nothing of now
                 self._status, self._status_at = status, time.monotonic()

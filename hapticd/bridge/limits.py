@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from hapticd.repeats import Repeats
+from hapticd.system.repeated_lines import Repeats
 
 Clock = Callable[[], float]
 

@@ -16,7 +16,9 @@ from typing import Any, Final
 import zmq.asyncio
 from pydantic import ValidationError
 
-from hapticd import journal, memory, notify, threads
+from hapticd.base import memory, threads
+from hapticd.base.errors import HapticdError, InvalidError
+from hapticd.base.model import problems_of
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Accounts
 from hapticd.bridge.config import BridgeConfig, load_bridge, metrics_place
@@ -24,11 +26,10 @@ from hapticd.bridge.daemon_link import DaemonLink
 from hapticd.bridge.gate import Gate
 from hapticd.bridge.http import Endpoint
 from hapticd.bridge.metrics import Metrics
-from hapticd.errors import HapticdError, InvalidError
-from hapticd.keys import load_secret
-from hapticd.model import problems_of
-from hapticd.paths import RuntimePaths, daemon_paths
-from hapticd.remote import host_and_port
+from hapticd.protocol.keys import load_secret
+from hapticd.protocol.remote import host_and_port
+from hapticd.system import journal, notify
+from hapticd.system.paths import RuntimePaths, daemon_paths
 
 _BACKLOG: Final = 64
 _TRIES: Final = 16

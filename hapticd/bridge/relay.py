@@ -16,10 +16,10 @@ from typing import Any, Final
 import msgpack
 import zmq
 
-from hapticd import wire
+from hapticd.base.errors import quoted
 from hapticd.bridge.accounts import Account
 from hapticd.bridge.daemon_link import DaemonLink
-from hapticd.errors import quoted
+from hapticd.protocol import messages
 
 ANSWER_S: Final = 30.0
 """A daemon that says nothing for so long has lost the request."""
@@ -131,7 +131,7 @@ class Relay:
     def _take(self) -> bool:
         self._identity, *frames = self._front.recv_multipart(zmq.NOBLOCK)
         self._read()
-        _, body = wire.open_envelope(frames)
+        _, body = messages.open_envelope(frames)
         answerable, id = (True, None) if body is None else peek(body)
         self._request = _Request(frames, answerable, id)
         size = sum(map(len, frames))
@@ -140,7 +140,7 @@ class Relay:
             _log.debug("%s: %s, %d bytes", self._account.name, told, size)
         if size > self._largest():
             told = f"the message has {size} bytes: at most {self._largest()} are taken by the bridge"
-            self._refuse(_Request(frames, True, None), wire.Code.PARSE, told)
+            self._refuse(_Request(frames, True, None), messages.Code.PARSE, told)
             return True
         wait_s = self._account.take_request()
         if wait_s:
@@ -177,17 +177,17 @@ class Relay:
         self._timer = None
         if self._request is None:
             return
-        self._refuse(self._request, wire.Code.DAEMON_AWAY, told)
+        self._refuse(self._request, messages.Code.DAEMON_AWAY, told)
         self._loop.remove_reader(int(self._back.getsockopt(zmq.FD)))
         self._back.close()
         self._back = self._open()
         self._look()
 
-    def _refuse(self, request: _Request, code: wire.Code, told: str) -> None:
+    def _refuse(self, request: _Request, code: messages.Code, told: str) -> None:
         _log.debug("%s: refused, %d: %s", self._account.name, code, told)
         if request.answerable:
-            delimited, _ = wire.open_envelope(request.frames)
-            self._reply = wire.close_envelope(delimited, wire.error_reply(request.id, code, told))
+            delimited, _ = messages.open_envelope(request.frames)
+            self._reply = messages.close_envelope(delimited, messages.error_reply(request.id, code, told))
         self._done()
 
     def _wait(self, after_s: float, call: Callable[[], None]) -> None:
@@ -209,14 +209,14 @@ class Relay:
 class _Request:
     frames: list[bytes]
     answerable: bool
-    id: wire.Id
+    id: messages.Id
 
 
 def _events(socket: zmq.Socket[bytes]) -> int:
     return int(socket.getsockopt(zmq.EVENTS))
 
 
-def peek(body: bytes) -> tuple[bool, wire.Id]:
+def peek(body: bytes) -> tuple[bool, messages.Id]:
     """Whether the daemon answers this body, and the id that its answer carries, as far as that shows without decoding.
 
     Only a map without `id` is not answered, and not always then.

@@ -14,7 +14,7 @@ import zmq
 import zmq.asyncio
 from zmq.utils import z85
 
-from hapticd.repeats import Repeats
+from hapticd.system.repeated_lines import Repeats
 
 OK: Final = b"200"
 LATER: Final = b"300"

@@ -16,10 +16,10 @@ from typing import Final
 import click
 
 from hapticd._version import __version__
+from hapticd.base.errors import HapticdError
 from hapticd.cli.failure import asks_for_json, tell
 from hapticd.cli.misplaced import with_hint
 from hapticd.cli.streams import guarded
-from hapticd.errors import HapticdError
 
 _HOMES: Final = {
     "run": "daemon",
@@ -206,7 +206,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     except MemoryError:
         return tell("there is not enough memory for this; a shorter run or a lower rate needs less", 1, as_json)
     except RuntimeError as error:
-        from hapticd import threads
+        from hapticd.base import threads
 
         if str(error) != threads.REFUSED:
             raise

@@ -21,7 +21,7 @@ def apply_command(
     input. Later files override earlier ones. Each material that is named is replaced whole, others stay; the scene is
     replaced.
     """
-    from hapticd.change_files import load_change
+    from hapticd.config.change_files import load_change
 
     given = load_change([yaml_file(file) for file in files])
     change(

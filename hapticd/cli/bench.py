@@ -9,7 +9,7 @@ from types import ModuleType
 
 import click
 
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 TREE = Path(__file__).resolve().parent.parent.parent
 """The source tree, where this is one."""
@@ -17,7 +17,7 @@ TREE = Path(__file__).resolve().parent.parent.parent
 
 def _bench(tree: Path) -> ModuleType:
     """The benchmarks' main module. Raises HapticdError where they are not, or what they need is not."""
-    if not (tree / "bench" / "peers.py").is_file() or not (tree / "csrc" / "hd_api.h").is_file():
+    if not (tree / "bench" / "peers.py").is_file() or not (tree / "csrc" / "api" / "hd_api.h").is_file():
         raise HapticdError(
             "the benchmarks are not installed with hapticd: run this in a source tree, after pip install -e '.[dev]'"
         )

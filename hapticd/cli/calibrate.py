@@ -23,7 +23,7 @@ from hapticd.cli.common import (
 )
 
 if TYPE_CHECKING:
-    from hapticd.calibration.handle import Calibration
+    from hapticd.analysis.calibration.handle import Calibration
 
 DEFAULT_FORCE_N = 1.0
 
@@ -67,10 +67,10 @@ def calibrate_command(
     its encoder: half a minute alone, then half a minute held as it will be used. The difference of the two is the hand.
     A handle that leaves the middle third of its travel ends it. Ctrl-C takes the force away.
     """
-    from hapticd.calibration import handle
-    from hapticd.calibration import plot as drawing
-    from hapticd.calibration.accelerometer import check_name
-    from hapticd.config import config_of
+    from hapticd.analysis.calibration import handle
+    from hapticd.analysis.calibration import plot as drawing
+    from hapticd.analysis.calibration.accelerometer import check_name
+    from hapticd.config.configuration import config_of
 
     # Nobody holds a handle for a minute to hear then that the result has no place to go.
     for target in (output, plot):

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd import words
+from hapticd.base import wording
 from hapticd.cli.common import config_option, json_option, note, print_json
-from hapticd.stability_words import stability_words
+from hapticd.rendering.stability_text import stability_words
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from hapticd.check import Report
+    from hapticd.analysis.check import Report
 
 _NUMBER: Final = 9
 """As wide as 1,234,567."""
@@ -29,8 +29,8 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
     The exit code is 0 if all of the scene can be shown as it is meant and nothing of it oscillates, otherwise 1. What
     is not known, as of a joystick without device.handle, or not proved, is said and does not count.
     """
-    from hapticd.check import check
-    from hapticd.config import config_of
+    from hapticd.analysis.check import check
+    from hapticd.config.configuration import config_of
 
     report = check(config_of(configs))
     if as_json:
@@ -47,11 +47,11 @@ def check_command(configs: tuple[str, ...], as_json: bool) -> int:
 
 
 def _print(report: Report, console: Console) -> None:
-    from hapticd.rearm import words as rearm_words
+    from hapticd.rendering.rearm import words as rearm_words
 
     output, stability = report.output, report.stability
-    link = "" if output.link_rate_hz is None else f", forces carried at {words.si(output.link_rate_hz, 'Hz')}"
-    console.print(f"device: {report.device}; servo at {words.si(output.rate_hz, 'Hz')}{link}", markup=False)
+    link = "" if output.link_rate_hz is None else f", forces carried at {wording.si(output.link_rate_hz, 'Hz')}"
+    console.print(f"device: {report.device}; servo at {wording.si(output.rate_hz, 'Hz')}{link}", markup=False)
     if stability.assumed is not None:
         told, timing = stability.assumed.dynamics, stability.assumed.timing
         console.print(
@@ -127,9 +127,9 @@ def _sets(report: Report) -> Table:
         held = margin.held_limit_n_per_m
         table.add_row(
             ", ".join(margin.objects[:4]) + more,
-            words.number(margin.stiffness_n_per_m),
-            words.number(margin.limit_n_per_m),
-            "any" if held == float("inf") else words.number(held),
+            wording.number(margin.stiffness_n_per_m),
+            wording.number(margin.limit_n_per_m),
+            "any" if held == float("inf") else wording.number(held),
             "" if margin.margin == float("inf") else f"{margin.margin:.3g}",
             margin.verdict,
             margin.limited_by,

@@ -6,7 +6,7 @@ import re
 
 import click
 
-from hapticd import words
+from hapticd.base import wording
 from hapticd.cli import names
 from hapticd.cli.common import Choice, Finite, daemon, json_option, operator_file, print_result
 
@@ -57,7 +57,7 @@ def play_command(
         result = client.play(material, mode=mode, direction=direction, amplitude_m_per_s2=amplitude)
     shown = result["displayed_hz"]
     heard = (
-        f"shown at {words.si(shown, 'Hz')}"
+        f"shown at {wording.si(shown, 'Hz')}"
         if shown is not None
         else "silent: its frequency is above 0.4 of the servo's rate"
     )
@@ -85,8 +85,8 @@ def _mode(text: str) -> dict[str, float]:
 @click.pass_context
 def force_command(ctx: click.Context, state: str, as_json: bool) -> None:
     """Turn forces on or off; on clears a latched fault whose cause is gone."""
-    from hapticd.calls import RemoteError
-    from hapticd.wire import Code
+    from hapticd.protocol.calls import RemoteError
+    from hapticd.protocol.messages import Code
 
     with daemon(ctx) as client:
         try:
@@ -129,4 +129,4 @@ def operator_command(ctx: click.Context, file: str, as_json: bool) -> None:
     source = operator_file(file)
     with daemon(ctx) as client:
         result = client.set_operator(source)
-    print_result(result, as_json, f"takes {words.duration(result['duration_s'])}")
+    print_result(result, as_json, f"takes {wording.duration(result['duration_s'])}")

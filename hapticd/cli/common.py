@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
+from hapticd.base.errors import HapticdError, known_names, quoted
+from hapticd.base.files import displaced
+from hapticd.base.partial_files import resolved, write_file
 from hapticd.cli import names
 from hapticd.cli.shell import shell_words
-from hapticd.errors import HapticdError, known_names, quoted
-from hapticd.journal import LEVELS
-from hapticd.parts import resolved, write_file
-from hapticd.place import displaced
+from hapticd.system.journal import LEVELS
 
 if TYPE_CHECKING:
-    from hapticd.client import Client
+    from hapticd.client.blocking import Client
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -57,9 +57,9 @@ class Finite(click.FloatRange):
 
 def daemon(ctx: click.Context, timeout_s: float | None = None) -> Client:
     """A client of the daemon that the command line names; raises DaemonNotRunning where there is none."""
-    from hapticd.calls import TIMEOUT_S
-    from hapticd.client import connect
-    from hapticd.remote import PORT, host_and_port
+    from hapticd.client.blocking import connect
+    from hapticd.protocol.calls import TIMEOUT_S
+    from hapticd.protocol.remote import PORT, host_and_port
 
     root = ctx.find_root()
     timeout_s = TIMEOUT_S if timeout_s is None else timeout_s
@@ -136,14 +136,14 @@ def yaml_file(name: str) -> str:
 
 def scene_file(name: str) -> str:
     """As yaml_file, where the name of a shipped scene does too. Raises HapticdError for a name that is neither."""
-    from hapticd.shipped_files import file_of
+    from hapticd.config.shipped_files import file_of
 
     return file_of(name, "scenes")
 
 
 def operator_file(name: str) -> str:
     """As scene_file, of operators."""
-    from hapticd.shipped_files import file_of
+    from hapticd.config.shipped_files import file_of
 
     return file_of(name, "operators")
 

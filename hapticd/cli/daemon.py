@@ -6,15 +6,7 @@ import gc
 
 import click
 
-from hapticd.cli.common import (
-    change,
-    change_options,
-    config_option,
-    daemon,
-    json_option,
-    log_options,
-    print_json,
-)
+from hapticd.cli.common import change, change_options, config_option, daemon, json_option, log_options, print_json
 from hapticd.cli.status import lines, text_of
 
 RELOAD_S = 60.0
@@ -29,7 +21,7 @@ def run_command(ctx: click.Context, configs: tuple[str, ...], log_level: str) ->
     """Run the daemon in the foreground."""
     # What is loaded now stays: looking for garbage among it would only take time. The daemon turns it on again.
     gc.disable()
-    from hapticd.daemon import run
+    from hapticd.daemon.process import run
 
     return run(configs, ctx.find_root().obj, log_level)
 

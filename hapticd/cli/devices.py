@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hapticd import words
+from hapticd.base import wording
+from hapticd.base.errors import HapticdError, quoted, unseen_text
 from hapticd.cli.common import (
     Finite,
     check_new,
@@ -23,12 +24,11 @@ from hapticd.cli.common import (
     write_whole,
     yaml_text,
 )
-from hapticd.errors import HapticdError, quoted, unseen_text
 
 if TYPE_CHECKING:
+    from hapticd.config.hid import Hid
     from hapticd.hid.claim import Claims
-    from hapticd.hid.config import Hid
-    from hapticd.hid.discover import Found
+    from hapticd.hid.discovery import Found
     from hapticd.hid.layout import SetEffect
     from hapticd.hid.plan import Plan
     from hapticd.hid.verdict import Verdict
@@ -49,7 +49,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
     if ctx.invoked_subcommand is not None:
         return
     from hapticd.hid.claim import Claims
-    from hapticd.hid.discover import find
+    from hapticd.hid.discovery import find
 
     hid = _hid_of(configs)
     found = [item.judged_by(hid) for item in find()]
@@ -74,8 +74,8 @@ def _hid_of(configs: tuple[str, ...]) -> Hid:
 
     A faulty configuration is an error where it was named, and a note where it was only found.
     """
-    from hapticd.config import config_of
-    from hapticd.hid.config import Hid
+    from hapticd.config.configuration import config_of
+    from hapticd.config.hid import Hid
 
     try:
         device = config_of(configs).device
@@ -95,7 +95,7 @@ def _verdict(item: Found) -> str:
         return f"cannot be driven{' without a description' if item.is_other else ''}: {why_not}"
     said = "can be driven"
     if item.out_interval_s:
-        said += f", a report every {words.si(item.out_interval_s, 's')}"
+        said += f", a report every {wording.si(item.out_interval_s, 's')}"
     if item.verdict.plan is not None and item.verdict.plan.leak_told:
         said += f"; {item.verdict.plan.leak_told}"
     return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
@@ -112,7 +112,7 @@ def _verdict(item: Found) -> str:
 def dump_command(device: str, output: str, duration_s: float, overwrite: bool, as_json: bool) -> None:
     """Record what DEVICE reports (its path, or VENDOR:PRODUCT in hex), with its report descriptor: for a bug report,
     or to be played with `device: {kind: replay}`. Move the handle meanwhile."""
-    from hapticd.hid.discover import find
+    from hapticd.hid.discovery import find
     from hapticd.hid.replay import Recording, record, text_of
 
     check_new(output, overwrite)
@@ -126,7 +126,7 @@ def dump_command(device: str, output: str, duration_s: float, overwrite: bool, a
     if as_json:
         print_json({"file": output, "device": item.to_dict(), "reports": len(reports)})
     else:
-        click.echo(f"{words.count(len(reports), 'report')} of {item} in {output}")
+        click.echo(f"{wording.count(len(reports), 'report')} of {item} in {output}")
 
 
 def _named(device: str, found: Sequence[Found]) -> Found:
@@ -162,7 +162,7 @@ def claim_command(device: str | None, as_json: bool) -> None:
     joystick nodes that belong to root alone. A daemon that drives it sets it up again; forces are off then.
     """
     from hapticd.hid.claim import Claims
-    from hapticd.hid.discover import find
+    from hapticd.hid.discovery import find
 
     claims, found = Claims(), find()
     item = _one(device, [one for one in found if one.usable] if device is None else found, "can be driven")
@@ -177,7 +177,7 @@ def release_command(device: str | None, as_json: bool) -> None:
     """Let other programs at DEVICE again (its path, or VENDOR:PRODUCT in hex; by default the only one that is claimed).
     Needs root."""
     from hapticd.hid.claim import Claims
-    from hapticd.hid.discover import find
+    from hapticd.hid.discovery import find
 
     claims, found = Claims(), find()
     names = claims.names()
@@ -214,9 +214,9 @@ def calibrate_command(
 
     The handle is pushed gently along each axis, both ways; nobody may hold it.
     """
-    from hapticd.config import config_of
-    from hapticd.hid.calibrate import MOST_OF_FULL, calibrate
-    from hapticd.hid.config import ForceAxes
+    from hapticd.config.configuration import config_of
+    from hapticd.config.hid import ForceAxes
+    from hapticd.hid.sign_calibration import MOST_OF_FULL, calibrate
     from hapticd.hid.sources import open_hid
 
     if output is not None and any(os.path.realpath(output) == os.path.realpath(path) for path in configs):
@@ -302,7 +302,7 @@ def _forces(plan: Plan) -> str:
     pushed = [name for name, step_n in zip("xy", plan.force_steps_n, strict=True) if step_n > 0.0]
     along = f"along {' and '.join(pushed)}{' only' if len(pushed) == 1 else ''}"
     # A device with reports of its own has no effects.
-    return along if plan.foreign_s is None else f"{along}, by {words.count(len(plan.renew), 'effect')}"
+    return along if plan.foreign_s is None else f"{along}, by {wording.count(len(plan.renew), 'effect')}"
 
 
 def _direction(effect: SetEffect) -> str:

@@ -7,7 +7,7 @@ from itertools import chain
 
 import click
 
-from hapticd import words
+from hapticd.base import wording
 from hapticd.cli.common import config_option, json_option, note, print_json
 
 _ANSWER_S = 2.0
@@ -24,13 +24,13 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     runs and does not answer. The exit code is 1 if something fails that the configuration needs.
     """
     from hapticd._version import __version__
-    from hapticd.client import DaemonNotRunning, connect
-    from hapticd.config_files import choose
+    from hapticd.base.errors import HapticdError
+    from hapticd.client.blocking import DaemonNotRunning, connect
+    from hapticd.config.locations import choose
     from hapticd.doctor import diagnose
     from hapticd.doctor.configuration import taken
     from hapticd.doctor.machine import Machine, Needs, holder
-    from hapticd.errors import HapticdError
-    from hapticd.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
+    from hapticd.system.paths import SYSTEM_DIRECTORY, daemon_paths, runtime_paths
 
     config, first = taken(choose(configs))
 
@@ -65,5 +65,5 @@ def doctor_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) 
     if not failed:
         return 0
     if not as_json:
-        note(f"not ready: {words.listed(list(dict.fromkeys(failed)))}")
+        note(f"not ready: {wording.listed(list(dict.fromkeys(failed)))}")
     return 1

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import click
 
+from hapticd.base.errors import HapticdError, InvalidError, Problem, lines_of
 from hapticd.cli.shell import in_shell_words, shell_words
-from hapticd.errors import HapticdError, InvalidError, Problem, lines_of
 
 
 def asks_for_json(arguments: Sequence[str]) -> bool:
@@ -62,8 +62,8 @@ def _code(error: BaseException | str) -> int | None:
     if not isinstance(error, HapticdError):
         return None
     # Whoever only asks for --help waits for no client.
-    from hapticd.calls import DaemonNotRunning, RemoteError
-    from hapticd.wire import Code
+    from hapticd.protocol.calls import DaemonNotRunning, RemoteError
+    from hapticd.protocol.messages import Code
 
     if isinstance(error, RemoteError):
         return error.code

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 
 import click
 
+from hapticd.base.errors import HapticdError
 from hapticd.cli.common import (
     Choice,
     Finite,
@@ -27,16 +28,15 @@ from hapticd.cli.common import (
     yaml_text,
 )
 from hapticd.cli.synthesize import synthesize_command
-from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
+    from hapticd.config.materials import Material
+    from hapticd.config.modes import Attack
     from hapticd.fit.left_out import LeftOut
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
-    from hapticd.fit.tap_amplitude import LawKind
-    from hapticd.fit.tap_kind import TapKind
-    from hapticd.materials import Material
-    from hapticd.mode import Attack
+    from hapticd.fit.taps.amplitude import LawKind
+    from hapticd.fit.taps.kind import TapKind
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
@@ -159,7 +159,7 @@ def tap_command(
 
     def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.provenance import estimates
-        from hapticd.fit.tap_kind import fit_taps
+        from hapticd.fit.taps.kind import fit_taps
         from hapticd.fit.waveform import WaveformFit
 
         found = fit_taps(recordings, as_form, lambda recording: step(f"fitting {recording.name}"), left)
@@ -254,9 +254,9 @@ def _run(
     as_json: bool,
     per_file: int = 1,
 ) -> None:
+    from hapticd.analysis.statistics import require_scipy
     from hapticd.fit import provenance
     from hapticd.fit import report as drawing
-    from hapticd.fit.regression import require_scipy
 
     require_scipy()
     if merge and output is None:
@@ -320,7 +320,7 @@ def _check(
     files: Sequence[str], output: str | None, name: str, report: str | None, overwrite: bool, merge: bool
 ) -> None:
     """What can be refused before anything is read."""
-    from hapticd.materials import MAX_PROVENANCE_FILES, validate_materials
+    from hapticd.config.materials import MAX_PROVENANCE_FILES, validate_materials
 
     validate_materials({name: {"stiffness_n_per_m": STIFFNESS_N_PER_M}})
     if len(files) > MAX_PROVENANCE_FILES:
@@ -340,8 +340,8 @@ def _check(
 
 def _library(path: str) -> dict[str, Material]:
     """The materials of a file that is added to. Raises InvalidError, or HapticdError where it holds more than these."""
-    from hapticd.config import load_config
-    from hapticd.yaml_source import load_path, one_line
+    from hapticd.base.yaml_source import load_path, one_line
+    from hapticd.config.configuration import load_config
 
     data = load_path(path).data
     if not isinstance(data, dict) or list(data) != ["materials"]:

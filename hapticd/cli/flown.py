@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 
-from hapticd import words
-from hapticd.errors import HapticdError
-from hapticd.place import displaced
-from hapticd.record import missed_text
-from hapticd.recording import load
+from hapticd.base import wording
+from hapticd.base.errors import HapticdError
+from hapticd.base.files import displaced
+from hapticd.client.record import missed_text
+from hapticd.recording.recording import load
 
 
 def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str, object], str]:
@@ -26,5 +26,5 @@ def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str
         "missed_periods": missed,
         "events": len(recording.events),
     }
-    line = f"{file}: {words.count(ticks, 'tick')} in {found['duration_s']:.3f} s, {missed_text(missed, ticks)}, "
-    return found, line + words.count(len(recording.events), "event")
+    line = f"{file}: {wording.count(ticks, 'tick')} in {found['duration_s']:.3f} s, {missed_text(missed, ticks)}, "
+    return found, line + wording.count(len(recording.events), "event")

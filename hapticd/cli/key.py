@@ -33,7 +33,7 @@ def key_new(name: str, watch: bool, command: bool, directory: Path | None, as_js
     Without --watch or --command it is the bridge's own. With one of them the line that lets the client in is printed,
     to be put below `clients:` in the bridge's file.
     """
-    from hapticd import keys
+    from hapticd.protocol import keys
 
     if watch and command:
         raise click.UsageError("--watch and --command are two rights: give one")

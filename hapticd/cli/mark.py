@@ -10,7 +10,7 @@ import click
 from hapticd.cli.common import daemon, json_option, print_result
 
 if TYPE_CHECKING:
-    from hapticd.yaml_source import Json
+    from hapticd.base.yaml_source import Json
 
 
 @click.command("mark", short_help="Leave a mark in the event stream.")

@@ -6,18 +6,9 @@ from collections.abc import Mapping
 
 import click
 
+from hapticd.base.errors import HapticdError, known_names, quoted
 from hapticd.cli import names
-from hapticd.cli.common import (
-    change,
-    change_options,
-    daemon,
-    json_option,
-    note,
-    print_json,
-    print_yaml,
-    yaml_file,
-)
-from hapticd.errors import HapticdError, known_names, quoted
+from hapticd.cli.common import change, change_options, daemon, json_option, note, print_json, print_yaml, yaml_file
 
 
 @click.group("material", no_args_is_help=False)
@@ -69,7 +60,7 @@ def material_get(ctx: click.Context, name: str, offline: bool, as_json: bool) ->
 
 def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:
     """All materials by name, and the revision; without a daemon those that ship, and null."""
-    from hapticd.calls import DaemonNotRunning
+    from hapticd.protocol.calls import DaemonNotRunning
 
     if not offline:
         try:
@@ -80,7 +71,7 @@ def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:
             if ctx.find_root().params.get("connect") is not None:
                 raise
             note(f"{error}; these are the materials of the shipped library")
-    from hapticd.materials import shipped_materials
+    from hapticd.config.materials import shipped_materials
 
     return {"materials": {name: item.to_dict() for name, item in shipped_materials().items()}, "revision": None}
 

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import click
 from click.shell_completion import CompletionItem
 
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 if TYPE_CHECKING:
-    from hapticd.client import Client
-    from hapticd.shipped_files import Folder
+    from hapticd.client.blocking import Client
+    from hapticd.config.shipped_files import Folder
 
 Items: TypeAlias = "list[CompletionItem[str]]"
 
@@ -55,7 +55,7 @@ def objects(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> 
 
 
 def _files(incomplete: str, folder: Folder) -> Items:
-    from hapticd.shipped_files import shipped
+    from hapticd.config.shipped_files import shipped
 
     here = [path.name for path in Path().glob("*.yaml") if _PLAIN.fullmatch(path.name)]
     return _beginning(incomplete, [*shipped(folder), *sorted(here)]) or [CompletionItem(incomplete, type="file")]
@@ -67,7 +67,7 @@ def _beginning(incomplete: str, names: Iterable[str]) -> Items:
 
 def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
     """The names in what the daemon of this machine says; nothing where there is none, or none that answers soon."""
-    from hapticd.client import connect
+    from hapticd.client.blocking import connect
 
     here = ctx.find_root().params
     if here.get("connect") is not None:
@@ -80,8 +80,8 @@ def _asked(ctx: click.Context, ask: Callable[[Client], object]) -> list[str]:
 
 
 def _shipped_materials() -> list[str]:
-    from hapticd.shipped_files import shipped
-    from hapticd.yaml_source import load_bytes
+    from hapticd.base.yaml_source import load_bytes
+    from hapticd.config.shipped_files import shipped
 
     found: list[str] = []
     for file in shipped("materials").values():

@@ -6,7 +6,8 @@ import json
 
 import click
 
-from hapticd import words
+from hapticd.base import wording
+from hapticd.base.errors import undisplayable_text
 from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
@@ -20,7 +21,6 @@ from hapticd.cli.common import (
     print_json,
     scene_file,
 )
-from hapticd.errors import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
@@ -60,7 +60,7 @@ def simulate_command(
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
     from hapticd.cli.simulation import configuration, simulate_files
-    from hapticd.shipped_files import shipped
+    from hapticd.config.shipped_files import shipped
 
     file = scene_file(scene)
     operator = operator or _own_operator(file)
@@ -81,16 +81,16 @@ def simulate_command(
     if as_json:
         print_json(result)
     else:
-        length = f"{words.count(result['ticks'], 'tick')} in {result['duration_s']:.3f} s"
-        kinds = ", ".join(words.count(number, kind) for kind, number in result["event_counts"].items())
-        told = f"{words.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
-        force = f"largest force {words.si(result['largest_force_n'], 'N')}"
+        length = f"{wording.count(result['ticks'], 'tick')} in {result['duration_s']:.3f} s"
+        kinds = ", ".join(wording.count(number, kind) for kind, number in result["event_counts"].items())
+        told = f"{wording.count(result['events'], 'event')}{f' ({kinds})' if kinds else ''}"
+        force = f"largest force {wording.si(result['largest_force_n'], 'N')}"
         click.echo(f"{result['file'] or scene}: {length}, {told}, {force}")
 
 
 def _own_operator(scene: str) -> str | None:
     """The operator of a shipped scene."""
-    from hapticd.shipped_files import shipped_scenes
+    from hapticd.config.shipped_files import shipped_scenes
 
     return next((each.operator for each in shipped_scenes() if each.file == scene), None)
 
@@ -109,8 +109,8 @@ def replay_command(file: str, output: str | None, overwrite: bool, max_memory: i
 
     Ends with 1 where they are not the recorded ones, bit for bit.
     """
-    from hapticd.replayed import replay
-    from hapticd.sink import check_target
+    from hapticd.recording.replay import replay
+    from hapticd.recording.writer import check_target
 
     if output is not None:
         check_target(output, overwrite)
@@ -127,6 +127,6 @@ def replay_command(file: str, output: str | None, overwrite: bool, max_memory: i
 @click.command("schema", short_help="Print the configuration's JSON Schema.")
 def schema_command() -> None:
     """Print the JSON Schema of the configuration, for editors."""
-    from hapticd.schema import config_schema
+    from hapticd.config.schema import config_schema
 
     click.echo(json.dumps(config_schema(), indent=2, ensure_ascii=False))

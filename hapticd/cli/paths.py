@@ -31,12 +31,12 @@ def paths_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool) -
 
     Nothing is made, and no daemon is asked. The exit code is 1 if the configuration is faulty.
     """
-    from hapticd.config import chosen_config
-    from hapticd.config_files import choose
-    from hapticd.errors import HapticdError
-    from hapticd.flight import directory_of
-    from hapticd.paths import runtime_paths
-    from hapticd.shipped_files import folder_of, shipped, units_folder
+    from hapticd.base.errors import HapticdError
+    from hapticd.config.configuration import chosen_config
+    from hapticd.config.locations import choose
+    from hapticd.config.shipped_files import folder_of, shipped, units_folder
+    from hapticd.daemon.flight_recorder import directory_of
+    from hapticd.system.paths import runtime_paths
 
     chosen = choose(configs)
     runtime = runtime_paths(ctx.find_root().obj)

@@ -6,8 +6,8 @@ import os
 
 import click
 
+from hapticd.base.errors import HapticdError
 from hapticd.cli.common import json_option, note, print_json
-from hapticd.errors import HapticdError
 
 
 @click.command("recover", short_help="Make a file of what a killed recording left.")
@@ -20,7 +20,7 @@ def recover_command(file: str, as_json: bool) -> int:
     What cannot be read, what is still being recorded and what is another user's stays as it is, and is told. Ends with
     1 where no file was made.
     """
-    from hapticd.recovery import recover
+    from hapticd.recording.recovery import recover
 
     found = recover(file)
     for told in found.told:

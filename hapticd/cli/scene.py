@@ -26,7 +26,7 @@ def scene_command() -> None:
 @json_option
 def scene_list(as_json: bool) -> None:
     """List the scenes that ship with hapticd: each name does where a command takes a scene."""
-    from hapticd.shipped_files import shipped_scenes
+    from hapticd.config.shipped_files import shipped_scenes
 
     scenes = shipped_scenes()
     if as_json:

@@ -7,8 +7,8 @@ from typing import cast
 
 import click
 
+from hapticd.base.errors import HapticdError
 from hapticd.cli.common import json_option, print_json
-from hapticd.errors import HapticdError
 
 
 @click.command("install-service", short_help="Put the service of systemd in place.")
@@ -24,7 +24,7 @@ from hapticd.errors import HapticdError
 @json_option
 def install_service_command(user: bool, dry_run: bool, uninstall: bool, root: Path | None, as_json: bool) -> int:
     """Put units, users, folders and udev rules in place, and say what was done."""
-    from hapticd.service import Installation, Service
+    from hapticd.system.service_files import Installation, Service
 
     if user and root is not None:
         raise click.UsageError("--root is for the system's service, not for --user")
@@ -52,8 +52,8 @@ def stop_device_command(ctx: click.Context, as_json: bool) -> None:
 
     systemd runs it whatever ended the daemon. It needs nothing but what the daemon wrote into its runtime directory.
     """
-    from hapticd.paths import runtime_paths
-    from hapticd.stopper import stop_device
+    from hapticd.hid.stopper import stop_device
+    from hapticd.system.paths import runtime_paths
 
     done = stop_device(runtime_paths(cast("str | None", ctx.find_root().obj)).device)
     if as_json:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 PHRASES: Final = (
     ("set_forces with enabled: true", "`hapticd force on`"),
@@ -20,8 +20,8 @@ PHRASES: Final = (
 
 def in_shell_words(error: HapticdError) -> str:
     """An error's message, with commands of the shell in it."""
-    from hapticd.calls import RemoteError
-    from hapticd.wire import Code
+    from hapticd.protocol.calls import RemoteError
+    from hapticd.protocol.messages import Code
 
     if not isinstance(error, RemoteError):
         return str(error)

@@ -10,15 +10,15 @@ from typing import TypedDict
 
 import numpy as np
 
-from hapticd.config import Config, load_config
-from hapticd.core import EventKind
-from hapticd.document_kinds import SIMULATION_TAKER, refuse_other_kinds
-from hapticd.errors import HapticdError
-from hapticd.events import event_map
-from hapticd.offline import Run, simulate_run
-from hapticd.place import displaced
-from hapticd.sink import Sink, open_sink
-from hapticd.yaml_source import load_path
+from hapticd.base.core import EventKind
+from hapticd.base.errors import HapticdError
+from hapticd.base.files import displaced
+from hapticd.base.yaml_source import load_path
+from hapticd.config.configuration import Config, load_config
+from hapticd.config.document_kinds import SIMULATION_TAKER, refuse_other_kinds
+from hapticd.protocol.events import event_map
+from hapticd.recording.writer import Sink, open_sink
+from hapticd.rendering.offline import Run, simulate_run
 
 
 class SimulationResult(TypedDict):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from hapticd import words
-from hapticd.errors import offload_text, undisplayable_text, unseen_text
-from hapticd.stability_words import stability_words
+from hapticd.base import wording
+from hapticd.base.errors import offload_text, undisplayable_text, unseen_text
+from hapticd.rendering.stability_text import stability_words
 
 if TYPE_CHECKING:
-    from hapticd.results import Status
+    from hapticd.protocol.results import Status
 
 Line = tuple[str, str]
 """What it is about, and what is said of it. Without a name it goes on with the line before."""
@@ -40,20 +40,20 @@ def lines(status: Status) -> Iterator[Line]:
     yield from _forces(status)
     yield from _real_time(status["realtime"])
     yield from _periods(status)
-    yield "device", f"{status['device']} at {words.si(status['rate_hz'], 'Hz')}{_stepped_down(status)}"
+    yield "device", f"{status['device']} at {wording.si(status['rate_hz'], 'Hz')}{_stepped_down(status)}"
     yield from _connection(status.get("connection"))
     yield "scene", f"revision {status['revision']:,}"
     lease = status["lease_s"]
-    yield "lease", "none" if lease is None else f"held, {words.duration(lease)} left"
+    yield "lease", "none" if lease is None else f"held, {wording.duration(lease)} left"
     for name, histogram in status.get("histograms", {}).items():
         yield name.removesuffix("_ns"), _times(histogram)
     counters = status["counters"]
     for name in _COUNTED:
         if name in counters:
-            yield name, words.number(counters[name])
+            yield name, wording.number(counters[name])
     lost = {what: counters.get(f"{what}_dropped", 0) for what in ("samples", "events")}
-    dropped = [words.count(lost[what], what[:-1]) for what in lost]
-    yield "telemetry", f"{words.listed(dropped)} dropped" if any(lost.values()) else "nothing dropped"
+    dropped = [wording.count(lost[what], what[:-1]) for what in lost]
+    yield "telemetry", f"{wording.listed(dropped)} dropped" if any(lost.values()) else "nothing dropped"
     yield from _flight(status.get("flight"))
     for mode in status["undisplayable"]:
         yield "undisplayable", undisplayable_text(mode)
@@ -95,7 +95,7 @@ def _forces(status: Status) -> Iterator[Line]:
         yield "forces", "off: `hapticd force on` turns them on" if off else on
         return
     reasons = [FAULTS.get(name, name.replace("_", " ")) for name in status["faults"]]
-    yield "forces", f"off by a fault: {words.listed(reasons)}"
+    yield "forces", f"off by a fault: {wording.listed(reasons)}"
     advice = _signs(status).get("advice") if status["faults"] == ["signs"] else None
     yield "", advice or "`hapticd force on` turns them on again once its cause is gone"
 
@@ -131,16 +131,16 @@ def _periods(status: Status) -> Iterator[Line]:
     counters, told = status["counters"], status.get("overruns")
     skipped, ticks = counters["skipped"], status["tick"]
     if not skipped:
-        yield "periods", f"{words.count(ticks, 'tick')}, none missed"
+        yield "periods", f"{wording.count(ticks, 'tick')}, none missed"
         return
-    share = words.percent(skipped / (ticks + skipped))
+    share = wording.percent(skipped / (ticks + skipped))
     times = counters["overruns"]
     yield (
         "periods",
-        f"{words.count(ticks, 'tick')}; {skipped:,} missed ({share}), {words.count(times, 'time')}",
+        f"{wording.count(ticks, 'tick')}; {skipped:,} missed ({share}), {wording.count(times, 'time')}",
     )
     if isinstance(told, dict):
-        now, limit = (words.percent(float(str(told[key]))) for key in ("missed_share", "threshold"))
+        now, limit = (wording.percent(float(str(told[key]))) for key in ("missed_share", "threshold"))
         yield "", f"{now} of the last second's; above {limit}: {str(told['action']).replace('_', ' ')}"
 
 
@@ -149,20 +149,20 @@ def _stepped_down(status: Status) -> str:
     configured = told.get("configured_rate_hz") if isinstance(told, dict) else None
     if not isinstance(configured, float | int) or configured <= status["rate_hz"]:
         return ""
-    return f", stepped down from {words.si(configured, 'Hz')}"
+    return f", stepped down from {wording.si(configured, 'Hz')}"
 
 
 def _times(histogram: Mapping[str, Any]) -> str:
     half, most = (quantile_ns(histogram, part) for part in (0.5, 0.99))
-    median, almost, longest = (words.si(1e-9 * value, "s", 3) for value in (half, most, histogram["max"]))
+    median, almost, longest = (wording.si(1e-9 * value, "s", 3) for value in (half, most, histogram["max"]))
     return f"median {median}, 99 % within {almost}, longest {longest}"
 
 
 def _flight(told: object) -> Iterator[Line]:
     if not isinstance(told, dict):
         return
-    files = f"{words.count(told['written'], 'file')} written to {told['directory']}"
-    yield "flight recorder", f"the last {words.duration(told['seconds'])}; {files}"
+    files = f"{wording.count(told['written'], 'file')} written to {told['directory']}"
+    yield "flight recorder", f"the last {wording.duration(told['seconds'])}; {files}"
     if told["problem"] is not None:
         yield "", told["problem"]
 
@@ -173,7 +173,7 @@ def _connection(told: object) -> Iterator[Line]:
     where = f"{told['name']} at {told['path']}, " if told["name"] else ""
     yield "connection", f"{where}{told['state']}" + (f": {told['problem']}" if told["problem"] else "")
     rates = [
-        f"{what} {words.si(told[key], 'Hz')}"
+        f"{what} {wording.si(told[key], 'Hz')}"
         for what, key in (
             ("carries forces at", "link_hz"),
             ("reports at", "report_hz"),
@@ -190,7 +190,7 @@ def _connection(told: object) -> Iterator[Line]:
     if told["states"]:
         yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in told["states"].items())
     if told["resets"]:
-        yield "resets", words.number(told["resets"])
+        yield "resets", wording.number(told["resets"])
     if told.get("resets_seen") is False:
         condition, action = unseen_text(told["path"], told["foreign_effect_s"])
         yield "unseen", condition

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 if TYPE_CHECKING:
     from typing_extensions import Buffer

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
-from hapticd import words
+from hapticd.base import wording
+from hapticd.base.errors import HapticdError, known_names, quoted
 from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
@@ -21,12 +22,11 @@ from hapticd.cli.common import (
     print_json,
     write_whole,
 )
-from hapticd.errors import HapticdError, known_names, quoted
 
 if TYPE_CHECKING:
+    from hapticd.config.materials import Material
     from hapticd.fit.recording import Recording
     from hapticd.fit.synthesize import Stylus
-    from hapticd.materials import Material
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 _Truth = dict[str, float]
@@ -144,8 +144,8 @@ def grooves_command(
     """Strokes over grooves, each in a recording of its own."""
 
     def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
+        from hapticd.config.texture import Grooves
         from hapticd.fit.synthesize_strokes import Hand, grooves
-        from hapticd.texture import Grooves
 
         table = material.texture.frequency_table if isinstance(material.texture, Grooves) else None
         if table is not None:
@@ -177,8 +177,8 @@ def texture_command(
     """Strokes over sandpaper and the like, each in a recording of its own."""
 
     def make(material: Material, stylus: Stylus) -> tuple[list[Recording], _Truth]:
+        from hapticd.config.texture import Stochastic
         from hapticd.fit.synthesize_strokes import Hand, texture
-        from hapticd.texture import Stochastic
 
         hand = Hand(duration_s=duration_s)
         found = [texture(material, *pair, each, hand) for pair, each in _pairs(speeds, forces, stylus)]
@@ -249,7 +249,7 @@ def _run(
     full_scale_m_per_s2: float | None,
     **stylus: Any,
 ) -> None:
-    from hapticd.config import config_of
+    from hapticd.config.configuration import config_of
     from hapticd.fit.recording import npz_of
     from hapticd.fit.synthesize import Stylus
 
@@ -271,13 +271,13 @@ def _run(
     if as_json:
         print_json({"kind": kind, "material": name, "truth": truth, "files": targets})
         return
-    from hapticd.schema import unit_of
+    from hapticd.config.schema import unit_of
 
     for key, value in truth.items():
         click.echo(f"{key}: {value:.6g} {unit_of(key) or ''}".rstrip())
     if not truth:
         note(f"the truth of {name} is its models")
-    note(f"{words.count(len(targets), 'recording')} of {name}: {', '.join(targets)}")
+    note(f"{wording.count(len(targets), 'recording')} of {name}: {', '.join(targets)}")
 
 
 def _targets(output: str, count: int) -> list[str]:

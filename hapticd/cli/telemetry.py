@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hapticd.base.errors import HapticdError
 from hapticd.cli.common import daemon, for_option, json_option, note, notes_option, overwrite_option, print_json
-from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from hapticd.record import RecordSummary
+    from hapticd.client.record import RecordSummary
 
 
 @click.command("watch", short_help="Show what happens, live.")
@@ -31,7 +31,7 @@ def watch_command(ctx: click.Context, duration_s: float | None, as_json: bool) -
 
     Into a file or a pipe it prints a line a second, and one for each event.
     """
-    from hapticd.watch import watch
+    from hapticd.client.watch import watch
 
     def end(number: int, frame: object) -> None:
         raise SystemExit(128 + number)
@@ -59,9 +59,9 @@ def record_command(
     """
     from dataclasses import asdict
 
-    from hapticd.record import record
-    from hapticd.recovery import left_behind
-    from hapticd.sink import check_target
+    from hapticd.client.record import record
+    from hapticd.recording.recovery import left_behind
+    from hapticd.recording.writer import check_target
 
     stop = threading.Event()
     received: list[int] = []
@@ -112,7 +112,7 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
             ctx,
         )
     if file is not None:
-        from hapticd.sink import check_target
+        from hapticd.recording.writer import check_target
 
         check_target(file, overwrite)
     with daemon(ctx) as client:
@@ -139,7 +139,7 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
 
 
 def _exit_code(recording: RecordSummary, duration_s: float | None, received: list[int]) -> int:
-    from hapticd.place import displaced
+    from hapticd.base.files import displaced
 
     if recording.displaced is not None:
         note(displaced(recording.displaced, recording.file))

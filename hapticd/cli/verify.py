@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from hapticd.base.errors import HapticdError
 from hapticd.cli.common import Choice, Finite, config_option, json_option, note, print_json
-from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
-    from hapticd.calibration.verify import Verdict
+    from hapticd.analysis.calibration.verify import Verdict
 
 
 @click.command("verify", short_help="Measure how materials are displayed.")
@@ -55,10 +55,10 @@ def verify_command(
     The simulated handle is known as it is, and each tap is told on a wall of its material, too. On a real one an
     accelerometer must record while they are struck, half a second apart, the handle held as it will be used.
     """
-    from hapticd.calibration import verify
-    from hapticd.calibration.accelerometer import load_recording
-    from hapticd.calibration.walls import verdicts_on_walls
-    from hapticd.config import config_of
+    from hapticd.analysis.calibration import verify
+    from hapticd.analysis.calibration.accelerometer import load_recording
+    from hapticd.analysis.calibration.walls import verdicts_on_walls
+    from hapticd.config.configuration import config_of
 
     config = config_of(configs)
     simulated = config.device.kind == "sim"

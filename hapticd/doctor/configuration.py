@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hapticd.base.errors import HapticdError
 from hapticd.doctor.machine import Finding
-from hapticd.errors import HapticdError
 
 if TYPE_CHECKING:
-    from hapticd.config import Config
-    from hapticd.config_files import Chosen
+    from hapticd.config.configuration import Config
+    from hapticd.config.locations import Chosen
 
 
 def taken(chosen: Chosen) -> tuple[Config, Finding]:
     """The configuration, or where it is faulty the built-in one, and the line that says so."""
-    from hapticd.config import chosen_config, default_config
+    from hapticd.config.configuration import chosen_config, default_config
 
     try:
         return chosen_config(chosen), Finding("config", "ok", str(chosen))

@@ -8,12 +8,12 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from hapticd.base.errors import unseen_text
 from hapticd.doctor.machine import Finding, Machine, Needs
-from hapticd.errors import unseen_text
 from hapticd.hid.nodes import event_nodes, is_for_others
 
 if TYPE_CHECKING:
-    from hapticd.hid.discover import Found
+    from hapticd.hid.discovery import Found
 
 RULE: Final = "70-hapticd.rules"
 _RULE_FOLDERS: Final = ("etc", "run", "usr/local/lib", "usr/lib", "lib")
@@ -34,7 +34,7 @@ def drivable(machine: Machine, needs: Needs) -> list[Found]:
 
 def refused(devices: Iterable[Found], needs: Needs) -> Iterator[Finding]:
     """Those that are made for forces, or that the configuration names, and cannot be driven."""
-    from hapticd.hid.discover import is_meant
+    from hapticd.hid.discovery import is_meant
 
     for device in devices:
         why_not = device.verdict.why_not

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
-from hapticd import words
+from hapticd.base import wording
 from hapticd.doctor.machine import Finding, Machine, Needs, unknown
 
 _GOOD_CLOCKS: Final = (
@@ -98,7 +98,7 @@ def throttling(machine: Machine, needs: Needs) -> Iterator[Finding]:
         yield Finding(
             "throttling",
             needs.without() if runtime == 0 else "warn",
-            f"real-time tasks may have {words.si(1e-6 * runtime, 's')} of {words.si(1e-6 * period, 's')}",
+            f"real-time tasks may have {wording.si(1e-6 * runtime, 's')} of {wording.si(1e-6 * period, 's')}",
             "sysctl kernel.sched_rt_runtime_us=950000",
         )
 
@@ -136,7 +136,7 @@ def group_budget(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 def _budget(path: str, runtime_us: int, needs: Needs) -> Finding:
     if runtime_us != 0:
-        return Finding("cgroup", "ok", f"{path} has a real-time budget of {words.si(1e-6 * runtime_us, 's')}")
+        return Finding("cgroup", "ok", f"{path} has a real-time budget of {wording.si(1e-6 * runtime_us, 's')}")
     return Finding(
         "cgroup",
         needs.without(),

@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 if TYPE_CHECKING:
-    from hapticd.hid.config import Hid
-    from hapticd.hid.discover import Found
+    from hapticd.config.hid import Hid
+    from hapticd.hid.discovery import Found
 
 _MOST_BYTES: Final = 1 << 18
 """Of a file that is read; a kernel's configuration is the largest."""
@@ -82,9 +82,9 @@ def run(words: Sequence[str]) -> str | None:
 
 def find(sysfs: Path, dev: Path) -> list[Found]:
     """HID devices, as `hapticd devices` lists them."""
-    from hapticd.hid import discover
+    from hapticd.hid import discovery
 
-    return discover.find(sysfs, dev)
+    return discovery.find(sysfs, dev)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,13 +25,14 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.fit.impossible import Kept, without_impossible
+from hapticd.analysis.recordings.impossible import Kept, without_impossible
+from hapticd.analysis.recordings.lines import Line, lines_beside, tell_lines
+from hapticd.analysis.recordings.spans import Bools
+from hapticd.analysis.recordings.stretches import stretches_of
+from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares
+from hapticd.config.modes import Mode
 from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, common, least_squares
-from hapticd.fit.spans import Bools
-from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     Ints,
     Motion,
@@ -52,7 +53,6 @@ from hapticd.fit.strokes import (
 )
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import AT_LEAST, Doubts, Verdict
-from hapticd.mode import Mode
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 

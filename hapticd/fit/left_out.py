@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
+from hapticd.analysis.statistics import FitError, MistakenError
+from hapticd.base.yaml_source import Json
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import FitError, MistakenError
 from hapticd.fit.verdict import Doubts
-from hapticd.yaml_source import Json
 
 _T = TypeVar("_T")
 RECORDING: Final = "recording"

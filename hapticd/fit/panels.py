@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.fit.impossible import without_impossible
+from hapticd.analysis.recordings.impossible import without_impossible
+from hapticd.analysis.statistics import Estimate, FitError
+from hapticd.config.materials import Material, validate_materials
+from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
 from hapticd.fit.left_out import RECORDING, Left
 from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError
 from hapticd.fit.report import Curve, Page, Panel
-from hapticd.fit.ringing import fit_ringing
+from hapticd.fit.taps.ringing import fit_ringing
 from hapticd.fit.waveform import WaveformFit
-from hapticd.materials import Material, validate_materials
-from hapticd.noise import power_spectrum, reflection_of, stochastic_filter
-from hapticd.texture import Autoregressive, AutoregressiveModel, Stochastic
+from hapticd.rendering.filter_design import power_spectrum, reflection_of, stochastic_filter
 
 if TYPE_CHECKING:
     from hapticd.fit.grooves import GroovesFit

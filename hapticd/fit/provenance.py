@@ -10,12 +10,12 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final, Literal, Protocol, TypeAlias
 
 from hapticd._version import __version__
-from hapticd.errors import InvalidError, Problem
+from hapticd.analysis.statistics import Estimate
+from hapticd.base.errors import InvalidError, Problem
+from hapticd.config.materials import MAX_REASON, MAX_REASONS, Material, validate_materials
 from hapticd.fit.left_out import Left
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate
 from hapticd.fit.verdict import Verdict
-from hapticd.materials import MAX_REASON, MAX_REASONS, Material, validate_materials
 
 Kind: TypeAlias = Literal["tap", "grooves", "texture", "puncture"]
 KEY_OF: Final[Mapping[Kind, str]] = {

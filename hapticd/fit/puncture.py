@@ -14,14 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.fit.clipping import clipped
-from hapticd.fit.impossible import without_impossible
+from hapticd.analysis.recordings.clipping import clipped
+from hapticd.analysis.recordings.impossible import without_impossible
+from hapticd.analysis.recordings.lines import Line, lines_beside, tell_lines
+from hapticd.analysis.recordings.stretches import gaps_told, in_gap
+from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, common, with_offset
 from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, common, with_offset
-from hapticd.fit.ringing import fit_ringing
-from hapticd.fit.stretches import gaps_told, in_gap
 from hapticd.fit.strokes import (
     acceleration_of,
     excludes_zero,
@@ -34,6 +33,7 @@ from hapticd.fit.strokes import (
     told_of,
     too_slow,
 )
+from hapticd.fit.taps.ringing import fit_ringing
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 

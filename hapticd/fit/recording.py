@@ -22,19 +22,19 @@ from typing import Annotated, TypeAlias
 import numpy as np
 from pydantic import Field, ValidationError
 
-from hapticd.document_kinds import refuse_documents
-from hapticd.errors import HapticdError, InvalidError, Problem, known_names
-from hapticd.fit.clock import HIGHEST_HZ, LOWEST_HZ, RATES_ALIKE, uniform
-from hapticd.fit.csv_table import csv_table
-from hapticd.fit.npz_table import npz_table
-from hapticd.fit.quantities import NAMES, UNITS, Quantity
-from hapticd.fit.regression import Floats
-from hapticd.fit.sensor import Sensor
-from hapticd.fit.table import MAX_BYTES, Table, short_name, shown_name
-from hapticd.fit.wav_table import wav_table
-from hapticd.model import Model, faults_of
-from hapticd.yaml_source import MAX_BYTES as MAX_YAML_BYTES
-from hapticd.yaml_source import load_bytes, one_line, read_file
+from hapticd.analysis.recordings.clock import HIGHEST_HZ, LOWEST_HZ, RATES_ALIKE, uniform
+from hapticd.analysis.recordings.csv_table import csv_table
+from hapticd.analysis.recordings.npz_table import npz_table
+from hapticd.analysis.recordings.quantities import NAMES, UNITS, Quantity
+from hapticd.analysis.recordings.sensor import Sensor
+from hapticd.analysis.recordings.table import MAX_BYTES, Table, short_name, shown_name
+from hapticd.analysis.recordings.wav_table import wav_table
+from hapticd.analysis.statistics import Floats
+from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
+from hapticd.base.model import Model, faults_of
+from hapticd.base.yaml_source import MAX_BYTES as MAX_YAML_BYTES
+from hapticd.base.yaml_source import load_bytes, one_line, read_file
+from hapticd.config.document_kinds import refuse_documents
 
 Rate: TypeAlias = Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)]
 

@@ -21,9 +21,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd._version import __version__
-from hapticd.errors import HapticdError
-from hapticd.fit.regression import Estimate
-from hapticd.schema import unit_of
+from hapticd.analysis.statistics import Estimate
+from hapticd.base.errors import HapticdError
+from hapticd.config.schema import unit_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

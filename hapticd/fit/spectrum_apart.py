@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.fit.regression import Floats
+from hapticd.analysis.statistics import Floats
 from hapticd.fit.spectrum_peak import LOW_HZ, smoothed
 
 COMPARED_DB: Final = 20.0

@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.fit.regression import Estimate, Floats, jackknife_error
+from hapticd.analysis.statistics import Estimate, Floats, jackknife_error
 from hapticd.fit.strokes import Ints, about
 
 LOW_HZ: Final = 20.0

@@ -11,9 +11,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.fit.impossible import SPEED, Kept
+from hapticd.analysis.recordings.impossible import SPEED, Kept
+from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, student_t
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, MistakenError, student_t
 from hapticd.fit.verdict import Doubts
 
 Ints = npt.NDArray[np.int64]

@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.analysis.recordings.sensor import Sensor
+from hapticd.analysis.statistics import Floats
+from hapticd.config.materials import Tap
+from hapticd.config.modes import Mode
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.regression import Floats
-from hapticd.fit.sensor import Sensor
-from hapticd.materials import Tap
-from hapticd.mode import Mode
 
 GRAVITY_M_PER_S2: Final = 9.80665
 APPROACH_S: Final = 0.02

@@ -21,14 +21,14 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.fit.impossible import Kept, without_impossible
+from hapticd.analysis.recordings.impossible import Kept, without_impossible
+from hapticd.analysis.recordings.lines import lines_of, tell_lines
+from hapticd.analysis.recordings.stretches import stretches_of
+from hapticd.analysis.statistics import Estimate, FitError, Floats, least_squares, student_t
 from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import lines_of, tell_lines
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import Estimate, FitError, Floats, least_squares, student_t
 from hapticd.fit.spectrum_apart import apart_db
 from hapticd.fit.spectrum_peak import LOW_HZ, jackknifed, peak_of, smoothed
-from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     LEAST_RATE,
     acceleration_of,
@@ -42,7 +42,7 @@ from hapticd.fit.strokes import (
 )
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
-from hapticd.noise import coefficients_of, power_spectrum, stochastic_filter
+from hapticd.rendering.filter_design import coefficients_of, power_spectrum, stochastic_filter
 
 BLOCK_S: Final = 0.5
 LEAST_BLOCKS: Final = 8
@@ -659,7 +659,8 @@ def _ar_model(
 
 
 def _levinson(correlation: Floats) -> tuple[list[float], list[float]]:
-    """Reflection coefficients k_1 .. k_p in the convention of hapticd.noise, and the errors E_0 .. E_p, relative."""
+    """Reflection coefficients k_1 .. k_p in the convention of hapticd.rendering.filter_design, and the errors E_0 ..
+    E_p, relative."""
     forward = np.array([1.0])
     error = float(correlation[0])
     stages, errors = [], [1.0]

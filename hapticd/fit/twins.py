@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hapticd.analysis.statistics import FitError
 from hapticd.fit.recording import Recording
-from hapticd.fit.regression import FitError
 
 
 def refuse_twins(recordings: Sequence[Recording]) -> None:

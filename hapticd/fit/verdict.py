@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal, NamedTuple, TypeAlias
 
-from hapticd.fit.regression import Estimate
+from hapticd.analysis.statistics import Estimate
 
 Quality: TypeAlias = Literal["good", "fair", "poor"]
 

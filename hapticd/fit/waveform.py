@@ -15,8 +15,15 @@ from typing import Final
 
 import numpy as np
 
+from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
+from hapticd.base.yaml_source import Json
+from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
 from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
-from hapticd.fit.pulse_shape import (
+from hapticd.fit.recording import Source
+from hapticd.fit.taps.amplitude import doubt_the_law, law_of
+from hapticd.fit.taps.hit import check_speeds
+from hapticd.fit.taps.law import Amplitudes, check_slope
+from hapticd.fit.taps.pulse_shape import (
     LARGE,
     Equations,
     Placed,
@@ -28,14 +35,7 @@ from hapticd.fit.pulse_shape import (
     rest_of,
     upright,
 )
-from hapticd.fit.recording import Source
-from hapticd.fit.regression import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
-from hapticd.fit.tap_amplitude import doubt_the_law, law_of
-from hapticd.fit.tap_hit import check_speeds
-from hapticd.fit.tap_law import Amplitudes, check_slope
 from hapticd.fit.verdict import Doubts, Verdict
-from hapticd.waveform import LONGEST_S, MOST_SAMPLES, Curve
-from hapticd.yaml_source import Json
 
 LEAST_PULSES: Final = 3
 CROSSES: Final = 0.25

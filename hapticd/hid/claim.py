@@ -23,8 +23,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from hapticd.errors import HapticdError
-from hapticd.hid.discover import Found
+from hapticd.base.errors import HapticdError
+from hapticd.hid.discovery import Found
 from hapticd.hid.nodes import event_nodes, is_for_others
 
 RULES: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")

@@ -1,7 +1,7 @@
 """Keeps a device connected: sets it up, hands it to C, waits, sets it up anew after a reset, and looks for it when it
 has gone.
 
-A thread does that while the daemon runs; C's reader and writer threads (csrc/hd_hid.c) do what happens every few
+A thread does that while the daemon runs; C's reader and writer threads (csrc/device/hd_hid.c) do what happens every few
 milliseconds, and the servo waits for neither. A device that is lost is looked for every `RETRY_S`; the scene stays.
 """
 
@@ -16,15 +16,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
-from hapticd.core import CData, HidMeaning, Status, ffi, invalid_reason, lib
-from hapticd.errors import HapticdError
+from hapticd.base.core import CData, HidMeaning, Status, ffi, invalid_reason, lib
+from hapticd.base.errors import HapticdError
 from hapticd.hid.device import Device, Driver
+from hapticd.hid.drivers.restore import paced
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
-from hapticd.hid.restore import paced
 from hapticd.hid.signs import Check
-from hapticd.repeats import STATE_S, Repeats
-from hapticd.stopper import StopFile
+from hapticd.hid.stopper import StopFile
+from hapticd.system.repeated_lines import STATE_S, Repeats
 
 RETRY_S: Final = 0.25
 """A device that is gone is looked for so often."""

@@ -30,7 +30,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
 
 MAX_DESCRIPTOR_BYTES: Final = 4096
 """Linux takes no longer one."""

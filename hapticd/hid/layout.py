@@ -21,11 +21,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from hapticd.core import lib
+from hapticd.base.core import lib
 from hapticd.hid.descriptor import Collection, CollectionType, Descriptor, ReportField, ReportKind
 from hapticd.hid.flags import number_of_on
 from hapticd.hid.usages import AXES, COMMANDS, EFFECT_TYPES, LOAD_STATUS, OPERATIONS
-from hapticd.hid.useful import angle_fault, axis_fault, magnitude_fault
+from hapticd.hid.useful_ranges import angle_fault, axis_fault, magnitude_fault
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
 """The longest report that is driven, with its id."""

@@ -23,12 +23,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core import CData, HidQuantity, Status, ffi, invalid_reason, lib
-from hapticd.displayable import DISPLAYABLE
-from hapticd.errors import HapticdError, offload_text
+from hapticd.base.core import CData, HidQuantity, Status, ffi, invalid_reason, lib
+from hapticd.base.errors import HapticdError, offload_text
+from hapticd.config.materials import Material, Tap
+from hapticd.config.modes import Mode
 from hapticd.hid.plan import Message, Numbers, Periodic, Scale, Value, fill_message
-from hapticd.materials import Material, Tap
-from hapticd.mode import Mode
+from hapticd.rendering.displayability import DISPLAYABLE
 
 MOST_ERROR: Final = 0.2
 """An effect that differs by more from its mode (RMS of the difference over RMS) is none of it."""

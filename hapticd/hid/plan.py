@@ -1,6 +1,7 @@
 """What a connection does with a device, as data: where positions stand, and which reports carry a force.
 
-Made once by `pid.py`, `vendor.py` or `replay.py`, and handed to C as `struct hd_hid_plan` (csrc/hd_api.h says what each
+Made once by `pid.py`, `vendor.py` or `replay.py`, and handed to C as `struct hd_hid_plan` (csrc/api/hd_api.h says
+what each
 number means). Reports are bytes with the report id first, 0 where reports are not numbered; bits are counted after it.
 """
 
@@ -13,8 +14,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.core import CData, HidMeaning, HidQuantity, ffi, lib
-from hapticd.errors import HapticdError
+from hapticd.base.core import CData, HidMeaning, HidQuantity, ffi, lib
+from hapticd.base.errors import HapticdError
 from hapticd.hid.signs import Signs
 
 STILL_M_PER_COUNT: Final = 1e-15

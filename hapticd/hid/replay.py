@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final, TextIO, cast
 
-from hapticd.errors import HapticdError, shown
-from hapticd.hid.config import Replay
+from hapticd.base.errors import HapticdError, shown
+from hapticd.config.hid import Replay
 from hapticd.hid.plan import DeviceError
 
 VERSION: Final = 1

@@ -1,5 +1,5 @@
-"""The check of a device's signs before the first force of the scene: csrc/hd_signs.h does it, here is what it is told
-and what it says."""
+"""The check of a device's signs before the first force of the scene: csrc/device/hd_signs.h does it, here is what it
+is told and what it says."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from hapticd.core import CData, SignsProblem, SignsState, lib
+from hapticd.base.core import CData, SignsProblem, SignsState, lib
 
 FORCE: Final = 0.1
 """Of a pulse, as a part of the device's largest force; `hapticd devices calibrate` uses no more."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from hapticd.config import Device as DeviceConfig
-from hapticd.hid.config import Hid, Replay
+from hapticd.config.configuration import Device as DeviceConfig
+from hapticd.config.hid import Hid, Replay
 from hapticd.hid.connection import Opened, Source
 from hapticd.hid.device import Device, HidrawDevice
-from hapticd.hid.discover import choose, find
+from hapticd.hid.discovery import choose, find
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.hid.replay import ReplayDevice, load
 from hapticd.hid.verdict import verdict_of

@@ -14,7 +14,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "hd_atomic.h"
+#include "base/hd_atomic.h"
 
 #define HD_JITTER_ATOMICS 512u /* one access in so many waits */
 #define HD_JITTER_CALLS 8u     /* one call in so many waits */

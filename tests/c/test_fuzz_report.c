@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "hd_report.h"
+#include "base/hd_bits.h"
 #include "hd_test.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);

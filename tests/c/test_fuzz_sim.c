@@ -3,7 +3,7 @@
  *
  * With HD_LIBFUZZER this is a libFuzzer target (`make fuzz`). Without, main runs seeded random cases of the same kind
  * and takes a first seed and a count, so that a failure can be repeated. */
-#include "hd_core.h"
+#include "api/hd_core.h"
 #include "hd_fuzz.h"
 #include "hd_test.h"
 

@@ -8,9 +8,9 @@
 #include <math.h>
 #include <string.h>
 
-#include "hd_core.h"
+#include "api/hd_core.h"
 #include "hd_test.h"
-#include "hd_world.h"
+#include "scene/hd_world.h"
 
 #define OBJECTS 6u
 #define MATERIALS 4u

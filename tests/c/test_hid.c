@@ -12,9 +12,9 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "hd_atomic.h"
-#include "hd_clock.h"
-#include "hd_hid.h"
+#include "base/hd_atomic.h"
+#include "base/hd_clock.h"
+#include "device/hd_hid.h"
 #include "hd_test.h"
 
 #define PATIENCE_S 300

@@ -1,7 +1,7 @@
 /* Histograms: every time falls between the edges of its bin, counts, sum and maximum add up. */
 #include <stdio.h>
 
-#include "hd_histogram.h"
+#include "base/hd_histogram.h"
 #include "hd_test.h"
 
 static uint32_t searched(int64_t time_ns) {

@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "hd_index.h"
+#include "scene/hd_index.h"
 #include "hd_test.h"
 
 enum { SLOTS = 10000 };

@@ -1,7 +1,7 @@
 /* What a process that ends by a fault still sends to its device: a force of zero, then its stop reports, twice, and
  * then it ends by the very signal. */
-#include "hd_core.h"
-#include "hd_last.h"
+#include "api/hd_core.h"
+#include "device/hd_last_report.h"
 #include "hd_test.h"
 
 #include <fcntl.h>

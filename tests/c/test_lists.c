@@ -9,8 +9,8 @@
 #include <string.h>
 
 #include "hd_test.h"
-#include "hd_tick.h"
-#include "hd_vector.h"
+#include "tick/hd_tick.h"
+#include "base/hd_vector.h"
 
 #define OBJECTS 24u
 #define MATERIALS 6u

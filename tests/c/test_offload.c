@@ -11,12 +11,12 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "hd_clock.h"
-#include "hd_hid.h"
-#include "hd_limit.h"
-#include "hd_player.h"
+#include "base/hd_clock.h"
+#include "device/hd_hid.h"
+#include "tick/hd_limit.h"
+#include "device/hd_effects.h"
 #include "hd_test.h"
-#include "hd_tick.h"
+#include "tick/hd_tick.h"
 
 #define PATIENCE_S 300
 #define MS 1000000ll

@@ -8,12 +8,12 @@
 #include <math.h>
 #include <string.h>
 
-#include "hd_core.h"
-#include "hd_state.h"
+#include "api/hd_core.h"
+#include "tick/hd_state.h"
 #include "hd_test.h"
-#include "hd_tick.h"
-#include "hd_vector.h"
-#include "hd_world.h"
+#include "tick/hd_tick.h"
+#include "base/hd_vector.h"
+#include "scene/hd_world.h"
 
 #define OBJECTS 8u
 #define MATERIALS 6u

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "hd_report.h"
+#include "base/hd_bits.h"
 #include "hd_test.h"
 
 #define BYTES 9u

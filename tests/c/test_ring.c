@@ -3,7 +3,7 @@
 #include <sched.h>
 #include <string.h>
 
-#include "hd_ring.h"
+#include "base/hd_ring.h"
 #include "hd_test.h"
 
 static void refuses_bad_sizes(void) {

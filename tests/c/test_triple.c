@@ -3,7 +3,7 @@
 #include <sched.h>
 
 #include "hd_test.h"
-#include "hd_triple.h"
+#include "base/hd_triple.h"
 
 static void starts_with_nothing_new(void) {
     struct hd_triple triple;

@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "hd_index.h"
+#include "scene/hd_index.h"
 #include "hd_test.h"
 
 static size_t allowance = SIZE_MAX; /* so many more calls find memory */

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from hapticd.client import Client
-from tests.daemon_process import Daemon, Wire, connect, running_daemon, wired
+from hapticd.client.blocking import Client
+from tests.support.daemon_process import Daemon, Wire, connect, running_daemon, wired
 
 
 @pytest.fixture(scope="module")

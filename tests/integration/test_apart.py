@@ -11,8 +11,8 @@ import msgpack
 import pytest
 
 from bench import attackers
-from hapticd.wire import Code
-from tests.daemon_process import PATIENCE_S, Daemon, Wire, running_daemon, until, wired
+from hapticd.protocol.messages import Code
+from tests.support.daemon_process import PATIENCE_S, Daemon, Wire, running_daemon, until, wired
 
 pytestmark = pytest.mark.slow
 

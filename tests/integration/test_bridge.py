@@ -27,14 +27,14 @@ import zmq
 from prometheus_client.parser import text_string_to_metric_families
 
 import hapticd.aio
-from hapticd import wire
-from hapticd.calls import DaemonNotRunning, KeyRefused, RemoteError
+from hapticd.base.errors import HapticdError
 from hapticd.cli import main
-from hapticd.client import Client
-from hapticd.errors import HapticdError
-from hapticd.keys import new_certificate, write_certificate
-from hapticd.remote import Remote
-from tests.bridge_process import (
+from hapticd.client.blocking import Client
+from hapticd.protocol import messages
+from hapticd.protocol.calls import DaemonNotRunning, KeyRefused, RemoteError
+from hapticd.protocol.keys import new_certificate, write_certificate
+from hapticd.protocol.remote import Remote
+from tests.support.bridge_process import (
     FAILURES,
     Bridge,
     Elsewhere,
@@ -43,9 +43,9 @@ from tests.bridge_process import (
     network_namespace,
     running_bridge,
 )
-from tests.cli import HAPTICD
-from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
-from tests.fake_daemon import fake_daemon, result
+from tests.support.cli import HAPTICD
+from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
+from tests.support.fake_daemon import fake_daemon, result
 
 CLIENTS = {"alice": "command", "carol": "command", "bob": "watch"}
 ROOT = Path(__file__).parents[2]
@@ -78,7 +78,7 @@ def commands() -> list[bytes]:
         "dump_flight": {},
         "get_config": {},
     }
-    return [wire.request(number, method, each) for number, (method, each) in enumerate(params.items())]
+    return [messages.request(number, method, each) for number, (method, each) in enumerate(params.items())]
 
 
 @contextmanager
@@ -141,14 +141,14 @@ def test_a_client_of_asyncio(bridge: Bridge) -> None:
 
 def test_a_request_of_req_and_one_without_an_answer(daemon: Daemon, bridge: Bridge) -> None:
     with Peer(zmq.REQ, bridge.at("alice").command_endpoint, bridge.at("alice")) as peer:
-        peer.socket.send(wire.request("a", "get_status"))
+        peer.socket.send(messages.request("a", "get_status"))
         assert msgpack.unpackb(peer.socket.recv())["id"] == "a"
     with Peer(zmq.DEALER, bridge.at("alice").command_endpoint, bridge.at("alice")) as peer:
         silent = msgpack.packb({"jsonrpc": "2.0", "method": "reset"})
         broken = msgpack.packb({"jsonrpc": "2.0", "method": "reset", "more": 1})
-        for body in (silent, broken, b"\xc1", wire.request(1, "no"), wire.request(2, "get_status")):
+        for body in (silent, broken, b"\xc1", messages.request(1, "no"), messages.request(2, "get_status")):
             peer.socket.send(body)
-        peer.socket.send_multipart([b"", wire.request(3, "get_status")])
+        peer.socket.send_multipart([b"", messages.request(3, "get_status")])
         peer.socket.send_multipart([b"x", b"y", b"z"])
         answers = [msgpack.unpackb(peer.socket.recv()) for _ in range(4)]
         assert [answer["id"] for answer in answers] == [None, None, 1, 2]
@@ -316,7 +316,7 @@ def test_a_revoked_key_on_open_connections(daemon: Daemon, tmp_path: Path, left:
             watching.socket.setsockopt(zmq.SUBSCRIBE, b"state")
             watching.socket.recv_multipart()
             for each in (peer, other):
-                each.socket.send(wire.request(1, "get_status"))
+                each.socket.send(messages.request(1, "get_status"))
                 each.socket.recv()
             for each in (peer, watching):
                 assert each.event() == zmq.EVENT_HANDSHAKE_SUCCEEDED
@@ -327,7 +327,7 @@ def test_a_revoked_key_on_open_connections(daemon: Daemon, tmp_path: Path, left:
                 peer.socket.send(body)
             for each in (peer, watching):
                 assert each.event() == zmq.EVENT_DISCONNECTED
-            other.socket.send(wire.request(2, "get_status"))
+            other.socket.send(messages.request(2, "get_status"))
             assert msgpack.unpackb(other.socket.recv())["id"] == 2
             assert other.event() == zmq.EVENT_HANDSHAKE_SUCCEEDED
             assert peer.event() & (FAILURES | zmq.EVENT_DISCONNECTED)
@@ -340,10 +340,10 @@ def test_a_reload_that_revokes_nothing_ends_nothing(daemon: Daemon, tmp_path: Pa
         running_bridge(tmp_path, daemon.directory, {"alice": "command"}) as bridge,
         Peer(zmq.DEALER, bridge.address, bridge.at("alice")) as peer,
     ):
-        peer.socket.send(wire.request(1, "get_status"))
+        peer.socket.send(messages.request(1, "get_status"))
         peer.socket.recv()
         assert "0 connections ended" in bridge.reload({"alice": "command"})
-        peer.socket.send(wire.request(2, "get_status"))
+        peer.socket.send(messages.request(2, "get_status"))
         peer.socket.recv()
         assert peer.event() == zmq.EVENT_HANDSHAKE_SUCCEEDED
         assert not peer.more()
@@ -371,7 +371,7 @@ def test_a_bad_file_changes_nothing(daemon: Daemon, tmp_path: Path, text: str | 
             bridge.file.write_text(text)
         bridge.process.send_signal(signal.SIGHUP)
         bridge.hears(f"not reloaded, everything is as it was: .*{told}")
-        peer.socket.send(wire.request(1, "get_status"))
+        peer.socket.send(messages.request(1, "get_status"))
         assert "result" in msgpack.unpackb(peer.socket.recv())
 
 
@@ -388,7 +388,7 @@ def test_who_floods_waits_and_nobody_else(daemon: Daemon, tmp_path: Path) -> Non
     ):
         flood.socket.setsockopt(zmq.SNDHWM, 0)
         for number in range(count):
-            flood.socket.send(wire.request(number, "get_status"))
+            flood.socket.send(messages.request(number, "get_status"))
         answered = msgpack.unpackb(flood.socket.recv())["id"]
         assert answered == 0
         with connect(bridge.address, **bridge.as_client("carol")) as client:
@@ -410,12 +410,12 @@ def test_messages_that_are_too_long(daemon: Daemon, tmp_path: Path) -> None:
     ):
         peer.socket.send(b"x" * 4097)
         error = msgpack.unpackb(peer.socket.recv())["error"]
-        assert error["code"] == wire.Code.PARSE
+        assert error["code"] == messages.Code.PARSE
         assert "4097 bytes: at most 4096" in error["message"]
-        peer.socket.send(b"x" * wire.MAX_BODY)
-        assert msgpack.unpackb(peer.socket.recv())["error"]["code"] == wire.Code.PARSE
+        peer.socket.send(b"x" * messages.MAX_BODY)
+        assert msgpack.unpackb(peer.socket.recv())["error"]["code"] == messages.Code.PARSE
         assert peer.event() == zmq.EVENT_HANDSHAKE_SUCCEEDED
-        peer.socket.send(b"x" * (wire.MAX_BODY + 2000))
+        peer.socket.send(b"x" * (messages.MAX_BODY + 2000))
         assert peer.event() == zmq.EVENT_DISCONNECTED
 
 
@@ -429,7 +429,7 @@ def test_too_many_bytes_wait(daemon: Daemon, tmp_path: Path) -> None:
         for _ in range(6):
             peer.socket.send(b"\xc1" * 60_000)
         for _ in range(6):
-            assert msgpack.unpackb(peer.socket.recv())["error"]["code"] == wire.Code.PARSE
+            assert msgpack.unpackb(peer.socket.recv())["error"]["code"] == messages.Code.PARSE
         found = metrics(bridge)
         assert found["hapticd_bridge_received_bytes_total"]["alice"] > 360_000
         # 360 kB at 100 kB/s, of which the first 100 kB came at once, and of the rest half while we were held up.
@@ -741,9 +741,9 @@ def test_metrics(daemon: Daemon, bridge: Bridge) -> None:
 
 _ELSEWHERE = """
 import json, sys
-from hapticd.errors import HapticdError
-from hapticd.client import connect
-from hapticd.keys import Certificate
+from hapticd.base.errors import HapticdError
+from hapticd.client.blocking import connect
+from hapticd.protocol.keys import Certificate
 address, server, *keys = json.loads(sys.argv[1])
 for public, secret in keys:
     try:
@@ -852,7 +852,7 @@ def test_a_key_revoked_under_way_from_another_network_namespace(
         ) as sending:
             assert sending.stdin is not None and sending.stdout is not None
             body = msgpack.packb(
-                [wire.request(number, "set_scene", {"scene": {"objects": {}}}) for number in range(40)]
+                [messages.request(number, "set_scene", {"scene": {"objects": {}}}) for number in range(40)]
             )
             sending.stdin.write(len(body).to_bytes(4, "big") + body)
             sending.stdin.flush()
@@ -910,7 +910,7 @@ socket.disable_monitor()
 def test_under_systemd_its_lines_go_to_the_journal(daemon: Daemon, tmp_path: Path) -> None:
     journal = tmp_path / "journal"
     program = (
-        "import sys; from hapticd import journal; attached = journal.attached; "
+        "import sys; from hapticd.system import journal; attached = journal.attached; "
         "journal.attached = lambda level: attached(level, address=sys.argv[1]); "
         "from hapticd.bridge.process import run; sys.exit(run(sys.argv[2], sys.argv[3]))"
     )

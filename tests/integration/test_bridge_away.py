@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 import hapticd.aio
-from hapticd.calls import DaemonNotRunning, probe
-from hapticd.client import Client
-from hapticd.record import RecordSummary, record
-from tests.bridge_process import Bridge, running_bridge
-from tests.daemon_process import connect, running_daemon
-from tests.fake_daemon import fake_daemon, result
+from hapticd.client.blocking import Client
+from hapticd.client.record import RecordSummary, record
+from hapticd.protocol.calls import DaemonNotRunning, probe
+from tests.support.bridge_process import Bridge, running_bridge
+from tests.support.daemon_process import connect, running_daemon
+from tests.support.fake_daemon import fake_daemon, result
 
 CLIENTS = {"alice": "command", "bob": "watch"}
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hapticd.base.yaml_source import load_text
 from hapticd.cli import main
-from hapticd.yaml_source import load_text
-from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
+from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 
 ROOT = Path(__file__).parents[2]
 SCENE = """\

@@ -18,15 +18,16 @@ import numpy as np
 import pytest
 
 import hapticd.aio
-from hapticd import calls, client
-from hapticd.calls import DaemonNotRunning, RemoteError, TelemetryLoss
-from hapticd.core import SAMPLE_DTYPE
-from hapticd.errors import HapticdError, InvalidError
-from hapticd.results import Status
-from hapticd.scene import Scene
-from hapticd.wire import Code, WireError
-from tests.daemon_process import Daemon, connect, running_daemon
-from tests.fake_daemon import FakeDaemon, fake_daemon, result
+from hapticd.base.core import SAMPLE_DTYPE
+from hapticd.base.errors import HapticdError, InvalidError
+from hapticd.client import blocking as client_module
+from hapticd.config.scene import Scene
+from hapticd.protocol import calls
+from hapticd.protocol.calls import DaemonNotRunning, RemoteError, TelemetryLoss
+from hapticd.protocol.messages import Code, WireError
+from hapticd.protocol.results import Status
+from tests.support.daemon_process import Daemon, connect, running_daemon
+from tests.support.fake_daemon import FakeDaemon, fake_daemon, result
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
 SCENE = {"objects": {"floor": FLOOR}}
@@ -286,7 +287,7 @@ def test_the_clients_have_the_same_methods_and_say_the_same_of_them() -> None:
     def parameters(member: Any) -> list[tuple[str, object, object, object]]:
         return [(p.name, p.kind, p.default, p.annotation) for p in inspect.signature(member).parameters.values()]
 
-    blocking, asynchronous = methods(client.Client), methods(hapticd.aio.Client)
+    blocking, asynchronous = methods(client_module.Client), methods(hapticd.aio.Client)
     assert blocking.keys() == asynchronous.keys()
     for name, member in blocking.items():
         assert parameters(member) == parameters(asynchronous[name]), name
@@ -295,9 +296,9 @@ def test_the_clients_have_the_same_methods_and_say_the_same_of_them() -> None:
         result = inspect.signature(asynchronous[name]).return_annotation
         result = result.replace("AsyncIterator", "Iterator")
         assert inspect.signature(member).return_annotation == result, name
-    assert parameters(client.connect) == parameters(hapticd.aio.connect)
+    assert parameters(client_module.connect) == parameters(hapticd.aio.connect)
     same = "`timeout_s` is how long each call waits"
-    texts = [inspect.getdoc(each.connect) or "" for each in (client, hapticd.aio)]
+    texts = [inspect.getdoc(each.connect) or "" for each in (client_module, hapticd.aio)]
     assert texts[0][texts[0].index(same) :] == texts[1][texts[1].index(same) :]
 
 

@@ -16,8 +16,8 @@ import pytest
 
 import hapticd
 import hapticd.aio
-from hapticd.client import Client, connect
-from tests.fake_daemon import FakeDaemon, fake_daemon, result
+from hapticd.client.blocking import Client, connect
+from tests.support.fake_daemon import FakeDaemon, fake_daemon, result
 
 Call = Callable[[Any], Any]
 

@@ -13,13 +13,14 @@ from typing import Any
 import pytest
 
 import hapticd.aio
-from hapticd import DaemonNotRunning, HapticdError, TimedOut, calls
-from hapticd.client import Client
-from hapticd.keys import new_certificate, write_certificate
-from hapticd.wire import GESTURE_ENDS
-from tests.bridge_process import running_bridge
-from tests.daemon_process import Daemon, connect
-from tests.fake_daemon import fake_daemon, result
+from hapticd import DaemonNotRunning, HapticdError, TimedOut
+from hapticd.client.blocking import Client
+from hapticd.protocol import calls
+from hapticd.protocol.keys import new_certificate, write_certificate
+from hapticd.protocol.messages import GESTURE_ENDS
+from tests.support.bridge_process import running_bridge
+from tests.support.daemon_process import Daemon, connect
+from tests.support.fake_daemon import fake_daemon, result
 
 SHORT = [[0.0, 0.0, 0.05], [0.02, 0.0, 0.04]]
 LONG = [[0.0, 0.0, 0.05], [1000.0, 0.0, 0.04]]
@@ -152,7 +153,7 @@ def test_the_environment_names_a_bridge_and_its_keys(
 
         assert asyncio.run(status()) == "running"
         with connect(daemon.directory) as client:
-            assert not isinstance(client.paths, hapticd.remote.Remote), "what is given wins"
+            assert not isinstance(client.paths, hapticd.protocol.remote.Remote), "what is given wins"
         monkeypatch.delenv("HAPTICD_CONNECT")
         with connect(bridge.address) as client:
             assert client.get_status()["state"] == "running", "the keys are taken from there, too"

@@ -18,8 +18,8 @@ from click.shell_completion import BashComplete
 
 from hapticd.cli import cli, main, names
 from hapticd.cli.completion import SHELLS, script
-from tests.daemon_process import PATIENCE_S, running_daemon
-from tests.marks import rest_slow
+from tests.support.daemon_process import PATIENCE_S, running_daemon
+from tests.support.marks import rest_slow
 
 PROMPT = "ready> "
 # What is typed before the key is pressed, and the arguments of the command that results.

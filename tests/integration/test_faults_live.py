@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 
 import hapticd
-from hapticd.client import Client
-from hapticd.samples import SampleStream
-from tests.daemon_process import Daemon, connect, running_daemon, until, wired
+from hapticd.client.blocking import Client
+from hapticd.client.samples import SampleStream
+from tests.support.daemon_process import Daemon, connect, running_daemon, until, wired
 
 ROOT = Path(__file__).parents[2]
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
@@ -55,7 +55,16 @@ def clocks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Clocks:
     compiler = shutil.which("cc") or shutil.which("gcc")
     assert compiler is not None, "a C compiler builds the core, so there is one"
     library = tmp_path / "clocks.so"
-    command = [compiler, "-O2", "-shared", "-fPIC", str(ROOT / "tests" / "clocks.c"), "-o", str(library), "-ldl"]
+    command = [
+        compiler,
+        "-O2",
+        "-shared",
+        "-fPIC",
+        str(ROOT / "tests" / "support" / "clocks.c"),
+        "-o",
+        str(library),
+        "-ldl",
+    ]
     subprocess.run(command, check=True)
     made = Clocks(tmp_path / "clocks")
     monkeypatch.setenv("HAPTICD_CLOCKS", str(made.file))
@@ -124,11 +133,11 @@ def test_nothing_goes_by_the_time_of_day() -> None:
     asks = re.compile(
         r"CLOCK_REALTIME|CLOCK_TAI|gettimeofday|time\.time\b|localtime|gmtime|(date|datetime)\.(now|today|utcnow)\b"
     )
-    sources = [*ROOT.glob("csrc/*.[ch]"), *ROOT.glob("hapticd/*.py"), *ROOT.glob("hapticd/hid/*.py")]
+    sources = [*ROOT.glob("csrc/*/*.[ch]"), *ROOT.glob("hapticd/[!c]*/**/*.py"), *ROOT.glob("hapticd/config/*.py")]
     assert len(sources) > 60
     assert [source.name for source in sources if asks.search(source.read_text())] == ["clock.py"]
     using = {source.name for source in sources if re.search(r"\bclock\.read\b", source.read_text())}
-    assert using == {"control.py", "flight.py"}
+    assert using == {"control.py", "flight_recorder.py"}
 
 
 # ---- Flight recorder -------------------------------------------------------------------------------------------------
@@ -348,8 +357,8 @@ def test_a_client_of_protocol_1_0_works(tmp_path: Path) -> None:
 
 
 def test_events_have_the_members_that_a_client_of_protocol_1_0_reads() -> None:
-    from hapticd.core import EVENT_DTYPE, EventKind, records
-    from hapticd.events import event_map
+    from hapticd.base.core import EVENT_DTYPE, EventKind, records
+    from hapticd.protocol.events import event_map
 
     event = records(EVENT_DTYPE, 1)[0]
     for name, members in FIRST["events"].items():

@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from bench import attackers, bridged, hostile
-from hapticd.materials import validate_materials
-from hapticd.scene import validate_object
+from hapticd.config.materials import validate_materials
+from hapticd.config.scene import validate_object
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_a_wheel_made_of_the_sdist_is_whole(tmp_path: Path) -> None:
     assert not [name for name in ("tests", "bench", "config", "csrc") if (environment.packages / name).exists()]
     with tarfile.open(sdist) as archive:
         packed = {name.partition("/")[2] for name in archive.getnames()}
-    assert {"csrc/hd_api.h", "config/default.yaml", "docs/protocol.md", "tests/conftest.py", "Makefile"} < packed
+    assert {"csrc/api/hd_api.h", "config/default.yaml", "docs/protocol.md", "tests/conftest.py", "Makefile"} < packed
 
     # Commands.
     home = tmp_path / "home"

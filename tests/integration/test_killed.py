@@ -18,13 +18,13 @@ from pathlib import Path
 import pytest
 import zmq
 
-from hapticd.hid.config import Hid
-from hapticd.hid.pid import PidDriver
-from hapticd.stopper import stop_device
-from tests.daemon_process import Wire
-from tests.hid_descriptors import Joystick
-from tests.hid_device import FakePid
-from tests.killed_daemon import INDICES
+from hapticd.config.hid import Hid
+from hapticd.hid.drivers.pid import PidDriver
+from hapticd.hid.stopper import stop_device
+from tests.support.daemon_process import Wire
+from tests.support.hid_descriptors import Joystick
+from tests.support.hid_device import FakePid
+from tests.support.killed_daemon import INDICES
 
 KILLS = int(os.environ.get("KILLS", "10"))
 """A kill takes two or three seconds of a processor: docs/service.md speaks of a run with 100."""
@@ -48,7 +48,14 @@ class Nursery:
         fd = stick.ours.fileno()
         with open(directory / "log", "wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "tests.killed_daemon", str(fd), str(self.runtime), str(directory / "c.yaml")],
+                [
+                    sys.executable,
+                    "-m",
+                    "tests.support.killed_daemon",
+                    str(fd),
+                    str(self.runtime),
+                    str(directory / "c.yaml"),
+                ],
                 pass_fds=[fd],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.daemon_process import Daemon, Wire, connect, running_daemon, wired
+from tests.support.daemon_process import Daemon, Wire, connect, running_daemon, wired
 
 LEASE_S = 3.0
 """Renewed every second: whoever renews it may be held up for two."""

@@ -7,7 +7,7 @@ import threading
 import msgpack
 import numpy as np
 
-from tests.daemon_process import connect, running_daemon, wired
+from tests.support.daemon_process import connect, running_daemon, wired
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
 UPDATES = 3000

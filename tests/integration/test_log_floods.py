@@ -11,8 +11,8 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from hapticd.control import _METHODS
-from tests.daemon_process import Daemon, Wire, running_daemon, until, wired
+from hapticd.daemon.control import _METHODS
+from tests.support.daemon_process import Daemon, Wire, running_daemon, until, wired
 
 TIMES = 2000
 NAMES = count()

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from hapticd.client import Client, Subscription
-from tests.daemon_process import Wire
+from hapticd.client.blocking import Client, Subscription
+from tests.support.daemon_process import Wire
 
 AWAY = [[0.0, 0.0, 0.05], [0.05, 0.0, 0.04]]
 

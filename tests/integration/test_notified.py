@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.daemon_process import Daemon, Wire, wired
+from tests.support.daemon_process import Daemon, Wire, wired
 
 CONFIG = "servo: {rate_hz: 1000, realtime: off}\n"
 WAIT_S = 110

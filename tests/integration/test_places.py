@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
+from hapticd.base.yaml_source import load_text
 from hapticd.cli import main
-from hapticd.client import Client
-from hapticd.from_file import FromFile, placed
-from hapticd.yaml_source import load_text
-from tests.cli import said
-from tests.daemon_process import Daemon, Wire
+from hapticd.client.blocking import Client
+from hapticd.config.file_faults import FromFile, placed
+from tests.support.cli import said
+from tests.support.daemon_process import Daemon, Wire
 
 LOUD = {"stiffness_n_per_m": 800.0, "tap": {"attack_slope_per_s": 300.0, "frequency_hz": 5e4, "decay_time_s": 1e-3}}
 SILENT = "50000 Hz is above 4000 Hz, 0.4 of the rate: it is silent"

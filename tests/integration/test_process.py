@@ -20,11 +20,11 @@ import numpy as np
 import pytest
 import zmq
 
-from hapticd.config import load_config
-from hapticd.core import SAMPLE_DTYPE, Fault, Flag, records
-from hapticd.engine import Engine
-from tests.daemon_process import PATIENCE_S, Daemon, Wire, connect, running_daemon, until, wired
-from tests.marks import rest_slow
+from hapticd.base.core import SAMPLE_DTYPE, Fault, Flag, records
+from hapticd.config.configuration import load_config
+from hapticd.daemon.engine import Engine
+from tests.support.daemon_process import PATIENCE_S, Daemon, Wire, connect, running_daemon, until, wired
+from tests.support.marks import rest_slow
 
 PUSH = {"push": {"kind": "constant", "force_n": [0.0, 0.5]}}
 

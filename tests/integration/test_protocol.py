@@ -13,7 +13,7 @@ import zmq
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.daemon_process import Daemon, Wire, running_daemon, wired
+from tests.support.daemon_process import Daemon, Wire, running_daemon, wired
 
 FLOOR = {"kind": "wall", "point_m": [0.0, 0.0], "normal": [0.0, 1.0], "material": "wood"}
 

@@ -24,18 +24,18 @@ import numpy as np
 import pytest
 
 import hapticd
-from hapticd import background
-from hapticd.client import Client
-from hapticd.config import Overruns, default_config, load_config
-from hapticd.core import SAMPLE_DTYPE, Flag
-from hapticd.errors import HapticdError
-from hapticd.record import RecordSummary, record
-from hapticd.recorded import load_recorded
-from hapticd.recovery import recover
-from hapticd.replayed import replay
-from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
-from tests.fake_daemon import FakeDaemon, fake_daemon, result
-from tests.marks import rest_slow
+from hapticd.base.core import SAMPLE_DTYPE, Flag
+from hapticd.base.errors import HapticdError
+from hapticd.client import background
+from hapticd.client.blocking import Client
+from hapticd.client.record import RecordSummary, record
+from hapticd.config.configuration import Overruns, default_config, load_config
+from hapticd.recording.reader import load_recorded
+from hapticd.recording.recovery import recover
+from hapticd.recording.replay import replay
+from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
+from tests.support.fake_daemon import FakeDaemon, fake_daemon, result
+from tests.support.marks import rest_slow
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 DISC = {"kind": "disc", "center_m": [0.01, 0.0], "radius_m": 0.004, "material": "steel"}

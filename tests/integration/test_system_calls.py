@@ -18,9 +18,9 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.client import connect
-from hapticd.keys import new_certificate, write_certificate
-from tests.daemon_process import PATIENCE_S, running_daemon
+from hapticd.client.blocking import connect
+from hapticd.protocol.keys import new_certificate, write_certificate
+from tests.support.daemon_process import PATIENCE_S, running_daemon
 
 ROOT = Path(__file__).parents[2]
 NUMBERS = Path("/usr/include/x86_64-linux-gnu/asm/unistd_64.h")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from tests import torture_live
+from tests.soak import torture_live
 
 
 def test_no_command_moves_the_force_faster_than_the_ramp() -> None:

@@ -24,11 +24,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hapticd.keys import write_certificate
-from hapticd.results import State, Status
-from hapticd.watch import View, bar, draw_scene, event_line, signed_bar
-from tests.bridge_process import running_bridge
-from tests.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
+from hapticd.client.watch import View, bar, draw_scene, event_line, signed_bar
+from hapticd.protocol.keys import write_certificate
+from hapticd.protocol.results import State, Status
+from tests.support.bridge_process import running_bridge
+from tests.support.daemon_process import PATIENCE_S, Daemon, connect, running_daemon
 
 ROOT = Path(__file__).parents[2]
 SCENE: dict[str, Any] = {

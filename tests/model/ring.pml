@@ -1,4 +1,4 @@
-/* The ring of csrc/hd_ring.h between one producer and one consumer, in runs of any length, under the release and acquire
+/* The ring of csrc/base/hd_ring.h between one producer and one consumer, in runs of any length, under the release and acquire
  * of C11. tests/model/verify.py runs it, and docs/adr/0020 says what it proves.
  *
  * Memory. An index is stored by one side alone. The other's load may be behind: it sees what it saw last or anything that

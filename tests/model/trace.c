@@ -9,8 +9,8 @@
 #include "../c/hd_test.h"
 #include "hooks.h"
 
-#include "hd_ring.h"
-#include "hd_triple.h"
+#include "base/hd_ring.h"
+#include "base/hd_triple.h"
 
 #define WORDS 3
 

@@ -1,4 +1,4 @@
-/* The triple buffer of csrc/hd_triple.h between one writer and one reader, in runs of any length, under the release and
+/* The triple buffer of csrc/base/hd_triple.h between one writer and one reader, in runs of any length, under the release and
  * acquire of C11. tests/model/verify.py runs it, and docs/adr/0020 says what it proves.
  *
  * Memory. `middle` is changed by exchanges alone, and each of them reads the change before it. The reader's relaxed load

@@ -118,10 +118,10 @@ def code_steps(sources: Path, compiler: str) -> Steps:
         hooks = ["-Dmemcpy=traced_memcpy", "-Dmemset=traced_memset", "-include", HERE / "hooks.h", "-fsanitize=thread"]
         objects = []
         for source, more in (
-            (sources / "hd_triple.c", hooks),
-            (sources / "hd_ring.c", hooks),
+            (sources / "base" / "hd_triple.c", hooks),
+            (sources / "base" / "hd_ring.c", hooks),
             (HERE / "trace.c", hooks),
-            (sources / "hd_error.c", []),
+            (sources / "api" / "hd_error.c", []),
             (HERE / "hooks.c", []),
         ):
             objects.append(folder / f"{source.stem}.o")
@@ -145,11 +145,11 @@ def calls(lines: list[str]) -> Steps:
 
 
 WRONG: Final = (
-    ("hd_atomic.h", "&atomic->value, value, memory_order_acq_rel", "&atomic->value, value, memory_order_relaxed"),
-    ("hd_ring.h", "hd_atomic_u64_load_acquire(&ring->write)", "hd_atomic_u64_load_relaxed(&ring->write)"),
-    ("hd_ring.c", "hd_atomic_u64_store_release(&ring->write", "hd_atomic_u64_store_relaxed(&ring->write"),
+    ("base/hd_atomic.h", "&atomic->value, value, memory_order_acq_rel", "&atomic->value, value, memory_order_relaxed"),
+    ("base/hd_ring.h", "hd_atomic_u64_load_acquire(&ring->write)", "hd_atomic_u64_load_relaxed(&ring->write)"),
+    ("base/hd_ring.c", "hd_atomic_u64_store_release(&ring->write", "hd_atomic_u64_store_relaxed(&ring->write"),
     (
-        "hd_ring.c",
+        "base/hd_ring.c",
         "    memcpy(slot, record, ring->record_size);\n    hd_ring_commit(ring);\n",
         "    hd_ring_commit(ring);\n    memcpy(slot, record, ring->record_size);\n",
     ),

@@ -37,9 +37,9 @@ from typing import Any, Final
 import yaml
 
 import hapticd
-from hapticd.calls import RemoteError
-from hapticd.client import Client
-from hapticd.wire import Code
+from hapticd.client.blocking import Client
+from hapticd.protocol.calls import RemoteError
+from hapticd.protocol.messages import Code
 
 ROOT: Final = Path(__file__).parents[2]
 CONFIG: Final = ROOT / "config"
@@ -418,7 +418,7 @@ def sim(run: Run) -> None:
 
 
 def known_methods() -> set[str]:
-    from hapticd.control import _METHODS
+    from hapticd.daemon.control import _METHODS
 
     return set(_METHODS)
 

@@ -11,9 +11,9 @@
 #include <Python.h>
 #include <pthread.h>
 
-#include "hd_histogram.h"
-#include "hd_ring.h"
-#include "hd_triple.h"
+#include "base/hd_histogram.h"
+#include "base/hd_ring.h"
+#include "base/hd_triple.h"
 
 PyMODINIT_FUNC PyInit__core(void);
 

@@ -14,17 +14,19 @@ import threading
 from types import SimpleNamespace
 from typing import Any, cast
 
+import hapticd.daemon.process
+
 import hapticd.cli.daemon
-import hapticd.daemon
-from hapticd import engine, stopper
-from hapticd.config import config_of
+from hapticd.config.configuration import config_of
+from hapticd.daemon import engine
+from hapticd.hid import stopper
 from hapticd.hid.connection import Opened
 from hapticd.hid.device import Device
-from hapticd.hid.pid import PidDriver
+from hapticd.hid.drivers.pid import PidDriver
 from hapticd.hid.plan import DeviceError
-from tests.hid_descriptors import Joystick
-from tests.hid_device import FakePid
-from tests.killed_daemon import IDENTITY
+from tests.support.hid_descriptors import Joystick
+from tests.support.hid_device import FakePid
+from tests.support.killed_daemon import IDENTITY
 
 COUNTS = 32767
 DEPTH = 0.1
@@ -93,7 +95,7 @@ def main(runtime: str, config: str) -> int:
     threads = [threading.Thread(target=work) for work in (rig.move, rig.listen)]
     for thread in threads:
         thread.start()
-    code = hapticd.daemon.run([config], runtime)
+    code = hapticd.daemon.process.run([config], runtime)
     rig.over.set()
     for thread in threads:
         thread.join()

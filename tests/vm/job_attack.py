@@ -30,9 +30,9 @@ from rig import check, scenario, until
 
 import hapticd
 import hapticd.cli
-from hapticd import zmtp
-from hapticd.descriptors import MOST_CONNECTIONS
-from hapticd.errors import HapticdError
+from hapticd.base.errors import HapticdError
+from hapticd.protocol import zmtp
+from hapticd.system.open_files import MOST_CONNECTIONS
 
 COMMAND = rig.RUNTIME / "hapticd.command"
 TELEMETRY = rig.RUNTIME / "hapticd.telemetry"

@@ -1,4 +1,5 @@
-"""Devices as OpenFFBoard with one axis and as Fino: the simulated firmware of tests/firmware.py through real hidraw."""
+"""Devices as OpenFFBoard with one axis and as Fino: the simulated firmware of tests/support/firmware.py through real
+hidraw."""
 
 from __future__ import annotations
 
@@ -13,8 +14,8 @@ import usb_pid_joystick as usb
 from rig import check, scenario, until
 from usb_firmware import FirmwareJoystick
 
-from tests import firmware_descriptors as descriptors
-from tests.firmware import ARDUINO, FINO, OPENFFBOARD_1
+from tests.support import firmware_descriptors as descriptors
+from tests.support.firmware import ARDUINO, FINO, OPENFFBOARD_1
 
 STIFFNESS, DEPTH_M = 200.0, 0.005
 FORCE_N = STIFFNESS * DEPTH_M

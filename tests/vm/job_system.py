@@ -24,8 +24,8 @@ import yaml
 from rig import check, scenario, until
 
 import hapticd
-from hapticd.client import Client
-from hapticd.keys import new_certificate, write_certificate
+from hapticd.client.blocking import Client
+from hapticd.protocol.keys import new_certificate, write_certificate
 
 HAPTICD = str(Path(sys.executable).with_name("hapticd"))
 CONFIG = Path("/etc/hapticd/config.yaml")

@@ -21,7 +21,7 @@ import hapticd
 
 HERE = Path(__file__).resolve().parent
 JOBS_NEED = ("uhid_vendor_joystick", "usb_firmware", "usb_pid_joystick")
-NOT_NEEDED = ("hapticd.__main__", "hapticd._build", "hapticd.demo")
+NOT_NEEDED = ("hapticd.__main__", "hapticd._build")
 
 
 def load() -> None:

@@ -1,5 +1,5 @@
-"""The simulated firmware of tests/firmware.py behind the bus of usb_pid_joystick.py: a device of a known family, with
-all that is odd in it, which the guest's own USB stack enumerates and its own drivers use.
+"""The simulated firmware of tests/support/firmware.py behind the bus of usb_pid_joystick.py: a device of a known
+family, with all that is odd in it, which the guest's own USB stack enumerates and its own drivers use.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable
 from usb_pid_joystick import FULL_SCALE_N, TRAVEL_M
 from usbip.classes.device import hid as usb_hid
 
-from tests.firmware import Firmware, Variant
+from tests.support.firmware import Firmware, Variant
 
 
 class FirmwareJoystick:

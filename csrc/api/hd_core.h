@@ -1,0 +1,24 @@
+/* What every C file of the core includes: the boundary (hd_api.h) with its guard, and the asserts that hold the layout.
+ * hd_api.h itself must stay free of these, because cffi reads it verbatim. */
+#ifndef HD_CORE_H
+#define HD_CORE_H
+
+#include <assert.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "api/hd_api.h"
+
+static_assert(sizeof(struct hd_sample) == 112, "the telemetry record is 112 bytes without padding");
+static_assert(sizeof(struct hd_object) == 80 && sizeof(struct hd_mode) == 360 && sizeof(struct hd_piece) == 24 &&
+                  sizeof(struct hd_material) == 64 + 17 * 8 + 4 * sizeof(struct hd_mode) &&
+                  sizeof(struct hd_noise) == 32 + 8 + 4 * 8,
+              "table records have no padding");
+
+/* One line on why the last check on this thread failed; printf-like. Control side only. */
+#if defined(__GNUC__)
+__attribute__((format(printf, 1, 2)))
+#endif
+int hd_invalid(const char *format, ...);
+
+#endif

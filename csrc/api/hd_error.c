@@ -1,0 +1,22 @@
+/* Why the last check failed: one line, kept for each thread on its own, so that the control side can check from several
+ * threads at once. Never called from the servo thread: it formats text. */
+#include <stdarg.h>
+#include <stdio.h>
+
+#include "api/hd_core.h"
+
+static _Thread_local char reason[256];
+
+int hd_invalid(const char *format, ...) {
+    va_list arguments;
+
+    va_start(arguments, format);
+    if (vsnprintf(reason, sizeof reason, format, arguments) < 0)
+        reason[0] = '\0';
+    va_end(arguments);
+    return HD_ERR_INVALID;
+}
+
+const char *hd_invalid_reason(void) {
+    return reason;
+}

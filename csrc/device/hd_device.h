@@ -1,0 +1,53 @@
+/* The servo's device: the simulated joystick or a HID device. All of it is the servo thread's own. */
+#ifndef HD_DEVICE_H
+#define HD_DEVICE_H
+
+#include "device/hd_hid.h"
+#include "base/hd_memory.h"
+#include "device/hd_sim.h"
+
+/* One of the two is NULL. */
+struct hd_device {
+    struct hd_sim *sim;
+    struct hd_hid *hid;
+};
+
+/* Time has gone on by `periods` servo periods. */
+HD_RT static inline void hd_device_advance(const struct hd_device *device, uint32_t periods) {
+    if (device->sim != NULL) {
+        hd_sim_step_advance(device->sim, periods);
+    }
+}
+
+HD_RT static inline void hd_device_look(const struct hd_device *device, int64_t now_ns, struct hd_look *look) {
+    if (device->sim != NULL) {
+        hd_sim_step_read(device->sim, &look->reading);
+        look->connection = 1;
+        look->fresh = look->reading.interval_s > 0.0;
+        look->gone = 0;
+        look->signs = NULL;
+    } else {
+        hd_hid_step_look(device->hid, now_ns, look);
+    }
+}
+
+HD_RT static inline void hd_device_put(const struct hd_device *device, int64_t now_ns, const double force_n[2]) {
+    if (device->sim != NULL) {
+        hd_sim_step_put(device->sim, force_n);
+    } else {
+        hd_hid_step_put(device->hid, now_ns, force_n);
+    }
+}
+
+/* Whether it plays effects by itself, when it is told to strike them. */
+HD_RT static inline int hd_device_offers(const struct hd_device *device) {
+    return device->hid != NULL && hd_hid_step_offers(device->hid);
+}
+
+/* What the servo touches of it. */
+static inline struct hd_region hd_device_region(const struct hd_device *device) {
+    return device->sim != NULL ? (struct hd_region){device->sim, hd_sim_size()}
+                               : (struct hd_region){device->hid, hd_hid_size()};
+}
+
+#endif

@@ -1,0 +1,95 @@
+/* Waypoints of the simulated hand: checked and copied on the control side, cut into segments on the thread that runs
+ * the simulation. SI units. */
+#include "device/hd_operator.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* Bounds that keep every product of the simulation finite and the segments of one period few; no operator comes near
+ * them. */
+#define HD_WAYPOINT_MAX_M 1000.0
+#define HD_WAYPOINT_MAX_S 1e7
+#define HD_WAYPOINT_MIN_STEP_S 1e-5
+
+static int check_waypoints(const double *waypoints, size_t count, enum hd_interpolation interpolation) {
+    if (interpolation != HD_LINEAR && interpolation != HD_MINIMUM_JERK) {
+        return hd_invalid("interpolation %d is neither linear nor minimum_jerk", (int)interpolation);
+    }
+    if (waypoints == NULL || count == 0) {
+        return hd_invalid("waypoints: at least one is needed");
+    }
+    for (size_t i = 0; i < count; i++) {
+        const double *point = &waypoints[3 * i];
+        if (!(point[0] >= 0.0 && point[0] <= HD_WAYPOINT_MAX_S)) {
+            return hd_invalid("waypoints[%zu]: t_s %g is not between 0 and %g", i, point[0], HD_WAYPOINT_MAX_S);
+        }
+        if (i > 0 && !(point[0] - point[-3] >= HD_WAYPOINT_MIN_STEP_S * (1.0 - 1e-6))) {
+            return hd_invalid("waypoints[%zu]: t_s %.9g is not at least %g later than the %.9g before it", i, point[0],
+                              HD_WAYPOINT_MIN_STEP_S, point[-3]);
+        }
+        for (int axis = 0; axis < 2; axis++) {
+            if (!(fabs(point[1 + axis]) <= HD_WAYPOINT_MAX_M)) {
+                return hd_invalid("waypoints[%zu]: %s %g is not within +-%g", i, axis == 0 ? "x_m" : "y_m",
+                                  point[1 + axis], HD_WAYPOINT_MAX_M);
+            }
+        }
+    }
+    return HD_OK;
+}
+
+struct hd_operator *hd_operator_new(const double *waypoints, size_t count, enum hd_interpolation interpolation) {
+    if (check_waypoints(waypoints, count, interpolation) != HD_OK) {
+        return NULL;
+    }
+    struct hd_operator *path = NULL;
+    if (count <= (SIZE_MAX - sizeof *path) / sizeof path->waypoints[0]) {
+        path = malloc(sizeof *path + count * sizeof path->waypoints[0]);
+    }
+    if (path == NULL) {
+        hd_invalid("no memory for %zu waypoints", count);
+        return NULL;
+    }
+    path->count = count;
+    path->course = interpolation == HD_LINEAR ? HD_COURSE_LINEAR : HD_COURSE_MINIMUM_JERK;
+    memcpy(path->waypoints, waypoints, count * sizeof path->waypoints[0]);
+    return path;
+}
+
+void hd_operator_free(struct hd_operator *path) {
+    free(path);
+}
+
+HD_RT size_t hd_operator_first(const struct hd_operator *path) {
+    return path->waypoints[0][0] < HD_WAYPOINT_MIN_STEP_S ? 1 : 0;
+}
+
+HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double wish_m[2],
+                               struct hd_segment *segment) {
+    if (index >= path->count) {
+        const double *last = path->waypoints[path->count - 1];
+        *segment = (struct hd_segment){
+            .course = HD_COURSE_HOLD,
+            .start_s = last[0],
+            .end_s = (double)INFINITY,
+            .duration_s = (double)INFINITY,
+            .from_m = {last[1], last[2]},
+        };
+        return;
+    }
+    const double *to = path->waypoints[index];
+    const double start_s = index > 0 ? path->waypoints[index - 1][0] : 0.0;
+    const double *from_m = index > 0 ? &path->waypoints[index - 1][1] : wish_m;
+    const double rate_per_s = 1.0 / (to[0] - start_s);
+    const double travel_m[2] = {to[1] - from_m[0], to[2] - from_m[1]};
+    *segment = (struct hd_segment){
+        .course = path->course,
+        .start_s = start_s,
+        .end_s = to[0],
+        .duration_s = to[0] - start_s,
+        .rate_per_s = rate_per_s,
+        .from_m = {from_m[0], from_m[1]},
+        .travel_m = {travel_m[0], travel_m[1]},
+        .speed_m_per_s = {travel_m[0] * rate_per_s, travel_m[1] * rate_per_s},
+    };
+}

@@ -1,0 +1,24 @@
+/* The simulated joystick, from the inside of the core: what the servo thread calls. Each does what the function of
+ * hd_api.h without `step` does; those are for the control side. One thread at a time uses a simulation. */
+#ifndef HD_SIM_H
+#define HD_SIM_H
+
+#include "api/hd_core.h"
+#include "base/hd_rt.h"
+
+HD_RT void hd_sim_step_operate(struct hd_sim *sim, const struct hd_operator *path);
+HD_RT void hd_sim_step_put(struct hd_sim *sim, const double force_n[2]);
+HD_RT void hd_sim_step_advance(struct hd_sim *sim, uint32_t periods);
+HD_RT void hd_sim_step_read(struct hd_sim *sim, struct hd_reading *reading);
+/* What became of the path that hd_sim_step_operate began. */
+enum hd_progress { HD_PROGRESS_NONE = 0, HD_PROGRESS_UNDER_WAY = 1, HD_PROGRESS_THROUGH = 2 };
+
+HD_RT enum hd_progress hd_sim_step_progress(const struct hd_sim *sim);
+/* A path that the hand is through is nothing to tell any more: HD_PROGRESS_NONE until the next one. */
+HD_RT void hd_sim_step_told(struct hd_sim *sim);
+HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
+
+/* How much memory *sim is: the servo locks it. */
+size_t hd_sim_size(void);
+
+#endif

@@ -1,0 +1,166 @@
+/* Boxes: solids with four faces, entered through one of them.
+ *
+ * The face through which the way enters is the one that pushes, until the probe has come out through it or has left it
+ * sideways: a probe that is pressed through a thin box is held on the side that it came from. Faces: 0 along the box's
+ * normal n, 1 along its tangent t, 2 along -n, 3 along -t; on each, s is 0 in the middle and grows along the face's own
+ * tangent. */
+#include "shapes/hd_shape.h"
+
+/* Position in the axes of the box: along t, along n. */
+HD_RT static void in_box(const struct hd_object *object, const double position_m[2], double local[2]) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(position_m, object->point_m, offset);
+    hd_tangent(object->normal, tangent);
+    local[0] = hd_dot(offset, tangent);
+    local[1] = hd_dot(offset, object->normal);
+}
+
+HD_RT static int inside(const struct hd_object *object, const double local[2]) {
+    return hd_magnitude(local[0]) < object->half_m[0] - HD_RIM_M &&
+           hd_magnitude(local[1]) < object->half_m[1] - HD_RIM_M;
+}
+
+HD_RT static uint8_t face_of(int axis, int positive) {
+    return (uint8_t)(axis == 1 ? (positive ? 0 : 2) : (positive ? 1 : 3));
+}
+
+HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const double position_m[2],
+                        struct hd_place *place) {
+    double tangent[2];
+    double offset[2];
+    hd_tangent(object->normal, tangent);
+    const double sign = face < 2 ? 1.0 : -1.0;
+    const double *axis = face % 2 == 0 ? object->normal : tangent;
+    place->normal[0] = sign * axis[0];
+    place->normal[1] = sign * axis[1];
+    hd_tangent(place->normal, tangent);
+    hd_difference(position_m, object->point_m, offset);
+    place->depth_m = object->half_m[face % 2 == 0 ? 1 : 0] - hd_dot(offset, place->normal);
+    place->along_m = hd_dot(offset, tangent);
+}
+
+/* Where the way from a to b enters, and through which face; 0: it does not. Two faces can do only within the rim of a
+ * corner; of them it is the one that the way goes to more directly. */
+HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
+                        uint8_t *face) {
+    double most = 0.0;
+    if (inside(object, a)) {
+        return 0;
+    }
+    for (int axis = 0; axis < 2; axis++) {
+        const double way = b[axis] - a[axis];
+        const double step = hd_magnitude(way);
+        const double gap = (way < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
+        if (!(gap < step) || gap < -HD_RIM_M || step <= most) {
+            continue; /* it ends before the face, begins behind it, or goes to the other one */
+        }
+        const double cut = gap > 0.0 ? gap / step : 0.0;
+        const double other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
+        if (hd_magnitude(other) <= object->half_m[1 - axis] + HD_RIM_M) {
+            *fraction = cut;
+            *face = face_of(axis, way < 0.0);
+            most = step;
+        }
+    }
+    return most > 0.0;
+}
+
+/* The face nearest to a point inside. */
+HD_RT static uint8_t nearest_face(const struct hd_object *object, const double local[2]) {
+    const double to_side = object->half_m[0] - hd_magnitude(local[0]);
+    const double to_top = object->half_m[1] - hd_magnitude(local[1]);
+    return to_top <= to_side ? face_of(1, local[1] >= 0.0) : face_of(0, local[0] >= 0.0);
+}
+
+/* Whether the way from the surface point to where the probe was, in the box's axes, enters through that face, too. */
+HD_RT static int stood(const struct hd_object *object, const double surface_m[2], const double was[2], uint8_t face) {
+    double surface[2];
+    double cut;
+    uint8_t entered;
+    in_box(object, surface_m, surface);
+    return enters(object, surface, was, &cut, &entered) && entered == face;
+}
+
+/* The onset where the face was hit. 0: it slid there, and lies behind, where the surface point is not on it. */
+HD_RT static int begins(const struct hd_walk *walk, const struct hd_object *object, const double hit[2],
+                        struct hd_onset *onset) {
+    if (onset->slid) {
+        hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
+        if (hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place)) {
+            return 0;
+        }
+    }
+    hd_box_place(object, onset->face, hit, &onset->place);
+    onset->place.depth_m = 0.0;
+    return 1;
+}
+
+/* Where solids overlap, the surface point may be in the box before the probe is. The probe that comes after it is held
+ * at once; what pushes it out does so from where it came in. */
+HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *object, const double from[2],
+                         const double to[2], struct hd_onset *onset) {
+    if (!enters(object, from, to, &onset->fraction, &onset->face)) {
+        return 0;
+    }
+    double hit[2];
+    onset->silent = 0;
+    onset->slid = 1;
+    hd_between(walk->from_m, walk->input->position_m, onset->fraction, hit);
+    return begins(walk, object, hit, onset);
+}
+
+HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+    double from[2];
+    double to[2];
+    in_box(object, walk->from_m, from);
+    in_box(object, walk->input->position_m, to);
+    onset->side = 1;
+    onset->slid = 0;
+    onset->stood = 0;
+    if (fresh || inside(object, from)) {
+        if (!inside(object, to)) {
+            return 0;
+        }
+        onset->silent = 1;
+        onset->face = nearest_face(object, to);
+        hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
+        /* What lies behind a surface that is pressed is not touched. */
+        return !hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place);
+    }
+    const struct hd_path *path = hd_path_legs(walk);
+    for (uint32_t leg = 0; leg < path->legs; leg++) {
+        double a[2];
+        double b[2];
+        double cut;
+        in_box(object, path->point[leg], a);
+        in_box(object, path->point[leg + 1], b);
+        if (enters(object, a, b, &cut, &onset->face)) {
+            const double *begin = path->point[leg];
+            uint8_t face;
+            double straight;
+            onset->silent = 0;
+            if (leg > 0 && enters(object, from, to, &straight, &face) && face == onset->face) {
+                cut = straight; /* it lies behind what is pressed */
+                begin = walk->from_m;
+            } else {
+                onset->slid = leg > 0;
+                onset->stood = leg > 0 && stood(object, path->point[0], from, onset->face);
+            }
+            double hit[2];
+            hd_between(begin, path->point[leg + 1], cut, hit);
+            onset->fraction = onset->slid ? 1.0 : cut;
+            return begins(walk, object, hit, onset);
+        }
+    }
+    return path->legs > 1 && follows(walk, object, from, to, onset);
+}
+
+HD_RT int hd_box_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot, uint8_t face,
+                      const double position_m[2], const struct hd_place *place) {
+    if (!(place->depth_m > 0.0)) {
+        return 1;
+    }
+    const double along = place->along_m + hd_path_shift(walk, slot, place->normal, position_m);
+    return hd_magnitude(along) > object->half_m[face % 2 == 0 ? 0 : 1] + HD_RIM_M;
+}

@@ -1,0 +1,36 @@
+/* Walls: half planes. d = -(p - p0).n, s = (p - p0).t; met when d goes from <= 0 to > 0. */
+#include "shapes/hd_shape.h"
+
+HD_RT void hd_wall_place(const struct hd_object *object, const double position_m[2], struct hd_place *place) {
+    double offset[2];
+    double tangent[2];
+    hd_difference(position_m, object->point_m, offset);
+    hd_tangent(object->normal, tangent);
+    place->depth_m = -hd_dot(offset, object->normal);
+    place->along_m = hd_dot(offset, tangent);
+    place->normal[0] = object->normal[0];
+    place->normal[1] = object->normal[1];
+}
+
+HD_RT int hd_wall_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+    hd_wall_place(object, walk->input->position_m, &onset->place);
+    const double depth = onset->place.depth_m;
+    if (!(depth > 0.0)) {
+        return 0;
+    }
+    onset->side = 1;
+    onset->silent = 1;
+    onset->slid = 0;
+    onset->stood = 0;
+    if (!fresh) {
+        struct hd_place from;
+        hd_wall_place(object, walk->from_m, &from);
+        if (from.depth_m <= 0.0) {
+            onset->silent = 0;
+            onset->fraction = from.depth_m / (from.depth_m - depth);
+            onset->place.depth_m = 0.0;
+            onset->place.along_m = from.along_m + onset->fraction * (onset->place.along_m - from.along_m);
+        }
+    }
+    return 1;
+}

@@ -1,0 +1,33 @@
+/* A surface presses along its normal n and not along its tangent t. So a mode that is compensated for what it meets is
+ * struck along n and along t apart: two strikes of one voice. Every other mode is struck once, along the aim. */
+#include "tick/hd_aim.h"
+
+#include "tick/hd_contact.h"
+
+HD_RT void hd_aim_strike(struct hd_state *state, const struct hd_slot *slot, const double aim[2],
+                         const double normal[2], struct hd_strike *strike) {
+    strike->direction[0] = normal[0];
+    strike->direction[1] = normal[1];
+    if (aim[0] == 0.0 && aim[1] == 0.0) {
+        hd_strike_add(state, strike);
+        return;
+    }
+    double tangent[2];
+    hd_tangent_of(slot, normal, tangent);
+    if (strike->mode->touched_n_per_m > 0.0 && strike->mode->effect == 0 && aim[0] != 0.0 && aim[1] != 0.0) {
+        struct hd_strike part = *strike;
+        part.units = hd_magnitude(aim[0]) * strike->units;
+        part.direction[0] = aim[0] > 0.0 ? normal[0] : -normal[0];
+        part.direction[1] = aim[0] > 0.0 ? normal[1] : -normal[1];
+        hd_strike_add(state, &part);
+        part.units = hd_magnitude(aim[1]) * strike->units;
+        part.growth_n = 0.0; /* it was counted */
+        part.direction[0] = aim[1] > 0.0 ? tangent[0] : -tangent[0];
+        part.direction[1] = aim[1] > 0.0 ? tangent[1] : -tangent[1];
+        hd_strike_add(state, &part);
+        return;
+    }
+    strike->direction[0] = aim[0] * normal[0] + aim[1] * tangent[0];
+    strike->direction[1] = aim[0] * normal[1] + aim[1] * tangent[1];
+    hd_strike_add(state, strike);
+}

@@ -1,0 +1,48 @@
+/* Fields: constant, spring and viscous objects. Each is affine in position and velocity, so all of them together are
+ * one law, F = f - K p - D v, that costs the same however many there are. */
+#include "base/hd_vector.h"
+#include "tick/hd_broad_phase.h"
+
+HD_RT static void force_of(const struct hd_field *field, const struct hd_input *input, double force_n[2]) {
+    for (int axis = 0; axis < 2; axis++) {
+        force_n[axis] = field->force_n[axis] - field->stiffness_n_per_m * input->position_m[axis] -
+                        field->damping_n_s_per_m * input->velocity_m_per_s[axis];
+    }
+}
+
+/* What was felt of it before a jump says nothing about now: then it comes in as contacts do. */
+HD_RT static void ramp(struct hd_walk *walk) {
+    struct hd_state *state = walk->state;
+    const struct hd_field *field = &walk->table->field;
+    const double ramp = state->field_ramp + walk->ramp_step;
+    state->field_ramp = ramp < 1.0 ? ramp : 1.0;
+    state->field = *field;
+    if (ramp < 1.0) {
+        state->field.force_n[0] *= ramp;
+        state->field.force_n[1] *= ramp;
+        state->field.stiffness_n_per_m *= ramp;
+        state->field.damping_n_s_per_m *= ramp;
+    }
+}
+
+HD_RT void hd_field_follow(struct hd_walk *walk) {
+    struct hd_state *state = walk->state;
+    const struct hd_field *field = &walk->table->field;
+    const int changed = state->field_known && state->field_version != walk->table->field_version;
+    double was[2];
+    double is[2];
+    force_of(&state->field, walk->input, was);
+    if (!state->field_known) {
+        state->field_ramp = state->started ? 0.0 : 1.0;
+    }
+    ramp(walk);
+    if (changed) {
+        force_of(&state->field, walk->input, is);
+        hd_difference(was, is, state->change.field_n);
+        state->change.any = 1;
+    }
+    state->field_version = walk->table->field_version;
+    state->field_known = 1;
+    state->field_active = field->force_n[0] != 0.0 || field->force_n[1] != 0.0 || field->stiffness_n_per_m != 0.0 ||
+                          field->damping_n_s_per_m != 0.0;
+}

@@ -1,0 +1,115 @@
+/* The force limit. Noise gives way first, then what rings, the wall last, and none is clipped into another waveform.
+ *
+ * Noise has a gain of its own (hd_limit_noise), the same for samples of either sign. A strike is scaled as a whole
+ * before it sounds (hd_strikes_apply). What the device plays by itself cannot be scaled any more: the limit is lower by
+ * it while it plays. What can still go wrong is a contact force that grows into a mode that rings already: then
+ * everything that rings goes on at the factor g for which the command just reaches the limit, |contact + g vibration| =
+ * max. Only beside a contact force beyond the limit is the sum itself cut, along its own direction; what rings then
+ * ends over HD_LIMIT_RAMP_S. */
+#include "tick/hd_limit.h"
+
+#include <math.h>
+
+#include "base/hd_vector.h"
+#include "tick/hd_mode.h"
+
+HD_RT double hd_limit_noise(const struct hd_state *state, const struct hd_table *table, const double contact_n[2],
+                            const struct hd_noisy *noisy, double shown, double *most_n) {
+    const double size = hd_root(hd_dot(noisy->noise_n, noisy->noise_n));
+    const double crest = HD_NOISE_CREST * noisy->rms_n;
+    const double most = shown * (size > crest ? size : crest);
+    const double other = hd_root(hd_dot(contact_n, contact_n)) + shown * hd_voices_bound(state);
+    const double room = HD_JUST_BELOW * hd_limit_of(state, table) - other;
+    const double risen = state->noise_gain + table->period_s / HD_LIMIT_RAMP_S;
+    const double free = risen < 1.0 ? risen : 1.0;
+    *most_n = other + most;
+    if (free * most <= room) {
+        return free;
+    }
+    return room > 0.0 ? room / most : 0.0;
+}
+
+HD_RT double hd_limit_within(double limit_n, double keep, const double contact_n[2], const double vibration_n[2],
+                             double force_n[2]) {
+    force_n[0] = contact_n[0] + vibration_n[0];
+    force_n[1] = contact_n[1] + vibration_n[1];
+    if (force_n[0] * force_n[0] + force_n[1] * force_n[1] <= HD_JUST_BELOW * limit_n * limit_n) {
+        return 1.0;
+    }
+    const double contact = contact_n[0] * contact_n[0] + contact_n[1] * contact_n[1];
+    if (contact <= HD_JUST_BELOW * limit_n * limit_n) {
+        /* The larger root of |contact + g vibration|^2 = limit^2. */
+        const double a = vibration_n[0] * vibration_n[0] + vibration_n[1] * vibration_n[1];
+        const double b = contact_n[0] * vibration_n[0] + contact_n[1] * vibration_n[1];
+        const double c = contact - limit_n * limit_n;
+        const double root = hd_root(b * b - a * c);
+        const double factor = b > 0.0 ? -c / (b + root) : (root - b) / a;
+        force_n[0] = HD_JUST_BELOW * (contact_n[0] + factor * vibration_n[0]);
+        force_n[1] = HD_JUST_BELOW * (contact_n[1] + factor * vibration_n[1]);
+        return factor;
+    }
+    const double sum[2] = {contact_n[0] + keep * vibration_n[0], contact_n[1] + keep * vibration_n[1]};
+    const double size = hd_root(hd_dot(sum, sum));
+    const double cut = size > limit_n ? limit_n / size : 1.0;
+    force_n[0] = HD_JUST_BELOW * (cut * sum[0]);
+    force_n[1] = HD_JUST_BELOW * (cut * sum[1]);
+    return keep;
+}
+
+HD_RT double hd_limit_within_whole(double limit_n, double keep, const double contact_n[2], const double whole_n[2],
+                                   const double vibration_n[2], double force_n[2]) {
+    const double factor = hd_limit_within(limit_n, keep, whole_n, vibration_n, force_n);
+    /* Where the limit alone lies between the two, that was it, to the last bit. Beside vibration, a contact force that
+     * is beyond the limit is cut by itself first. */
+    const double cut = hd_limit_cut(whole_n, limit_n);
+    const int bare = vibration_n[0] == 0.0 && vibration_n[1] == 0.0;
+    if ((bare || cut == 1.0) && contact_n[0] == cut * whole_n[0] && contact_n[1] == cut * whole_n[1]) {
+        return factor;
+    }
+    const double vibration[2] = {factor * vibration_n[0], factor * vibration_n[1]};
+    return factor * hd_limit_within(limit_n, 1.0, contact_n, vibration, force_n);
+}
+
+/* Modes that ring go on at `factor`. */
+HD_RT static void give_way(struct hd_state *state, double limit_n, const double contact_n[2], double factor) {
+    const int beyond = !(hd_dot(contact_n, contact_n) <= HD_JUST_BELOW * limit_n * limit_n);
+    state->ringing_gain = beyond ? state->ringing_gain * factor : 1.0;
+    if (factor < 1.0) {
+        hd_voices_scale(state, factor);
+    }
+}
+
+HD_RT void hd_limit_report(struct hd_state *state, double wanted_n, int64_t time_ns, uint32_t *flags) {
+    *flags |= HD_FLAG_SATURATED;
+    if (!state->saturated) {
+        state->saturated = 1;
+        state->saturations_total++;
+        const uint32_t event = hd_state_event(state, HD_EVENT_SATURATION, time_ns);
+        if (event < HD_EVENT_CAPACITY) {
+            state->events[event].value = wanted_n;
+        }
+    }
+}
+
+HD_RT void hd_limit_exceeded(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
+                             const double vibration_n[2], int64_t time_ns, double force_n[2], uint32_t *flags) {
+    const double limit = hd_limit_of(state, table);
+    hd_limit_report(state, hd_root(hd_dot(force_n, force_n)), time_ns, flags);
+    give_way(state, limit, contact_n,
+             hd_limit_within(limit, hd_limit_keep(state, table), contact_n, vibration_n, force_n));
+}
+
+HD_RT void hd_limit_ramped(struct hd_state *state, const struct hd_table *table, const double contact_n[2],
+                           const double whole_n[2], const double vibration_n[2], int64_t time_ns, double force_n[2],
+                           uint32_t *flags) {
+    const double limit = hd_limit_of(state, table);
+    const double wanted[2] = {whole_n[0] + vibration_n[0], whole_n[1] + vibration_n[1]};
+    const double keep = hd_limit_keep(state, table);
+    const double factor = hd_limit_within_whole(limit, keep, contact_n, whole_n, vibration_n, force_n);
+    if (factor < 1.0 || !(wanted[0] * wanted[0] + wanted[1] * wanted[1] <= HD_JUST_BELOW * limit * limit)) {
+        hd_limit_report(state, hd_root(hd_dot(wanted, wanted)), time_ns, flags);
+    } else {
+        state->saturated = state->yields;
+    }
+    give_way(state, limit, whole_n, factor);
+}

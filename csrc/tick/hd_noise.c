@@ -1,0 +1,397 @@
+/* Coloured noise out of a normalised lattice.
+ *
+ * The all-pole filter with A(z) = 1 + sum a_i z^-i, that is x[n] = e[n] - sum a_i x[n - i], has the reflection
+ * coefficients k_m = a_m of order m (step-down recursion: a_i of order m - 1 is (a_i - k_m a_(m-i)) / (1 - k_m^2)); a
+ * first-order low-pass has k_1 < 0. With s = k_m and c = sqrt(1 - k_m^2), from the top stage down,
+ *
+ *     f_(m-1)[n] = c f_m[n] - s b_(m-1)[n-1]
+ *     b_m[n]     = s f_m[n] + c b_(m-1)[n-1],      f_order = e, b_0 = f_0.
+ *
+ * f_0 is the output without taps, prod c_m / A(z); with taps it is sum v_m b_m. A stage turns (f_m, b_(m-1)) into
+ * (f_(m-1), b_m), so a sample turns the vector of white number and delays as a whole: delays that are uncorrelated and
+ * of unit power stay so whatever the k are and however they change, and f_0 and every unit combination of the b_m have
+ * unit power. It is also the stationary state of every set of k: a start draws all delays from the white numbers'
+ * distribution, all HD_NOISE_ORDER of them. Stages beyond the order do not run; a k of 0 only delays b, so they join a
+ * ramp from 0 with what they hold, which is as uncorrelated as it was.
+ *
+ * The white numbers are Gaussian, so that the output is, whatever the filter and the rate; each is within 6.
+ *
+ * Interpolated coefficients cannot leave [-1, 1]: see `mix`. A k of exactly 1 is still a rotation. */
+#include "tick/hd_noise.h"
+
+#include <math.h>
+
+#include "base/hd_normal.h"
+#include "scene/hd_world.h"
+
+#define HD_LARGEST_RMS 1e9
+#define HD_TAPS_TOLERANCE 1e-9
+/* Taps on the way to their opposites pass by zero: below this sum of squares they are quieter instead of turning over
+ * within a tick. */
+#define HD_SMALLEST_TAPS 0.01
+
+/* splitmix64 (Steele, Lea and Flood): every state is a good one. */
+HD_RT static inline uint64_t scramble(uint64_t z) {
+    z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
+    z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
+    return z ^ (z >> 31);
+}
+
+HD_RT static inline double white(uint64_t *random) {
+    *random += 0x9e3779b97f4a7c15u;
+    return hd_normal(scramble(*random));
+}
+
+/* From one to the other. Of two numbers within [-1, 1], in particular, the result is within [-1, 1] in spite of
+ * rounding: the difference is off by 2^-53 at most, and 1 + 2^-53 rounds to 1. Equal ones give themselves exactly. */
+HD_RT static inline double mix(double from, double to, double part) {
+    return from + part * (to - from);
+}
+
+HD_RT void hd_noise_turn(struct hd_noise_voice *voice) {
+    for (uint32_t m = 0; m < HD_NOISE_ORDER; m++) {
+        voice->sine_from[m] = m < voice->order ? voice->sine[m] : 0.0;
+    }
+    for (uint32_t m = 0; m <= HD_NOISE_ORDER; m++) {
+        voice->tap_from[m] = voice->taps && m <= voice->order ? voice->tap[m] : 0.0;
+    }
+    if (!voice->taps) {
+        voice->tap_from[0] = 1.0;
+    }
+    voice->order_from = voice->order;
+    voice->taps_from = voice->taps;
+    voice->level_from = voice->level;
+    voice->blend = 0.0;
+}
+
+/* How far x lies into its cell of a rising axis; *cell comes in as a guess. Beyond the ends it stays at them; NaN
+ * counts as the lower end. */
+HD_RT static double locate(const double *axis, uint32_t count, double x, uint32_t *cell) {
+    if (count == 1 || !(x > axis[0])) {
+        *cell = 0;
+        return 0.0;
+    }
+    if (x >= axis[count - 1]) {
+        *cell = count - 2;
+        return 1.0;
+    }
+    uint32_t low = *cell;
+    if (low >= count - 1 || x < axis[low] || x >= axis[low + 1]) {
+        uint32_t high = count - 1;
+        low = 0;
+        while (high - low > 1) {
+            const uint32_t middle = low + (high - low) / 2;
+            if (x < axis[middle]) {
+                high = middle;
+            } else {
+                low = middle;
+            }
+        }
+        *cell = low;
+    }
+    return (x - axis[low]) / (axis[low + 1] - axis[low]);
+}
+
+/* Four nodes of the grid and where between them. Along an axis of one node both are that one. */
+struct place {
+    const double *node;
+    size_t along_speed; /* numbers from a node to the next one along the axis */
+    size_t along_force;
+    uint32_t cell[2];
+    double part[2];
+};
+
+/* `count` numbers of the grid, which stand at `number` in the first node. */
+HD_RT static inline void interpolate(const struct place *place, const double *number, uint32_t count,
+                                     double *restrict out) {
+    const double *slow_light = number;
+    const double *slow_firm = slow_light + place->along_force;
+    const double *fast_light = number + place->along_speed;
+    const double *fast_firm = fast_light + place->along_force;
+    const double part[2] = {place->part[0], place->part[1]};
+    for (uint32_t i = 0; i < count; i++) {
+        const double slow = mix(slow_light[i], slow_firm[i], part[1]);
+        const double fast = mix(fast_light[i], fast_firm[i], part[1]);
+        out[i] = mix(slow, fast, part[0]);
+    }
+}
+
+HD_RT static inline size_t node_size(const struct hd_noise *noise) {
+    return 1u + (size_t)noise->order + (noise->taps ? (size_t)noise->order + 1u : 0u);
+}
+
+/* `cell` comes in as a guess. */
+HD_RT static inline struct place find_place(const struct hd_noise *noise, const double *numbers, double speed,
+                                            double force, const uint32_t cell[2]) {
+    const double *speeds = numbers + noise->first;
+    const double *forces = speeds + noise->speed_count;
+    const size_t size = node_size(noise);
+    const size_t row = size * noise->force_count;
+    struct place place = {.cell = {cell[0], cell[1]}};
+    place.part[0] = locate(speeds, noise->speed_count, speed, &place.cell[0]);
+    place.part[1] = locate(forces, noise->force_count, force, &place.cell[1]);
+    place.node = forces + noise->force_count + row * place.cell[0] + size * place.cell[1];
+    place.along_speed = noise->speed_count > 1 ? row : 0;
+    place.along_force = noise->force_count > 1 ? size : 0;
+    return place;
+}
+
+/* Brings the coefficients to where the ramp and the place in the grid say. */
+HD_RT static void follow(struct hd_noise_voice *voice, const struct hd_noise *noise, const struct place *place) {
+    const int ramping = voice->blend < 1.0;
+    const double blend = voice->blend;
+    const double *number = place->node + 1;
+    for (int axis = 0; axis < 2; axis++) {
+        voice->cell[axis] = place->cell[axis];
+        voice->part[axis] = place->part[axis];
+    }
+    uint32_t order = noise->order;
+    interpolate(place, number, order, voice->sine);
+    voice->taps = noise->taps;
+    if (noise->taps) {
+        interpolate(place, number + order, order + 1, voice->tap);
+    }
+    if (ramping) {
+        for (; order < voice->order_from; order++) {
+            voice->sine[order] = 0.0;
+        }
+        for (uint32_t m = 0; m < order; m++) {
+            voice->sine[m] = mix(voice->sine_from[m], voice->sine[m], blend);
+        }
+        if (noise->taps || voice->taps_from) {
+            for (uint32_t m = 0; m <= order; m++) {
+                const double to = noise->taps ? (m <= noise->order ? voice->tap[m] : 0.0) : (m == 0 ? 1.0 : 0.0);
+                voice->tap[m] = mix(voice->tap_from[m], to, blend);
+            }
+            voice->taps = 1;
+        }
+    }
+    voice->order = order;
+    HD_RT_FOREIGN_BEGIN
+    for (uint32_t m = 0; m < order; m++) {
+        /* 1 - k^2 would cancel near 1; this does not. */
+        voice->cosine[m] = sqrt((1.0 - voice->sine[m]) * (1.0 + voice->sine[m]));
+    }
+    if (voice->taps) {
+        double squares = 0.0;
+        for (uint32_t m = 0; m <= order; m++) {
+            squares += voice->tap[m] * voice->tap[m];
+        }
+        const double scale = 1.0 / sqrt(squares > HD_SMALLEST_TAPS ? squares : HD_SMALLEST_TAPS);
+        for (uint32_t m = 0; m <= order; m++) {
+            voice->tap[m] *= scale;
+        }
+    }
+    HD_RT_FOREIGN_END
+}
+
+HD_RT void hd_noise_start(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+                          uint32_t salt) {
+    const uint32_t corner[2] = {0, 0};
+    const struct place place = find_place(noise, numbers, 0.0, 0.0, corner);
+    voice->random = scramble(scramble(noise->seed) + salt);
+    for (uint32_t m = 0; m <= HD_NOISE_ORDER; m++) {
+        voice->delay[m] = white(&voice->random);
+    }
+    voice->level = 0.0;
+    voice->rms = 0.0;
+    voice->scale_n = (struct hd_eased){.now = 0.0};
+    voice->normal_n = (struct hd_eased){.now = 0.0};
+    voice->direction[0] = 0.0;
+    voice->direction[1] = 0.0;
+    voice->blend = 1.0;
+    follow(voice, noise, &place);
+}
+
+HD_RT static inline double all_pole(struct hd_noise_voice *voice) {
+    double f = white(&voice->random);
+    for (uint32_t m = voice->order; m > 0; m--) {
+        const double s = voice->sine[m - 1];
+        const double c = voice->cosine[m - 1];
+        const double b = voice->delay[m - 1];
+        voice->delay[m] = s * f + c * b;
+        f = c * f - s * b;
+    }
+    voice->delay[0] = f;
+    return f;
+}
+
+HD_RT static inline double ladder(struct hd_noise_voice *voice) {
+    double f = white(&voice->random);
+    double sum = 0.0;
+    for (uint32_t m = voice->order; m > 0; m--) {
+        const double s = voice->sine[m - 1];
+        const double c = voice->cosine[m - 1];
+        const double b = voice->delay[m - 1];
+        const double up = s * f + c * b;
+        voice->delay[m] = up;
+        sum += voice->tap[m] * up;
+        f = c * f - s * b;
+    }
+    voice->delay[0] = f;
+    return sum + voice->tap[0] * f;
+}
+
+HD_RT static inline double sample(struct hd_noise_voice *voice) {
+    return voice->taps ? ladder(voice) : all_pole(voice);
+}
+
+/* The RMS at this speed, of what it is without fading. At a speed of 0 it is 0, even where nothing fades. */
+HD_RT static inline double fade(const struct hd_noise *noise, double speed, double level) {
+    if (speed < noise->threshold_m_per_s) {
+        return level * (speed / noise->threshold_m_per_s);
+    }
+    return speed > 0.0 ? level : 0.0;
+}
+
+/* A grid, or a ramp. */
+HD_RT static double next_of_many(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+                                 double speed, double force, double gains, double ramp_step) {
+    const struct place place = find_place(noise, numbers, speed, force, voice->cell);
+    const int ramping = voice->blend < 1.0;
+    double blend = 1.0;
+    double level;
+    interpolate(&place, place.node, 1, &level);
+    level += gains;
+    level = level > 0.0 ? level : 0.0;
+    if (ramping) {
+        blend = voice->blend + ramp_step < 1.0 ? voice->blend + ramp_step : 1.0;
+        level = mix(voice->level_from, level, blend);
+    }
+    voice->level = level;
+    const double rms = fade(noise, speed, level);
+    voice->rms = rms;
+    if (!(rms > 0.0)) {
+        return 0.0;
+    }
+    if (ramping || place.cell[0] != voice->cell[0] || place.cell[1] != voice->cell[1] ||
+        place.part[0] != voice->part[0] || place.part[1] != voice->part[1]) {
+        voice->blend = blend;
+        follow(voice, noise, &place);
+    }
+    return rms * sample(voice);
+}
+
+HD_RT double hd_noise_next(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+                           double speed_m_per_s, double force_n, double ramp_step) {
+    const double speed = speed_m_per_s < 0.0 ? -speed_m_per_s : speed_m_per_s;
+    const double gains = noise->velocity_gain_per_s * speed + noise->force_gain_m_per_s2_per_n * force_n;
+    if (noise->speed_count > 1 || noise->force_count > 1 || voice->blend < 1.0) {
+        return next_of_many(voice, noise, numbers, speed, force_n, gains, ramp_step);
+    }
+    const double level = gains + numbers[noise->first + 2];
+    voice->level = level > 0.0 ? level : 0.0;
+    const double rms = fade(noise, speed, voice->level);
+    voice->rms = rms;
+    return rms > 0.0 ? rms * sample(voice) : 0.0;
+}
+
+HD_RT double hd_noise_last(struct hd_noise_voice *voice) {
+    return voice->rms > 0.0 ? voice->scale_n.now * (voice->rms * sample(voice)) : 0.0;
+}
+
+static int at_least_zero(double value) {
+    return isfinite(value) && value >= 0.0;
+}
+
+/* Finite, at least 0 and strictly rising. */
+static int rises(const double *axis, uint32_t count) {
+    int ok = at_least_zero(axis[0]) && at_least_zero(axis[count - 1]);
+    for (uint32_t i = 1; i < count; i++) {
+        ok = ok && axis[i] > axis[i - 1];
+    }
+    return ok;
+}
+
+static int check_node(const struct hd_noise *noise, const double *node, const char *what, uint64_t index) {
+    const unsigned long long which = (unsigned long long)index;
+    if (!(node[0] >= 0.0 && node[0] <= HD_LARGEST_RMS)) {
+        return hd_invalid("%s: RMS %g m/s^2 of node %llu is not between 0 and %g", what, node[0], which,
+                          HD_LARGEST_RMS);
+    }
+    const double *sine = node + 1;
+    for (uint32_t m = 0; m < noise->order; m++) {
+        if (!(sine[m] > -1.0 && sine[m] < 1.0)) {
+            return hd_invalid("%s: reflection coefficient %u of node %llu is %.17g, not between -1 and 1: unstable",
+                              what, m + 1, which, sine[m]);
+        }
+    }
+    if (noise->taps) {
+        const double *tap = sine + noise->order;
+        double squares = 0.0;
+        for (uint32_t m = 0; m <= noise->order; m++) {
+            squares += tap[m] * tap[m];
+        }
+        if (!(squares >= 1.0 - HD_TAPS_TOLERANCE && squares <= 1.0 + HD_TAPS_TOLERANCE)) {
+            return hd_invalid("%s: the squares of the taps of node %llu add up to %.12g, not to 1", what, which,
+                              squares);
+        }
+    }
+    return HD_OK;
+}
+
+int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t number_count, const char *what) {
+    if (noise->order > HD_NOISE_ORDER) {
+        return hd_invalid("%s: order %u is above %d", what, noise->order, HD_NOISE_ORDER);
+    }
+    if (noise->taps > 1 || noise->along_normal > 1) {
+        return hd_invalid("%s: taps %u and along_normal %u are 0 or 1", what, noise->taps, noise->along_normal);
+    }
+    if (!at_least_zero(noise->threshold_m_per_s) || !at_least_zero(noise->force_per_unit)) {
+        return hd_invalid("%s: threshold %g m/s and force per unit %g must be finite and at least 0", what,
+                          noise->threshold_m_per_s, noise->force_per_unit);
+    }
+    if (!isfinite(noise->velocity_gain_per_s) || !isfinite(noise->force_gain_m_per_s2_per_n)) {
+        return hd_invalid("%s: velocity gain %g and force gain %g must be finite", what, noise->velocity_gain_per_s,
+                          noise->force_gain_m_per_s2_per_n);
+    }
+    if (noise->speed_count == 0 || noise->force_count == 0) {
+        return hd_invalid("%s: a grid of %u speeds and %u forces; one of each is the least", what, noise->speed_count,
+                          noise->force_count);
+    }
+    /* In this order nothing overflows: the product of two 32-bit counts fits, and so does a node's size times
+     * number_count. */
+    const uint64_t size = node_size(noise);
+    const uint64_t nodes = (uint64_t)noise->speed_count * noise->force_count;
+    const uint64_t axes = (uint64_t)noise->speed_count + noise->force_count;
+    if (nodes > number_count || (uint64_t)noise->first + axes + nodes * size > number_count) {
+        return hd_invalid(
+            "%s: %u speeds, %u forces and their nodes of %llu numbers from number %u on do not fit into %u", what,
+            noise->speed_count, noise->force_count, (unsigned long long)size, noise->first, number_count);
+    }
+    const double *speeds = numbers + noise->first;
+    const double *forces = speeds + noise->speed_count;
+    if (!rises(speeds, noise->speed_count)) {
+        return hd_invalid("%s: the speeds must be finite, at least 0 and rising", what);
+    }
+    if (!rises(forces, noise->force_count)) {
+        return hd_invalid("%s: the forces must be finite, at least 0 and rising", what);
+    }
+    const double *node = forces + noise->force_count;
+    for (uint64_t i = 0; i < nodes; i++, node += size) {
+        const int status = check_node(noise, node, what, i);
+        if (status != HD_OK) {
+            return status;
+        }
+    }
+    return HD_OK;
+}
+
+int hd_noise_run(const struct hd_noise *noise, const double *numbers, uint32_t number_count, size_t count,
+                 const double *speed, const double *force, double *out) {
+    const int status = hd_noise_check(noise, numbers, number_count, "noise");
+    if (status != HD_OK) {
+        return status;
+    }
+    for (size_t i = 0; i < count; i++) {
+        if (!isfinite(speed[i]) || !isfinite(force[i])) {
+            return hd_invalid("noise: speed %g m/s and force %g N of entry %zu must be finite", speed[i], force[i], i);
+        }
+    }
+    struct hd_noise_voice voice;
+    hd_noise_start(&voice, noise, numbers, 0);
+    for (size_t i = 0; i < count; i++) {
+        out[i] = hd_noise_next(&voice, noise, numbers, speed[i], force[i], 1.0);
+    }
+    return HD_OK;
+}

@@ -1,0 +1,242 @@
+#include "tick/hd_tune.h"
+
+#include <math.h>
+
+#include "base/hd_vector.h"
+
+#define HD_TUNE_LARGEST 1e9
+#define HD_TUNE_SMALLEST 1e-9
+
+/* Between which of the rising points a value lies, and how far from the one to the other. */
+struct between {
+    uint32_t from;
+    uint32_t to;
+    double share;
+};
+
+HD_RT static struct between find(const double *points, uint32_t count, uint32_t stride, double value) {
+    uint32_t to = 0;
+    while (to < count && points[to * stride] <= value) {
+        to++;
+    }
+    if (to == 0 || to == count) {
+        const uint32_t end = to == 0 ? 0 : count - 1u;
+        return (struct between){end, end, 0.0};
+    }
+    const double from = points[(to - 1u) * stride];
+    return (struct between){to - 1u, to, (value - from) / (points[to * stride] - from)};
+}
+
+HD_RT static double along(double from, double to, double share) {
+    return from + share * (to - from);
+}
+
+HD_RT static double frequency(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
+                              double force_n) {
+    const uint32_t forces = material->tune_forces;
+    const double *numbers = table->numbers + material->tune_first;
+    const struct between speed = find(numbers, material->tune_speeds, 1, speed_m_per_s);
+    const struct between force = find(numbers + material->tune_speeds, forces, 1, force_n);
+    const double *grid = numbers + material->tune_speeds + forces;
+    const double *slow = grid + (size_t)speed.from * forces;
+    const double *fast = grid + (size_t)speed.to * forces;
+    return along(along(slow[force.from], slow[force.to], force.share),
+                 along(fast[force.from], fast[force.to], force.share), speed.share);
+}
+
+/* The first maximum of exp(-B t) sin(w t): at t = atan(w/B)/w. */
+HD_RT static double first_peak(double decay_rate_per_s, double angular_frequency, double *time_s) {
+    HD_RT_FOREIGN_BEGIN
+    *time_s = atan2(angular_frequency, decay_rate_per_s) / angular_frequency;
+    return exp(-decay_rate_per_s * *time_s) * angular_frequency /
+           sqrt(angular_frequency * angular_frequency + decay_rate_per_s * decay_rate_per_s);
+    HD_RT_FOREIGN_END
+}
+
+/* Gives a strike its frequency. One that is too high is lowered, so that its first peak stays, which is at `peak_s`
+ * then; or the strike is silent: 0. */
+HD_RT static int tune(const struct hd_material *material, double decay_rate_per_s, double wanted_rad_per_s,
+                      struct hd_strike *strike, double *peak_s) {
+    const double highest = material->tune_highest_rad_per_s;
+    strike->tuned = material;
+    strike->tuned_rad_per_s = wanted_rad_per_s;
+    if (wanted_rad_per_s > highest) {
+        if (material->tune_mutes) {
+            return 0;
+        }
+        const double peak = first_peak(decay_rate_per_s, wanted_rad_per_s, peak_s);
+        strike->units *= peak / first_peak(decay_rate_per_s, highest, peak_s);
+        strike->tuned_rad_per_s = highest;
+    }
+    return 1;
+}
+
+HD_RT int hd_tune_strike(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
+                         double force_n, struct hd_strike *strike) {
+    const double wanted = frequency(table, material, hd_magnitude(speed_m_per_s), force_n);
+    double peak_s;
+    return tune(material, material->groove.decay_rate_per_s, wanted, strike, &peak_s);
+}
+
+HD_RT int hd_tune_tap(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
+                      struct hd_strike *strike, double *units, double *peak_s) {
+    const uint32_t count = material->mode_count;
+    const double *speeds = table->numbers + material->mode_first;
+    const double *frequencies = speeds + count;
+    const double *times = frequencies + count;
+    const struct between place = find(speeds, count, 1, speed_m_per_s);
+    const double wanted = along(frequencies[place.from], frequencies[place.to], place.share);
+    const double decay = 1.0 / along(times[place.from], times[place.to], place.share);
+    const double peak = first_peak(decay, wanted, peak_s);
+    if (material->mode_by_peak != 0) {
+        *units /= peak;
+    }
+    strike->units = *units;
+    strike->tuned_decay_rate_per_s = decay;
+    strike->tuned_m_per_s = speed_m_per_s;
+    return tune(material, decay, wanted, strike, peak_s);
+}
+
+HD_RT static void compensate(const double *nodes, uint32_t count, double at, struct hd_mode *mode) {
+    const struct between place = find(nodes, count, HD_TUNE_NODE, at);
+    const double *from = nodes + (size_t)place.from * HD_TUNE_NODE;
+    const double *to = nodes + (size_t)place.to * HD_TUNE_NODE;
+    double *const numbers[HD_TUNE_NODE] = {
+        [HD_TUNE_GAIN] = &mode->gain_re,
+        [HD_TUNE_GAIN + 1] = &mode->gain_im,
+        [HD_TUNE_TAIL] = &mode->tail_re,
+        [HD_TUNE_TAIL + 1] = &mode->tail_im,
+        [HD_TUNE_FREE_GAIN] = &mode->free_gain_re,
+        [HD_TUNE_FREE_GAIN + 1] = &mode->free_gain_im,
+        [HD_TUNE_FREE_TAIL] = &mode->free_tail_re,
+        [HD_TUNE_FREE_TAIL + 1] = &mode->free_tail_im,
+        [HD_TUNE_PEAK] = &mode->peak,
+        [HD_TUNE_FREE_PEAK] = &mode->free_peak,
+    };
+    for (uint32_t i = HD_TUNE_GAIN; i < HD_TUNE_NODE; i++) {
+        *numbers[i] = along(from[i], to[i], place.share);
+    }
+}
+
+HD_RT void hd_tune_mode(const struct hd_table *table, const struct hd_strike *strike, struct hd_mode *mode) {
+    const struct hd_material *material = strike->tuned;
+    const int taps = strike->use == HD_MODE_TAP;
+    *mode = taps ? material->tap : material->groove;
+    if (taps) {
+        mode->decay_rate_per_s = strike->tuned_decay_rate_per_s;
+        mode->end_s = 5.0 / strike->tuned_decay_rate_per_s;
+    }
+    mode->angular_frequency_rad_per_s = strike->tuned_rad_per_s;
+    mode->peak = first_peak(mode->decay_rate_per_s, strike->tuned_rad_per_s, &mode->peak_time_s);
+    HD_RT_FOREIGN_BEGIN
+    const double magnitude = exp(-mode->decay_rate_per_s * table->period_s);
+    mode->rotor_re = magnitude * cos(strike->tuned_rad_per_s * table->period_s);
+    mode->rotor_im = magnitude * sin(strike->tuned_rad_per_s * table->period_s);
+    HD_RT_FOREIGN_END
+    if (taps && material->mode_nodes > 0) {
+        compensate(table->numbers + material->mode_first + 3 * (size_t)material->mode_count, material->mode_nodes,
+                   strike->tuned_m_per_s, mode);
+    } else if (!taps && material->tune_nodes > 0) {
+        const size_t nodes = material->tune_speeds + material->tune_forces +
+                             (size_t)material->tune_speeds * material->tune_forces + material->tune_first;
+        compensate(table->numbers + nodes, material->tune_nodes, strike->tuned_rad_per_s, mode);
+    }
+}
+
+/* ---- Checks ------------------------------------------------------------------------------------------------- */
+
+static int rises(const double *points, uint32_t count, uint32_t stride, double least) {
+    for (uint32_t i = 0; i < count; i++) {
+        const double before = i > 0 ? points[(i - 1u) * stride] + HD_TUNE_SMALLEST : least;
+        if (!(points[i * stride] >= before && points[i * stride] <= HD_TUNE_LARGEST)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+static int lies(const double *numbers, size_t count, double least) {
+    for (size_t i = 0; i < count; i++) {
+        if (!(numbers[i] >= least && numbers[i] <= HD_TUNE_LARGEST)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+static int highest_is_sound(const struct hd_material *material) {
+    return material->tune_highest_rad_per_s >= HD_TUNE_SMALLEST &&
+           material->tune_highest_rad_per_s <= HD_TUNE_LARGEST && material->tune_mutes <= 1;
+}
+
+static int tap_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const uint32_t points = material->mode_count;
+    const uint32_t nodes = material->mode_nodes;
+    if (points == 0) {
+        return HD_OK;
+    }
+    if (points > HD_TUNE_POINTS || nodes > HD_TUNE_NODES || material->wave_count > 0 || material->mode_by_peak > 1) {
+        return hd_invalid("material %u: a tap's mode at %u speeds with %u nodes; 1 to %u, at most %u, and no waveform",
+                          index, points, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
+    }
+    const uint32_t count = 3 * points + nodes * HD_TUNE_NODE;
+    if (material->mode_first > table->number_count || count > table->number_count - material->mode_first) {
+        return hd_invalid("material %u: %u numbers of its tap's modes, from number %u on, do not fit into %u", index,
+                          count, material->mode_first, table->number_count);
+    }
+    const double *numbers = table->numbers + material->mode_first;
+    const double *node = numbers + 3 * points;
+    int sound = rises(numbers, points, 1, 0.0) && lies(numbers + points, 2 * (size_t)points, HD_TUNE_SMALLEST) &&
+                rises(node, nodes, HD_TUNE_NODE, 0.0) && lies(node, (size_t)nodes * HD_TUNE_NODE, -HD_TUNE_LARGEST);
+    for (uint32_t i = 0; i < nodes; i++) {
+        sound = sound && lies(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0);
+    }
+    if (!sound || !highest_is_sound(material)) {
+        return hd_invalid("material %u: speeds, modes or nodes of its tap do not rise, or are out of range", index);
+    }
+    return HD_OK;
+}
+
+static int grooves_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const uint32_t speeds = material->tune_speeds;
+    const uint32_t forces = material->tune_forces;
+    const uint32_t nodes = material->tune_nodes;
+    if (speeds == 0) {
+        return HD_OK;
+    }
+    if (speeds > HD_TUNE_POINTS || forces == 0 || forces > HD_TUNE_POINTS || nodes > HD_TUNE_NODES) {
+        return hd_invalid(
+            "material %u: groove frequencies at %u speeds and %u forces with %u nodes; 1 to %u, at most %u", index,
+            speeds, forces, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
+    }
+    const uint32_t grid = speeds * forces;
+    const uint32_t count = speeds + forces + grid + nodes * HD_TUNE_NODE;
+    if (material->tune_first > table->number_count || count > table->number_count - material->tune_first) {
+        return hd_invalid("material %u: %u numbers of groove frequencies, from number %u on, do not fit into %u", index,
+                          count, material->tune_first, table->number_count);
+    }
+    const double *numbers = table->numbers + material->tune_first;
+    const double *node = numbers + speeds + forces + grid;
+    if (!rises(numbers, speeds, 1, 0.0) || !rises(numbers + speeds, forces, 1, 0.0) ||
+        !lies(numbers + speeds + forces, grid, HD_TUNE_SMALLEST) ||
+        !rises(node, nodes, HD_TUNE_NODE, HD_TUNE_SMALLEST) ||
+        !lies(node, (size_t)nodes * HD_TUNE_NODE, -HD_TUNE_LARGEST)) {
+        return hd_invalid(
+            "material %u: speeds, forces or nodes of its groove frequencies do not rise, or are out of range", index);
+    }
+    for (uint32_t i = 0; i < nodes; i++) {
+        if (!lies(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0)) {
+            return hd_invalid("material %u: node %u of its groove frequencies has a peak below 0", index, i);
+        }
+    }
+    if (!highest_is_sound(material) || !(material->groove.decay_rate_per_s > 0.0)) {
+        return hd_invalid("material %u: groove frequencies up to %g rad/s, muted above (%u), decay rate %g 1/s", index,
+                          material->tune_highest_rad_per_s, material->tune_mutes, material->groove.decay_rate_per_s);
+    }
+    return HD_OK;
+}
+
+int hd_tune_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const int status = grooves_check(material, table, index);
+    return status < 0 ? status : tap_check(material, table, index);
+}

@@ -1,0 +1,154 @@
+/* Waveforms that play, dense, in no order. Behind them lie those that are free, which keep their blocks of samples, so
+ * that ending one exchanges two small records and moves no samples. */
+#include "tick/hd_waveform.h"
+
+#include <math.h>
+
+#include "base/hd_vector.h"
+
+#define HD_WAVE_LARGEST 1e9
+/* Force per unit whose square could become subnormal. */
+#define HD_WAVE_SMALLEST_SQUARE 1e-290
+
+/* Where on the curve it is in this tick, in samples. */
+HD_RT static double place_of(const struct hd_wave *wave) {
+    return (double)wave->ticks * wave->step + wave->begin;
+}
+
+/* `samples` begin with the 0 before the first one; 0 <= place < count - 1. */
+HD_RT static double curve_at(const double *samples, double place) {
+    const uint32_t k = (uint32_t)place;
+    const double x = place - (double)k;
+    const double before = samples[k];
+    const double from = samples[k + 1u];
+    const double to = samples[k + 2u];
+    const double after = samples[k + 3u];
+    const double cubic = 3.0 * (from - to) + after - before;
+    const double square = 2.0 * before - 5.0 * from + 4.0 * to - after;
+    return from + 0.5 * x * (to - before + x * (square + x * cubic));
+}
+
+HD_RT static void add(struct hd_state *state, const struct hd_wave *wave, double sign) {
+    const double value = sign * curve_at(state->wave_blocks[wave->block].samples, place_of(wave));
+    state->ringing_n[0] += value * wave->force_n[0];
+    state->ringing_n[1] += value * wave->force_n[1];
+}
+
+HD_RT static void remove_wave(struct hd_state *state, uint32_t index) {
+    const uint32_t last = --state->wave_count;
+    const struct hd_wave gone = state->waves[index];
+    state->waves[index] = state->waves[last];
+    state->waves[last] = gone;
+}
+
+HD_RT void hd_waves_advance(struct hd_state *state, uint32_t periods) {
+    uint32_t i = 0;
+    while (i < state->wave_count) {
+        struct hd_wave *wave = &state->waves[i];
+        wave->ticks += periods;
+        if (place_of(wave) < wave->end) {
+            add(state, wave, 1.0);
+            i++;
+        } else {
+            remove_wave(state, i);
+        }
+    }
+}
+
+HD_RT double hd_waves_bound(const struct hd_state *state) {
+    double bound = 0.0;
+    for (uint32_t i = 0; i < state->wave_count; i++) {
+        const struct hd_wave *wave = &state->waves[i];
+        const uint32_t part = (uint32_t)(place_of(wave) / wave->end * (double)HD_WAVE_PARTS);
+        const double peak = state->wave_blocks[wave->block].peaks[part < HD_WAVE_PARTS ? part : HD_WAVE_PARTS - 1u];
+        bound += peak * hd_root(hd_dot(wave->force_n, wave->force_n));
+    }
+    return bound;
+}
+
+/* The one that is nearest its end is given up. */
+HD_RT static void make_room(struct hd_state *state) {
+    uint32_t nearest = 0;
+    double least = (double)INFINITY;
+    for (uint32_t i = 0; i < state->wave_count; i++) {
+        const struct hd_wave *wave = &state->waves[i];
+        const double left = (wave->end - place_of(wave)) / wave->step; /* ticks */
+        if (left < least) {
+            least = left;
+            nearest = i;
+        }
+    }
+    add(state, &state->waves[nearest], -1.0);
+    remove_wave(state, nearest);
+}
+
+HD_RT void hd_waves_strike(struct hd_state *state, const struct hd_table *table, const struct hd_strike *strike,
+                           const double force_n[2]) {
+    const struct hd_material *material = strike->wave;
+    const uint32_t count = material->wave_count;
+    const double begin = strike->before_s * material->wave_rate_hz;
+    const double end = (double)(count - 1u);
+    if (!(begin < end) || !(hd_dot(force_n, force_n) > HD_WAVE_SMALLEST_SQUARE)) {
+        return; /* over before this tick, or nothing */
+    }
+    if (state->wave_count == HD_WAVE_CAPACITY) {
+        make_room(state);
+    }
+    struct hd_wave *wave = &state->waves[state->wave_count++];
+    wave->force_n[0] = force_n[0];
+    wave->force_n[1] = force_n[1];
+    wave->step = table->period_s * material->wave_rate_hz;
+    wave->begin = begin;
+    wave->end = end;
+    wave->ticks = 0;
+    struct hd_wave_block *block = &state->wave_blocks[wave->block];
+    const double *numbers = table->numbers + material->wave_first;
+    block->samples[0] = 0.0;
+    for (uint32_t i = 0; i < count; i++) {
+        block->samples[i + 1u] = numbers[i];
+    }
+    block->samples[count + 1u] = 0.0;
+    for (uint32_t i = 0; i < HD_WAVE_PARTS; i++) {
+        block->peaks[i] = numbers[count + i];
+    }
+    add(state, wave, 1.0);
+}
+
+HD_RT void hd_waves_scale(struct hd_state *state, double factor) {
+    for (uint32_t i = 0; i < state->wave_count; i++) {
+        state->waves[i].force_n[0] *= factor;
+        state->waves[i].force_n[1] *= factor;
+    }
+}
+
+/* ---- Checks ------------------------------------------------------------------------------------------------- */
+
+int hd_wave_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
+    const uint32_t count = material->wave_count;
+    if (count == 0) {
+        return HD_OK;
+    }
+    if (count < 3 || count > HD_WAVE_SAMPLES) {
+        return hd_invalid("material %u: a waveform of %u samples; 3 to %u", index, count, HD_WAVE_SAMPLES);
+    }
+    const uint32_t needed = count + HD_WAVE_PARTS;
+    if (material->wave_first > table->number_count || needed > table->number_count - material->wave_first) {
+        return hd_invalid("material %u: %u numbers of a waveform, from number %u on, do not fit into %u", index, needed,
+                          material->wave_first, table->number_count);
+    }
+    if (!(material->wave_rate_hz >= 1e-3 && material->wave_rate_hz <= HD_WAVE_LARGEST)) {
+        return hd_invalid("material %u: a waveform of %g samples a second", index, material->wave_rate_hz);
+    }
+    const double *numbers = table->numbers + material->wave_first;
+    for (uint32_t i = 0; i < needed; i++) {
+        const double least = i < count ? -HD_WAVE_LARGEST : 0.0;
+        if (!(numbers[i] >= least && numbers[i] <= HD_WAVE_LARGEST)) {
+            return hd_invalid("material %u: number %u of its waveform, %g, is out of range", index, i, numbers[i]);
+        }
+    }
+    if (numbers[0] != 0.0 || numbers[count - 1u] != 0.0) {
+        return hd_invalid("material %u: a waveform begins and ends with 0, this one with %g and %g", index, numbers[0],
+                          numbers[count - 1u]);
+    }
+    return HD_OK;
+}

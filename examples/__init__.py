@@ -1,0 +1,1 @@
+"""Examples: what `make demo` shows."""

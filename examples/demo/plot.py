@@ -1,0 +1,154 @@
+"""The plot: each material's tap, slopes, the comb, the sandpaper and the puncture, rendered over the library's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Final, Literal
+
+import numpy as np
+
+from examples.demo import comb, puncture, sandpaper
+from examples.demo.comb import Combing
+from examples.demo.perform import MASS_KG, Floats, Recorded
+from examples.demo.sandpaper import Sanding
+from examples.demo.taps import Fitted
+from hapticd.config.materials import Material, Materials, Mode
+from hapticd.config.texture import Grooves, Stochastic
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+PLOT: Final = "demo.png"
+THERE_AND_BACK: Final = (4, 3)
+"""The strokes over the comb that are drawn, neighbours in `comb.STROKES`: even ones go to the right."""
+
+
+def save(
+    tapped: Mapping[str, Recorded],
+    fits: Mapping[str, Fitted],
+    library: Materials,
+    combed: Recorded,
+    combing: Combing,
+    sanding: Sanding,
+    torn: Recorded,
+) -> None:
+    """Draws everything into `demo.png`."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(4, 3, figsize=(13, 12.5), constrained_layout=True)
+    panels = iter(axes.flat)
+    for name, recorded in tapped.items():
+        _tap(next(panels), name, recorded, fits[name], library[name])
+    _slopes(next(panels), fits, library)
+    _puncture(next(panels), torn, library[puncture.MATERIAL])
+    _strokes(next(panels), combed, library[comb.MATERIAL])
+    _strikes(next(panels), combing, library[comb.MATERIAL])
+    _spectrum(next(panels), sanding, library[sandpaper.MATERIAL])
+    figure.savefig(PLOT, dpi=100)
+    plt.close(figure)
+
+
+def _dress(panel: Axes, title: str, x: str, y: str, legend: Literal["best", "upper right"] = "best") -> None:
+    panel.set_title(title, fontsize=10)
+    panel.set_xlabel(x)
+    panel.set_ylabel(y)
+    panel.legend(fontsize=8, loc=legend)
+
+
+def _ringing(since: Floats, mode: Mode) -> Floats:
+    return np.asarray(np.exp(-mode.decay_rate_per_s * since) * np.sin(mode.angular_frequency_rad_per_s * since))
+
+
+def _tap(panel: Axes, name: str, recorded: Recorded, found: Fitted, material: Material) -> None:
+    assert material.tap is not None
+    mode = material.tap.mode
+    chosen = max((tap for tap in found.taps if tap.scale == 1.0), key=lambda tap: tap.speed)
+    since = recorded.time_s - chosen.onset_s
+    window = (since > -0.2 / mode.decay_rate_per_s) & (since < 5.5 / mode.decay_rate_per_s)
+    rendered = recorded.samples["vibration_force_n"][window, 1] / MASS_KG
+    panel.plot(1e3 * since[window], rendered, ".", ms=4, label="rendered")
+    fine = np.linspace(0, 5 / mode.decay_rate_per_s, 800)
+    closed = material.tap.amplitude_m_per_s2(chosen.speed) * _ringing(fine, mode)
+    panel.plot(1e3 * fine, closed, lw=1, label="library")
+    title = f"{name}: {found.frequency_hz:.0f} Hz, {1e3 * found.decay_time_s:.2f} ms"
+    _dress(panel, title, "ms after contact", "m/s²")
+
+
+def _slopes(panel: Axes, fits: Mapping[str, Fitted], library: Materials) -> None:
+    for name, found in fits.items():
+        tap = library[name].tap
+        assert tap is not None
+        whole = [each.scale == 1.0 for each in found.taps]
+        speeds = np.array([each.true_speed for each in found.taps])
+        (line,) = panel.plot(speeds[whole], np.abs(found.amplitudes[whole]), "o", ms=3, label=name)
+        ends = np.array([0, 1.02 * speeds.max()])
+        panel.plot(ends, [tap.amplitude_m_per_s2(end) for end in ends], lw=0.8, color=line.get_color())
+    _dress(panel, "taps over the handle's true speed; lines: library", "m/s", "m/s²")
+
+
+def _puncture(panel: Axes, torn: Recorded, material: Material) -> None:
+    assert material.rupture is not None
+    deflection = -1e3 * torn.samples["position_m"][:, 1]
+    panel.plot(deflection, torn.samples["contact_force_n"][:, 1], lw=1, label="membrane")
+    panel.plot(deflection, torn.samples["vibration_force_n"][:, 1], lw=0.7, label="vibration")
+    panel.axvline(1e3 * material.rupture.rupture_depth_m, color="grey", lw=0.6)
+    panel.set_xlim(-1, 9)
+    _dress(panel, f"puncture of {puncture.MATERIAL}", "mm of deflection", "N")
+
+
+def _strokes(panel: Axes, combed: Recorded, material: Material) -> None:
+    assert isinstance(material.texture, Grooves)
+    spacing = 1e3 * material.texture.spacing_m
+    x, force = 1e3 * combed.samples["position_m"][:, 0], combed.samples["vibration_force_n"][:, 0]
+    for number in THERE_AND_BACK:
+        begin, end = comb.stroke_times()[number]
+        window = (combed.time_s > begin) & (combed.time_s < end)
+        way = "→" if x[window][-1] > x[window][0] else "←"
+        panel.plot(x[window], force[window], lw=1, label=f"{way} {comb.STROKES[number][0]:g} m/s")
+    for groove in range(-2, 4):
+        panel.axvline(groove * spacing, color="grey", lw=0.6, label="grooves" if groove == 0 else None)
+    panel.set_xlim(-2.5 * spacing, 3.5 * spacing)
+    press = comb.STROKES[THERE_AND_BACK[0]][1]
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high + 0.6 * (high - low))  # room for the legend
+    _dress(panel, f"comb, {spacing:g} mm, pressed with {press:g} N", "mm along the comb", "N", "upper right")
+
+
+def _strikes(panel: Axes, combing: Combing, material: Material) -> None:
+    grooves = material.texture
+    assert isinstance(grooves, Grooves)
+    presses = sorted({press for _, press in comb.STROKES})
+    nearest = np.array([min(presses, key=lambda press: abs(press - force)) for force in combing.force_n.tolist()])
+    ends = np.array([0, 1.05 * combing.speed_m_per_s.max()])
+    for press in presses:
+        here = (nearest == press) & combing.whole
+        amplitude = abs(combing.strikes.amplitude[here])
+        (dots,) = panel.plot(combing.speed_m_per_s[here], amplitude, "o", ms=3, label=f"{press:g} N")
+        law = grooves.velocity_gain_per_s * ends + grooves.force_gain_m_per_s2_per_n * combing.force_n[here].mean()
+        panel.plot(ends, law, lw=0.8, color=dots.get_color())
+    panel.set_ylim(0, None)
+    _dress(panel, "comb over the estimated speed; lines: library", "m/s", "m/s²")
+
+
+def _spectrum(panel: Axes, sanding: Sanding, material: Material) -> None:
+    from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
+
+    law = material.texture
+    assert isinstance(law, Stochastic)
+    rate_hz = 2 * float(sanding.frequency_hz[-1])
+    fine = np.linspace(0, 1000, 1001)
+    asked = power_spectrum(stochastic_filter(law.peak_hz, law.mean_hz, rate_hz), fine, rate_hz)
+    # At 0 a one-sided spectrum is half of what it is beside it.
+    shown = (sanding.frequency_hz > 0) & (sanding.frequency_hz <= fine[-1])
+    # In the same unit: the power that the spectrum holds up to there.
+    step = float(sanding.frequency_hz[1])
+    asked *= sanding.spectrum[shown].sum() * step / np.trapezoid(asked, fine)
+    panel.plot(sanding.frequency_hz[shown], 1e3 * sanding.spectrum[shown], ".-", ms=4, lw=0.6, label="rendered")
+    panel.plot(fine, 1e3 * asked, lw=1, label="library")
+    panel.axvline(law.peak_hz, color="grey", lw=0.6, label="peak")
+    panel.axvline(law.mean_hz, color="grey", lw=0.6, ls="--", label="mean")
+    title = f"{sandpaper.MATERIAL}: peak {sanding.peak_hz.value:.0f} Hz, mean {sanding.mean_hz.value:.0f} Hz"
+    _dress(panel, title, "Hz", "power over the law's, 1/kHz")

@@ -1,0 +1,236 @@
+"""What `hapticd verify` does: strikes each mode of the library, and lays the handle's acceleration beside it.
+
+Of the simulated joystick the acceleration is that of the handle itself: it is driven once more by the forces that were
+commanded, at sixteen times the rate, and the differences of its exact velocities are means of its acceleration. The
+library's waveform is taken as means over the same times. A link delays the force and changes none of its shape: the
+onset is when the force begins at the actuator.
+
+Of a recording the acceleration is what it holds; the whole sequence is found in it by cross-correlation, and each onset
+where the error is least, within `SEARCH_S` of that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.analysis.calibration.accelerometer import Recording, offset_of
+from hapticd.analysis.calibration.rig import Rig, on_grid, rig_of
+from hapticd.analysis.calibration.sweep import Axis, Floats
+from hapticd.base.core import lib, pointer
+from hapticd.base.errors import HapticdError
+from hapticd.config.configuration import Config, Link
+from hapticd.config.materials import Material
+from hapticd.config.modes import Mode
+from hapticd.config.scene import Scene
+from hapticd.config.texture import Grooves
+from hapticd.daemon.engine import output_of
+from hapticd.rendering.compensation import HIGH, LOW_HZ
+from hapticd.rendering.displayability import Output, displayed_mode
+from hapticd.rendering.displayed_error import FINER, band_error, band_lines, waveform
+from hapticd.rendering.joystick import new_sim
+from hapticd.rendering.offline import Samples
+
+SPEED_M_PER_S: Final = 0.1
+PRESS_N: Final = 1.0
+REST_S: Final = 0.3
+"""Between two strikes, once five decay times are over."""
+AFTER_S: Final = 0.06
+"""Looked at in a recording beyond five decay times: what compensation may still do there, and what the hand makes of
+it. Longer would be more of the sensor's noise."""
+SETTLED_S: Final = 0.25
+"""The same of the simulated handle, until hand and handle are at rest; less than from one strike to the next."""
+SEARCH_S: Final = 0.003
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """What is struck: a use of a material, and the coefficient that the library gives it."""
+
+    material: str
+    use: str
+    mode: Mode
+    coefficient_m_per_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """How a strike was displayed."""
+
+    strike: Strike
+    displayed_hz: float | None
+    """None: silent, the rate cannot carry it."""
+    force_n: float
+    """The largest that was commanded."""
+    error: float
+    """RMS of the difference over RMS of the library's waveform, in the band; 1 where nothing is displayed."""
+    strength: float
+    """The part of the library's waveform in what was displayed: 1 where all is well, less where it was held back."""
+
+    def to_dict(self) -> dict[str, object]:
+        return {
+            "material": self.strike.material,
+            "use": self.strike.use,
+            "frequency_hz": self.strike.mode.frequency_hz,
+            "amplitude_m_per_s2": self.strike.coefficient_m_per_s2,
+            "displayed_hz": self.displayed_hz,
+            "force_n": self.force_n,
+            "error": self.error,
+            "strength": self.strength,
+        }
+
+
+def strikes_of(materials: Mapping[str, Material], speed_m_per_s: float = SPEED_M_PER_S) -> list[Strike]:
+    """What the materials ring with: taps and grooves at this speed, grooves pressed with 1 N, ruptures."""
+    found = []
+    for name, material in materials.items():
+        tap, rupture, texture = material.tap, material.rupture, material.texture
+        if tap is not None and tap.ringing is not None and (amplitude := tap.amplitude_m_per_s2(speed_m_per_s)) > 0:
+            mode = tap.mode_at(speed_m_per_s)
+            coefficient = mode.coefficient(amplitude, tap.attack)
+            found.append(Strike(name, "tap", mode, coefficient))
+            if tap.second is not None and tap.second.ratio != 0:
+                found.append(Strike(name, "second", tap.second.mode, abs(tap.second.ratio) * coefficient))
+        if isinstance(texture, Grooves) and (groove := material.groove_mode_at(speed_m_per_s, PRESS_N)) is not None:
+            amplitude = texture.velocity_gain_per_s * speed_m_per_s + texture.force_gain_m_per_s2_per_n * PRESS_N
+            found.append(Strike(name, "groove", groove, amplitude))
+        if rupture is not None and rupture.amplitude_m_per_s2 > 0:
+            found.append(Strike(name, "rupture", rupture.mode, rupture.amplitude_m_per_s2))
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """A sequence of strikes: what the servo rendered."""
+
+    rate_hz: float
+    output: Output
+    strikes: tuple[Strike, ...]
+    begins: tuple[int, ...]
+    """Of each strike, the period of its first tick since the first sample; -1 where it is silent."""
+    force_n: Floats
+    """(n, 2) the command at each period."""
+    along: int
+
+
+def play(
+    config: Config, strikes: list[Strike], axis: Axis, progress: Callable[[str], None], *, real: bool | None = None
+) -> Played:
+    """Strikes them one after the other, alone in an empty scene. Raises HapticdError."""
+    alone = config.model_copy(update={"scene": Scene()})
+    along = 0 if axis == "x" else 1
+    output = output_of(alone, alone.servo.rate_hz)
+    taken: list[Samples] = []
+    ticks: list[int | None] = []
+    with rig_of(alone, real) as rig:
+        output = rig.output
+        taken.append(rig.run(REST_S))
+        for strike in strikes:
+            progress(f"{strike.material}, {strike.use}")
+            ticks.append(_strike(rig, output, strike, along))
+            if ticks[-1] is not None:
+                taken.append(rig.run(5.0 / strike.mode.decay_rate_per_s + AFTER_S + REST_S))
+    samples = np.concatenate(taken)
+    place, holding = on_grid(samples, rig.rate_hz)
+    force = np.ascontiguousarray(samples["force_n"][holding], dtype=np.float64)
+    first = int(samples["tick"][0])
+    begins = [-1 if tick is None else int(place[tick - first]) for tick in ticks]
+    return Played(rig.rate_hz, output, tuple(strikes), tuple(begins), force, along)
+
+
+def _strike(rig: Rig, output: Output, strike: Strike, along: int) -> int | None:
+    if displayed_mode(strike.mode, output)[0] is None:
+        return None
+    return rig.strike(strike.mode, strike.coefficient_m_per_s2, (1.0, 0.0) if along == 0 else (0.0, 1.0))
+
+
+def from_simulation(config: Config, played: Played) -> list[Verdict]:
+    """Of the simulated handle."""
+    rate_hz = played.rate_hz * FINER
+    sim = new_sim(config.device.sim, rate_hz)
+    force = np.repeat(played.force_n, FINER, axis=0)
+    motion = np.empty((len(force), 4))
+    lib.hd_sim_drive(sim, pointer("double[]", force), len(force), pointer("double[]", motion))
+    acceleration = np.diff(motion[:, 2 + played.along]) * rate_hz
+
+    def measured(strike: Strike, begin: int) -> tuple[float, float]:
+        onset = arrival(config.device.sim.link, begin, played.rate_hz)
+        count = round((5.0 / strike.mode.decay_rate_per_s + SETTLED_S) * rate_hz)
+        return _compared(acceleration[onset : onset + count], strike, rate_hz, played)
+
+    return _verdicts(played, measured)
+
+
+def from_recording(played: Played, recording: Recording) -> list[Verdict]:
+    """Of what an accelerometer heard. Raises HapticdError where the sequence is not in it."""
+    rate_hz = recording.rate_hz
+    expected = np.zeros(len(played.force_n))
+    for strike, begin in zip(played.strikes, played.begins, strict=True):
+        if begin >= 0:
+            shown, factor = displayed_mode(strike.mode, played.output)
+            assert shown is not None
+            count = min(round(5.0 / shown.decay_rate_per_s * played.rate_hz), len(expected) - begin)
+            ringing = waveform(shown, count, played.rate_hz)
+            expected[begin : begin + count] += strike.coefficient_m_per_s2 * factor * ringing
+    if not expected.any():
+        raise HapticdError("nothing of the library is displayed at this rate, so there is nothing to verify")
+    begin_s = offset_of(recording, expected, played.rate_hz)
+
+    def measured(strike: Strike, begin: int) -> tuple[float, float]:
+        count = round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * rate_hz)
+        times = begin_s + begin / played.rate_hz + (np.arange(count) + 0.5) / rate_hz
+
+        def error_at(shift_s: float) -> float:
+            return _compared(recording.at(times + shift_s), strike, rate_hz, played)[0]
+
+        period_s = 1.0 / strike.mode.frequency_hz
+        step = min(period_s / 12, SEARCH_S / 10)
+        best = min(np.arange(-SEARCH_S, SEARCH_S + step / 2, step).tolist(), key=error_at)
+        while step > 1e-3 * period_s:
+            step /= 3
+            best = min((best - 2 * step, best - step, best, best + step, best + 2 * step), key=error_at)
+        return _compared(recording.at(times + best), strike, rate_hz, played)
+
+    return _verdicts(played, measured)
+
+
+def arrival(link: Link | None, begin: int, rate_hz: float) -> int:
+    """When the force of a tick begins at the actuator, in parts of a period of which FINER are one: it waits for its
+    frame."""
+    onset = begin * FINER
+    if link is None:
+        return onset
+    frame = rate_hz * FINER / link.rate_hz
+    return round((math.floor(onset / frame * (1 + 1e-12)) + link.delay_frames) * frame)
+
+
+def _compared(measured: Floats, strike: Strike, rate_hz: float, played: Played) -> tuple[float, float]:
+    reference = strike.coefficient_m_per_s2 * waveform(strike.mode, len(measured), rate_hz)
+    return compared(measured, reference, rate_hz, played.output)
+
+
+def compared(measured: Floats, reference: Floats, rate_hz: float, output: Output) -> tuple[float, float]:
+    """Error and strength of an acceleration, (n,) at rate_hz from the onset, against the library's."""
+    high_hz = HIGH * min(output.rate_hz, rate_hz)
+    error = band_error(measured, reference, rate_hz, LOW_HZ, high_hz)
+    one, other = (band_lines(each, rate_hz, LOW_HZ, high_hz) for each in (measured, reference))
+    return error, float(np.vdot(other, one).real / np.vdot(other, other).real)
+
+
+def _verdicts(played: Played, measured: Callable[[Strike, int], tuple[float, float]]) -> list[Verdict]:
+    found = []
+    for strike, begin in zip(played.strikes, played.begins, strict=True):
+        if begin < 0:
+            found.append(Verdict(strike, None, 0.0, 1.0, 0.0))
+            continue
+        shown, _ = displayed_mode(strike.mode, played.output)
+        assert shown is not None
+        last = begin + round((5.0 / strike.mode.decay_rate_per_s + AFTER_S) * played.rate_hz)
+        force = float(np.abs(played.force_n[begin:last, played.along]).max())
+        error, strength = measured(strike, begin)
+        found.append(Verdict(strike, shown.frequency_hz, force, error, strength))
+    return found

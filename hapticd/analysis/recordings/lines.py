@@ -1,0 +1,139 @@
+"""Lines in a spectrum: hum of any frequency, and whatever else is a tone, each with its share of the power.
+
+The test: in a periodogram with Hann's window over the whole recording, noise has exponentially distributed power about
+its mean, which is taken from the median of n bins beside. A bin is of a line if noise has more in it, in any of all N
+bins, with a chance of at most CHANCE: power > mean * F(2, 2 n) at CHANCE/N. Of several recordings half must have the
+line, and each may be less sure. What rings is broader than the bins beside, and is none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.analysis.statistics import Floats
+from hapticd.fit.verdict import Doubts
+
+LOWEST_HZ: Final = 20.0
+"""What is slower is a hand's."""
+CHANCE: Final = 1e-3
+OFTEN: Final = 1e-3
+"""Chance of a line in one of many recordings, at most."""
+SPREAD: Final = 6
+LEAST_SHARE: Final = 0.005
+"""Of the power, from which on a line is told."""
+LONG_S: Final = 0.5
+"""A recording that is shorter does not tell a line from something that rings."""
+BESIDE_HZ: Final = 8.0
+BESIDE: Final = 8
+"""Bins at least, on either side."""
+APART_HZ: Final = 0.5
+"""Lines of two recordings that are nearer are one."""
+TOLD: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A tone, and which part of the power above LOWEST_HZ it holds."""
+
+    frequency_hz: float
+    share: float
+
+
+def lines_of(seen: Floats, rate_hz: float, needed: int = 1) -> list[Line]:
+    """Of one recording (n,), by falling share; so many recordings are `needed` to have a line."""
+    from scipy.special import fdtri
+
+    count = len(seen)
+    if count < LONG_S * rate_hz:
+        return []
+    width = rate_hz / count
+    power = np.abs(np.fft.rfft(np.hanning(count) * (seen - seen.mean()))) ** 2
+    frequency = np.fft.rfftfreq(count, 1 / rate_hz)
+    whole = float(power[frequency >= LOWEST_HZ].sum())
+    if not whole > 0:
+        return []
+    # Five bins of a line that Hann's window spreads over four, and as many again that may hold its skirts.
+    inner = 2 + math.ceil(APART_HZ / width)
+    outer = inner + max(BESIDE, math.ceil(BESIDE_HZ / width))
+    beside = 2 * (outer - inner)
+    # That so many recordings have it within SPREAD bins of each other is as improbable as it may be.
+    chance = CHANCE / len(power) if needed == 1 else min(OFTEN, (CHANCE / len(power)) ** (1 / needed) / SPREAD)
+    factor = float(fdtri(2, 2 * beside, 1 - chance))
+    found: list[Line] = []
+    left = power.copy()
+    left[(frequency < LOWEST_HZ) | (np.arange(len(power)) < outer)] = 0.0
+    left[max(0, len(power) - outer) :] = 0.0
+    for _ in range(10 * TOLD):
+        place = int(np.argmax(left))
+        here = slice(place - 2, place + 3)
+        if left[place] <= 0 or power[here].sum() < LEAST_SHARE * whole:
+            break
+        about = np.concatenate((power[place - outer : place - inner], power[place + inner + 1 : place + outer + 1]))
+        # The mean of an exponential distribution from its median, which other lines do not move.
+        mean = float(np.median(about)) / math.log(2)
+        share = (float(power[here].sum()) - 5 * mean) / whole
+        if power[place] > factor * mean and share > LEAST_SHARE:
+            near = slice(place - 1, place + 2)
+            middle = float(power[near] @ frequency[near]) / float(power[near].sum())
+            found.append(Line(middle, share))
+        left[place - inner : place + inner + 1] = 0.0
+    return sorted(found, key=lambda line: -line.share)
+
+
+def lines_beside(seen: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[Line]:
+    """Of a recording (n,) whose events are modelled, where `modelled` is no NaN: lines of the rest, with their share of
+    the power of all."""
+    left = np.where(np.isfinite(modelled), seen - modelled, 0.0)
+    part = float(np.var(left) / np.var(seen)) if np.var(seen) > 0 else 0.0
+    return [Line(line.frequency_hz, part * line.share) for line in lines_of(left, rate_hz, needed)]
+
+
+def common_lines(count: int, lines_in: Callable[[int, int], Sequence[Line]]) -> list[Line]:
+    """Lines that at least half of `count` recordings have, with their mean share, by frequency. `lines_in` gives those
+    of one, by its number and by how many are needed."""
+    needed = max(1, math.ceil(count / 2))
+    recordings = [lines_in(place, needed) for place in range(count)]
+    every = [(place, line) for place, lines in enumerate(recordings) for line in lines]
+    every.sort(key=lambda each: each[1].frequency_hz)
+    found: list[Line] = []
+    while every:
+        first = every[0][1].frequency_hz
+        alike = [each for each in every if each[1].frequency_hz - first < APART_HZ]
+        every = every[len(alike) :]
+        if len({place for place, _ in alike}) < needed:
+            continue
+        weight = sum(line.share for _, line in alike)
+        middle = sum(line.frequency_hz * line.share for _, line in alike) / weight
+        if weight / len(recordings) > LEAST_SHARE:
+            found.append(Line(middle, weight / len(recordings)))
+    return found
+
+
+def tell_lines(count: int, lines_in: Callable[[int, int], Sequence[Line]], doubts: Doubts) -> None:
+    """A doubt where there are lines, as of `common_lines`."""
+    if hum := common_lines(count, lines_in):
+        doubts.tell(told(hum))
+
+
+def told(lines: Sequence[Line]) -> str:
+    """In words; empty where there are none."""
+    if not lines:
+        return ""
+    loudest = sorted(sorted(lines, key=lambda line: -line.share)[:TOLD], key=lambda line: line.frequency_hz)
+    if len(lines) == 1:
+        what = f"a line at {_hz(lines[0])} Hz holds {100 * lines[0].share:.2g} % of the power"
+    else:
+        shares = ", ".join(f"{_hz(line)} Hz {100 * line.share:.2g} %" for line in loudest)
+        more = f" and {len(lines) - TOLD} more" if len(lines) > TOLD else ""
+        what = f"lines hold {100 * sum(line.share for line in lines):.2g} % of the power ({shares}{more})"
+    return f"{what}: hum, or another tone, which the figures take in"
+
+
+def _hz(line: Line) -> str:
+    # A bin is a fraction of a hertz wide.
+    return f"{round(line.frequency_hz, 1):.10g}"

@@ -1,0 +1,75 @@
+"""A linear sensor: what its mounting and its filter make of a decaying sinusoid, in closed form.
+
+    H(s) = prod_j -q_j / (s - q_j)
+
+with poles q_j, all apart, and a gain of 1 at rest. A ringing Im exp(p t), p = -B + i w, from t = 0 on, comes out as
+
+    Im y(t),  y(t) = H(p) exp(p t) + sum_j r_j / (q_j - p) exp(q_j t)
+
+where r_j is the residue of H at q_j: the inverse Laplace transform of H(s)/(s - p). There is no error of a step.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Annotated, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from hapticd.base.model import Model
+
+Complexes: TypeAlias = npt.NDArray[np.complex128]
+
+
+class Sensor(Model):
+    """What an accelerometer's data sheet says of it."""
+
+    filter_hz: Annotated[float, Field(ge=10, le=1e6)] | None = Field(
+        default=None, description="Corner (-3 dB) of its low-pass filter, Butterworth's; without it there is none."
+    )
+    filter_order: int = Field(default=2, ge=1, le=8, description="Of the filter.")
+    mounting_hz: Annotated[float, Field(ge=10, le=1e6)] | None = Field(
+        default=None, description="Resonance of the sensor on its mounting; without it that is rigid."
+    )
+    mounting_damping: float = Field(
+        default=0.05, ge=0.001, le=0.999, description="Of the resonance, as a part of critical damping."
+    )
+
+    @property
+    def poles(self) -> tuple[complex, ...]:
+        """rad/s; none where nothing is given."""
+        found: list[complex] = []
+        if self.mounting_hz is not None:
+            pole = (
+                2
+                * math.pi
+                * self.mounting_hz
+                * complex(-self.mounting_damping, math.sqrt(1 - self.mounting_damping**2))
+            )
+            found += [pole, pole.conjugate()]
+        if self.filter_hz is not None:
+            order = self.filter_order
+            found += [
+                2 * math.pi * self.filter_hz * cmath.exp(0.5j * math.pi * (1 + (2 * k + 1) / order))
+                for k in range(order)
+            ]
+        return tuple(found)
+
+    def answer(self, pole: complex, since_s: npt.NDArray[np.float64]) -> tuple[Complexes, Complexes, Complexes]:
+        """y, dy/dp and dy/dt of p = `pole` at times (n,) from 0 on, each (n,)."""
+        poles = np.array(self.poles, dtype=np.complex128)
+        gain = complex(np.prod(-poles / (pole - poles)))
+        turned = np.exp(pole * since_s)
+        value = gain * turned
+        by_pole = (since_s - np.sum(1 / (pole - poles))) * value
+        by_time = pole * value
+        for index, own in enumerate(poles):
+            others = np.delete(poles, index)
+            part = -own * np.prod(-others / (own - others)) / (own - pole) * np.exp(own * since_s)
+            value = value + part
+            by_pole = by_pole + part / (own - pole)
+            by_time = by_time + own * part
+        return value, by_pole, by_time

@@ -1,0 +1,197 @@
+"""Least squares with intervals: lines through points that are known each within its own error, and scatter besides.
+
+A point's variance is its own plus a scatter that all share, as it is or in known ratios. The scatter is the one at
+which the weighted squares are as large as they should be (Paule and Mandel, "Consensus values and weighting factors",
+1982), 0 if they are smaller anyway. Intervals are Student's t with the weighted squares as the scale (Hartung and
+Knapp, 2001): where the points' own errors are all alike this is ordinary least squares.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.yaml_source import Json
+
+Floats = npt.NDArray[np.float64]
+LEVEL: Final = 0.95
+
+
+class FitError(HapticdError):
+    """What the recordings do not support; one line, with the reason."""
+
+
+class MistakenError(FitError):
+    """Recordings are in another unit or of another sign than they are taken to be: then all of a set are."""
+
+
+def require_scipy() -> None:
+    """Raises HapticdError (one line) where scipy is missing."""
+    try:
+        import scipy  # noqa: F401
+    except ImportError:
+        raise HapticdError("fitting recordings needs scipy: pip install 'hapticd[fit]'") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A figure and the ends of its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def mapped(self, function: Callable[[float], float]) -> Estimate:
+        """Through a function that only rises or only falls between the ends."""
+        low, high = sorted((function(self.low), function(self.high)))
+        return Estimate(function(self.value), low, high)
+
+    def to_dict(self) -> dict[str, Json]:
+        return {"value": self.value, "low": self.low, "high": self.high}
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """y = sum of coefficients times columns."""
+
+    coefficients: tuple[Estimate, ...]
+    r_squared: float
+    """1 - (sum of squares left over)/(sum of squares about the mean), both weighted; below 0 where a constant is
+    nearer to the points than the model."""
+    correlation: float
+    """Of what was measured and what the model says, unweighted; nan where either does not vary."""
+    residual: Floats
+    """(n,) measured less modelled."""
+    freedom: int
+    scatter: float
+    """Standard deviation of what the points' own errors do not explain, in the mean."""
+    squares: float
+    """Weighted sum of the squares of the residual."""
+
+
+def student_t(freedom: float, level: float = LEVEL) -> float:
+    """So many standard errors to each side hold this part, 95 % by default."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(freedom, 0.5 + level / 2))
+
+
+def least_squares(
+    columns: Floats, y: Floats, variances: Floats | None = None, scattered: Floats | None = None
+) -> Regression:
+    """Fits y (n,) by columns (n, k); `variances` (n,) are the points' own, all alike and unknown without them. What
+    they scatter besides is alike, or has variances in the ratios of `scattered` (n,).
+
+    Raises FitError where there are not more points than columns, or where the columns cannot be told apart.
+    """
+    count, unknowns = columns.shape
+    if count <= unknowns:
+        raise FitError(f"{count} points cannot tell {unknowns} figures with their intervals: needs {unknowns + 1}")
+    own = np.ones(count) if variances is None else variances
+    ratios = np.ones(count) if scattered is None else scattered / np.mean(scattered)
+    scatter = 0.0 if variances is None else _scatter(columns, y, own, ratios)
+    weights = 1.0 / (own + scatter * ratios)
+    root = np.sqrt(weights)
+    weighted = columns * root[:, None]
+    norms = np.sqrt(np.sum(weighted**2, axis=0))
+    if not (norms > 0).all():
+        raise FitError("a column is all zero: nothing can be told of its coefficient")
+    q, r = np.linalg.qr(weighted / norms)
+    if np.abs(np.diag(r)).min() < 1e-9:
+        raise FitError("two columns say the same: their coefficients cannot be told apart")
+    inverse = np.linalg.inv(r)
+    values = inverse @ (q.T @ (root * y)) / norms
+    residual = y - columns @ values
+    squares = float(np.sum(weights * residual**2))
+    freedom = count - unknowns
+    errors = np.sqrt(np.sum(inverse**2, axis=1) * squares / freedom) / norms
+    wide = student_t(freedom) * errors
+    mean = float(np.sum(weights * y) / np.sum(weights))
+    about = float(np.sum(weights * (y - mean) ** 2))
+    return Regression(
+        coefficients=tuple(
+            Estimate(float(value), float(value - half), float(value + half))
+            for value, half in zip(values, wide, strict=True)
+        ),
+        r_squared=1.0 - squares / about if about > 0 else math.nan,
+        correlation=_correlation(y, columns @ values),
+        residual=residual,
+        freedom=freedom,
+        scatter=math.sqrt(scatter),
+        squares=squares,
+    )
+
+
+def through_origin(
+    x: Floats, y: Floats, variances: Floats | None = None, scattered: Floats | None = None
+) -> Regression:
+    """y = a x; coefficients (a,)."""
+    return least_squares(x[:, None], y, variances, scattered)
+
+
+def with_offset(x: Floats, y: Floats, variances: Floats | None = None, scattered: Floats | None = None) -> Regression:
+    """y = a x + b; coefficients (a, b)."""
+    return least_squares(np.column_stack((x, np.ones_like(x))), y, variances, scattered)
+
+
+def common(values: Floats, variances: Floats | None = None) -> Estimate:
+    """What values (n,) with these variances have in common: their weighted mean. Raises FitError for fewer than two."""
+    return least_squares(np.ones((len(values), 1)), values, variances).coefficients[0]
+
+
+def improbable(squares: float, freedom: int, fuller: float, fuller_freedom: int) -> float:
+    """The chance of the F test that a model with more columns explains so much more by luck."""
+    from scipy.special import fdtrc
+
+    if fuller <= 0:
+        return 0.0 if squares > 0 else 1.0
+    extra = freedom - fuller_freedom
+    return float(fdtrc(extra, fuller_freedom, max(0.0, (squares - fuller) / extra) / (fuller / fuller_freedom)))
+
+
+def aicc(squares: float, count: int, unknowns: int) -> float:
+    """Akaike's criterion, corrected for few points, of a model with so many `unknowns`, which leaves these weighted
+    squares of `count` points; infinite for too few points. The scale of the scatter is one unknown more."""
+    known = unknowns + 1
+    freedom = count - known - 1
+    if freedom < 1:
+        return math.inf
+    return count * math.log(squares / count) + 2 * known + 2 * known * (known + 1) / freedom
+
+
+def jackknife_error(without: Floats) -> Floats:
+    """Standard errors (...) of figures from what they are without each of n points, or groups of them, (n, ...)."""
+    count = len(without)
+    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    one, other = one - one.mean(), other - other.mean()
+    norm = math.sqrt(float(np.sum(one**2)) * float(np.sum(other**2)))
+    return float(np.sum(one * other)) / norm if norm > 0 else math.nan
+
+
+def _scatter(columns: Floats, y: Floats, own: Floats, ratios: Floats) -> float:
+    """The variance besides the points' own, in the mean."""
+    freedom = len(y) - columns.shape[1]
+
+    def squares(scatter: float) -> float:
+        root = 1.0 / np.sqrt(own + scatter * ratios)
+        values = np.linalg.lstsq(columns * root[:, None], y * root, rcond=None)[0]
+        return float(np.sum(((y - columns @ values) * root) ** 2))
+
+    if squares(0.0) <= freedom:
+        return 0.0
+    low, high = 0.0, float(np.max(own))
+    while squares(high) > freedom:
+        low, high = high, 4 * high
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if squares(middle) > freedom else (low, middle)
+    return 0.5 * (low + high)

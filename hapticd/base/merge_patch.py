@@ -1,0 +1,27 @@
+"""JSON Merge Patch (RFC 7396), as `update_scene` and `update_materials` take it."""
+
+from hapticd.base.yaml_source import Json
+
+
+def merge_patch(target: Json, patch: Json) -> Json:
+    """`target` with `patch` applied: mappings merge key by key, null removes a key, anything else replaces.
+
+    Neither argument is changed; the result may share unchanged parts with both. Works at any depth.
+    """
+    if not isinstance(patch, dict):
+        return patch
+    result = dict(target) if isinstance(target, dict) else {}
+    pending = [(result, patch)]
+    while pending:
+        into, changes = pending.pop()
+        for key, change in changes.items():
+            if change is None:
+                into.pop(key, None)
+            elif isinstance(change, dict):
+                old = into.get(key)
+                inner = dict(old) if isinstance(old, dict) else {}
+                into[key] = inner
+                pending.append((inner, change))
+            else:
+                into[key] = change
+    return result

@@ -1,0 +1,443 @@
+"""What every validated model shares: strict numbers, limits, and faults told in the user's words.
+
+Models are immutable and strict: a number is a number (neither "1" nor true), finite and inside its limits; an
+unknown key is an error. The limits are there so that no product of them overflows or makes the tick work on
+nonsense; they are far outside what a hand can feel.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias, TypeVar, Union, cast, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, StringConstraints, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from hapticd.base.errors import InvalidError, Path, Problem, known_names, near_names, path_text, shown
+from hapticd.base.yaml_mistakes import hint, key_hint
+from hapticd.base.yaml_source import MAX_DEPTH, Json
+
+T = TypeVar("T")
+NAME_MAX_CHARACTERS = 64
+AT_ONCE: Final = 256
+"""Larger mappings are validated so many entries at a time: each call of pydantic's holds the interpreter's lock."""
+MOST_MEMBERS: Final = 2048
+"""So many members of mappings and lists, at any depth, end such a part: each may be a fault, and to tell them is one
+call, too."""
+MOST_KEYS: Final = 1000
+"""No mapping of known keys has more."""
+MAX_FAULTS = 200
+"""So many are told one by one; nobody reads more, and telling thousands takes seconds."""
+NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
+
+Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
+"""Name of a material or id of an object: no dot, so that a path can be read, and no control character."""
+
+Coordinate: TypeAlias = Annotated[float, Field(ge=-10, le=10)]
+Position: TypeAlias = Annotated[tuple[Coordinate, Coordinate], Strict(False)]
+"""[x, y] in m."""
+Stiffness: TypeAlias = Annotated[float, Field(ge=0, le=1e5)]
+Damping: TypeAlias = Annotated[float, Field(ge=0, le=1e3)]
+
+
+class Model(BaseModel):
+    """An immutable, strict mapping of known keys."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    by_name: ClassVar[dict[str, type["Model"]]] = {}
+
+    def __init__(self, /, **data: Any) -> None:
+        """Raises InvalidError with every fault of the keys that are given."""
+        with _invalid():
+            super().__init__(**data)
+
+    # As pydantic's own: what is nested is validated without a way through Python.
+    __init__.__pydantic_base_init__ = True  # type: ignore[attr-defined]
+
+    @classmethod
+    def model_validate(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate(obj, **options)
+
+    @classmethod
+    def model_validate_json(cls, json_data: str | bytes | bytearray, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_json(json_data, **options)
+
+    @classmethod
+    def model_validate_strings(cls, obj: Any, **options: Any) -> Self:
+        """As pydantic's, but raises InvalidError."""
+        with _invalid():
+            return super().model_validate_strings(obj, **options)
+
+    @classmethod
+    def parsed(cls, data: object, context: Mapping[str, object] | None = None) -> Self:
+        """For readers of documents, which tell faults where they stand: raises ValidationError."""
+        return super().model_validate(data, context=context)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise _fixed(name)
+
+    def __delattr__(self, name: str) -> None:
+        raise _fixed(name)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: object) -> None:
+        if Model.by_name.setdefault(cls.__name__, cls) is not cls:
+            raise TypeError(f"two models are called {cls.__name__}; error messages tell them apart by name")
+
+    def to_dict(self, without: set[str] | None = None) -> dict[str, Json]:
+        """The canonical form as plain data: defaults filled in, absent options left out; valid input.
+
+        `without` these members.
+        """
+        return cast(dict[str, Json], self.model_dump(mode="json", exclude_none=True, exclude=without))
+
+
+class CheckedTogether(Model):
+    """A model with keys that are each sound, and may not go together."""
+
+    def cross_faults(self) -> list[str]:
+        """What is wrong between them."""
+        return []
+
+    @model_validator(mode="after")
+    def _refuse_cross_faults(self) -> Self:
+        faults = self.cross_faults()
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
+
+
+@contextmanager
+def _invalid() -> Iterator[None]:
+    """pydantic's errors as ours."""
+    try:
+        yield
+    except ValidationError as error:
+        raise InvalidError(problems_of(error)) from None
+
+
+def _fixed(name: str) -> InvalidError:
+    return InvalidError([Problem(path_text((name,)), "cannot be changed: model_copy(update=...) makes another one")])
+
+
+def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
+    """Every fault of a pydantic error, in plain words; `root` is where the validated data stands."""
+    return [Problem(path_text(root + path), text) for path, text in faults_of(error)]
+
+
+def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
+    """As problems_of, with paths relative to the validated data."""
+    faults: dict[tuple[Path, str], None] = {}
+    told = error.errors(include_url=False)
+    for details in told[:MAX_FAULTS]:
+        if not _follows_from_another(details):
+            faults[_fault(Model.by_name.get(error.title), details)] = None
+    found = list(faults)
+    if len(told) > MAX_FAULTS:
+        found.append(((), f"has {len(told) - MAX_FAULTS} more faults"))
+    return found
+
+
+def in_parts(
+    given: Mapping[str, object],
+    parse: Callable[[dict[str, object]], dict[str, T]],
+    root: Path,
+    name: str,
+    working: Callable[[], None],
+) -> dict[str, T]:
+    """What `parse` makes of a large mapping, which stands below `root` as `name`: AT_ONCE entries at a time, or fewer
+    with MOST_MEMBERS, so that others can go on between them.
+
+    Raises InvalidError; after MAX_FAULTS the rest is not looked at.
+    """
+    found: dict[str, T] = {}
+    problems: list[Problem] = []
+    for part in _parts(given):
+        if len(problems) >= MAX_FAULTS:
+            problems.append(Problem(path_text((*root, name)), "the rest was not looked at"))
+            break
+        working()
+        try:
+            found |= parse(part)
+        except ValidationError as error:
+            problems += problems_of(error, root)
+    if problems:
+        raise InvalidError(problems)
+    return found
+
+
+def _parts(given: Mapping[str, object]) -> Iterator[dict[str, object]]:
+    part: dict[str, object] = {}
+    count = 0
+    for name, value in given.items():
+        part[name] = value
+        count += members(value)
+        if len(part) == AT_ONCE or count >= MOST_MEMBERS:
+            yield part
+            part, count = {}, 0
+    if part:
+        yield part
+
+
+def members(data: object) -> int:
+    """How many members the mappings and lists of plain data have, at any depth."""
+    count, level = 0, [data]
+    for _ in range(MAX_DEPTH):
+        below: list[object] = []
+        for value in level:
+            inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+            count += len(inner)
+            below += [each for each in inner if isinstance(each, dict | list)]
+        level = below
+    return count
+
+
+def refuse_many_keys(data: object, path: Path) -> None:
+    """Refuses mappings, at any depth, with more keys than any has: telling each of thousands takes seconds."""
+    level: list[tuple[Path, object]] = [(path, data)]
+    for _ in range(MAX_DEPTH):
+        below: list[tuple[Path, object]] = []
+        for where, value in level:
+            if isinstance(value, dict):
+                if len(value) > MOST_KEYS:
+                    raise InvalidError(
+                        [Problem(path_text(where), f"has {len(value)} keys; nothing has more than {MOST_KEYS}")]
+                    )
+                below += [((*where, key), inner) for key, inner in value.items() if isinstance(inner, dict | list)]
+            elif isinstance(value, list):
+                below += [((*where, index), inner) for index, inner in enumerate(value) if isinstance(inner, dict)]
+        if not below:
+            return
+        level = below
+
+
+_PLAIN: Final = frozenset({NoneType, bool, int, float, str})
+
+
+class _NotPlainError(Exception):
+    """What is wrong, and where: the path is built from its end, as the search withdraws."""
+
+    def __init__(self, problem: str) -> None:
+        self.problem = problem
+        self.path: list[str | int] = []
+
+
+def _follows_from_another(details: ErrorDetails) -> bool:
+    """Whether a fault is told only because of another: a list is not too short for its faulty entries."""
+    kind, value = details["type"], details["input"]
+    too_short = kind == "too_short" and len(value) >= details["ctx"]["min_length"]
+    return too_short or kind == "default_factory_not_called"
+
+
+def plain(data: object) -> Json:
+    """Mappings, sequences, and numpy's scalars and arrays as dicts, lists, numbers and strings; models stay.
+
+    Raises InvalidError for keys that are no strings, for nesting deeper than MAX_DEPTH and for other objects.
+    """
+    try:
+        return cast(Json, _plain(data, MAX_DEPTH))
+    except _NotPlainError as error:
+        path = error.path[::-1]
+        too_deep = len(path) == MAX_DEPTH
+        raise InvalidError([Problem(path_text(path[:3] if too_deep else path), error.problem)]) from None
+
+
+def _plain(data: object, depth_left: int) -> object:
+    # What is asked of every value is asked by its very type; isinstance of Mapping and Model is slow.
+    kind = type(data)
+    is_mapping, is_list = kind is dict, kind is list
+    if not (is_mapping or is_list):
+        if kind in _PLAIN or isinstance(data, bool | int | float | str | Model):
+            return data
+        is_mapping, is_list = isinstance(data, Mapping), isinstance(data, list | tuple)
+    if depth_left == 0:
+        raise _NotPlainError(f"nested deeper than {MAX_DEPTH} levels")
+    if is_mapping:
+        given = cast(Mapping[object, object], data)
+        for key in given:
+            if not isinstance(key, str):
+                raise _NotPlainError(f"keys are strings, this one is {shown(key)}")
+        return {
+            str(key): value if type(value) in _PLAIN else _plain_inside(str(key), value, depth_left)
+            for key, value in given.items()
+        }
+    if is_list:
+        return [
+            value if type(value) in _PLAIN else _plain_inside(index, value, depth_left)
+            for index, value in enumerate(cast(Sequence[object], data))
+        ]
+    if hasattr(data, "tolist"):
+        return _plain(data.tolist(), depth_left)
+    raise _NotPlainError(f"is not plain data: {shown(data)}")
+
+
+def _plain_inside(element: str | int, data: object, depth_left: int) -> object:
+    try:
+        return _plain(data, depth_left - 1)
+    except _NotPlainError as error:
+        error.path.append(element)
+        raise
+
+
+def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]:
+    kind, value, context = details["type"], details["input"], details.get("ctx", {})
+    path, known, expected = _user_path(model, details)
+    match kind:
+        case "missing" if path and isinstance(path[-1], int):
+            return path[:-1], f"must be {_pair(path[:-1])}, has {len(value)}"
+        case "missing":
+            return path, "is missing"
+        case "too_long" if context["field_type"] == "Tuple" and not _is_list(expected):
+            return path, f"must be {_pair(path)}, has {len(value)}"
+        case "tuple_type" if not _is_list(expected):
+            return path, f"must be {_pair(path)}, is {_told(value)}"
+        case "tuple_type":
+            return path, f"must be a list, is {_told(value)}"
+        case "too_long":
+            return path, f"must hold at most {context['max_length']} entries, holds {len(value)}"
+        case "too_short":
+            entries = "entry" if context["min_length"] == 1 else "entries"
+            return path, f"must hold at least {context['min_length']} {entries}, holds {len(value)}"
+        case "extra_forbidden":
+            return path, f"unknown key; {key_hint(str(path[-1]), value)}{known_names(str(path[-1]), known)}"
+        case "union_tag_invalid":
+            kinds = context["expected_tags"].replace("'", "").split(", ")
+            tag = context["tag"]
+            return (*path, "kind"), f"unknown kind {shown(tag)}; {known_names(tag, kinds)}"
+        case "union_tag_not_found":
+            slips = (key_hint(str(key), inner) for key, inner in value.items()) if isinstance(value, dict) else ()
+            slip = next((found for found in slips if found), "")
+            return (*path, "kind"), "is missing" + (f": {slip.removesuffix('; ')}" if slip else "")
+        case "finite_number":
+            return path, f"must be finite, is {shown(value)}"
+        case "float_type" if isinstance(value, int) and not isinstance(value, bool):
+            return path, f"is too large: {shown(value)}"
+        case "greater_than_equal":
+            return path, f"must be at least {_number(context['ge'])}, is {shown(value)}"
+        case "greater_than":
+            return path, f"must be more than {_number(context['gt'])}, is {shown(value)}"
+        case "less_than_equal":
+            return path, f"must be at most {_number(context['le'])}, is {shown(value)}"
+        case "less_than":
+            return path, f"must be less than {_number(context['lt'])}, is {shown(value)}"
+        case "literal_error":
+            return (
+                path,
+                f"must be {context['expected'].replace(chr(39), '')}, is {shown(value)}{_choice(value, context)}",
+            )
+        case "string_pattern_mismatch" if context["pattern"] == NAME_PATTERN:
+            return path, f"must not hold a dot or a control character: {shown(value)}"
+        case "string_too_short":
+            return path, f"must have at least {context['min_length']} character"
+        case "string_too_long":
+            return path, f"must have at most {context['max_length']} characters, has {len(value)}"
+        case "value_error":
+            return path, str(context["error"])
+        case "string_type" if path and path[-1] == "material":
+            return path, f"must be the name of a material, is {_told(value)}"
+        case _ if kind in _EXPECTED:
+            return path, f"must be {_EXPECTED[kind]}, is {_told(value)}"
+        case _:
+            return path, f"{details['msg']}: {shown(value)}"
+
+
+_EXPECTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "a string",
+    "string_unicode": "valid Unicode",
+    "list_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+}
+
+
+def _told(value: object) -> str:
+    """A value of the wrong type, and what was probably meant by it."""
+    return shown(value) + (hint(value) if isinstance(value, str) else "")
+
+
+def _choice(value: object, context: Mapping[str, Any]) -> str:
+    names = re.findall("'([^']*)'", context["expected"])
+    close = near_names(value, names, 1) if isinstance(value, str) else []
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def _number(limit: float) -> str:
+    return str(limit) if isinstance(limit, int) else format(limit, ".15g")
+
+
+def _pair(path: Path) -> str:
+    if path[-1:] == ("size_m",):
+        return "two numbers [width, height]"
+    match path[-2:]:
+        case ("amplitudes", int()):
+            return "two numbers [speed, amplitude]"
+        case ("intervals", _):
+            return "two numbers [low, high]"
+    return "two numbers [x, y]"
+
+
+def _is_list(kind: object) -> bool:
+    """Whether a type takes a list of any length."""
+    return get_args(kind)[-1:] == (Ellipsis,)
+
+
+def _user_path(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, tuple[str, ...], object]:
+    """Where the user sees the fault, the keys that are known there, and the type that is expected there.
+
+    pydantic's locations also name the chosen member of a union, and `[key]` for the key of a mapping; walking
+    the types along the location tells these from a user's keys of the same name.
+    """
+    location = details["loc"]
+    if details["type"].startswith("string_") and location and location[-1] == "[key]":
+        location = location[:-1]
+    path: list[str | int] = []
+    here: object = model
+    known: tuple[str, ...] = ()
+    for element in location:
+        members = _members(here)
+        if members is not None:
+            here = members.get(str(element))
+            continue
+        path.append(element)
+        if isinstance(here, type) and issubclass(here, BaseModel):
+            known = tuple(here.model_fields)
+            field = here.model_fields.get(str(element))
+            here = None if field is None else _bare(field.annotation)
+        else:
+            arguments = get_args(here)
+            here = _bare(arguments[0 if _is_list(here) else -1]) if arguments else None
+    return tuple(path), known, here
+
+
+def _bare(annotation: object) -> object:
+    """A type without Annotated and without `| None`."""
+    while get_origin(annotation) is Annotated:
+        annotation = get_args(annotation)[0]
+    if get_origin(annotation) in (Union, UnionType):
+        members = [member for member in get_args(annotation) if member is not NoneType]
+        if len(members) == 1:
+            return _bare(members[0])
+    return annotation
+
+
+def _members(kind: object) -> dict[str, object] | None:
+    """The models of a union told apart by `kind`, by that kind; None for any other type."""
+    if get_origin(kind) not in (Union, UnionType):
+        return None
+    return dict(_tagged(get_args(kind)))
+
+
+def _tagged(members: tuple[Any, ...]) -> Iterator[tuple[str, object]]:
+    for member in members:
+        annotation = member.model_fields["kind"].annotation if issubclass(member, BaseModel) else None
+        if get_origin(annotation) is Literal:
+            yield from ((tag, member) for tag in get_args(annotation))

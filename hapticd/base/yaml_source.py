@@ -1,0 +1,287 @@
+"""YAML as people write it for hapticd: text in, plain data and line numbers out.
+
+Scalars follow the core schema of YAML 1.2.2 (10.3): `off` and `"1"` are strings, `1e-3` is a number.
+Refused, each with file, line and column: duplicate keys, keys that are no strings, aliases, tags outside the
+core schema, several documents, nesting beyond MAX_DEPTH, more than MAX_BYTES, anything that is not UTF-8.
+`<<` has no special meaning. PyYAML only tokenises; data is built here from its events, without recursion.
+"""
+
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import TypeAlias
+
+import yaml
+
+from hapticd.base.errors import HapticdError, InvalidError, Problem, path_text, quoted, shown
+from hapticd.base.yaml_mistakes import LINE_BREAKS, diagnose
+
+MAX_DEPTH = 32
+MAX_BYTES = 2 * 1024 * 1024
+
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+"""Plain data: what YAML, JSON and msgpack have in common."""
+
+# Both give the same events; the one over libyaml is about 20 times faster and is in every wheel of PyYAML.
+_LOADER: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]" = (
+    yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
+)
+
+_CORE = "tag:yaml.org,2002:"
+_NULL = re.compile(r"null|Null|NULL|~|")
+_BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
+_INT = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_LONGEST_NUMBER = 400
+_TAG_DIRECTIVE = re.compile("(?:^|[\n\r\x85\u2028\u2029])%TAG")
+_MOST_TAG_DIRECTIVES = 16
+"""Looking for one more takes libyaml as long as there are many."""
+_ARCHIVES = (b"PK\x03\x04", b"\x89MCAP0\r\n", b"tick,time_ns,")
+_UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+_UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@dataclass(slots=True)
+class _Marks:
+    """Line and column of a value (of its key, in a mapping), from 1, and the marks of what it holds."""
+
+    line: int
+    column: int
+    children: dict[str | int, "_Marks"] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """One parsed document: `data`, and where each part of it stands; `name` is None without a file."""
+
+    data: Json
+    name: str | None = None
+    _marks: _Marks | None = None
+    _above: tuple[str, ...] = ()
+
+    def below(self, key: str) -> "Document":
+        """The same document as what stands below `key` in a larger one; places are told as they are in the file."""
+        return replace(self, data={key: self.data}, _above=(key, *self._above))
+
+    def problem(self, path: Sequence[str | int], text: str) -> Problem:
+        """A fault of the part at `path`."""
+        if self.name is not None and text.endswith("must be a mapping, is null"):
+            text += ": what belongs to it is indented below it"
+        return Problem(self.where(path), text)
+
+    def line_of(self, path: Sequence[str | int]) -> int | None:
+        """The line, from 1, of the key or list item at `path`; None where the document has no such place."""
+        marks = self._marks
+        for element in self.own(path):
+            if marks is None:
+                return None
+            marks = marks.children.get(element)
+        return None if marks is None else marks.line
+
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN` of the key or list item at `path`, or of the nearest one around it."""
+        marks = near = self._marks
+        for element in self.own(path):
+            marks = None if marks is None else marks.children.get(element)
+            near = near if marks is None else marks
+        line, column = (1, 1) if near is None else (near.line, near.column)
+        return f"{one_line(self.name or '')}:{line}:{column}"
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file, without the keys that the document was put below."""
+        return path[len(self._above) :]
+
+    def where(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN: servo.rate_hz`; without a file the path alone."""
+        told = path_text(self.own(path))
+        if self.name is None:
+            return told
+        return f"{self.place(path)}: {told}" if told else self.place(path)
+
+
+@dataclass(slots=True)
+class _Open:
+    """A collection that is being filled; `key` waits for its value, in a mapping."""
+
+    data: "list[Json] | dict[str, Json]"
+    marks: _Marks
+    key: str | None = None
+    key_at: tuple[int, int] = (0, 0)
+
+
+def load_path(path: "str | os.PathLike[str]") -> Document:
+    """Reads one YAML file.
+
+    Raises InvalidError (one problem, `where` is FILE:LINE:COLUMN) for text that is refused, HapticdError for
+    a file that cannot be read.
+    """
+    name = os.fspath(path)
+    return load_bytes(read_file(name, MAX_BYTES), name)
+
+
+def read_file(name: str, most: int) -> bytes:
+    """The bytes of a file, one more than `most` at the most, so that a larger one shows. Raises HapticdError."""
+    try:
+        with open(name, "rb") as file:
+            return file.read(most + 1)
+    except OSError as error:
+        raise HapticdError(f"{one_line(name)}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
+        raise HapticdError(f"{one_line(name)}: cannot be read: {error}") from None
+
+
+def load_bytes(content: bytes, name: str) -> Document:
+    """Parses one YAML document, as UTF-8. Raises InvalidError as load_path does."""
+    refuse_recording(content, name)
+    if len(content) > MAX_BYTES:
+        raise _refusal(name, 0, 0, f"larger than {MAX_BYTES} bytes")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = error.object[: error.start].decode("utf-8-sig")
+        told = "not UTF-8, but UTF-16: save it as UTF-8" if content.startswith(_UTF_16) else "not UTF-8"
+        raise _refusal(name, *_line_column(before), told) from None
+    return _parse(text, name, _LOADER)
+
+
+def refuse_recording(content: bytes, name: str) -> None:
+    """Raises InvalidError for a recording where somebody's text is to be read."""
+    if content.startswith(_ARCHIVES):
+        ours = b"samples.npy" in content or not content.startswith(_ARCHIVES[0])
+        told = f"holds a recording; use: hapticd replay {one_line(name)}" if ours else "is an archive, no YAML"
+        raise InvalidError([Problem(one_line(name), told)])
+
+
+def load_text(text: str, name: str) -> Document:
+    """Parses one YAML document; `name` stands for the file. Raises InvalidError as load_path does."""
+    return load_bytes(text.encode("utf-8", "surrogatepass"), name)
+
+
+def _parse(text: str, name: str, loader: "type[yaml.CBaseLoader] | type[yaml.BaseLoader]") -> Document:
+    bad = _UNPRINTABLE.search(text)
+    if bad:
+        raise _refusal(name, *_line_column(text[: bad.start()]), f"control character {quoted(bad.group())}")
+    tag = next(islice(_TAG_DIRECTIVE.finditer(text), _MOST_TAG_DIRECTIVES, None), None)
+    if tag:
+        where = _line_column(text[: tag.end() - len("%TAG")])
+        raise _refusal(name, *where, f"more than {_MOST_TAG_DIRECTIVES} %TAG directives; none is needed here")
+    try:
+        return _build(loader(text), name)
+    except yaml.MarkedYAMLError as error:
+        at = _place(error.problem_mark)
+        raise _refusal(
+            name, *diagnose(text, error.problem or "not YAML", at or (0, 0), _place(error.context_mark))
+        ) from None
+
+
+def _place(mark: "yaml.Mark | yaml._yaml.Mark | None") -> tuple[int, int] | None:
+    return None if mark is None else (mark.line, mark.column)
+
+
+def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
+    root: Document | None = None
+    stack: list[_Open] = []
+    end: tuple[int, int] | None = None
+    while parser.check_event():
+        event = parser.get_event()
+        assert event is not None
+        assert event.start_mark is not None
+        line, column = event.start_mark.line, event.start_mark.column
+        near = end == (line, column - 1)
+        assert event.end_mark is not None
+        end = event.end_mark.line, event.end_mark.column
+
+        def refuse(problem: str, line: int = line, column: int = column) -> InvalidError:
+            return _refusal(name, line, column, problem)
+
+        match event:
+            case yaml.AliasEvent():
+                raise refuse(f"aliases are not allowed: {quoted(f'*{event.anchor}')}")
+            case yaml.DocumentStartEvent() if root is not None:
+                raise refuse("a second document; a file holds one")
+            case yaml.MappingEndEvent() | yaml.SequenceEndEvent():
+                stack.pop()
+            case yaml.ScalarEvent() | yaml.CollectionStartEvent():
+                value = _value(event, refuse)
+                top = stack[-1] if stack else None
+                if top is not None and isinstance(top.data, dict) and top.key is None:
+                    top.key, top.key_at = _key(value, top.data, refuse, near), (line + 1, column + 1)
+                    continue
+                marks = _Marks(line + 1, column + 1)
+                if top is None:
+                    root = Document(value, name, marks)
+                elif isinstance(top.data, dict):
+                    assert top.key is not None
+                    marks.line, marks.column = top.key_at
+                    top.data[top.key] = value
+                    top.marks.children[top.key] = marks
+                    top.key = None
+                else:
+                    top.marks.children[len(top.data)] = marks
+                    top.data.append(value)
+                if isinstance(value, dict | list):
+                    if len(stack) == MAX_DEPTH:
+                        raise refuse(f"nested deeper than {MAX_DEPTH} levels")
+                    stack.append(_Open(value, marks))
+    return root or Document(None, name, _Marks(1, 1))
+
+
+def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError], near: bool) -> str:
+    """The key; `near` says that one character alone, a comma, stands between it and the value before it."""
+    if not isinstance(value, str):
+        told = "" if isinstance(value, dict | list) else "; in quotes it is one"
+        before = next(reversed(mapping.values()), None)
+        if near and type(before) is int and type(value) is int:
+            told = f"; if the number {before}.{value} is meant: it is written with a point"
+        raise refuse(f"keys are strings, this one is {shown(value)}{told}")
+    if value in mapping:
+        raise refuse(f"duplicate key {quoted(value)}")
+    return value
+
+
+def _value(event: "yaml.ScalarEvent | yaml.CollectionStartEvent", refuse: Callable[[str], InvalidError]) -> Json:
+    if isinstance(event, yaml.ScalarEvent):
+        return _scalar(event, refuse)
+    is_mapping = isinstance(event, yaml.MappingStartEvent)
+    if event.tag not in (None, "!", _CORE + ("map" if is_mapping else "seq")):
+        raise refuse(f"tag {quoted(event.tag)} is not allowed here")
+    return {} if is_mapping else []
+
+
+def _scalar(event: yaml.ScalarEvent, refuse: Callable[[str], InvalidError]) -> Json:
+    text: str = event.value
+    tag = event.tag
+    if tag is None and not event.implicit[0]:
+        return text
+    if tag in ("!", _CORE + "str"):
+        return text
+    if len(text) <= _LONGEST_NUMBER:
+        if tag in (None, _CORE + "null") and _NULL.fullmatch(text):
+            return None
+        if tag in (None, _CORE + "bool") and _BOOL.fullmatch(text):
+            return text[0] in "tT"
+        if tag in (None, _CORE + "int") and _INT.fullmatch(text):
+            return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+        if tag in (None, _CORE + "float") and _FLOAT.fullmatch(text):
+            return float(text.replace(".", "") if text[-1] in "fFnN" else text)
+    elif _INT.fullmatch(text) or _FLOAT.fullmatch(text):
+        raise refuse(f"a number of more than {_LONGEST_NUMBER} characters")
+    if tag is None:
+        return text
+    raise refuse(f"tag {quoted(tag)} is not allowed here")
+
+
+def _line_column(before: str) -> tuple[int, int]:
+    lines = LINE_BREAKS.split(before)
+    return len(lines) - 1, len(lines[-1])
+
+
+def one_line(text: str) -> str:
+    """A file's name, or other text, as a message shows it: as it is, or quoted where it would break the line."""
+    return text if text.isprintable() else quoted(text)
+
+
+def _refusal(name: str, line: int, column: int, problem: str) -> InvalidError:
+    return InvalidError([Problem(f"{one_line(name)}:{line + 1}:{column + 1}", one_line(problem))])

@@ -1,0 +1,1 @@
+"""Clients of a daemon: blocking and asyncio, samples, recordings, the live view."""

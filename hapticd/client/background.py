@@ -1,0 +1,106 @@
+"""A recording that a thread makes while a block of code runs: `with daemon.record("trial.npz"): ...`."""
+
+from __future__ import annotations
+
+import os
+import threading
+import warnings
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from hapticd.base import arguments, wording
+from hapticd.base.errors import HapticdError
+from hapticd.base.files import displaced
+from hapticd.client.blocking import Client
+from hapticd.client.record import STOPPED, RecordSummary, record
+from hapticd.protocol.calls import MissedPeriods, TelemetryLoss
+
+if TYPE_CHECKING:
+    from hapticd.base.yaml_source import Json
+    from hapticd.recording.recording import Recording
+
+
+class Recorder:
+    """One recording: under way in the block, finished after it."""
+
+    def __init__(
+        self,
+        connect: Callable[[], Client],
+        path: str | os.PathLike[str],
+        overwrite: bool,
+        notes: Mapping[str, object],
+    ) -> None:
+        """`connect` makes a client for the thread alone. Raises InvalidError for notes that JSON cannot hold."""
+        self.path = arguments.path("path", path)
+        self._connect = connect
+        self._overwrite = arguments.flag("overwrite", overwrite)
+        self._notes: dict[str, Json] = arguments.plain(("notes",), notes)
+        self._stop = threading.Event()
+        self._begun = threading.Event()
+        """The first sample was taken, or nothing will come of it."""
+        self._result: RecordSummary | None = None
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="hapticd-record", daemon=True)
+
+    @property
+    def result(self) -> RecordSummary:
+        """What was recorded. Raises HapticdError while the block still runs, and where nothing was."""
+        if self._result is None:
+            raise HapticdError(f"{self.path}: is not finished: the result is there after the block")
+        return self._result
+
+    def load(self) -> Recording:
+        """The recording, once the block is over."""
+        from hapticd.recording.recording import load
+
+        return load(self.result.file)
+
+    def begin(self) -> None:
+        """Returns once the first sample was taken. Raises what keeps the recording from beginning."""
+        self._thread.start()
+        try:
+            self._begun.wait()
+        except BaseException:
+            self._stop.set()
+            raise
+        if self._error is not None:
+            self._thread.join()
+            raise self._error
+
+    def end(self) -> None:
+        """Records what the daemon has rendered by now, and finishes the file. Raises HapticdError where the recording
+        ended before, or the file is not where it was to be."""
+        self._stop.set()
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        result = self.result
+        if result.displaced is not None:
+            raise HapticdError(displaced(result.displaced, result.file))
+        if result.ended_because not in (None, STOPPED):
+            raise HapticdError(f"{result.ended_because}; {result.file} holds what came before")
+        if result.lost:
+            lost = wording.count(result.lost, "sample")
+            warnings.warn(TelemetryLoss(f"{result.file}: {lost} were lost on the way here"), stacklevel=4)
+        if result.warning is not None:
+            warnings.warn(MissedPeriods(f"{result.file}: {result.warning}"), stacklevel=4)
+
+    def _run(self) -> None:
+        try:
+            with self._connect() as client:
+                self._result = record(
+                    client,
+                    self.path,
+                    overwrite=self._overwrite,
+                    notes=self._notes,
+                    stop=self._stop,
+                    progress=self._progress,
+                )
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._begun.set()
+
+    def _progress(self, recorded_s: float) -> None:
+        if recorded_s > 0:
+            self._begun.set()

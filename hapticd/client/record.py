@@ -1,0 +1,497 @@
+"""Recordings of a running daemon: its telemetry, and what the samples were rendered with, into a file.
+
+sink.py and mcap.py write the files, replay.py renders what is in them again.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from array import array
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base import wording
+from hapticd.base.clock import Moment, moment_of
+from hapticd.base.errors import HapticdError
+from hapticd.client.blocking import Client, Subscription
+from hapticd.client.samples import SampleBatch, SampleStream
+from hapticd.protocol import calls
+from hapticd.protocol.calls import Topic
+from hapticd.recording.missed_periods import gaps_of, missed_periods, share
+from hapticd.recording.writer import NO_TIME, DiskFullError, Samples, Sink, event_array, open_sink
+
+if TYPE_CHECKING:
+    from hapticd.base.yaml_source import Json
+
+__all__ = ["NO_TIME", "RecordSummary", "event_array", "open_sink", "record"]
+
+MOST_GAPS: Final = 1000
+"""Gaps that a recording lists; the ticks of its samples show all of them."""
+
+LAST_CHANGE_S: Final = 1.0
+"""How long, at the end, is waited for what was before it: the last tick, and the change that it was rendered with."""
+
+STOPPED: Final = "stopped"
+"""Why a recording ended that somebody stopped."""
+
+ENDED: Final = "the daemon stopped"
+"""Why one ended whose daemon was ended, or killed."""
+
+ENDED_AFTER_S: Final = 0.2
+"""A daemon's last samples are here once nothing came for so long after its socket was gone."""
+
+_LOOKS: Final = 10
+"""Attempts to read scene and materials while somebody changes the materials."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordSummary:
+    """What a recording holds, and what it lacks."""
+
+    file: str
+    """Where it is."""
+    ticks: int
+    duration_s: float
+    events: int
+    lost: int
+    """Samples that did not arrive here."""
+    dropped: int
+    """Samples that the daemon's ring had no room for."""
+    missing_revisions: tuple[int, ...]
+    """Revisions of the scene that samples were rendered with and that are not in it."""
+    missed_periods: int
+    """Periods in which the servo rendered no tick though one was due."""
+    started: Moment | None
+    """The daemon's clocks at the start; None: of a daemon that does not tell them."""
+    ended: Moment | None
+    """The daemon's clocks at the end."""
+    ended_because: str | None
+    """Why it ended early, None where it did not."""
+    displaced: str | None
+    """Where it was to be, and another file had appeared meanwhile; None: it is where it was to be."""
+    warning: str | None
+    """More periods were missed than `servo.overruns.threshold`; None: not so many."""
+
+    def summary(self) -> str:
+        """One line for people."""
+        missing = self.lost + self.dropped
+        lost = "nothing lost"
+        if missing:
+            where = f"{self.lost:,} on the way here, {self.dropped:,} in the daemon's ring"
+            lost = f"{wording.count(missing, 'tick')} lost ({where})"
+        text = f"{self.file}: {wording.count(self.ticks, 'tick')} in {self.duration_s:.3f} s, "
+        text += (
+            f"{missed_text(self.missed_periods, self.ticks + missing)}, {lost}, {wording.count(self.events, 'event')}"
+        )
+        if self.missing_revisions:
+            text += f"; {wording.count(len(self.missing_revisions), 'revision')} of the scene not in it"
+        return text
+
+
+def missed_text(missed: int, rendered: int) -> str:
+    """Missed periods, and their share of those that were due, in words."""
+    if not missed:
+        return "no period missed"
+    return f"{wording.count(missed, 'period')} missed ({wording.percent(share(missed, rendered))})"
+
+
+def record(
+    client: Client,
+    target: str | os.PathLike[str],
+    duration_s: float | None = None,
+    *,
+    overwrite: bool = False,
+    notes: Mapping[str, Json] | None = None,
+    stop: threading.Event | None = None,
+    progress: Callable[[float], None] = lambda recorded_s: None,
+) -> RecordSummary:
+    """Records every tick and every event into `target`, for `duration_s` of the daemon's time or until
+    `stop` is set; then what the daemon had rendered by that time is in it.
+
+    What was recorded is kept when it is stopped, when the daemon goes away and when the disk is full. `notes` are kept
+    in it. `progress` is called with the time recorded so far, which is 0 until the first sample was taken. Raises
+    HapticdError where the target cannot be written, or is there already and `overwrite` does not say that it is to be
+    replaced, before anything is recorded.
+    """
+    with open_sink(target, overwrite) as sink:
+        take = _Take(client, sink, duration_s, dict(notes or {}))
+        try:
+            ended = take.run(stop or threading.Event(), progress)
+            if ended is None:
+                take.look_at_clock()
+        except DiskFullError as error:
+            ended = str(error)
+            take.look_at_clock()
+        if sink.count == 0:
+            raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
+        # Told again where the disk was full, and the end gave way to what else is in the file.
+        sink.finish(lambda: {"recording": take.account(ended)})
+        kept, name = take.account(ended), os.fspath(target)
+        return RecordSummary(
+            str(sink.target) if sink.displaced else name,
+            sink.count,
+            kept["duration_s"],
+            sink.event_count,
+            kept["lost"],
+            kept["dropped"],
+            tuple(kept["missing_revisions"]),
+            kept["missed_periods"],
+            moment_of(kept["started"]),
+            moment_of(kept["ended"]),
+            ended,
+            name if sink.displaced else None,
+            take.warning(kept),
+        )
+
+
+class _Take:
+    """One recording under way."""
+
+    def __init__(self, client: Client, sink: Sink, duration_s: float | None, notes: dict[str, Json]) -> None:
+        self._client = client
+        self._notes = notes
+        self._sink = sink
+        self._scenes = _Scenes(client, sink)
+        self._stream = SampleStream(warn=False)
+        self._span = _Span(duration_s)
+        self._gaps: list[tuple[int, int]] = []
+        self._status: Mapping[str, Any] = {}
+        """At the start."""
+        self._newest: Mapping[str, Any] = {}
+        self._away = False
+        """A bridge says that there is no daemon behind it."""
+        self._rates: list[tuple[int, float]] = []
+        """The servo's from a tick on."""
+        self._missed_at, self._missed = array("Q"), array("Q")
+        """Where periods were missed, the last tick of the batch, and how many in it."""
+
+    def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
+        """Takes what comes; why it ended early, None where it did not."""
+        client, span = self._client, self._span
+        # Who is not there says so at once to a question; to wait for telemetry takes longer.
+        client.get_status()
+        with client.telemetry("samples", "event", "change", "status", "bridge") as messages:
+            self._begin()
+            silent_since, ended = time.monotonic(), 0
+            while not span.over:
+                if stop.is_set() and not span.ends:
+                    # What somebody did before stopping it is in it.
+                    span.end_at(self._look())
+                    continue
+                received = messages.receive(0.1)
+                if received is None:
+                    silent_s = time.monotonic() - silent_since
+                    if silent_s > client.timeout_s:
+                        return str(calls.silent(client.paths, client.timeout_s))
+                    # Twice in a row: what was on its way when its socket went is here then.
+                    ended = ended + 1 if silent_s > ENDED_AFTER_S and self._has_ended() else 0
+                    if ended > 1:
+                        return ENDED
+                    continue
+                silent_since, ended = time.monotonic(), 0
+                topic, message = received
+                if topic == "bridge":
+                    self._away = message.get("daemon") is False
+                elif topic == "samples":
+                    batch = self._stream.convert(topic, message)
+                    if self._stream.restarts or (batch.lost and self._restarted()):
+                        return "the daemon was restarted"
+                    self._take(batch)
+                    progress(span.recorded_s)
+                elif topic == "event":
+                    if message["event"] == "rate":
+                        self._rates.append((int(str(message["tick"])), float(str(message["rate_hz"]))))
+                    span.hold(message)
+                elif topic == "change":
+                    self._scenes.take(message)
+                else:
+                    self._newest = message
+                    self._sink.write_status(message)
+            self._await_changes(messages)
+        return STOPPED if span.ends else None
+
+    def _has_ended(self) -> bool:
+        return self._away or calls.has_ended(self._client.paths)
+
+    def _look(self) -> int | None:
+        """The tick that the servo is at; None where nobody answers."""
+        with suppress(HapticdError):
+            self._newest = self._client.get_status()
+            return cast("int | None", self._newest.get("tick"))
+        return None
+
+    def look_at_clock(self) -> None:
+        """Asks the daemon for its clocks, where it is there; a status of the last second has them anyway."""
+        self._look()
+
+    def _begin(self) -> None:
+        start = self._scenes.begin()
+        self._status = self._newest = start["status"]
+        self._rates = [(0, self._status["rate_hz"])]
+        about = {"started": self._status.get("clock"), "notes": self._notes}
+        self._sink.begin({"config": self._client.get_config()["config"], **start}, about)
+        self._sink.write_change({"revision": self._scenes.revision})
+
+    def _await_changes(self, messages: Subscription[tuple[Topic, dict[str, object]]]) -> None:
+        """The last samples may have come before the message of the change that they were rendered with."""
+        deadline = time.monotonic() + LAST_CHANGE_S
+        while self._scenes.missing and (left_s := deadline - time.monotonic()) > 0:
+            received = messages.receive(left_s)
+            if received is not None and received[0] == "change":
+                self._scenes.take(received[1])
+
+    def _restarted(self) -> bool:
+        """Whether those whose samples are missing are another daemon's. Where nobody answers, silence will tell."""
+        with suppress(calls.DaemonNotRunning):
+            return bool(self._client.get_status()["started_ns"] != self._status["started_ns"])
+        return False
+
+    def _take(self, batch: SampleBatch) -> None:
+        if self._sink.count == 0:
+            batch = batch[self._scenes.reached(batch["revision"])]
+        samples = self._span.cut(batch).view(np.ndarray)
+        if len(samples) == 0:
+            return
+        ticks = samples["tick"].astype(np.int64)
+        before = (self._sink.last_tick, self._sink.last_time_ns) if self._sink.count else None
+        self._gaps += gaps_of(ticks, before and before[0])[: MOST_GAPS - len(self._gaps)]
+        since, rates = zip(*self._rates, strict=True)
+        places = np.searchsorted(np.array(since), ticks, side="right") - 1
+        missed = missed_periods(samples, np.array(rates)[places], before)
+        if missed:
+            self._missed_at.append(int(ticks[-1]))
+            self._missed.append(missed)
+        self._scenes.show(samples["revision"])
+        self._sink.write(samples)
+        for event in self._span.release():
+            self._sink.write_event(event)
+
+    def account(self, ended: str | None) -> dict[str, Any]:
+        """What the recording holds and what it lacks, as its file says it."""
+        return {
+            "ticks": self._sink.count,
+            "duration_s": self._span.duration_s(self._sink.last_time_ns),
+            "events": self._sink.event_count,
+            "lost": self._stream.lost,
+            "dropped": self._stream.dropped,
+            "gaps": self._gaps,
+            "missed_periods": sum(
+                missed for at, missed in zip(self._missed_at, self._missed, strict=True) if at <= self._sink.last_tick
+            ),
+            "missing_revisions": self._scenes.missing,
+            "started": self._status.get("clock"),
+            "ended": self._newest.get("clock"),
+            "ended_because": ended,
+            "notes": self._notes,
+        }
+
+    def warning(self, kept: Mapping[str, Any]) -> str | None:
+        """Where more periods were missed than the configuration puts up with."""
+        threshold = self._status.get("overruns", {}).get("threshold")
+        missed, rendered = kept["missed_periods"], kept["ticks"] + kept["lost"] + kept["dropped"]
+        if threshold is None or share(missed, rendered) <= threshold:
+            return None
+        part = wording.percent(share(missed, rendered))
+        return (
+            f"{missed:,} of {missed + rendered:,} periods were missed ({part}), more than "
+            f"servo.overruns.threshold ({wording.percent(threshold)}); `hapticd doctor` says what the machine lacks"
+        )
+
+
+class _Scenes:
+    """What the daemon renders: all of it at the start, and then what each change says.
+
+    Where changes were lost, or one is too large to be told, all is read again. What samples were rendered with
+    meanwhile is missing in the recording, which says so.
+    """
+
+    def __init__(self, client: Client, sink: Sink) -> None:
+        self._client = client
+        self._sink = sink
+        self.revision = 0
+        """The newest one that is known."""
+        self._known: set[int] = set()
+        self._shown: set[int] = set()
+        self._scene: dict[str, Any] = {}
+        self._objects: dict[str, Any] = {}
+        self._materials: dict[str, Any] = {}
+        self._rate_hz = 0.0
+
+    @property
+    def missing(self) -> list[int]:
+        """Revisions that samples were rendered with, and nobody said what they are."""
+        return sorted(self._shown - self._known)
+
+    def begin(self) -> dict[str, Any]:
+        """Status, scene and materials at the start."""
+        read = self._read()
+        if read is None:
+            raise HapticdError("the materials change too fast for a recording to begin")
+        self.revision, self._scene, self._objects, self._materials, status = read
+        self._rate_hz = status["rate_hz"]
+        self._known.add(self.revision)
+        scene = {**self._scene, "objects": dict(self._objects)}
+        return {"status": status, "scene": scene, "materials": dict(self._materials)}
+
+    def reached(self, revisions: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+        """Those that are the newest one known, or come after it."""
+        return (revisions - np.uint32(self.revision)).astype(np.int32) >= 0
+
+    def show(self, revisions: npt.NDArray[np.uint32]) -> None:
+        """Samples were rendered with these."""
+        self._shown.update(np.unique(revisions).tolist())
+
+    def take(self, change: dict[str, Any]) -> None:
+        """Takes what a message of the topic `change` says."""
+        if "revision" not in change:
+            self._sink.write_change(change)
+            return
+        ahead = (change["revision"] - self.revision) & 0xFFFFFFFF
+        if ahead == 1 and not change.get("large"):
+            _merge(self._scene, change.get("scene", {}))
+            _merge(self._objects, change.get("objects", {}))
+            _merge(self._materials, change.get("materials", {}))
+            self._rate_hz = change.get("rate_hz", self._rate_hz)
+            self._write(change)
+        elif 0 < ahead < 0x80000000:
+            self._read_again()
+
+    def _read_again(self) -> None:
+        # What cannot be read is missing, and told as that; silence will tell where the daemon is gone.
+        with suppress(HapticdError):
+            read = self._read()
+            if read is not None and read[0] not in self._known:
+                revision, scene, objects, materials, status = read
+                rate_hz = status["rate_hz"]
+                changed: dict[str, object] = {} if rate_hz == self._rate_hz else {"rate_hz": rate_hz}
+                changed |= {
+                    "scene": _changes(self._scene, scene),
+                    "objects": _changes(self._objects, objects),
+                    "materials": _changes(self._materials, materials),
+                }
+                self._scene, self._objects, self._materials, self._rate_hz = scene, objects, materials, rate_hz
+                self._write({"revision": revision, **changed})
+
+    def _write(self, change: dict[str, Any]) -> None:
+        self.revision = change["revision"]
+        self._known.add(self.revision)
+        self._sink.write_change({name: part for name, part in change.items() if part != {}})
+
+    def _read(self) -> tuple[int, dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]] | None:
+        """Revision, scene, objects, materials and status; None where materials or rate never stood still."""
+        materials, status = self._beside()
+        for _ in range(_LOOKS):
+            scene, after = self._client.get_scene(), self._beside()
+            if after[0] == materials and after[1]["rate_hz"] == status["rate_hz"]:  # so they were in between, too
+                rest = dict(scene["scene"])
+                return scene["revision"], rest, cast("dict[str, Any]", rest.pop("objects")), materials, status
+            materials, status = after
+        return None
+
+    def _beside(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What else a scene is rendered with: the materials, and the status, which has the rate."""
+        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status())
+
+
+def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    for name, value in changes.items():
+        if value is None:
+            into.pop(name, None)
+        else:
+            into[name] = value
+
+
+def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[str, object]:
+    """What differs, by key; None for what is gone."""
+    changed = {name: value for name, value in after.items() if name not in before or before[name] != value}
+    return changed | dict.fromkeys(name for name in before if name not in after)
+
+
+class _Span:
+    """The stretch of the daemon's time that is recorded, from the first sample that came.
+
+    Events are sent before the samples of their ticks, so that those of a stretch are complete when its
+    samples are.
+    """
+
+    def __init__(self, duration_s: float | None) -> None:
+        self._duration_ns = None if duration_s is None else round(duration_s * 1e9)
+        self._first_tick: int | None = None
+        self._first_ns = 0
+        self._end_tick = 0
+        self._last_ns = 0
+        self._period_ns = 0
+        self._held: list[dict[str, Any]] = []
+        self._last_tick = 0
+        self._give_up_at = 0.0
+        self.ends = False
+        """Somebody stopped it."""
+        self._complete: bool = False
+
+    @property
+    def over(self) -> bool:
+        """Nothing more is to be taken."""
+        if not self.ends:
+            return self._complete
+        return self._complete or self._end_tick > self._last_tick or time.monotonic() > self._give_up_at
+
+    def end_at(self, tick: int | None) -> None:
+        """It is over once this tick was taken, or soon; None: at once."""
+        self.ends, self._complete = True, self._complete or tick is None
+        self._last_tick = tick or 0
+        self._give_up_at = time.monotonic() + LAST_CHANGE_S
+
+    @property
+    def recorded_s(self) -> float:
+        if self._first_tick is None:
+            return 0.0
+        return self.duration_s(self._last_ns)
+
+    def duration_s(self, last_ns: int) -> float:
+        """From the first sample to the end of one at `last_ns`."""
+        return (last_ns + self._period_ns - self._first_ns) / 1e9
+
+    def cut(self, batch: SampleBatch) -> Samples:
+        if len(batch) == 0:
+            return batch
+        times = batch["time_ns"]
+        if self._first_tick is None:
+            self._first_tick = int(batch["tick"][0])
+            self._first_ns = int(times[0])
+        if len(batch) > 1:
+            self._period_ns = int(np.min(np.diff(times)))
+        kept: Samples = batch
+        if self._duration_ns is not None:
+            # A deadline is rounded to whole nanoseconds: half a period decides which tick is the first
+            # outside.
+            inside = times - self._first_ns + self._period_ns // 2 < self._duration_ns
+            kept = batch[inside]
+            self._complete = len(kept) < len(batch)
+        if len(kept):
+            self._end_tick = int(kept["tick"][-1]) + 1
+            self._last_ns = int(kept["time_ns"][-1])
+        return kept
+
+    def hold(self, event: dict[str, Any]) -> None:
+        self._held.append(event)
+
+    def release(self) -> list[dict[str, Any]]:
+        """The events of the ticks recorded so far."""
+        if self._first_tick is None:
+            return []
+        held, self._held = self._held, []
+        released = []
+        for event in held:
+            tick = int(event.get("tick", 0))
+            if tick >= self._end_tick:
+                self._held.append(event)
+            elif tick >= self._first_tick:
+                released.append(event)
+        return released

@@ -1,0 +1,129 @@
+"""Batches of samples, as numpy structured arrays, and the account of what was lost on the way."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.protocol import messages
+from hapticd.protocol.calls import TelemetryLoss, Topic
+
+
+class SampleBatch(np.ndarray[tuple[int], np.dtype[np.void]]):
+    """One batch: a structured array of shape (n,), one element a tick, read-only; `copy()` gives one to
+    write to.
+
+    Fields and units are those of the sample (`tick`, `time_ns`, `position_m`, ...). Slices and copies are
+    plain views that keep the attributes of their batch.
+    """
+
+    first_tick: int
+    """Tick of the first sample."""
+    dropped: int
+    """Samples that the daemon's ring had no room for since it started."""
+    lost: int
+    """Samples between the batch before and this one that the daemon sent and this subscriber missed."""
+
+    def __array_finalize__(self, obj: object) -> None:
+        self.first_tick = getattr(obj, "first_tick", 0)
+        self.dropped = getattr(obj, "dropped", 0)
+        self.lost = getattr(obj, "lost", 0)
+
+    def __getitem__(self, key: Any) -> Any:
+        item = super().__getitem__(key)
+        # A field is ordinary numbers; only what still has fields is a batch.
+        return item.view(np.ndarray) if isinstance(item, SampleBatch) and item.dtype.names is None else item
+
+
+def dtype_of(description: object) -> np.dtype[np.void]:
+    """The dtype that a message's `dtype` describes (numpy's descr: name, format, and shape where there is
+    one).
+
+    Raises WireError for anything else.
+    """
+    try:
+        fields = [
+            (str(name), str(form), tuple(map(int, rest[0]))) if rest else (str(name), str(form))
+            for name, form, *rest in cast(Sequence[Sequence[Any]], description)
+        ]
+        dtype = np.lib.format.descr_to_dtype(cast(Any, fields))
+    except (TypeError, ValueError) as error:
+        raise messages.WireError(messages.Code.PARSE, f"samples: dtype is not a numpy descr: {error}") from None
+    if dtype.hasobject or not {"tick", "time_ns"} <= set(dtype.names or ()):
+        raise messages.WireError(messages.Code.PARSE, "samples: dtype must have tick and time_ns, and no objects")
+    return cast("np.dtype[np.void]", dtype)
+
+
+class SampleStream:
+    """Makes batches of messages, in their order, and keeps account of the ticks that are missing.
+
+    Ticks have no gaps in the servo. A tick that is missing here was dropped by the daemon's ring, which
+    counts it in `dropped`, or lost between the daemon and us. The ring may count a drop before the gap
+    arrives, so that the account is kept in totals since the first batch.
+    """
+
+    def __init__(self, warn: bool = True) -> None:
+        self._warn = warn
+        self._description: object = None
+        self._dtype: np.dtype[np.void] | None = None
+        self._begin()
+        self.received = 0
+        """Samples that arrived."""
+        self.lost = 0
+        """Samples that were lost on the way here."""
+        self.dropped = 0
+        """Samples that the daemon's ring dropped while we listened."""
+        self.restarts = 0
+        """How often the daemon began again from tick 0."""
+
+    def _begin(self) -> None:
+        self._next_tick: int | None = None
+        self._missing = 0
+        self._base_dropped = 0
+        self._dropped_here = 0
+        self._lost_here = 0
+
+    def convert(self, topic: Topic, message: dict[str, object]) -> SampleBatch:
+        """The batch in one `samples` message. Raises WireError where it is none."""
+        if self._dtype is None or message.get("dtype") != self._description:
+            self._dtype = dtype_of(message.get("dtype"))
+            self._description = message["dtype"]
+        try:
+            batch = np.frombuffer(cast(bytes, message["data"]), self._dtype).view(SampleBatch)
+            batch.first_tick = int(cast(int, message["first_tick"]))
+            batch.dropped = int(cast(int, message["dropped"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise messages.WireError(messages.Code.PARSE, f"samples: {error}") from None
+        batch.lost = self._account(batch)
+        if batch.lost and self._warn:
+            warnings.warn(
+                TelemetryLoss(f"{batch.lost} samples before tick {batch.first_tick} were lost: read faster"),
+                stacklevel=3,
+            )
+        return batch
+
+    def _account(self, batch: SampleBatch) -> int:
+        if len(batch) == 0:
+            return 0
+        if self._next_tick is not None and batch.first_tick < self._next_tick:
+            self.restarts += 1
+            self._begin()
+        if self._next_tick is None:
+            self._next_tick = batch.first_tick
+            self._base_dropped = batch.dropped
+        end: int = int(cast(npt.NDArray[np.uint64], batch["tick"])[-1]) + 1
+        self._missing += end - self._next_tick - len(batch)
+        self._next_tick = end
+        dropped_here = batch.dropped - self._base_dropped
+        self.dropped += dropped_here - self._dropped_here
+        self._dropped_here = dropped_here
+        lost_here = max(self._lost_here, self._missing - dropped_here)
+        lost = lost_here - self._lost_here
+        self._lost_here = lost_here
+        self.lost += lost
+        self.received += len(batch)
+        return lost

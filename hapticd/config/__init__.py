@@ -1,0 +1,1 @@
+"""What a person writes: configuration, scene, materials, operators, and their JSON Schema."""

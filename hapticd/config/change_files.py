@@ -1,0 +1,75 @@
+"""Materials and a scene from files, for one change of a running daemon.
+
+Files are merged as those of a configuration are: a later one overrides key by key, but each material and each object
+whole. A file holds `materials`, `scene` or both, or a scene or materials alone.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pydantic import Field, ValidationError
+
+from hapticd.base.errors import InvalidError, Problem
+from hapticd.base.model import Model, Name, faults_of
+from hapticd.base.yaml_source import Document
+from hapticd.config.configuration import Merged, load_all
+from hapticd.config.document_kinds import kind_of, refuse_other_keys, refuse_other_kinds
+from hapticd.config.file_faults import FromFile
+from hapticd.config.materials import MAX_MATERIALS, Material
+from hapticd.config.scene import Scene
+from hapticd.config.shipped_files import file_of
+
+
+class _ChangeParts(Model):
+    materials: dict[Name, Material] | None = Field(default=None, max_length=MAX_MATERIALS)
+    scene: Scene | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeFiles:
+    """What the files hold, validated; None for what they do not. The daemon's faults are told by file and line."""
+
+    materials: FromFile | None
+    scene: FromFile | None
+
+
+def load_change(paths: Sequence[str | os.PathLike[str]]) -> ChangeFiles:
+    """The change in these files; the name of a shipped scene does for its file.
+
+    Whether the scene's materials exist is for the daemon to say, which knows more of them. Raises InvalidError, which
+    names every fault with file and line, HapticdError for a file that cannot be read.
+    """
+    merged = Merged()
+    for document in map(_whole, load_all([file_of(os.fspath(path), "scenes") for path in paths])):
+        assert isinstance(document.data, dict)
+        merged.add(document, document.data)
+    try:
+        change = _ChangeParts.parsed(merged.data)
+    except ValidationError as error:
+        raise merged.invalid(faults_of(error)) from None
+    materials, scene = change.materials, change.scene
+    given = None if materials is None else {name: material.to_dict() for name, material in materials.items()}
+    return ChangeFiles(
+        None if given is None else FromFile(given, merged, ("materials",)),
+        None if scene is None else FromFile(scene.to_dict(), merged, ("scene",)),
+    )
+
+
+def _whole(document: Document) -> Document:
+    """A document with the keys `materials` and `scene` alone. Raises InvalidError for another."""
+    refuse_other_kinds(document, "change", "scene", "bare scene", "materials", "bare materials")
+    match kind_of(document.data):
+        case "bare scene":
+            return document.below("scene")
+        case "bare materials":
+            return document.below("materials")
+        case "change" | "scene" | "materials" if isinstance(document.data, dict):
+            others = [key for key in document.data if key not in _ChangeParts.model_fields]
+            refuse_other_keys(document, (), others, "materials and a scene, which are all")
+            return document
+    raise InvalidError(
+        [Problem(document.where(()), "holds neither materials nor a scene; known keys: materials, scene")]
+    )

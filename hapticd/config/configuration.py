@@ -1,0 +1,408 @@
+"""Configuration: servo, device, materials and scene, from YAML files or a Python mapping."""
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Annotated, Literal, Self, TypeAlias
+
+from pydantic import Field, ValidationError, model_validator
+
+from hapticd.base.core import SIM_FORCES
+from hapticd.base.errors import InvalidError, Path, Problem, shown
+from hapticd.base.model import Damping, Model, Name, Position, Stiffness, faults_of, plain
+from hapticd.base.yaml_source import Document, Json, load_path
+from hapticd.config.actuator import Actuator
+from hapticd.config.document_kinds import likely_kind_of, refuse_other_kinds
+from hapticd.config.dynamics import Dynamics, Grip, Handle
+from hapticd.config.hid import Hid, Replay
+from hapticd.config.locations import Chosen, check_named, choose
+from hapticd.config.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
+from hapticd.config.scene import Scene, faults_of_names, reference_faults
+from hapticd.config.shipped_files import file_of
+from hapticd.rendering.compensation import Compensation
+
+DEFAULT = "default.yaml"
+
+ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
+
+
+class Overruns(Model):
+    """How many periods may be missed before something is done about it."""
+
+    threshold: float = Field(
+        default=0.1, ge=0.001, le=1, description="Part of a second's periods that may be missed; 1: any."
+    )
+    action: Literal["warn", "step_down", "fault"] = Field(
+        default="warn",
+        description="What becomes of more: an event, half the rate (a fault where that is not possible), or a fault.",
+    )
+
+
+class Servo(Model):
+    """The servo loop and what it asks of the machine."""
+
+    rate_hz: float = Field(default=10000.0, ge=1000, le=10000, description="Ticks per second.")
+    cpu: Annotated[int, Field(ge=0, le=1023)] | None = Field(
+        default=None, description="Processor that the servo runs on; null: any."
+    )
+    priority: int = Field(default=80, ge=1, le=99, description="Real-time priority (SCHED_FIFO).")
+    realtime: Literal["required", "preferred", "off"] = Field(
+        default="preferred",
+        description="Real-time rights: refuse to start without them, ask for them, or do without.",
+    )
+    spin_us: float = Field(default=0.0, ge=0, le=100, description="Busy waiting before each deadline.")
+    clock: Literal["timer", "device"] = Field(
+        default="timer", description="What leads the ticks: the clock, or the reports of a HID device."
+    )
+    overruns: Overruns = Field(default=Overruns(), description="Periods that are missed.")
+
+
+class Hand(Model):
+    """The hand that holds the simulated handle: a mass on it, drawn to the operator by spring and damper."""
+
+    mass_kg: float = Field(default=0.01, ge=0, le=10, description="Mass that moves with the handle.")
+    stiffness_n_per_m: Stiffness = Field(default=300.0, description="Grip stiffness.")
+    damping_n_s_per_m: Damping = Field(default=5.0, description="Grip damping.")
+
+
+class Link(Model):
+    """A link of frames between the servo and the simulated joystick, as USB has it."""
+
+    rate_hz: float = Field(ge=10, le=8000, description="Frames per second.")
+    delay_frames: int = Field(
+        default=1,
+        ge=1,
+        le=SIM_FORCES,
+        description="Age of a position when it is read, in frames; a force acts at this frame after it was put.",
+    )
+
+
+class Sim(Model):
+    """The simulated joystick; the defaults are those of a desktop impulse joystick."""
+
+    handle_mass_kg: float = Field(default=0.04, ge=0.001, le=10, description="Moving mass of the device.")
+    handle_damping_n_s_per_m: Damping = Field(default=0.2, description="Viscous friction of the device.")
+    coulomb_friction_n: float = Field(default=0.05, ge=0, le=10, description="Dry friction, per axis.")
+    encoder_step_m: float = Field(default=20e-6, ge=0, le=0.01, description="Step of positions; 0: exact.")
+    max_force_n: ActuatorForce = Field(default=8.9, description="What the actuator gives at most, per axis.")
+    force_step_n: float = Field(default=0.0043, ge=0, le=1, description="Resolution of it; 0: exact.")
+    actuator: Actuator | None = Field(default=None, description="How fast the actuator follows; null: at once.")
+    report_interval_s: float = Field(
+        default=0.0, ge=0, le=0.1, description="Time between position reports; 0: one at every tick."
+    )
+    report_delay_s: float = Field(default=0.0, ge=0, le=0.1, description="Age of a position when reported.")
+    workspace_m: float = Field(default=0.075, ge=0.001, le=10, description="Half the travel, per axis.")
+    force_timeout_s: float = Field(
+        default=0.1, ge=0.001, le=10, description="Time after which a force that is not renewed becomes zero."
+    )
+    start_m: Position = Field(
+        default=(0.0, 0.0),
+        description="Where handle and hand are at the start, [x, y]; in `simulate`, waypoints that begin at 0 s say it "
+        "instead.",
+    )
+    hand: Hand = Field(default=Hand(), description="The hand that holds it.")
+    link: Link | None = Field(default=None, description="What positions and forces come and go by; null: at once.")
+
+    @property
+    def reports_s(self) -> tuple[float, float]:
+        """Time between position reports (0: one at every tick), and how old they are, s."""
+        if self.link is None:
+            return self.report_interval_s, self.report_delay_s
+        return 1.0 / self.link.rate_hz, self.link.delay_frames / self.link.rate_hz
+
+    @property
+    def age_s(self) -> float:
+        """Between a position and the moment at which the force acts that is put when it is read, s.
+
+        A force that goes by a link waits for its frame, half of one on average.
+        """
+        delay_s = self.reports_s[1]
+        return delay_s if self.link is None else 2.0 * delay_s - 0.5 / self.link.rate_hz
+
+    @model_validator(mode="after")
+    def _one_way_of_reports(self) -> Self:
+        if self.link is not None and (self.report_interval_s or self.report_delay_s):
+            raise ValueError("with a link, report_interval_s and report_delay_s must be left out: the link says both")
+        return self
+
+    @model_validator(mode="after")
+    def _start_inside(self) -> Self:
+        if max(map(abs, self.start_m)) > self.workspace_m:
+            raise ValueError(f"start_m must be inside the workspace, {self.workspace_m:g} either way")
+        return self
+
+
+def _dynamics(kind: object, sim: Sim, handle: Handle | None, grip: Grip | None) -> Dynamics | None:
+    hand = sim.hand
+    if kind == "sim":
+        handle = handle or Handle(
+            mass_kg=sim.handle_mass_kg,
+            damping_n_s_per_m=sim.handle_damping_n_s_per_m,
+            friction_n=sim.coulomb_friction_n,
+        )
+        grip = grip or Grip(
+            mass_kg=hand.mass_kg, damping_n_s_per_m=hand.damping_n_s_per_m, stiffness_n_per_m=hand.stiffness_n_per_m
+        )
+    if handle is None:
+        return None
+    grip = grip or Grip()
+    return Dynamics(
+        handle_mass_kg=handle.mass_kg,
+        handle_damping_n_s_per_m=handle.damping_n_s_per_m,
+        friction_n=handle.friction_n,
+        grip_mass_kg=grip.mass_kg,
+        grip_damping_n_s_per_m=grip.damping_n_s_per_m,
+        grip_stiffness_n_per_m=grip.stiffness_n_per_m,
+    )
+
+
+def _moving_mass_kg(fields: dict[str, object]) -> float:
+    sim, handle, grip = fields["sim"], fields["handle"], fields["grip"]
+    assert isinstance(sim, Sim)
+    assert handle is None or isinstance(handle, Handle)
+    assert grip is None or isinstance(grip, Grip)
+    known = _dynamics(fields["kind"], sim, handle, grip) or _dynamics("sim", sim, handle, grip)
+    assert known is not None
+    return known.mass_kg
+
+
+def _muted_or_lowered(fields: dict[str, object]) -> Literal["mute", "lower"]:
+    # On a slow stick steel would feel softer than wood if it were only silent.
+    return "mute" if fields["kind"] == "sim" else "lower"
+
+
+class Device(Model):
+    """The device that displays the force, and what is asked of it."""
+
+    kind: Literal["sim", "hid", "replay"] = Field(
+        default="sim", description="The simulated joystick, a HID joystick, or a recording of one."
+    )
+    max_force_n: ActuatorForce = Field(default=8.9, description="Largest magnitude of the force commanded.")
+    max_speed_m_per_s: float = Field(
+        default=5.0, ge=0.01, le=1000, description="A step between two positions that is faster is a glitch."
+    )
+    rearm_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.01,
+        description="A surface that was let go is tapped again only after the probe was so far from it: the noise of "
+        "positions, the step of their encoder; 0: at every contact.",
+    )
+    undisplayable: Literal["mute", "lower"] = Field(
+        default_factory=_muted_or_lowered,
+        description="What becomes of a mode above 0.4 of the rate, the link's if that is lower.",
+    )
+    frozen_after_s: Annotated[float, Field(ge=0.1, le=60)] | None = Field(
+        default=None,
+        description="Reports that say the very same position for this long, under a tenth of max_force_n or more, are "
+        "a fault; null: a handle may be held still.",
+    )
+    sim: Sim = Field(default=Sim(), description="The simulated joystick.")
+    hid: Hid = Field(default=Hid(), description="A HID joystick; of a replay, how its reports are understood.")
+    replay: Replay | None = Field(default=None, description="The recording that is played.")
+    handle: Handle | None = Field(
+        default=None, description="The handle, of a real joystick; by default the simulated one's."
+    )
+    grip: Grip | None = Field(default=None, description="The hand on it; by default the simulated one's, or none.")
+    actuator: Actuator | None = Field(
+        default=None, description="How fast the actuator follows; by default as the simulated one's, or at once."
+    )
+    compensation: Compensation = Field(
+        default="off",
+        description="Whether a strike makes up for what handle and hand do to it: not, for their mass and the hold of "
+        "the force, or for all of it.",
+    )
+    # After those which its default is taken from.
+    effective_mass_kg: float = Field(
+        default_factory=_moving_mass_kg,
+        ge=1e-4,
+        le=20,
+        description="Mass by which an acceleration becomes a force; by default handle and hand together.",
+    )
+
+    @property
+    def dynamics(self) -> Dynamics | None:
+        """The device as a force sees it; None of a real joystick whose `handle` is not given."""
+        return _dynamics(self.kind, self.sim, self.handle, self.grip)
+
+    @property
+    def lag(self) -> Actuator | None:
+        """The actuator's lag as far as it is known; None: it follows at once."""
+        return self.sim.actuator if self.actuator is None and self.kind == "sim" else self.actuator
+
+    @model_validator(mode="after")
+    def _recording_named(self) -> Self:
+        if self.kind == "replay" and self.replay is None:
+            raise ValueError("kind replay needs device.replay.path, a recording of `hapticd devices dump`")
+        return self
+
+    @model_validator(mode="after")
+    def _compensated_for_something(self) -> Self:
+        if self.compensation != "off" and self.dynamics is None:
+            raise ValueError(
+                f"compensation {self.compensation} needs device.handle, the mass and damping of the joystick's handle"
+            )
+        return self
+
+
+class FlightRecorder(Model):
+    """The last seconds of telemetry, written to a file on a fault or when asked."""
+
+    seconds: float = Field(default=10.0, ge=1, le=60, description="How much is kept.")
+    directory: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=4096,
+        description="Where files go; null: $STATE_DIRECTORY, or the runtime directory.",
+    )
+    keep: int = Field(default=10, ge=1, le=1000, description="Files that stay; older ones are removed.")
+
+
+class Config(Model):
+    """Everything that a configuration file holds."""
+
+    servo: Servo = Field(default=Servo(), description="The servo loop.")
+    device: Device = Field(default=Device(), description="The device.")
+    materials: dict[Name, Material] = Field(
+        default={}, max_length=MAX_MATERIALS, description="Materials by name, added to the shipped ones."
+    )
+    scene: Scene = Field(default=Scene(), description="The scene at the start.")
+    flight: FlightRecorder = Field(default=FlightRecorder(), description="The flight recorder.")
+
+    @model_validator(mode="after")
+    def _clock_reports(self) -> Self:
+        if self.servo.clock == "device" and self.device.kind == "sim":
+            raise ValueError("servo.clock device needs a device of kind hid or replay")
+        return self
+
+
+ConfigSource: TypeAlias = "Config | Mapping[str, object] | str | os.PathLike[str] | Sequence[str | os.PathLike[str]]"
+
+
+def load_config(source: ConfigSource) -> Config:
+    """A validated configuration, with the shipped materials under those of the source.
+
+    `source` is a mapping (numpy scalars, arrays and tuples are welcome in it), a path, or paths that are
+    merged in order: a later file overrides key by key, but materials and scene objects whole. Everything left
+    out has its default. A Config is returned as it is.
+
+    Raises InvalidError, which names every fault of a key with file, line and limit, and every material that is not
+    known; HapticdError for a file that cannot be read.
+    """
+    if isinstance(source, Config):
+        return source
+    if isinstance(source, Mapping):
+        return _load([Document(plain(source))])
+    if isinstance(source, str | os.PathLike):
+        return _load([load_path(source)])
+    if not isinstance(source, Sequence) or not all(isinstance(path, str | os.PathLike) for path in source):
+        raise InvalidError(
+            [Problem("", f"a configuration is a mapping, a path or a list of paths, not {shown(source)}")]
+        )
+    return _load(load_all(source))
+
+
+def load_all(paths: Sequence[str | os.PathLike[str]]) -> list[Document]:
+    """The documents of these files. Raises InvalidError, which names the fault of every file that is no YAML."""
+    documents: list[Document] = []
+    problems: list[Problem] = []
+    for path in paths:
+        try:
+            documents.append(load_path(path))
+        except InvalidError as error:
+            problems += error.problems
+    if problems:
+        raise InvalidError(problems)
+    return documents
+
+
+@cache
+def default_config() -> Config:
+    """What the daemon runs where no configuration file is found: `config/default.yaml`."""
+    return _load([shipped_document(DEFAULT)])
+
+
+def config_of(paths: Sequence[str | os.PathLike[str]] = ()) -> Config:
+    """The configuration of a command: that of the files it names, or else as config_files.choose finds it."""
+    return chosen_config(choose(paths))
+
+
+def chosen_config(chosen: Chosen) -> Config:
+    """These files merged in order, as load_config, where the name of a shipped scene does for its file; of none,
+    default_config. Raises HapticdError also for a file that the environment names and that is not there."""
+    check_named(chosen)
+    files = [file_of(file, "scenes") for file in chosen.files]
+    return load_config(files) if files else default_config()
+
+
+def _load(documents: Sequence[Document]) -> Config:
+    merged = Merged()
+    for given in documents:
+        document = _whole(given)
+        if not isinstance(document.data, dict):
+            told = "is empty" if document.data is None else "must be a mapping"
+            raise InvalidError([Problem(document.where(()), f"{told}; known keys: {', '.join(Config.model_fields)}")])
+        merged.add(document, document.data)
+    try:
+        config = Config.parsed(merged.data)
+    except ValidationError as error:
+        raise merged.invalid([*faults_of(error), *_unknown_materials(merged.data)]) from None
+    materials = {**shipped_materials(), **config.materials}
+    unknown = reference_faults(config.scene.objects, materials)
+    if unknown:
+        raise merged.invalid([(("scene", *path), text) for path, text in unknown])
+    return config.model_copy(update={"materials": materials})
+
+
+def _unknown_materials(data: Mapping[str, Json]) -> list[tuple[Path, str]]:
+    """Materials of the scene that nobody defines, in a configuration that is faulty elsewhere."""
+    scene, defined = data.get("scene"), data.get("materials")
+    known = {**shipped_materials(), **(defined if isinstance(defined, dict) else {})}
+    found = faults_of_names(scene.get("objects"), known) if isinstance(scene, dict) else []
+    return [(("scene", *path), text) for path, text in found]
+
+
+def _whole(document: Document) -> Document:
+    """A document as a configuration: a scene alone is one, too. Raises InvalidError for what is neither."""
+    refuse_other_kinds(document, "configuration", "change", "scene", "bare scene", "materials")
+    return document.below("scene") if likely_kind_of(document.data) == "bare scene" else document
+
+
+class Merged:
+    """Several documents as one, and which of them each part comes from."""
+
+    def __init__(self) -> None:
+        self.data: dict[str, Json] = {}
+        self._owners: dict[Path, Document] = {}
+
+    def add(self, document: Document, data: dict[str, Json]) -> None:
+        """Lays what a document holds over what was there: key by key, but each material and each object whole."""
+        self._add(document, data, self.data, ())
+
+    def _add(self, document: Document, source: dict[str, Json], target: dict[str, Json], path: Path) -> None:
+        self._owners[path] = document
+        for key, value in source.items():
+            here = (*path, key)
+            whole = path in (("materials",), ("scene", "objects"))
+            if isinstance(value, dict) and not whole:
+                old = target.get(key)
+                inner = target[key] = old if isinstance(old, dict) else {}
+                self._add(document, value, inner, here)
+            else:
+                target[key] = value
+                self._owners[here] = document
+
+    def invalid(self, faults: Sequence[tuple[Path, str]]) -> InvalidError:
+        return InvalidError(self._owner(path).problem(path, text) for path, text in faults)
+
+    def place(self, path: Sequence[str | int]) -> str:
+        """`FILE:LINE:COLUMN` of the part at `path`, in the file that it is from."""
+        return self._owner(path).place(path)
+
+    def own(self, path: Sequence[str | int]) -> Sequence[str | int]:
+        """A path as it is in the file that the part is from."""
+        return self._owner(path).own(path)
+
+    def _owner(self, path: Sequence[str | int]) -> Document:
+        here = tuple(path)
+        return next(self._owners[here[:n]] for n in range(len(here), -1, -1) if here[:n] in self._owners)

@@ -1,0 +1,83 @@
+"""The linear device as a force sees it: a handle's mass and damping, and the hand that holds it.
+
+    (m + m_h) x'' + (b + b_h) x' + k (x - w) = F,
+
+with handle (m, b), hand (m_h, b_h, k) and the wish w of the hand.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from hapticd.base.model import Damping, Model, Stiffness
+
+
+class Handle(Model):
+    """The handle without a hand, as seen along one axis."""
+
+    mass_kg: float = Field(ge=0.001, le=10, description="Moving mass.")
+    damping_n_s_per_m: Damping = Field(default=0.0, description="Viscous friction.")
+    friction_n: float = Field(default=0.0, ge=0, le=10, description="Dry friction.")
+
+
+class Grip(Model):
+    """The hand, as seen from the handle: a mass on it, held by spring and damper."""
+
+    mass_kg: float = Field(default=0.0, ge=0, le=10, description="Mass that moves with the handle.")
+    damping_n_s_per_m: Damping = Field(default=0.0, description="Damping.")
+    stiffness_n_per_m: Stiffness = Field(default=0.0, description="Stiffness.")
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamics:
+    """Handle and hand together, SI units. Coulomb friction stands beside: it is not linear."""
+
+    handle_mass_kg: float
+    handle_damping_n_s_per_m: float
+    friction_n: float
+    grip_mass_kg: float
+    grip_damping_n_s_per_m: float
+    grip_stiffness_n_per_m: float
+
+    @property
+    def mass_kg(self) -> float:
+        """What moves, m + m_h."""
+        return self.handle_mass_kg + self.grip_mass_kg
+
+    @property
+    def damping_n_s_per_m(self) -> float:
+        """What damps it, b + b_h."""
+        return self.handle_damping_n_s_per_m + self.grip_damping_n_s_per_m
+
+
+@lru_cache(maxsize=64)
+def held_motion(dynamics: Dynamics, span_s: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """How position and velocity go on for `span_s` under a held force: [x, v] becomes state @ [x, v] + pushed F.
+
+    Zero-order hold, exact: state (2, 2) and pushed (2,), both read-only, are parts of exp([[A, B], [0, 0]] span_s) of
+    x' = A x + B F, by the series of a scaled step and squaring.
+    """
+    mass = dynamics.mass_kg
+    a = np.zeros((3, 3))
+    a[0, 1] = 1.0
+    a[1] = -dynamics.grip_stiffness_n_per_m / mass, -dynamics.damping_n_s_per_m / mass, 1.0 / mass
+    fastest = max(dynamics.damping_n_s_per_m / mass, math.sqrt(dynamics.grip_stiffness_n_per_m / mass)) * span_s
+    halvings = max(0, math.ceil(math.log2(fastest / 0.25))) if fastest > 0.25 else 0
+    step = a * (span_s / 2**halvings)
+    # The series of exp(A) - 1, so that squaring keeps what is small.
+    term = grown = step.copy()
+    for order in range(2, 20):
+        term = term @ step / order
+        grown = grown + term
+    for _ in range(halvings):
+        grown = 2.0 * grown + grown @ grown
+    state, pushed = grown[:2, :2] + np.eye(2), grown[:2, 2]
+    for shared in (state, pushed):
+        shared.flags.writeable = False
+    return state, pushed

@@ -1,0 +1,111 @@
+"""A ringing mode, Q(t) = A exp(-B t) sin(w t), and the keys by which a person gives one.
+
+Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environments", ICRA 1998, eq. 1 and 3: B is the
+decay rate in 1/s, w the angular frequency in rad/s.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import ConfigDict, Field
+from pydantic.config import JsonDict
+
+from hapticd.base.model import CheckedTogether
+
+Attack: TypeAlias = Literal["coefficient", "first_peak"]
+
+Frequency: TypeAlias = Annotated[float, Field(ge=0.01, le=1e5)]
+AngularFrequency: TypeAlias = Annotated[float, Field(ge=0.05, le=1e6)]
+DecayTime: TypeAlias = Annotated[float, Field(ge=1e-6, le=10)]
+DecayRate: TypeAlias = Annotated[float, Field(ge=0.1, le=1e6)]
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A decaying sinusoid exp(-B t) sin(w t), t >= 0."""
+
+    decay_rate_per_s: float
+    angular_frequency_rad_per_s: float
+
+    @property
+    def frequency_hz(self) -> float:
+        return self.angular_frequency_rad_per_s / (2 * math.pi)
+
+    @property
+    def decay_time_s(self) -> float:
+        return 1 / self.decay_rate_per_s
+
+    @property
+    def peak_time_s(self) -> float:
+        """Time of the first maximum: atan(w/B)/w, where the derivative is zero."""
+        w = self.angular_frequency_rad_per_s
+        return math.atan2(w, self.decay_rate_per_s) / w
+
+    @property
+    def peak(self) -> float:
+        """The first maximum, a number below 1."""
+        time_s = self.peak_time_s
+        return math.exp(-self.decay_rate_per_s * time_s) * math.sin(self.angular_frequency_rad_per_s * time_s)
+
+    def coefficient(self, amplitude: float, attack: Attack) -> float:
+        """The A of eq. 1 for an amplitude that means A itself, or the largest value of the first cycle."""
+        return amplitude if attack == "coefficient" else amplitude / self.peak
+
+
+def one_of(*names: str) -> JsonDict:
+    """JSON Schema of exactly one of these keys; `a b` is both of them together."""
+    return {"oneOf": [{"required": [*name.split()]} for name in names]}
+
+
+ONE_OF_EACH_PAIR: JsonDict = {
+    "allOf": [
+        one_of("frequency_hz", "angular_frequency_rad_per_s"),
+        one_of("decay_time_s", "decay_rate_per_s"),
+    ]
+}
+
+
+class ModeKeys(CheckedTogether):
+    """A ringing mode: one of frequency and angular frequency, and one of decay time and decay rate."""
+
+    model_config = ConfigDict(json_schema_extra=ONE_OF_EACH_PAIR)
+
+    frequency_hz: Frequency | None = Field(default=None, description="Frequency of the ringing.")
+    angular_frequency_rad_per_s: AngularFrequency | None = Field(
+        default=None, description="2 pi times the frequency, instead of it."
+    )
+    decay_time_s: DecayTime | None = Field(
+        default=None, description="Time in which the ringing falls to 1/e; it ends after five of them."
+    )
+    decay_rate_per_s: DecayRate | None = Field(default=None, description="1 over the decay time, instead of it.")
+
+    def cross_faults(self) -> list[str]:
+        """Faults between keys that are each sound."""
+        return self.mode_faults()
+
+    def mode_faults(self) -> list[str]:
+        """Those of the keys of the mode."""
+        faults = []
+        for one, other in (
+            ("frequency_hz", "angular_frequency_rad_per_s"),
+            ("decay_time_s", "decay_rate_per_s"),
+        ):
+            given = [name for name in (one, other) if getattr(self, name) is not None]
+            if len(given) != 1:
+                faults.append(f"needs exactly one of {one} and {other}, has {'both' if given else 'neither'}")
+        return faults
+
+    @property
+    def mode(self) -> Mode:
+        if self.decay_rate_per_s is not None:
+            decay_rate_per_s = self.decay_rate_per_s
+        else:
+            assert self.decay_time_s is not None
+            decay_rate_per_s = 1 / self.decay_time_s
+        if self.angular_frequency_rad_per_s is not None:
+            angular_frequency_rad_per_s = self.angular_frequency_rad_per_s
+        else:
+            assert self.frequency_hz is not None
+            angular_frequency_rad_per_s = 2 * math.pi * self.frequency_hz
+        return Mode(decay_rate_per_s, angular_frequency_rad_per_s)

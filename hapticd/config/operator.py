@@ -1,0 +1,464 @@
+"""What the hand on the simulated joystick does: waypoints or a named gesture, from a message or a file.
+
+An operator is exactly one of
+
+    waypoints: [[t_s, x_m, y_m], ...]      and optionally interpolation: linear (the default) or minimum_jerk
+    gesture: {kind: tap, object, speed_m_per_s, count, at_m, height_m, press_depth_m}
+    gesture: {kind: stroke, object, speed_m_per_s, press_n, from_m, to_m, count, height_m}
+    gesture: {kind: puncture, object, speed_m_per_s, at_m, height_m}
+
+`at_m`, `from_m` and `to_m` are tangential coordinates: 0 is the wall's point, the membrane's centre, the middle of the
+box's upper face, the disc's top; t = (n_y, -n_x). On a membrane and a box they lie on it, its ends included.
+A file is YAML, JSON, or CSV with the columns t_s,x_m,y_m. A gesture becomes straight lines by
+`gesture_waypoints`, a pure function of the object, the hand and where the hand is.
+"""
+
+import cmath
+import csv
+import io
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Final, Literal, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, ValidationError, model_validator
+
+from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, quoted, shown
+from hapticd.base.model import Coordinate, Model, Name, faults_of, plain
+from hapticd.base.yaml_source import Document, load_path, load_text, one_line, read_file, refuse_recording
+from hapticd.config.document_kinds import refuse_other_kinds
+
+Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
+Point: TypeAlias = tuple[float, float]
+
+MAX_WAYPOINTS: Final = 100_000
+MIN_STEP_S: Final = 1e-5
+"""Waypoints are at least this far apart, so that few of them fall into one tick."""
+MAX_TIME_S: Final = 86_400.0
+MAX_COORDINATE_M: Final = 10.0
+MAX_FAULTS: Final = 100
+MAX_BYTES: Final = 16 * 1024 * 1024
+
+TRAVEL_M_PER_S: Final = 0.15
+"""Speed of everything that is not the gesture itself: going there, withdrawing."""
+LOWER_M_PER_S: Final = 0.02
+"""A stroke is laid on the surface this slowly, so that it begins without a tap that would be felt."""
+HOLD_S: Final = 0.15
+"""How long a tap presses, and a puncture stays inside: longer than any mode of the library rings."""
+SPEED_WITHIN: Final = 0.01
+"""An approach is long enough for the handle to have the commanded speed within this fraction."""
+CLEARANCE_M: Final = 0.005
+
+_COLUMNS: Final = ("t_s", "x_m", "y_m")
+
+Speed: TypeAlias = Annotated[float, Field(ge=0.001, le=2)]
+Count: TypeAlias = Annotated[int, Field(ge=1, le=1000)]
+Height: TypeAlias = Annotated[float, Field(ge=0.001, le=1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What a gesture needs to know of a surface: where 0 is on it, and which way it faces there (a unit vector)."""
+
+    point_m: Point
+    normal: Point
+    stiffness_n_per_m: float
+    rupture_depth_m: float | None
+    half_m: float = math.inf
+    """How far the surface goes either way from its point."""
+    face: str = "surface"
+    """What is said to end there."""
+
+    def fault(self, at_m: float) -> str | None:
+        """What is wrong with a place along the surface."""
+        if abs(at_m) <= self.half_m:
+            return None
+        return f"{at_m:.15g} is beyond the {self.face}, which ends at {math.copysign(self.half_m, at_m):.15g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Grip:
+    """How the hand holds the handle; `moving_mass_kg` is hand and handle together."""
+
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float = 5.0
+    moving_mass_kg: float = 0.05
+
+    @property
+    def settling_s(self) -> float:
+        """How long after a change of the wish's speed the handle has it within SPEED_WITHIN, at most 1 s.
+
+        The error is (p exp(p t) - q exp(q t))/(p - q), p and q the roots of M s^2 + b s + k.
+        """
+        half = self.damping_n_s_per_m / (2 * self.moving_mass_kg)
+        root = cmath.sqrt(half * half - self.stiffness_n_per_m / self.moving_mass_kg)
+        # Equal roots are told apart by a little: that changes the error by far less than is asked for.
+        p, q = -half - (root or 1e-6 * half), -half + (root or 1e-6 * half)
+        time_s = np.linspace(0.0, 1.0, 2001)
+        error = np.abs((p * np.exp(p * time_s) - q * np.exp(q * time_s)) / (p - q))
+        return float(time_s[min(np.flatnonzero(error > SPEED_WITHIN)[-1] + 1, 2000)])
+
+
+class TapGesture(Model):
+    """Strikes the surface at a speed, presses, withdraws; `count` times."""
+
+    kind: Literal["tap"]
+    object: Name = Field(description="Id of a wall, a membrane, a box or a disc.")
+    speed_m_per_s: Speed = Field(description="Speed of the approach, along the normal.")
+    count: Count = Field(default=1, description="How many taps.")
+    at_m: Coordinate = Field(default=0.0, description="Where along the surface.")
+    height_m: Height | None = Field(
+        default=None, description="Height that the approach begins at; by default enough to reach the speed."
+    )
+    press_depth_m: Annotated[float, Field(ge=0, le=1)] | None = Field(
+        default=None, description="Depth that the hand aims for; by default enough not to bounce."
+    )
+
+
+class StrokeGesture(Model):
+    """Strokes along the surface at a speed and with a normal force, to and fro; `count` times in all."""
+
+    kind: Literal["stroke"]
+    object: Name = Field(description="Id of a wall, a membrane, a box or a disc.")
+    speed_m_per_s: Speed = Field(description="Speed along the surface.")
+    press_n: float = Field(ge=0.01, le=100, description="Normal force that the hand presses with.")
+    from_m: Coordinate = Field(description="Where along the surface it begins.")
+    to_m: Coordinate = Field(description="Where along the surface it ends.")
+    count: Count = Field(default=1, description="How many strokes, the second one back, and so on.")
+    height_m: Height = Field(default=CLEARANCE_M, description="Height that it is laid on from.")
+
+    @model_validator(mode="after")
+    def _goes_somewhere(self) -> Self:
+        if self.from_m == self.to_m:
+            raise ValueError("from_m and to_m must differ")
+        return self
+
+
+class PunctureGesture(Model):
+    """Presses into a membrane at a speed until it has surely broken, then withdraws."""
+
+    kind: Literal["puncture"]
+    object: Name = Field(description="Id of a membrane whose material ruptures.")
+    speed_m_per_s: Speed = Field(description="Speed of the hand, along the normal.")
+    at_m: Coordinate = Field(default=0.0, description="Where along the skin.")
+    height_m: Height | None = Field(
+        default=None, description="Height that the approach begins at; by default enough to reach the speed."
+    )
+
+
+Gesture: TypeAlias = Annotated[TapGesture | StrokeGesture | PunctureGesture, Field(discriminator="kind")]
+
+
+class OperatorParams(Model):
+    """What a message or a file says of the operator; the waypoints are looked at by `_check_waypoints`."""
+
+    waypoints: list[object] | None = None
+    interpolation: Interpolation | None = None
+    gesture: Gesture | None = None
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if (self.waypoints is None) == (self.gesture is None):
+            raise ValueError("needs exactly one of waypoints and gesture")
+        if self.gesture is not None and self.interpolation is not None:
+            raise ValueError("interpolation belongs to waypoints; a gesture is made of straight lines")
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Operator:
+    """A validated operator: waypoints or a gesture, the other is None."""
+
+    waypoints: tuple[tuple[float, float, float], ...] | None
+    gesture: TapGesture | StrokeGesture | PunctureGesture | None
+    interpolation: Interpolation = "linear"
+    document: Document | None = field(default=None, compare=False, repr=False)
+    """What it was read from, if that was YAML or JSON."""
+
+    def waypoints_for(
+        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point, ids: Iterable[str] = ()
+    ) -> npt.NDArray[np.float64]:
+        """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `wish_m` now.
+
+        `target_of` gives what can be touched of an id, None for anything else; `ids` are those of the scene. Raises
+        InvalidError (`where` is inside `gesture`) for an object that is none or that the gesture does not fit.
+        """
+        if self.gesture is None:
+            return np.array(self.waypoints, dtype=np.float64)
+        target = target_of(self.gesture.object)
+        if target is None:
+            wanted = self.gesture.object
+            known = known_names(wanted, (id for id in ids if target_of(id) is not None))
+            problem = f"no wall, membrane, box or disc of the scene has the id {quoted(wanted)}; {known}"
+            raise InvalidError([Problem("gesture.object", problem)])
+        return gesture_waypoints(self.gesture, target, grip, wish_m)
+
+
+def parse_operator(data: Mapping[str, object]) -> Operator:
+    """An operator from the params of `set_operator` or any mapping, numpy arrays and tuples included.
+
+    Raises InvalidError with every fault.
+    """
+    faults, operator = _parse(plain(data))
+    if operator is None:
+        raise InvalidError(Problem(path_text(path), text) for path, text in faults)
+    return operator
+
+
+def load_operator(path: str | os.PathLike[str]) -> Operator:
+    """An operator from a file: CSV or JSON by its ending, YAML otherwise.
+
+    A CSV holds the columns t_s,x_m,y_m, with or without a header line; it is followed in straight lines.
+    Raises InvalidError, which names file and line of every fault, or HapticdError for a file that cannot be
+    read.
+    """
+    name = os.fspath(path)
+    ending = os.path.splitext(name)[1].lower()
+    if ending == ".csv":
+        return _load_csv(name)
+    # JSON is YAML, but for tabs, which in JSON can only be white space.
+    document = load_text(_read(name).replace("\t", " "), name) if ending == ".json" else load_path(name)
+    refuse_other_kinds(document, "waypoints", "gesture")
+    if isinstance(document.data, dict) and "kind" in document.data:
+        document = document.below("gesture")
+    faults, operator = _parse(document.data)
+    if operator is None:
+        raise InvalidError(document.problem(path, text) for path, text in faults)
+    return replace(operator, document=document)
+
+
+def gesture_waypoints(
+    gesture: TapGesture | StrokeGesture | PunctureGesture, target: Target, grip: Grip, wish_m: Point
+) -> npt.NDArray[np.float64]:
+    """The straight lines of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
+
+    The first row is at t > 0: the hand goes there from `wish_m`, first out along the normal if it is lower
+    than the gesture's height, then to where the gesture begins, and comes to rest. Raises InvalidError.
+    """
+    if grip.stiffness_n_per_m <= 0:
+        problem = "needs a hand that holds the handle: device.sim.hand.stiffness_n_per_m above 0"
+        raise InvalidError([Problem("gesture", problem)])
+    places = ("from_m", "to_m") if isinstance(gesture, StrokeGesture) else ("at_m",)
+    faults = [Problem(f"gesture.{name}", text) for name in places if (text := target.fault(getattr(gesture, name)))]
+    if faults:
+        raise InvalidError(faults)
+    path = _Path(target, wish_m)
+    match gesture:
+        case TapGesture():
+            _tap(gesture, target, grip, path)
+        case StrokeGesture():
+            _stroke(gesture, target, grip, path)
+        case PunctureGesture():
+            _puncture(gesture, target, grip, path)
+    rows = np.array(path.rows, dtype=np.float64)
+    if not (np.isfinite(rows).all() and rows[-1, 0] <= MAX_TIME_S and len(rows) <= MAX_WAYPOINTS):
+        problem = f"would last {rows[-1, 0]:g} s or go out of reach; at most {MAX_TIME_S:g} s"
+        raise InvalidError([Problem("gesture", problem)])
+    return rows
+
+
+class _Path:
+    """Waypoints in the coordinates of a surface: `at` along it, `height` above it."""
+
+    def __init__(self, target: Target, wish_m: Point) -> None:
+        self._target = target
+        self.rows: list[tuple[float, float, float]] = []
+        self._time_s = 0.0
+        x, y = wish_m[0] - target.point_m[0], wish_m[1] - target.point_m[1]
+        n_x, n_y = target.normal
+        self._at, self._height = x * n_y - y * n_x, x * n_x + y * n_y
+
+    def go(self, at: float, height: float, speed: float) -> None:
+        """A straight line at a speed."""
+        way = math.hypot(at - self._at, height - self._height)
+        self._at, self._height = at, height
+        if way >= 2 * MIN_STEP_S * speed:
+            self._add(way / speed)
+
+    def stay(self, duration_s: float) -> None:
+        self._add(duration_s)
+
+    def begin(self, at: float, height: float) -> None:
+        """To where a gesture begins, without touching its object on the way."""
+        if self._height < height:
+            self.go(self._at, height, TRAVEL_M_PER_S)
+        self.go(at, height, TRAVEL_M_PER_S)
+
+    def _add(self, duration_s: float) -> None:
+        self._time_s += duration_s
+        (x, y), (n_x, n_y) = self._target.point_m, self._target.normal
+        along, out = self._at, self._height
+        self.rows.append((self._time_s, x + along * n_y + out * n_x, y - along * n_x + out * n_y))
+
+
+def _approach_height(speed: float, grip: Grip) -> float:
+    return CLEARANCE_M + speed * grip.settling_s
+
+
+def _tap(gesture: TapGesture, target: Target, grip: Grip, path: _Path) -> None:
+    speed, at = gesture.speed_m_per_s, gesture.at_m
+    height = gesture.height_m or _approach_height(speed, grip)
+    depth = gesture.press_depth_m
+    if depth is None:
+        # The handle comes to rest at depth k/(K + k) and swings about it; an impact alone would swing by
+        # v sqrt(M/(K + k)). With rest as deep as that, and half a swing damped to 0.7, it does not leave
+        # again.
+        together = target.stiffness_n_per_m + grip.stiffness_n_per_m
+        swing = speed * math.sqrt(grip.moving_mass_kg / together)
+        depth = 0.002 + swing * together / grip.stiffness_n_per_m
+    for _ in range(gesture.count):
+        path.begin(at, height)
+        path.stay(grip.settling_s)
+        path.go(at, -depth, speed)
+        path.stay(HOLD_S)
+        path.go(at, height, TRAVEL_M_PER_S)
+
+
+def _stroke(gesture: StrokeGesture, target: Target, grip: Grip, path: _Path) -> None:
+    if target.stiffness_n_per_m <= 0:
+        problem = f"{quoted(gesture.object)} has no stiffness to press against"
+        raise InvalidError([Problem("gesture.object", problem)])
+    # Hand and surface are springs in series.
+    depth = gesture.press_n * (1 / target.stiffness_n_per_m + 1 / grip.stiffness_n_per_m)
+    ends = (gesture.from_m, gesture.to_m)
+    path.begin(gesture.from_m, gesture.height_m)
+    path.stay(grip.settling_s)
+    path.go(gesture.from_m, -depth, LOWER_M_PER_S)
+    path.stay(grip.settling_s)
+    for stroke in range(gesture.count):
+        path.go(ends[(stroke + 1) % 2], -depth, gesture.speed_m_per_s)
+        path.stay(grip.settling_s)
+    path.go(ends[gesture.count % 2], gesture.height_m, TRAVEL_M_PER_S)
+
+
+def _puncture(gesture: PunctureGesture, target: Target, grip: Grip, path: _Path) -> None:
+    if target.rupture_depth_m is None:
+        problem = f"{quoted(gesture.object)} cannot be punctured: no membrane, or a material without rupture"
+        raise InvalidError([Problem("gesture.object", problem)])
+    speed, at = gesture.speed_m_per_s, gesture.at_m
+    height = gesture.height_m or _approach_height(speed, grip)
+    # At the rupture the hand is ahead of the handle by K d/k; friction takes less than the rest.
+    depth = target.rupture_depth_m * (1 + target.stiffness_n_per_m / grip.stiffness_n_per_m)
+    path.begin(at, height)
+    path.stay(grip.settling_s)
+    path.go(at, -(1.1 * depth + CLEARANCE_M), speed)
+    path.stay(HOLD_S)
+    path.go(at, height, TRAVEL_M_PER_S)
+
+
+# ---- Reading ----------------------------------------------------------------------------------------------
+
+
+def _parse(data: object) -> tuple[list[tuple[Path, str]], Operator | None]:
+    """The operator, or every fault with its path."""
+    if not isinstance(data, dict):
+        return [((), "must be a mapping with waypoints or gesture")], None
+    try:
+        params = OperatorParams.parsed(data)
+    except ValidationError as error:
+        return faults_of(error), None
+    if params.waypoints is None:
+        return [], Operator(None, params.gesture)
+    faults, waypoints = _check_waypoints(params.waypoints)
+    faults = [(("waypoints", *path), text) for path, text in faults]
+    if faults:
+        return faults, None
+    return [], Operator(waypoints, None, params.interpolation or "linear")
+
+
+def _check_waypoints(
+    rows: Sequence[object],
+) -> tuple[list[tuple[Path, str]], tuple[tuple[float, float, float], ...]]:
+    if not 1 <= len(rows) <= MAX_WAYPOINTS:
+        return [((), f"must hold 1 to {MAX_WAYPOINTS} entries, holds {len(rows)}")], ()
+    faults: list[tuple[Path, str]] = []
+    waypoints: list[tuple[float, float, float]] = []
+    before_s = -math.inf
+    for index, row in enumerate(rows):
+        if len(faults) >= MAX_FAULTS:
+            faults.append(((index,), "and what follows was not looked at"))
+            break
+        if not isinstance(row, list) or len(row) != 3:
+            has = f"has {len(row)}" if isinstance(row, list) else f"is {shown(row)}"
+            faults.append(((index,), f"must be three numbers [t_s, x_m, y_m], {has}"))
+            continue
+        found = _check_waypoint(row, before_s)
+        faults += [((index, column), text) for column, text in found]
+        if not found:
+            waypoints.append((float(row[0]), float(row[1]), float(row[2])))
+            before_s = waypoints[-1][0]
+    return faults, tuple(waypoints)
+
+
+def _check_waypoint(row: Sequence[object], before_s: float) -> list[tuple[int, str]]:
+    faults = []
+    for column, number in enumerate(row):
+        name = _COLUMNS[column]
+        low, high = (0.0, MAX_TIME_S) if column == 0 else (-MAX_COORDINATE_M, MAX_COORDINATE_M)
+        if isinstance(number, bool) or not isinstance(number, int | float):
+            faults.append((column, f"{name} must be a number, is {shown(number)}"))
+        elif not low <= number <= high:
+            faults.append((column, f"{name} must be between {low:g} and {high:g}, is {shown(number)}"))
+        elif column == 0 and number - before_s < MIN_STEP_S * (1 - 1e-6):
+            problem = f"{name} must be at least {MIN_STEP_S:g} later than {shown(before_s)} before it"
+            faults.append((column, f"{problem}, is {shown(number)}"))
+    return faults
+
+
+def _load_csv(name: str) -> Operator:
+    rows: list[object] = []
+    lines: list[int] = []
+    reader = csv.reader(io.StringIO(_read(name)), skipinitialspace=True)
+    faults: list[Problem] = []
+    try:
+        for cells in reader:
+            cells = [cell.strip() for cell in cells]
+            if not any(cells):
+                continue
+            numbers = [_number(cell) for cell in cells]
+            if not rows and not lines and not any(isinstance(number, float) for number in numbers):
+                lines.append(reader.line_num)
+                if tuple(cells) != _COLUMNS:
+                    problem = f"the header must be {','.join(_COLUMNS)}, is {quoted(','.join(cells))}"
+                    faults.append(Problem(_line(name, reader.line_num), problem))
+                continue
+            if not rows:
+                lines.clear()
+            rows.append(numbers)
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise InvalidError([Problem(_line(name, reader.line_num), f"not CSV: {error}")]) from None
+    found, waypoints = _check_waypoints(rows)
+    for path, text in found:
+        at = path[0] if path else None
+        faults.append(Problem(_line(name, lines[at] if isinstance(at, int) else 1), text))
+    if faults:
+        raise InvalidError(faults)
+    return Operator(waypoints, None)
+
+
+def _number(cell: str) -> float | str:
+    """The number in a cell, or the cell itself where it holds none."""
+    try:
+        return cell if "_" in cell else float(cell)
+    except ValueError:
+        return cell
+
+
+def _line(name: str, line: int) -> str:
+    return f"{one_line(name)}:{line}"
+
+
+def _read(name: str) -> str:
+    content = read_file(name, MAX_BYTES)
+    refuse_recording(content, name)
+    if len(content) > MAX_BYTES:
+        raise InvalidError([Problem(_line(name, 1), f"larger than {MAX_BYTES} bytes")])
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise InvalidError([Problem(_line(name, line), "not UTF-8")]) from None

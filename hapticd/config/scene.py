@@ -1,0 +1,372 @@
+"""Scenes: the objects in the workspace, and what of them is displayed.
+
+The workspace is a plane, x to the right and y up, in m. A normal points out of the solid into free space.
+"""
+
+import math
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from typing import Annotated, Final, Literal, NamedTuple, TypeAlias, get_args
+
+from pydantic import AfterValidator, Field, Strict, ValidationError
+
+from hapticd.base import arguments
+from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, quoted
+from hapticd.base.model import (
+    AT_ONCE,
+    MAX_FAULTS,
+    MOST_MEMBERS,
+    Damping,
+    Model,
+    Name,
+    Position,
+    Stiffness,
+    faults_of,
+    in_parts,
+    members,
+    plain,
+    problems_of,
+    refuse_many_keys,
+)
+from hapticd.base.yaml_source import Document, Json, load_path
+from hapticd.config.document_kinds import refuse_other_keys, refuse_other_kinds
+from hapticd.config.patches import TOUCHING_M, GivenPatches, patches_of
+
+MAX_OBJECTS: Final = 2**20
+"""Address room; memory follows what is used."""
+MIN_NORMAL_LENGTH = 1e-9
+MAX_NORMAL_COMPONENT = 1e9
+_ROUNDING: Final = 4 * 2.0**-52
+
+
+def _unit(vector: tuple[float, float]) -> tuple[float, float]:
+    length = math.hypot(*vector)
+    if length < MIN_NORMAL_LENGTH:
+        raise ValueError(f"must have a direction: a length of at least {MIN_NORMAL_LENGTH:g}, has {length:g}")
+    if abs(length - 1) <= _ROUNDING:  # already a unit vector: normalising again would only move its last bit
+        return vector
+    return vector[0] / length, vector[1] / length
+
+
+NormalComponent: TypeAlias = Annotated[float, Field(ge=-MAX_NORMAL_COMPONENT, le=MAX_NORMAL_COMPONENT)]
+Normal: TypeAlias = Annotated[tuple[NormalComponent, NormalComponent], Strict(False), AfterValidator(_unit)]
+Side: TypeAlias = Annotated[float, Field(ge=1e-4, le=20)]
+Size: TypeAlias = Annotated[tuple[Side, Side], Strict(False)]
+ForceComponent: TypeAlias = Annotated[float, Field(ge=-100, le=100)]
+ForceVector: TypeAlias = Annotated[tuple[ForceComponent, ForceComponent], Strict(False)]
+
+
+class Piece(NamedTuple):
+    """A stretch of a wall that is of one material, as they follow each other along it."""
+
+    from_m: float
+    """Where it begins; -inf for the first. It goes on to the beginning of the next, the last one for ever."""
+    material: str
+
+
+class Wall(Model):
+    """A half-plane of material: everything behind the line through `point_m`."""
+
+    kind: Literal["wall"]
+    point_m: Position = Field(description="A point of the surface, [x, y].")
+    normal: Normal = Field(description="Direction out of the solid, [x, y]; kept as a unit vector.")
+    material: Name = Field(description="Name of a material.")
+    patches: GivenPatches = Field(default=(), description="Stretches of other materials; they do not overlap.")
+    patch_ramp_m: float = Field(
+        default=0.001, ge=1e-5, le=1, description="Over which one material goes over into the next, across the edge."
+    )
+
+    def pieces(self) -> list[Piece]:
+        """The whole wall in rising order: patches and the base material between them. One piece without patches."""
+        return [Piece(*each) for each in zip(*self.stretches(), strict=True)]
+
+    def stretches(self) -> tuple[list[float], list[str]]:
+        """As `pieces`: where they begin, and their materials."""
+        begins, materials = [-math.inf], [self.material]
+        patches = patches_of(self.patches)
+        for index in patches.order:
+            from_m = patches.begins_m[index]
+            if from_m - begins[-1] <= TOUCHING_M:  # the base material has no room between two patches
+                begins.pop()
+                materials.pop()
+            begins += from_m, patches.ends_m[index]
+            materials += patches.material(index), self.material
+        return begins, materials
+
+
+class Box(Model):
+    """A solid rectangle."""
+
+    kind: Literal["box"]
+    center_m: Position = Field(description="Its middle, [x, y].")
+    size_m: Size = Field(description="Its sides, [width, height].")
+    angle_rad: float = Field(default=0.0, ge=-1000, le=1000, description="Turned so far, counterclockwise.")
+    material: Name = Field(description="Name of a material.")
+
+
+class Disc(Model):
+    """A solid disc."""
+
+    kind: Literal["disc"]
+    center_m: Position = Field(description="Its middle, [x, y].")
+    radius_m: float = Field(
+        ge=1e-4,
+        le=10,
+        description="Its radius R. A hand that presses harder than stiffness times R comes out on the other side.",
+    )
+    material: Name = Field(description="Name of a material.")
+
+
+class Membrane(Model):
+    """A straight elastic skin that can be pushed from both sides and, by its material, punctured."""
+
+    kind: Literal["membrane"]
+    center_m: Position = Field(description="Its middle, [x, y].")
+    normal: Normal = Field(description="Direction across the skin, [x, y]; kept as a unit vector.")
+    width_m: float = Field(ge=1e-4, le=20, description="Its length along the skin.")
+    material: Name = Field(description="Name of a material; without rupture the skin never breaks.")
+
+
+class Spring(Model):
+    """A field that pulls to a point and damps all motion."""
+
+    kind: Literal["spring"]
+    center_m: Position = Field(description="Where the force is zero, [x, y].")
+    stiffness_n_per_m: Stiffness = Field(description="Force per distance from the centre.")
+    damping_n_s_per_m: Damping = Field(default=0.0, description="Force against motion, per speed.")
+
+
+class Viscous(Model):
+    """A field that damps all motion."""
+
+    kind: Literal["viscous"]
+    damping_n_s_per_m: Damping = Field(description="Force against motion, per speed.")
+
+
+class Constant(Model):
+    """A field that pushes everywhere alike."""
+
+    kind: Literal["constant"]
+    force_n: ForceVector = Field(description="The force, [x, y].")
+
+
+Surface: TypeAlias = Wall | Membrane | Box | Disc
+"""What can be touched."""
+Passivity: TypeAlias = Literal["off", "observe", "control"]
+SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
+SURFACES: Final = (Wall, Membrane, Box, Disc)
+_SURFACE_KINDS: Final = tuple(tag for kind in SURFACES for tag in get_args(kind.model_fields["kind"].annotation))
+
+
+def materials_of(item: SceneObject) -> tuple[str, ...]:
+    """Names of the materials that an object is made of: its own first, then its patches'; none for a field."""
+    # By kind: isinstance of a pydantic model that an object is not takes longer than all the rest.
+    if item.kind == "wall" and item.patches:
+        patches = patches_of(item.patches)
+        return (item.material, *map(patches.material, range(len(patches))))
+    if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
+        return ()
+    return (item.material,)
+
+
+def material_names(item: SceneObject) -> Collection[str]:
+    """As materials_of, each once: in time that does not grow with the patches."""
+    if item.kind == "wall" and item.patches:
+        return {item.material: None} | dict.fromkeys(patches_of(item.patches).first)
+    return materials_of(item)
+
+
+def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
+    """The materials of an object, each once, and where it first names them."""
+    if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
+        return
+    yield item.material, ("material",)
+    if item.kind == "wall" and item.patches:
+        for name, index in patches_of(item.patches).first.items():
+            if name != item.material:
+                yield name, ("patches", index, "material")
+
+
+def field_ids(objects: Mapping[str, SceneObject]) -> list[str]:
+    """Ids of the fields that follow position or speed."""
+    return [id for id, item in objects.items() if item.kind == "spring" or item.kind == "viscous"]
+
+
+def used_materials(objects: Iterable[SceneObject]) -> set[str]:
+    """Names of all materials that these objects are made of."""
+    return {name for item in objects for name in material_names(item)}
+
+
+class Display(Model):
+    """Which parts of the force are displayed."""
+
+    force: bool = Field(default=True, description="Forces of objects and fields.")
+    vibration: bool = Field(default=True, description="Ringing modes and the noise of textures.")
+
+
+class Scene(Model):
+    """Objects by id, and how they are displayed."""
+
+    display: Display = Field(default=Display(), description="Force only, vibration only, or both.")
+    ramp_s: float = Field(
+        default=0.02, ge=0.001, le=1, description="Time in which a force comes in that would otherwise step."
+    )
+    passivity: Passivity = Field(
+        default="off",
+        description="The energy that touched objects give to the hand: not looked at, observed, or held down.",
+    )
+    objects: dict[Name, Annotated[SceneObject, Field(discriminator="kind")]] = Field(
+        default={}, max_length=MAX_OBJECTS, description="What is in the workspace, by id."
+    )
+
+    def with_objects(self, changes: Mapping[str, SceneObject | None]) -> "Scene":
+        """This scene with some objects added or replaced, and those given as None removed.
+
+        The objects are taken as validated (see validate_object); the others are the same instances as before.
+        Raises InvalidError for more than MAX_OBJECTS.
+        """
+        objects = dict(self.objects)
+        for name, changed in changes.items():
+            if changed is None:
+                objects.pop(name, None)
+            else:
+                objects[name] = changed
+        if len(objects) > MAX_OBJECTS:
+            problem = f"must hold at most {MAX_OBJECTS} entries, holds {len(objects)}"
+            raise InvalidError([Problem("objects", problem)])
+        # All three are valid already; copying the model would cost more than the rest of an update.
+        return Scene.model_construct(
+            display=self.display, ramp_s=self.ramp_s, passivity=self.passivity, objects=objects
+        )
+
+
+SceneSource: TypeAlias = "Scene | Mapping[str, object] | str | os.PathLike[str]"
+
+
+def load_scene(source: SceneSource) -> Scene:
+    """A scene from a mapping or a YAML file that holds either a scene or a section `scene` and nothing else.
+
+    Whether its materials exist is not checked here: see reference_problems. Raises InvalidError, with file
+    and line for a file; HapticdError for a file that cannot be read.
+    """
+    return source if isinstance(source, Scene) else read_scene(source)[0]
+
+
+def read_scene(source: Mapping[str, object] | str | os.PathLike[str]) -> tuple[Scene, Document, Path]:
+    """As load_scene; also the document that it stands in, and where."""
+    document = Document(plain(source)) if isinstance(source, Mapping) else load_path(arguments.path("scene", source))
+    refuse_other_kinds(document, "scene", "bare scene")
+    data = document.data
+    root: Path = ()
+    if isinstance(data, dict) and "scene" in data:
+        refuse_other_keys(document, (), (key for key in data if key != "scene"), "a scene, which is all")
+        data, root = data["scene"], ("scene",)
+    try:
+        return Scene.parsed(data), document, root
+    except ValidationError as error:
+        faults = faults_of(error)
+        raise InvalidError(document.problem(root + path, text) for path, text in faults) from None
+
+
+def validate_scene(data: object, root: Path = (), working: Callable[[], None] = lambda: None) -> Scene:
+    """A scene from plain data. Raises InvalidError; `where` begins with `root`.
+
+    `working` is called now and then: thousands of objects take seconds.
+    """
+    try:
+        if not isinstance(data, dict):
+            return Scene.parsed(data)
+        given = data.get("objects")
+        rest = {key: value for key, value in data.items() if key != "objects"}
+        refuse_many_keys(rest, root)
+        if isinstance(given, dict) and len(given) <= MAX_OBJECTS:
+            for id, item in given.items():
+                refuse_many_keys(item, (*root, "objects", id))
+            if len(given) > AT_ONCE or members(given) > MOST_MEMBERS:
+                return _large(rest, given, root, working)
+        return Scene.parsed(data)
+    except ValidationError as error:
+        raise InvalidError(problems_of(error, root)) from None
+
+
+def _large(rest: dict[str, object], given: Mapping[str, object], root: Path, working: Callable[[], None]) -> Scene:
+    problems: list[Problem] = []
+    scene, objects = Scene(), dict[str, SceneObject]()
+    try:
+        scene = Scene.parsed(rest)
+    except ValidationError as error:
+        problems += problems_of(error, root)
+    try:
+        objects = in_parts(given, _objects, root, "objects", working)
+    except InvalidError as error:
+        problems += error.problems
+    if problems:
+        raise InvalidError(problems)
+    return scene.with_objects(objects)
+
+
+def _objects(part: dict[str, object]) -> dict[str, SceneObject]:
+    return Scene.parsed({"objects": part}).objects
+
+
+def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
+    """One object from plain data. Raises InvalidError; `where` starts with `root`, `objects`, `name`."""
+    if isinstance(data, dict) and (len(data) > AT_ONCE or "patches" in data):
+        refuse_many_keys(data, (*root, "objects", name))
+    try:
+        return Scene.parsed({"objects": {name: data}}).objects[name]
+    except ValidationError as error:
+        raise InvalidError(problems_of(error, root)) from None
+
+
+def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
+    """Materials that objects name and nobody defines, with paths relative to the scene; MAX_FAULTS of them are told."""
+    named = (
+        (("objects", id, *(("patches", index - 1) if index else ()), "material"), name)
+        for id, item in objects.items()
+        if not all(name in materials for name in material_names(item))
+        for index, name in enumerate(materials_of(item))
+    )
+    return _unknown(named, materials)
+
+
+def faults_of_names(objects: Json, materials: Collection[str]) -> list[tuple[Path, str]]:
+    """As reference_faults, of plain data that is faulty elsewhere; what is no name in it is passed over."""
+    return _unknown(_named(objects), materials)
+
+
+def _named(objects: Json) -> Iterator[tuple[Path, str]]:
+    for id, item in objects.items() if isinstance(objects, dict) else ():
+        if not isinstance(item, dict) or item.get("kind") not in _SURFACE_KINDS:
+            continue
+        patches = item.get("patches")
+        parts: list[tuple[Path, Json]] = [((), item)]
+        parts += [
+            (("patches", index), patch) for index, patch in enumerate(patches if isinstance(patches, list) else ())
+        ]
+        for path, part in parts:
+            name = part.get("material") if isinstance(part, dict) else None
+            if isinstance(name, str):
+                yield ("objects", id, *path, "material"), name
+
+
+def _unknown(named: Iterable[tuple[Path, str]], materials: Collection[str]) -> list[tuple[Path, str]]:
+    faults: list[tuple[Path, str]] = []
+    more = 0
+    for path, wanted in named:
+        if wanted in materials:
+            continue
+        if len(faults) == MAX_FAULTS:
+            more += 1
+            continue
+        faults.append((path, f"unknown material {quoted(wanted)}; {known_names(wanted, materials)}"))
+    if more:
+        faults.append((("objects",), f"name unknown materials {more} times more"))
+    return faults
+
+
+def reference_problems(
+    objects: Mapping[str, SceneObject], materials: Collection[str], root: Path = ()
+) -> list[Problem]:
+    """As reference_faults; `where` begins with `root`, then `objects`."""
+    return [Problem(path_text(root + path), text) for path, text in reference_faults(objects, materials)]

@@ -1,0 +1,55 @@
+"""JSON Schema of the configuration, for editors that complete and check YAML."""
+
+from typing import cast
+
+from hapticd.base.yaml_source import Json
+from hapticd.config.configuration import Config
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+# Endings of keys, the longest first: `_n_s_per_m` ends in `_m` too.
+_UNITS = {
+    "_m_per_s2_per_n": "m/s^2/N",
+    "_hz_s_per_m": "Hz s/m",
+    "_m2_per_s4": "m^2/s^4",
+    "_n_s_per_m": "N s/m",
+    "_rad_per_s": "rad/s",
+    "_m_per_s2": "m/s^2",
+    "_hz_per_n": "Hz/N",
+    "_m_per_s": "m/s",
+    "_n_per_m": "N/m",
+    "_per_m": "1/m",
+    "_per_n": "1/N",
+    "_per_s": "1/s",
+    "_rad": "rad",
+    "_hz": "Hz",
+    "_us": "us",
+    "_kg": "kg",
+    "_m": "m",
+    "_n": "N",
+    "_s": "s",
+}
+
+
+def unit_of(key: str) -> str | None:
+    """The unit that the ending of a key names: `N/m` for `stiffness_n_per_m`; None without one."""
+    return next((unit for ending, unit in _UNITS.items() if key.endswith(ending)), None)
+
+
+def config_schema() -> dict[str, Json]:
+    """JSON Schema of a configuration file, with descriptions, units, limits and defaults."""
+    schema = cast(dict[str, Json], Config.model_json_schema())
+    schema = {"$schema": DIALECT, **schema, "title": "hapticd configuration"}
+    definitions = schema["$defs"]
+    assert isinstance(definitions, dict)
+    for definition in (schema, *definitions.values()):
+        assert isinstance(definition, dict)
+        properties = definition["properties"]
+        assert isinstance(properties, dict)
+        for key, described in properties.items():
+            assert isinstance(described, dict)
+            described["title"] = key
+            unit = unit_of(key)
+            if unit:
+                described["description"] = f"{described['description']} In {unit}."
+    return schema

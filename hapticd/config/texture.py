@@ -1,0 +1,344 @@
+"""Textures: what a surface does while the probe strokes along it.
+
+Grooves lie at s = k spacing, s the tangential coordinate of the surface; they are displayed as vibration, as geometry
+or as damping. Sandpaper is coloured noise whose power follows tangential speed v and normal force F, either given by
+the peak and the mean of its spectrum (`stochastic`) or by models identified from recordings (`autoregressive`).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, Final, Literal, Self, TypeAlias
+
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    Strict,
+    ValidationError,
+    ValidationInfo,
+    model_serializer,
+    model_validator,
+)
+from pydantic.config import JsonDict
+
+from hapticd.base.model import MAX_FAULTS, CheckedTogether, Damping, Model
+from hapticd.config.modes import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
+from hapticd.config.rising_points import MAX_POINTS, around, rising_faults
+from hapticd.config.vibration_direction import Direction
+
+MAX_ORDER: Final = 32
+MAX_MODELS: Final = 400
+MAX_DISTINCT: Final = 256
+"""Different speeds, and different forces, of the models of a texture."""
+_FEW_MODELS: Final = 8
+MAX_SEED: Final = 2**53
+MAX_RMS_M_PER_S2: Final = 1e6
+
+Display: TypeAlias = Literal["vibration", "geometry", "damping"]
+Gain: TypeAlias = Annotated[float, Field(ge=-1e5, le=1e5)]
+Threshold: TypeAlias = Annotated[float, Field(ge=1e-5, le=1)]
+Seed: TypeAlias = Annotated[int, Field(ge=0, le=MAX_SEED)]
+Coefficient: TypeAlias = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+_MODE_KEYS: Final = tuple(ModeKeys.model_fields)
+_ONE_FREQUENCY: Final = ("frequency_hz", "angular_frequency_rad_per_s")
+_GAINS: Final = ("velocity_gain_per_s", "force_gain_m_per_s2_per_n")
+_KEYS_OF: Final[dict[Display, tuple[str, ...]]] = {
+    "vibration": (*_GAINS, *_MODE_KEYS, "frequency_table"),
+    "geometry": ("depth_m",),
+    "damping": ("damping_n_s_per_m",),
+}
+
+
+def _needs(display: str, key: str) -> JsonDict:
+    return {"if": {"properties": {"display": {"const": display}}}, "then": {"required": [key]}}
+
+
+class FrequencyTable(CheckedTogether):
+    """The frequency of a groove's strikes over tangential speed and normal force."""
+
+    speeds_m_per_s: Annotated[tuple[Annotated[float, Field(ge=0, le=100)], ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_POINTS, description="Tangential speeds, rising."
+    )
+    forces_n: Annotated[tuple[Annotated[float, Field(ge=0, le=1000)], ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_POINTS, description="Normal forces, rising."
+    )
+    frequencies_hz: Annotated[
+        tuple[Annotated[tuple[Frequency, ...], Strict(False), Field(min_length=1, max_length=MAX_POINTS)], ...],
+        Strict(False),
+    ] = Field(min_length=1, max_length=MAX_POINTS, description="A list for each speed: a frequency for each force.")
+
+    def cross_faults(self) -> list[str]:
+        faults = [fault for key in ("speeds_m_per_s", "forces_n") for fault in rising_faults(key, getattr(self, key))]
+        speeds, forces, rows = len(self.speeds_m_per_s), len(self.forces_n), self.frequencies_hz
+        if len(rows) != speeds:
+            faults.append(f"frequencies_hz must have a list for each speed, {speeds}, has {len(rows)}")
+        for index, row in enumerate(rows):
+            if len(row) != forces:
+                faults.append(f"frequencies_hz[{index}] must have a frequency for each force, {forces}, has {len(row)}")
+                break
+        return faults
+
+    @property
+    def bounds_hz(self) -> tuple[float, float]:
+        """The lowest and the highest frequency: no strike has another one beyond them."""
+        every = [frequency for row in self.frequencies_hz for frequency in row]
+        return min(every), max(every)
+
+    def at(self, speed_m_per_s: float, force_n: float) -> float:
+        """Hz: bilinear between the points, beyond the outermost as there."""
+        i, j, fast = around(self.speeds_m_per_s, abs(speed_m_per_s))
+        k, m, hard = around(self.forces_n, force_n)
+        slow, quick = self.frequencies_hz[i], self.frequencies_hz[j]
+        low, high = (row[k] + hard * (row[m] - row[k]) for row in (slow, quick))
+        return low + fast * (high - low)
+
+
+class Grooves(CheckedTogether):
+    """Grooves at equal distances, felt as strikes, as a shape or as drag."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "allOf": [
+                _needs("geometry", "depth_m"),
+                _needs("damping", "damping_n_s_per_m"),
+                {
+                    "if": {"required": ["frequency_table"], "properties": {"frequency_table": {"type": "object"}}},
+                    "then": one_of("decay_time_s", "decay_rate_per_s"),
+                },
+            ]
+        }
+    )
+
+    kind: Literal["grooves"] = Field(description="Which kind of texture this is.")
+    display: Display = Field(description="What a groove does: strikes, lowers the surface, or drags.")
+    spacing_m: float = Field(ge=1e-5, le=1, description="Distance from one groove to the next.")
+    width_m: float = Field(ge=1e-6, le=1, description="Width of a groove, at most the spacing.")
+    velocity_gain_per_s: float = Field(
+        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike per tangential speed."
+    )
+    force_gain_m_per_s2_per_n: float = Field(
+        default=0.0, ge=0, le=1e5, description="Vibration: amplitude of a strike per normal force."
+    )
+    frequency_hz: Frequency | None = Field(
+        default=None, description="Vibration: frequency of the ringing; without a mode, the tap's rings."
+    )
+    angular_frequency_rad_per_s: AngularFrequency | None = Field(
+        default=None, description="Vibration: 2 pi times the frequency, instead of it."
+    )
+    decay_time_s: DecayTime | None = Field(
+        default=None, description="Vibration: time in which the ringing falls to 1/e."
+    )
+    decay_rate_per_s: DecayRate | None = Field(
+        default=None, description="Vibration: 1 over the decay time, instead of it."
+    )
+    frequency_table: FrequencyTable | None = Field(
+        default=None, description="Vibration: the frequency over speed and force, instead of one frequency."
+    )
+    depth_m: Annotated[float, Field(ge=1e-6, le=0.1)] | None = Field(
+        default=None, description="Geometry: depth of a groove in its middle; required there."
+    )
+    damping_n_s_per_m: Damping | None = Field(
+        default=None,
+        description="Damping: force against tangential motion, per speed, in the middle of a groove; required there.",
+    )
+
+    @property
+    def own_modes(self) -> tuple[Mode, ...]:
+        """The mode that a vibration's strike excites, where the texture has one of its own; of a table of frequencies
+        those at its lowest and at its highest."""
+        keys = self._mode_keys()
+        if keys is None:
+            return ()
+        if self.frequency_table is None:
+            return (keys.mode,)
+        bounds_hz = dict.fromkeys(self.frequency_table.bounds_hz)
+        return tuple(replace(keys.mode, angular_frequency_rad_per_s=2 * math.pi * hz) for hz in bounds_hz)
+
+    def _mode_keys(self) -> ModeKeys | None:
+        """With a table, of its lowest frequency."""
+        given = {key: value for key in _MODE_KEYS if (value := getattr(self, key)) is not None}
+        if self.frequency_table is not None:
+            given = {key: value for key, value in given.items() if key not in _ONE_FREQUENCY}
+            given["frequency_hz"] = self.frequency_table.bounds_hz[0]
+        return ModeKeys.model_construct(**given) if given else None
+
+    def _mode_faults(self) -> list[str]:
+        mode = self._mode_keys()
+        faults = [] if mode is None else mode.cross_faults()
+        if self.frequency_table is not None:
+            faults += [
+                f"needs exactly one of frequency_table and {key}, has both"
+                for key in _ONE_FREQUENCY
+                if getattr(self, key) is not None
+            ]
+        return faults
+
+    def cross_faults(self) -> list[str]:
+        faults = []
+        if self.width_m > self.spacing_m:
+            faults.append(f"width_m must be at most spacing_m, {self.spacing_m:.15g}, is {self.width_m:.15g}")
+        for display, keys in _KEYS_OF.items():
+            if display != self.display:
+                faults += [
+                    f"{key} belongs to display {display}, this one is {self.display}"
+                    for key in keys
+                    if key in self.model_fields_set and getattr(self, key) is not None
+                ]
+        match self.display:
+            case "vibration":
+                if not any(getattr(self, key) > 0 for key in _GAINS):
+                    faults.append(f"needs {_GAINS[0]} or {_GAINS[1]} above 0, or nothing is ever struck")
+                faults += self._mode_faults()
+            case "geometry" if self.depth_m is None:
+                faults.append("needs depth_m to be displayed as geometry")
+            case "damping" if self.damping_n_s_per_m is None:
+                faults.append("needs damping_n_s_per_m to be displayed as damping")
+        return faults
+
+    @model_serializer(mode="wrap")
+    def _without_keys_of_other_displays(self, serialized: SerializerFunctionWrapHandler) -> dict[str, object]:
+        others = {key for display, keys in _KEYS_OF.items() if display != self.display for key in keys}
+        data: dict[str, object] = serialized(self)
+        return {key: value for key, value in data.items() if key not in others}
+
+
+class Stochastic(Model):
+    """Coloured noise with a spectrum of the material's own, louder with speed and force."""
+
+    kind: Literal["stochastic"] = Field(description="Which kind of texture this is.")
+    peak_hz: Frequency = Field(description="Where its spectrum is highest.")
+    mean_hz: Frequency = Field(description="Mean frequency: the power's centroid from 0 to half the servo rate.")
+    velocity_gain_per_s: Gain = Field(default=0.0, description="RMS acceleration per tangential speed.")
+    force_gain_m_per_s2_per_n: Gain = Field(default=0.0, description="RMS acceleration per normal force.")
+    threshold_m_per_s: Threshold = Field(
+        default=0.002, description="Tangential speed below which it fades to silence at rest."
+    )
+    direction: Direction = Field(default="tangent", description="Where it acts: along the surface or across it.")
+    seed: Seed = Field(default=1, description="The same seed and motion give the same samples.")
+
+    @model_validator(mode="after")
+    def _is_heard(self) -> Self:
+        if max(self.velocity_gain_per_s, self.force_gain_m_per_s2_per_n) <= 0:
+            raise ValueError(f"needs {_GAINS[0]} or {_GAINS[1]} above 0, or it is never heard")
+        return self
+
+
+class AutoregressiveModel(Model):
+    """A model identified at one speed and force: x[n] = -(a_1 x[n-1] + ... + a_p x[n-p]) + e[n]."""
+
+    model_config = ConfigDict(json_schema_extra=one_of("rms_m_per_s2", "variance_m2_per_s4"))
+
+    speed_m_per_s: float = Field(ge=0, le=10, description="Tangential speed that it was identified at.")
+    force_n: float = Field(ge=0, le=100, description="Normal force that it was identified at.")
+    coefficients: Annotated[tuple[Coefficient, ...], Strict(False)] = Field(
+        min_length=1, max_length=MAX_ORDER, description="a_1 to a_p; all poles are inside the unit circle."
+    )
+    rms_m_per_s2: Annotated[float, Field(ge=0, le=1e5)] | None = Field(
+        default=None, description="RMS of the texture itself, of x."
+    )
+    variance_m2_per_s4: Annotated[float, Field(ge=0, le=1e10)] | None = Field(
+        default=None, description="Variance of the innovation e, instead of the RMS of x."
+    )
+
+    def level(self, reflection: Sequence[float]) -> float:
+        """RMS of x, m/s^2: what is given, or sqrt(variance / prod(1 - k^2)), k the model's reflection coefficients."""
+        if self.rms_m_per_s2 is not None:
+            return self.rms_m_per_s2
+        assert self.variance_m2_per_s4 is not None
+        power = math.prod(1.0 - k * k for k in reflection)
+        return math.sqrt(self.variance_m2_per_s4 / power) if power > 0 else math.inf
+
+    def _cross_faults(self) -> list[str]:
+        # The analysis needs numpy, which most of what reads a material does not.
+        from hapticd.rendering.filter_design import pole_radius, reflection_of
+
+        faults = []
+        given = [key for key in ("rms_m_per_s2", "variance_m2_per_s4") if getattr(self, key) is not None]
+        if len(given) != 1:
+            has = "both" if given else "neither"
+            faults.append(f"needs exactly one of rms_m_per_s2 and variance_m2_per_s4, has {has}")
+        try:
+            reflection = reflection_of(self.coefficients)
+        except ValueError:
+            radius = pole_radius(self.coefficients)
+            faults.append(f"is unstable: its largest pole has a radius of {radius:.6g}, which must be less than 1")
+            return faults
+        if len(given) == 1 and not self.level(reflection) <= MAX_RMS_M_PER_S2:
+            rms = self.level(reflection)
+            faults.append(f"has an RMS of {rms:.6g} m/s^2 with these coefficients, at most {MAX_RMS_M_PER_S2:g}")
+        return faults
+
+    @model_validator(mode="after")
+    def _refuse_cross_faults(self, info: ValidationInfo) -> Self:
+        working = (info.context or {}).get("working")
+        if working is not None:
+            working()
+        faults = self._cross_faults()
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
+
+
+def _not_too_many(models: object) -> object:
+    """Told before thousands of models are analysed one by one."""
+    if isinstance(models, list | tuple) and len(models) > MAX_MODELS:
+        raise ValueError(f"must hold at most {MAX_MODELS} entries, holds {len(models)}")
+    return models
+
+
+def _one_by_one(models: object, info: ValidationInfo) -> object:
+    """Many models, each validated by itself: the faults of all are told in one call, in which nobody else goes on.
+    After MAX_FAULTS the rest is not looked at."""
+    if not isinstance(models, list) or len(models) <= _FEW_MODELS:
+        return models
+    found: list[object] = []
+    faults = 0
+    for model in models:
+        try:
+            found.append(AutoregressiveModel.parsed(model, info.context))
+        except ValidationError as error:
+            found.append(model)
+            faults += error.error_count()
+            if faults >= MAX_FAULTS:
+                break
+    return found
+
+
+class Autoregressive(CheckedTogether):
+    """Coloured noise by models identified from recordings, blended over speed and force."""
+
+    kind: Literal["autoregressive"] = Field(description="Which kind of texture this is.")
+    rate_hz: float = Field(ge=100, le=1e5, description="Sampling rate of the recordings.")
+    models: Annotated[
+        tuple[AutoregressiveModel, ...], Strict(False), BeforeValidator(_one_by_one), BeforeValidator(_not_too_many)
+    ] = Field(
+        min_length=1, max_length=MAX_MODELS, description="Each at a speed and a force of its own: a grid or scattered."
+    )
+    threshold_m_per_s: Threshold = Field(
+        default=0.002, description="Tangential speed below which it fades to silence at rest."
+    )
+    direction: Direction = Field(default="tangent", description="Where it acts: along the surface or across it.")
+    seed: Seed = Field(default=1, description="The same seed and motion give the same samples.")
+
+    def cross_faults(self) -> list[str]:
+        faults = []
+        for key in ("speed_m_per_s", "force_n"):
+            distinct = len({getattr(model, key) for model in self.models})
+            if distinct > MAX_DISTINCT:
+                faults.append(f"models may have at most {MAX_DISTINCT} different {key}, have {distinct}")
+        first: dict[tuple[float, float], int] = {}
+        for index, model in enumerate(self.models):
+            place = (model.speed_m_per_s + 0.0, model.force_n + 0.0)  # -0 is 0
+            before = first.setdefault(place, index)
+            if before != index:
+                faults.append(
+                    f"models[{before}] and models[{index}] are both at {place[0]:.15g} m/s and {place[1]:.15g} N"
+                )
+                break
+        return faults
+
+
+Texture: TypeAlias = Annotated[Grooves | Stochastic | Autoregressive, Field(discriminator="kind")]

@@ -1,0 +1,1 @@
+"""The process: servo, commands, telemetry, flight recorder."""

@@ -1,0 +1,774 @@
+"""The methods of the protocol: what each takes, does and answers. `docs/protocol.md` is the reference.
+
+A handler gets validated parameters and returns the result, or raises MethodError. Nothing here knows of sockets.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import os
+import threading
+from collections.abc import Callable, Collection, Iterator, Mapping
+from concurrent.futures import Future
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Annotated, Any, Final, NamedTuple, TypeAlias, cast
+
+from pydantic import Field, ValidationError
+
+from hapticd._version import __version__
+from hapticd.base import clock, wording, worker_process
+from hapticd.base.core import Fault, SignsState
+from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
+from hapticd.base.model import MAX_FAULTS, Model, Name, Position, problems_of
+from hapticd.config.configuration import Config
+from hapticd.config.materials import Materials
+from hapticd.config.modes import ModeKeys
+from hapticd.config.operator import Target, parse_operator
+from hapticd.config.scene import (
+    SceneObject,
+    material_names,
+    materials_of,
+    reference_problems,
+    used_materials,
+    validate_scene,
+)
+from hapticd.config.texture import Autoregressive
+from hapticd.daemon.engine import (
+    Counters,
+    Engine,
+    Granted,
+    RingFullError,
+    StaleRevisionError,
+    WaitTimeoutError,
+    monotonic_ns,
+)
+from hapticd.daemon.flight_recorder import Flight
+from hapticd.daemon.intake import GivenUpError, Intake, Work
+from hapticd.daemon.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
+from hapticd.hid.signs import CORRECT
+from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
+from hapticd.protocol.encoded_scene import Told
+from hapticd.protocol.events import fault_names
+from hapticd.protocol.marks import Mark, MarkParams, checked_data
+from hapticd.protocol.messages import PROTOCOL, Code
+from hapticd.protocol.validation import faults_beside, patched_materials, patched_objects, whole_materials
+from hapticd.rendering.displayability import material_rate_faults, rate_faults
+from hapticd.rendering.joystick import grip_of, target_of
+from hapticd.system.repeated_lines import SHORTEST_S, Repeats
+
+LOAD_S: Final = 10.0
+"""So long the files of a configuration may take to be read. Commands and the end wait for it: the units' TimeoutStopSec
+and WatchdogSec are more."""
+_BEAT_S: Final = 0.1
+_log = logging.getLogger("hapticd")
+_FAULT_WORDS: Final = {
+    Fault.NONFINITE: "a position or a force was not a number",
+    Fault.CONTROL: "the control plane did not answer for a second",
+    Fault.LEASE: "a lease lapsed",
+    Fault.DEVICE: "the device does not report",
+    Fault.OVERRUN: "the servo missed too many periods",
+    Fault.FROZEN: "the device reported the same position all the time, under force",
+    Fault.SIGNS: "the signs of the device are not known",
+}
+
+
+_MOST_PARAMS: Final = 16
+
+
+class MethodError(Exception):
+    """The error object of an answer."""
+
+    def __init__(self, code: Code, message: str, data: object = None) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+        self.data = data
+
+
+class _NoParams(Model):
+    pass
+
+
+class _Change(Model):
+    expect_revision: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None
+    wait: bool = False
+
+
+class _SetScene(_Change):
+    scene: object
+
+
+class _UpdateScene(_Change):
+    objects: dict[str, object]
+
+
+class _UpdateMaterials(_Change):
+    materials: dict[str, object]
+
+
+class _SetMaterials(_Change):
+    materials: dict[str, object]
+
+
+class _Apply(_Change):
+    materials: dict[str, object] | None = None
+    scene: object = None
+
+
+class _Reload(_Change):
+    pass
+
+
+class _Play(Model):
+    direction: Position
+    amplitude_m_per_s2: float = Field(ge=0, le=1e5)
+    mode: ModeKeys | None = None
+    material: Name | None = None
+
+
+class _Reset(Model):
+    objects: Annotated[list[str], Field(max_length=1000)] | None = None
+
+
+class _SetForces(Model):
+    enabled: bool
+
+
+class _LeaseParams(Model):
+    duration_s: float = Field(ge=0, le=MAX_DURATION_S)
+    token: Annotated[str, Field(max_length=256)] | None = None
+
+
+class Changed(NamedTuple):
+    """A change that is in force, or will be in a moment."""
+
+    revision: int
+    wait: bool
+    """Whether its answer says from which tick on."""
+    warnings: list[Problem]
+
+
+class TakesLongError(Exception):
+    """A change is not brief."""
+
+
+CHANGES: Final = frozenset(("set_scene", "update_scene", "set_materials", "update_materials", "apply", "reload"))
+"""Methods that change scene or materials. What else there is stays brief whatever they take."""
+_MANY_OBJECTS: Final = 2000
+"""Taking the place of more objects takes long."""
+_BRIEF_FILTERS: Final = 4
+"""Designing more filters does."""
+Done: TypeAlias = dict[str, object] | Changed
+"""What was performed."""
+_Handler = Callable[["Control", Any], Done | Future[dict[str, object]]]
+
+
+def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
+    first = str(problems[0])
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    data = [{"where": problem.where, "problem": problem.problem} for problem in problems]
+    return MethodError(Code.INVALID_PARAMS, f"{first}{more}", data)
+
+
+def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
+    """A result, with what is not displayed as it was meant if there is anything."""
+    return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
+
+
+def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
+    """What was granted, and what has been refused since."""
+    told = granted.to_dict()
+    if counters.memory_refused:
+        told["missing"] = [*granted.missing, f"locked memory for all objects: {os.strerror(counters.memory_refused)}"]
+    return told
+
+
+def _needing_restart(before: Config, after: Config) -> list[Problem]:
+    """What of a configuration is another, and cannot be taken while the servo runs."""
+    problems = []
+    for section in Config.model_fields:
+        if section not in ("scene", "materials"):
+            old, new = getattr(before, section).to_dict(), getattr(after, section).to_dict()
+            problems += _differences((section,), old, new)
+    return problems
+
+
+def _differences(path: Path, old: object, new: object) -> list[Problem]:
+    if isinstance(old, dict) and isinstance(new, dict):
+        keys = [*old, *(key for key in new if key not in old)]
+        return [problem for key in keys for problem in _differences((*path, key), old.get(key), new.get(key))]
+    # Where the simulated handle starts matters at the start alone.
+    if old == new or path == ("device", "sim", "start_m"):
+        return []
+    text = f"{json.dumps(new)} needs a restart of the daemon; it runs with {json.dumps(old)}"
+    return [Problem(path_text(path), text)]
+
+
+class Control:
+    """Acts on one engine. One thread at a time."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        load: Callable[[], Config] | None = None,
+        flight: Flight | None = None,
+        ask_state: Callable[[], Future[dict[str, object]]] | None = None,
+    ) -> None:
+        """`load` reads the configuration anew, for `reload`; `ask_state` asks telemetry for the newest sample."""
+        self._engine = engine
+        self._load = load
+        self.intake = Intake()
+        self._told = Told()
+        self._flight = flight
+        self._ask_state = ask_state
+        self.repeats = Repeats()
+        """What clients cause in the log. Whoever calls also flushes it."""
+        self._lease = Lease(engine.set_lease, monotonic_ns)
+        self._started_ns = monotonic_ns()
+        self._wish = engine.config.device.sim.start_m
+        self._brief = False
+        self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
+
+    def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
+        """The result of a method, however long it takes. Raises MethodError."""
+        done = self.perform(method, params)
+        return done.result() if isinstance(done, Future) else self.finish(done)
+
+    def finish(self, done: Done) -> dict[str, object]:
+        """The result of what was performed. Waits for the servo where a change asks for that. Raises MethodError."""
+        if not isinstance(done, Changed):
+            return done
+        result = _with_warnings({"revision": done.revision}, done.warnings)
+        if done.wait:
+            try:
+                result["tick"] = self._engine.wait_revision(done.revision)
+            except WaitTimeoutError as error:
+                raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
+        faults = self._engine.faults()
+        if faults:
+            result["warning"] = self._off_because(faults)
+        return result
+
+    def takes_long(self, method: str, params: Mapping[str, object]) -> bool:
+        """Whether it is known of a change, before anything is done, that it takes longer than others should wait."""
+        if method == "reload":
+            return True
+        if method in ("set_scene", "apply") and len(self._engine.scene.objects) > _MANY_OBJECTS:
+            return True
+        materials = params.get("materials")
+        return isinstance(materials, dict) and any(
+            self._is_analysed(name, material) for name, material in materials.items()
+        )
+
+    def _is_analysed(self, name: str, given: object) -> bool:
+        """Whether a material, or one that is patched, has models to be analysed, or a new waveform."""
+        tap = given.get("tap") if isinstance(given, dict) else None
+        if isinstance(tap, dict) and "waveform" in tap:
+            return True
+        texture = given.get("texture") if isinstance(given, dict) else None
+        if isinstance(texture, dict) and "models" in texture:
+            return True
+        before = self._engine.materials.get(name)
+        return before is not None and isinstance(before.texture, Autoregressive)
+
+    def perform(
+        self, method: str, params: Mapping[str, object], brief: bool = False
+    ) -> Done | Future[dict[str, object]]:
+        """Does what a method is for; `finish` makes the result of it. Raises MethodError.
+
+        `brief`: a change that turns out to take long raises TakesLongError, with nothing changed. Methods of CHANGES
+        may be performed by another thread than the one that serves commands, by one at a time.
+        """
+        if method in CHANGES:
+            self._brief = brief
+        entry = _METHODS.get(method)
+        if entry is None:
+            raise MethodError(Code.NO_SUCH_METHOD, f"no such method; {known_names(method, _METHODS)}")
+        model, handler = entry
+        if len(params) > _MOST_PARAMS:
+            raise _faulty([Problem("", f"has {len(params)} parameters, no method takes more than {_MOST_PARAMS}")])
+        self._engine.working()
+        try:
+            return handler(self, params if model is None else model.parsed(params))
+        except ValidationError as error:
+            engine = self._engine
+            more = faults_beside(method, params, engine.scene, engine.materials, engine.working)
+            raise _faulty([*problems_of(error), *more]) from None
+        except InvalidError as error:
+            raise _faulty(error.problems) from None
+        except StaleRevisionError:
+            raise self._stale(params.get("expect_revision")) from None
+        except RingFullError as error:
+            raise MethodError(Code.RING_FULL, str(error)) from None
+        except WaitTimeoutError as error:
+            raise MethodError(Code.WAIT_TIMED_OUT, str(error)) from None
+        except worker_process.ApartError as error:
+            raise MethodError(Code.INTERNAL, f"{error}; nothing of this was done: send it again") from None
+
+    def status(self) -> dict[str, object]:
+        """The result of get_status, and the body of the status topic."""
+        engine = self._engine
+        counters = engine.counters()
+        granted = engine.granted
+        remaining, taken_in = self._lease.remaining_s, self.intake.work
+        lateness, work = engine.histograms()
+        return {
+            "version": __version__,
+            "protocol": PROTOCOL,
+            "started_ns": self._started_ns,
+            "clock": asdict(clock.read()),
+            "state": "running" if counters.running else "stopped",
+            "device": engine.config.device.kind,
+            "connection": None
+            if engine.connection is None
+            else {**engine.connection.status(), "signs": counters.signs.to_dict()},
+            "rate_hz": engine.rate_hz,
+            "realtime": None if granted is None else _realtime(granted, counters),
+            "revision": engine.revision,
+            "tick": counters.ticks,
+            "forces": "faulted" if counters.faults else "on" if counters.forces_on else "off",
+            "faults": fault_names(counters.faults) if counters.faults else [],
+            "lease_s": remaining,
+            "intake": None if taken_in is None else taken_in.status(),
+            "counters": {
+                "ticks": counters.ticks,
+                "skipped": counters.skipped,
+                "overruns": counters.overruns,
+                "samples_dropped": counters.samples_dropped,
+                "events_dropped": counters.events_dropped,
+                "strikes": counters.strikes,
+                "glitches": counters.glitches,
+                "saturations": counters.saturations,
+                "overloads": counters.overloads,
+                "suspends": counters.suspends,
+            },
+            "overruns": {
+                **engine.config.servo.overruns.to_dict(),
+                "missed_share": counters.missed_share,
+                "configured_rate_hz": engine.config.servo.rate_hz,
+            },
+            "histograms": {"lateness_ns": lateness.to_dict(), "work_ns": work.to_dict()},
+            "flight": None if self._flight is None else self._flight.status(),
+            "passivity": {"mode": engine.scene.passivity, **counters.energy._asdict()},
+            **self._find_limits(),
+            "stability": engine.stability().to_dict(),
+            "operator": engine.operator(),
+        }
+
+    @contextmanager
+    def beside(self, work: Work) -> Iterator[None]:
+        """This thread performs beside the one that serves commands meanwhile, and tells `work` how far it is."""
+        with self._engine.beside(work):
+            yield
+
+    def end(self) -> None:
+        """Gives up what is being taken in: the daemon ends. For any thread."""
+        self.intake.end()
+
+    def _find_limits(self) -> dict[str, object]:
+        """What the rate cannot carry as it is, found anew only when the scene or the materials changed."""
+        known, found = self._limits
+        state = (self._engine.revision, self._engine.offload_version)
+        if known != state:
+            undisplayable, warnings = self._engine.limits()
+            found = {
+                "undisplayable": [asdict(mode) for mode in undisplayable],
+                "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
+                "offload": [asdict(told) for told in self._engine.offloaded()[:MAX_FAULTS]],
+            }
+            self._limits = (state, found)
+        return found
+
+    # ---- Scene and materials ---------------------------------------------------------------------------------------
+
+    def _get_status(self, _: _NoParams) -> dict[str, object]:
+        return self.status()
+
+    def _get_state(self, _: _NoParams) -> Future[dict[str, object]]:
+        if self._ask_state is None:
+            raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
+        return self._ask_state()
+
+    def _get_config(self, _: _NoParams) -> dict[str, object]:
+        config = self._engine.config
+        return {"config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()}}
+
+    def _get_scene(self, _: _NoParams) -> dict[str, object]:
+        state = self._engine.state
+        return {"scene": self._told.scene(state.scene), "revision": state.revision}
+
+    def _set_scene(self, params: _SetScene) -> Changed:
+        self._expect(params)
+        scene = validate_scene(params.scene, ("scene",), self._engine.working)
+        self._engine.working()  # the largest scenes take their time; every stage shows that somebody is at work
+        problems = self._problems_of(scene.objects, ("scene",))
+        if problems:
+            raise _faulty(problems)
+        self._weigh(scene.objects, self._engine.materials)
+        self._told.prepare(scene.objects)
+        revision = self._engine.set_scene(scene, params.expect_revision)
+        return Changed(revision, params.wait, self._warnings(scene.objects, ("scene", "objects")))
+
+    def _update_scene(self, params: _UpdateScene) -> Changed:
+        self._expect(params)
+        engine = self._engine
+        changes = patched_objects(params.objects, engine.scene)
+        present = {id: item for id, item in changes.items() if item is not None}
+        problems = self._problems_of(present)
+        if problems:
+            raise _faulty(problems)
+        self._weigh(present, engine.materials)
+        self._told.prepare(present)
+        revision = engine.update_objects(changes, params.expect_revision)
+        return Changed(revision, params.wait, self._warnings(present, ("objects",)))
+
+    def _weigh(self, objects: Mapping[str, SceneObject], materials: Materials) -> None:
+        """Raises TakesLongError if what is performed is to be brief, and these would not be."""
+        self._engine.working()
+        if self._brief and self._engine.missing(objects.values(), materials) > _BRIEF_FILTERS:
+            raise TakesLongError
+
+    def _problems_of(
+        self, objects: Mapping[str, SceneObject], root: Path = (), materials: Materials | None = None
+    ) -> list[Problem]:
+        """Materials that these objects name and nobody defines, or no signal of this rate has."""
+        engine = self._engine
+        materials = engine.materials if materials is None else materials
+        problems = reference_problems(objects, materials, root)[:MAX_FAULTS]
+        if problems:
+            return problems
+        used = {name: materials[name] for name in used_materials(objects.values())}
+        refused = {
+            name: faults
+            for name, material in used.items()
+            if (faults := material_rate_faults(name, material, engine.output))
+        }
+        for id, item in objects.items() if refused else ():
+            for index, name in enumerate(materials_of(item)):
+                inner: Path = ("patches", index - 1, "material") if index else ("material",)
+                for fault in refused.get(name, ()):
+                    problems.append(Problem(path_text((*root, "objects", id, *inner)), str(fault)))
+            if len(problems) >= MAX_FAULTS:
+                break
+        return problems[:MAX_FAULTS]
+
+    def _get_materials(self, _: _NoParams) -> dict[str, object]:
+        state = self._engine.state
+        return {"materials": self._told.materials(state.materials), "revision": state.revision}
+
+    def _set_materials(self, params: _SetMaterials) -> Changed:
+        self._expect(params)
+        engine = self._engine
+        materials = whole_materials(params.materials, engine.materials, engine.working)
+        refused = rate_faults(engine.scene.objects, materials, engine.output)
+        if refused:
+            raise _faulty(refused)
+        self._weigh({}, materials)
+        revision = engine.set_materials(materials, params.expect_revision)
+        return Changed(revision, params.wait, self._material_warnings(params.materials))
+
+    def _apply(self, params: _Apply) -> Changed:
+        """Every fault of either part is told; materials and scene change at one tick, or neither does."""
+        self._expect(params)
+        engine = self._engine
+        problems: list[Problem] = []
+        materials, scene = engine.materials, engine.scene
+        if params.materials is None and "scene" not in params.model_fields_set:
+            raise _faulty([Problem("", "needs materials, scene or both")])
+        if params.materials is not None:
+            try:
+                materials = whole_materials(params.materials, engine.materials, engine.working)
+            except InvalidError as error:
+                problems += error.problems
+        if "scene" in params.model_fields_set:
+            try:
+                scene = validate_scene(params.scene, ("scene",), self._engine.working)
+            except InvalidError as error:
+                problems += error.problems
+        engine.working()
+        if not problems:
+            sent = {name: materials[name] for name in params.materials or ()}
+            problems = rate_faults(scene.objects, sent, engine.output)
+        if not problems:
+            problems = self._problems_of(scene.objects, ("scene",), materials)
+        if problems:
+            raise _faulty(problems)
+        self._weigh(scene.objects, materials)
+        self._told.prepare(scene.objects)
+        revision = engine.replace(scene, materials, params.expect_revision)
+        objects = scene.objects if "scene" in params.model_fields_set else {}
+        warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
+        return Changed(revision, params.wait, warnings)
+
+    def _update_materials(self, params: _UpdateMaterials) -> Changed:
+        self._expect(params)
+        engine = self._engine
+        materials, patched = patched_materials(params.materials, engine.materials, engine.working)
+        missing = [
+            Problem(path_text(("materials", name)), f"is used by object {quoted(id)} of the scene, so it must stay")
+            for id, item in engine.scene.objects.items()
+            for name in material_names(item)
+            if name not in materials
+        ]
+        if missing:
+            raise _faulty(missing)
+        refused = rate_faults(engine.scene.objects, materials, engine.output)
+        if refused:
+            raise _faulty(refused)
+        self._weigh({}, materials)
+        revision = engine.set_materials(materials, params.expect_revision)
+        return Changed(revision, params.wait, self._material_warnings(patched))
+
+    def _reload(self, params: _Reload) -> Changed:
+        """All or nothing: what needs a restart refuses the rest, too."""
+        self._expect(params)
+        engine = self._engine
+        if self._load is None:
+            raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
+        try:
+            config = self._read_anew(self._load)
+            engine.working()
+            fixed = _needing_restart(engine.config, config)
+            if fixed:
+                raise InvalidError(fixed)
+            refused = rate_faults(config.scene.objects, config.materials, engine.output)
+            if refused:
+                raise InvalidError(refused)
+            engine.working()
+            before = engine.scene
+            same = config.scene == before and config.materials == engine.materials
+            if same:
+                self._expect(params)
+                revision = engine.revision
+            else:
+                self._told.prepare(config.scene.objects)
+                revision = engine.replace(config.scene, config.materials, params.expect_revision)
+        except InvalidError as error:
+            self._tell(logging.ERROR, f"not reloaded: {error}")
+            raise _faulty(error.problems) from None
+        except (StaleRevisionError, GivenUpError):
+            raise
+        except HapticdError as error:
+            self._tell(logging.ERROR, f"not reloaded: {error}")
+            raise _faulty([Problem("", str(error))]) from None
+        old, new = before.objects, config.scene.objects
+        changed = sum(old.get(id) != item for id, item in new.items()) + sum(id not in new for id in old)
+        self._tell(logging.INFO, f"reloaded: revision {revision}, {wording.count(changed, 'object')} changed")
+        warnings = self._warnings(new, ("scene", "objects"), used_materials(new.values()))
+        return Changed(revision, params.wait, warnings)
+
+    def _tell(self, level: int, line: str) -> None:
+        """What came of a reload: one line a second at most, though a client may ask for hundreds."""
+        self.repeats.note(
+            f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=SHORTEST_S
+        )
+
+    def _read_anew(self, load: Callable[[], Config]) -> Config:
+        """Reads the files, for LOAD_S at most and until the daemon ends; meanwhile it says that it works, as large ones
+        take longer than the servo waits. Raises HapticdError."""
+        found: list[Config | BaseException] = []
+
+        computed = worker_process.used()
+
+        def read() -> None:
+            try:
+                with worker_process.using(computed):
+                    found.append(load())
+            except BaseException as error:
+                found.append(error)
+
+        # A daemon's thread: one that waits for a file for ever does not hold up the end of the process.
+        reader = threading.Thread(target=read, name="reload", daemon=True)
+        reader.start()
+        until_ns = monotonic_ns() + int(LOAD_S * 1e9)
+        while reader.is_alive():
+            if self.intake.ending.is_set():
+                raise HapticdError("the daemon ends")
+            if monotonic_ns() > until_ns:
+                raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
+            self._engine.working()
+            reader.join(_BEAT_S)
+        (result,) = found
+        if isinstance(result, BaseException):
+            raise result
+        return result
+
+    def _dump_flight(self, _: _NoParams) -> dict[str, object]:
+        if self._flight is None:
+            raise MethodError(Code.INTERNAL, "this daemon has no flight recorder")
+        return {"file": str(self._flight.dump())}
+
+    def _expect(self, params: _Change) -> None:
+        expected = params.expect_revision
+        if expected is not None and expected != self._engine.revision:
+            raise self._stale(expected)
+
+    def _stale(self, expected: object) -> MethodError:
+        revision = self._engine.revision
+        return MethodError(
+            Code.STALE_REVISION,
+            f"expect_revision: {expected} is stale, the scene is at revision {revision}",
+            {"revision": revision},
+        )
+
+    def _warnings(self, objects: Mapping[str, SceneObject], root: Path, sent: Collection[str] = ()) -> list[Problem]:
+        """What of these objects and materials, which are in force, is not displayed as it was meant."""
+        engine = self._engine
+        return change_warnings(objects, sent, engine.materials, engine.output, root, engine.played(), engine.working)
+
+    def _material_warnings(self, sent: Collection[str]) -> list[Problem]:
+        return self._warnings({}, (), sent)
+
+    # ---- Commands --------------------------------------------------------------------------------------------------
+
+    def _play(self, params: _Play) -> dict[str, object]:
+        if (params.mode is None) == (params.material is None):
+            raise _faulty([Problem("", "needs exactly one of mode and material")])
+        problems = []
+        if math.hypot(*params.direction) < 1e-9:
+            problems.append(Problem("direction", "must have a direction: a length of at least 1e-9"))
+        attack = "coefficient"
+        if params.mode is not None:
+            mode = params.mode.mode
+        else:
+            material = self._engine.materials.get(params.material or "")
+            if material is None:
+                names = known_names(params.material or "", self._engine.materials)
+                problems.append(Problem("material", f"unknown material {quoted(params.material or '')}; {names}"))
+            elif material.tap is not None and material.tap.ringing is None:
+                told = (
+                    f"the tap of {quoted(params.material or '')} is a waveform, which play cannot strike; give a mode"
+                )
+                problems.append(Problem("material", told))
+            elif material.tap is not None:
+                mode, attack = material.tap.mode, material.tap.attack
+            elif material.rupture is not None:
+                mode = material.rupture.mode
+            else:
+                told = f"{quoted(params.material or '')} has neither a tap nor a rupture to play"
+                problems.append(Problem("material", told))
+        if problems:
+            raise _faulty(problems)
+        self._need_forces()
+        tick, shown_hz = self._engine.play(mode, cast(Any, attack), params.direction, params.amplitude_m_per_s2)
+        wanted_hz = mode.frequency_hz
+        warnings = []
+        if shown_hz is None or abs(shown_hz - wanted_hz) > 1e-9 * wanted_hz:
+            where = "material" if params.mode is None else "mode"
+            warnings.append(Problem(where, above_rate(wanted_hz, shown_hz, self._engine.output)))
+        return _with_warnings({"tick": tick, "displayed_hz": shown_hz}, warnings)
+
+    def _reset(self, params: _Reset) -> dict[str, object]:
+        if params.objects is not None:
+            objects = self._engine.scene.objects
+            unknown = [
+                Problem(f"objects[{place}]", f"no object {quoted(id)}; {known_names(id, objects)}")
+                for place, id in enumerate(params.objects)
+                if id not in objects
+            ]
+            if unknown:
+                raise _faulty(unknown)
+        return {"tick": self._engine.reset(params.objects)}
+
+    def _mark(self, params: MarkParams) -> dict[str, object]:
+        return {"tick": self._engine.mark(Mark(params.text, checked_data(params.data)))}
+
+    def _set_forces(self, params: _SetForces) -> dict[str, object]:
+        self._lease.forget_lapsed()
+        tick = self._engine.set_forces(params.enabled)
+        faults = self._engine.faults()
+        if params.enabled and faults:
+            raise MethodError(Code.FORCES_OFF, self._off_because(faults), {"faults": fault_names(faults)})
+        told: dict[str, object] = {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
+        signs = self._engine.counters().signs
+        return {**told, "signs": signs.to_dict()} if params.enabled and signs.holds_back else told
+
+    def _lease_request(self, params: _LeaseParams) -> dict[str, object]:
+        try:
+            token = self._lease.request(params.duration_s, params.token)
+        except LeaseHeldError:
+            remaining = self._lease.remaining_s or 0.0
+            raise MethodError(
+                Code.LEASE_HELD, f"another client holds the lease for {remaining:.3f} s more", {"lease_s": remaining}
+            ) from None
+        except LeaseLapsedError:
+            raise self._lapsed() from None
+        result: dict[str, object] = {"token": token}
+        faults = self._engine.faults()
+        if faults:
+            result["warning"] = self._off_because(faults)
+        return result
+
+    def _lapsed(self) -> MethodError:
+        faults = self._engine.faults()
+        message = "token: no lease is held by it: it lapsed, was ended, or never was"
+        if faults:
+            message += f"; {self._off_because(faults)}"
+        return MethodError(Code.LEASE_LAPSED, message, {"faults": fault_names(faults)})
+
+    def _set_operator(self, params: Mapping[str, object]) -> dict[str, object]:
+        engine = self._engine
+        if engine.connection is not None:
+            raise MethodError(
+                Code.NO_OPERATOR,
+                f"set_operator moves the simulated joystick's hand; this device is of kind {engine.config.device.kind}",
+            )
+        operator = parse_operator(params)
+        engine.beat()
+        grip = grip_of(engine.config.device.sim)
+        waypoints = operator.waypoints_for(self._target, grip, self._wish, engine.scene.objects)
+        tick = engine.set_operator(waypoints, operator.interpolation)
+        self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
+        where = None if operator.gesture is None else "gesture"
+        warnings = operator_warnings(waypoints, engine.config.device.sim.workspace_m, where)
+        return _with_warnings({"duration_s": float(waypoints[-1, 0]), "tick": tick}, warnings)
+
+    def _target(self, id: str) -> Target | None:
+        item = self._engine.scene.objects.get(id)
+        return target_of(item, self._engine.materials)
+
+    def _need_forces(self) -> None:
+        counters = self._engine.counters()
+        if counters.faults:
+            raise MethodError(
+                Code.FORCES_OFF, self._off_because(counters.faults), {"faults": fault_names(counters.faults)}
+            )
+        if not counters.forces_on:
+            raise MethodError(Code.FORCES_OFF, "forces are off: set_forces with enabled: true turns them on")
+        if counters.signs.holds_back:
+            waits = counters.signs.line() or "they come in once that is done"
+            raise MethodError(Code.FORCES_OFF, f"forces are held back, the signs of the device are checked: {waits}")
+
+    def _off_because(self, faults: Fault) -> str:
+        signs = self._engine.counters().signs
+        words = {**_FAULT_WORDS, Fault.SIGNS: signs.seen or _FAULT_WORDS[Fault.SIGNS]}
+        reasons = " and ".join(words[fault] for fault in Fault if fault in faults)
+        if Fault.SIGNS in faults and signs.state == SignsState.WRONG:
+            return f"forces are off because {reasons}: {CORRECT}"
+        return f"forces are off because {reasons}: set_forces with enabled: true turns them on again"
+
+
+# `set_operator` takes what an operator file holds, which hapticd.config.operator validates.
+_METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
+    "get_status": (_NoParams, Control._get_status),
+    "get_state": (_NoParams, Control._get_state),
+    "get_config": (_NoParams, Control._get_config),
+    "get_scene": (_NoParams, Control._get_scene),
+    "set_scene": (_SetScene, Control._set_scene),
+    "update_scene": (_UpdateScene, Control._update_scene),
+    "get_materials": (_NoParams, Control._get_materials),
+    "set_materials": (_SetMaterials, Control._set_materials),
+    "update_materials": (_UpdateMaterials, Control._update_materials),
+    "apply": (_Apply, Control._apply),
+    "play": (_Play, Control._play),
+    "reset": (_Reset, Control._reset),
+    "mark": (MarkParams, Control._mark),
+    "set_forces": (_SetForces, Control._set_forces),
+    "set_operator": (None, Control._set_operator),
+    "lease": (_LeaseParams, Control._lease_request),
+    "reload": (_Reload, Control._reload),
+    "dump_flight": (_NoParams, Control._dump_flight),
+}

@@ -1,0 +1,981 @@
+"""The scene, the table that it compiles to, and the servo that renders it: what the protocol's methods act on.
+
+One thread at a time calls the methods that change something (the one that serves commands). Reading telemetry is for
+one other thread. The servo itself is C and waits for none of them.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.core import (
+    EVENT_DTYPE,
+    HISTOGRAM_EDGES_NS,
+    MARKS,
+    NO_SLOT,
+    PLAY_SLOT,
+    SAMPLE_DTYPE,
+    CData,
+    ClockSource,
+    CommandKind,
+    Fault,
+    OverrunAction,
+    Realtime,
+    Status,
+    ffi,
+    invalid_reason,
+    lib,
+    pointer,
+)
+from hapticd.base.errors import HapticdError, InvalidError, Problem
+from hapticd.config.configuration import Config, Device
+from hapticd.config.materials import Material, Materials
+from hapticd.config.modes import Attack, Mode
+from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
+from hapticd.daemon.plays import Play, Plays
+from hapticd.hid.connection import Connection, Link
+from hapticd.hid.offload import Offload, Offloaded
+from hapticd.hid.signs import Check, SignsLog, Told
+from hapticd.hid.sources import source_of
+from hapticd.hid.stopper import StopFile
+from hapticd.protocol.changes import Change, Reset, Revised, revised
+from hapticd.protocol.marks import Mark, Marks, MarksFullError
+from hapticd.protocol.messages import GESTURE_ENDS
+from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.displayability import (
+    Output,
+    Undisplayable,
+    displayed_mode,
+    material_warnings,
+    materials_in,
+    rate_faults,
+    undisplayable,
+    warnings,
+)
+from hapticd.rendering.joystick import new_operator, new_sim, set_rate
+from hapticd.rendering.scene_stability import Stability, judge
+from hapticd.rendering.stability import Loop, Timing, timing
+from hapticd.system.idle_states import Awake
+
+SAMPLE_CAPACITY: Final = 16384
+"""Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
+
+DEVICE_TIMEOUT_S: Final = 0.1
+"""A device that is this much later than its reports should be is lost."""
+
+FROZEN_FORCE: Final = 0.1
+"""The part of its largest force under which a handle that is watched for it must move."""
+CHANGES: Final = 1024
+"""Changes that wait to be told; older ones are given up."""
+
+WAIT_S: Final = 1.0
+"""How long a command waits for the servo to take it."""
+JUDGED_AT_ONCE: Final = 512
+"""Larger scenes are judged by a thread: nobody waits for it."""
+
+LOOK_EVERY_NS: Final = 50_000_000
+"""So often the thread that serves commands looks whether the servo needs something."""
+
+LEAST_RATE_HZ: Final = 1000.0
+"""The servo steps down to no less."""
+
+_NO_FAULT: Final = Fault(0)
+_log = logging.getLogger("hapticd")
+_MEMORY_KINDS: Final = ("none", "servo", "process")
+
+
+class RingFullError(HapticdError):
+    """The servo has not yet taken what was sent before; nothing of this was sent."""
+
+
+class WaitTimeoutError(HapticdError):
+    """The servo did not take a command or a revision in time."""
+
+
+class StaleRevisionError(HapticdError):
+    """A change was meant for another revision than the one in force; nothing of it was taken."""
+
+
+class State(NamedTuple):
+    """What is in force, as of one moment."""
+
+    scene: Scene
+    materials: Materials
+    revision: int
+
+
+class _Told(NamedTuple):
+    """What is said of a material."""
+
+    material: Material
+    output: Output
+    undisplayable: list[Undisplayable]
+    warnings: list[Problem]
+
+
+class _Working(threading.local):
+    """Called often in what takes long: the thread that serves commands beats, another one tells its progress."""
+
+    def __init__(self, beat: Callable[[], None]) -> None:
+        self.beat = beat
+        self.progress: Progress | None = None
+
+    def __call__(self) -> None:
+        (self.beat if self.progress is None else self.progress.step)()
+
+
+class Progress(Protocol):
+    """Who is told how far something is."""
+
+    done: int
+    of: int
+
+    def step(self) -> None: ...
+
+
+def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
+    """What a configuration's device makes of a scene at a rate.
+
+    `link_rate_hz`: forces a second that the device takes; None: what the simulated joystick's link carries.
+    """
+    device = config.device
+    if device.kind == "sim" and device.sim.link is not None:
+        link_rate_hz = device.sim.link.rate_hz
+    return Output(
+        rate_hz=rate_hz,
+        effective_mass_kg=device.effective_mass_kg,
+        max_force_n=device.max_force_n,
+        max_speed_m_per_s=device.max_speed_m_per_s,
+        undisplayable=device.undisplayable,
+        link_rate_hz=link_rate_hz,
+        compensation=device.compensation,
+        dynamics=device.dynamics,
+        rearm_m=device.rearm_m,
+        age_s=device.sim.age_s if device.kind == "sim" else 0.0,
+        actuator=device.lag,
+    )
+
+
+def loop_of(
+    config: Config,
+    rate_hz: float,
+    *,
+    resolution_m: float = 0.0,
+    force_step_n: float = 0.0,
+    link_rate_hz: float | None = None,
+) -> Loop | None:
+    """What closes the loop of a configuration's device at a rate; None where `device.handle` is needed and missing.
+
+    Resolution, force step and link are those of a real device (0 and None: not known); the simulated one has its own.
+    Of a real link it is assumed, as of the simulated one, that positions are a frame old and forces act a frame later.
+    """
+    device, sim = config.device, config.device.sim
+    dynamics = device.dynamics
+    if dynamics is None:
+        return None
+    if device.kind == "sim":
+        interval_s, age_s = sim.reports_s
+        frame_s, frames = (0.0, 1) if sim.link is None else (1.0 / sim.link.rate_hz, sim.link.delay_frames)
+        return Loop(
+            _lagging(device, timing(rate_hz, interval_s, age_s, frame_s, frames)),
+            dynamics,
+            sim.encoder_step_m,
+            sim.force_step_n,
+            min(device.max_force_n, sim.max_force_n),
+            sim.workspace_m,
+        )
+    frame_s = 1.0 / min(rate_hz, rate_hz if link_rate_hz is None else link_rate_hz)
+    return Loop(
+        _lagging(device, timing(rate_hz, frame_s, frame_s, frame_s, 1)),
+        dynamics,
+        resolution_m,
+        force_step_n,
+        device.max_force_n,
+        device.hid.travel_m,
+    )
+
+
+def _lagging(device: Device, timing: Timing) -> Timing:
+    """The timing behind the actuator, where its lag is known."""
+    known = device.lag
+    return timing if known is None else timing.behind(*known.shares())
+
+
+UNKNOWN_HANDLE: Final = "device.handle is not given: mass_kg, damping_n_s_per_m and friction_n of the handle decide it"
+"""Why the stability of a real joystick is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Granted:
+    """What the machine gave of what the servo asked for; `missing` says in words what it did not."""
+
+    scheduler: Literal["fifo", "other"]
+    priority: int
+    cpu: int | None
+    memory: str
+    awake: bool
+    missing: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, object]:
+        return {
+            "scheduler": self.scheduler,
+            "priority": self.priority,
+            "cpu": self.cpu,
+            "memory_locked": self.memory,
+            "idle_states_held": self.awake,
+            "missing": list(self.missing),
+        }
+
+
+class Energy(NamedTuple):
+    """What the touched objects gave to the hand, as far as the passivity observer saw it."""
+
+    energy_j: float
+    """In this contact, or in the last one; below zero: the hand gave more than it got."""
+    largest_j: float
+    """That it ever was in a contact."""
+    contacts: int
+    """From the first touch to the last release."""
+    restrained: int
+    """Of them, those in which the controller acted."""
+    acted: int
+    """Ticks in which it did."""
+
+
+class Histogram(NamedTuple):
+    """How often a time was how long: counts[0] below the first edge, counts[i] from edge i - 1 on and below edge i."""
+
+    edges_ns: tuple[int, ...]
+    counts: list[int]
+    sum_ns: int
+    max_ns: int
+
+    def to_dict(self) -> dict[str, object]:
+        return {"edges": list(self.edges_ns), "counts": self.counts, "sum": self.sum_ns, "max": self.max_ns}
+
+
+class Counters(NamedTuple):
+    """What the servo has counted since it started."""
+
+    ticks: int
+    skipped: int
+    overruns: int
+    samples_dropped: int
+    events_dropped: int
+    strikes: int
+    glitches: int
+    saturations: int
+    revision: int
+    faults: Fault
+    forces_on: bool
+    running: bool
+    memory_refused: int
+    """errno: the scene has grown beyond what may be locked; 0: memory is as granted."""
+    overloaded: bool
+    """The servo thread ended, or is about to, so that it can go on at a lower rate."""
+    overloads: int
+    """Seconds in which more periods than the threshold were missed."""
+    suspends: int
+    """Times that the machine was suspended."""
+    missed_share: float
+    """Part of the periods of the last whole second that were missed."""
+    signs: Told
+    """The check of a HID device's signs."""
+    energy: Energy
+    """As of the last tick that was watched."""
+
+
+class Engine:
+    """A servo with its device and its scene."""
+
+    def __init__(self, config: Config, stop_file: StopFile | None = None) -> None:
+        """Compiles the configuration's scene; nothing moves yet. `stop_file`: for what stops a real device.
+
+        Raises InvalidError for what no signal of this rate has, HapticdError.
+        """
+        servo = config.servo
+        self.config = config
+        self.rate_hz = servo.rate_hz
+        self.state = State(config.scene, config.materials, 1)
+        self.granted: Granted | None = None
+        self._look_ns = 0
+        self._suspends = 0
+        self._signs = SignsLog()
+        self._awake = Awake()
+        self._sim: CData | None = None
+        self.connection: Connection | None = None
+        self._offload: Offload | None = None
+        if config.device.kind == "sim":
+            self._sim = new_sim(config.device.sim, servo.rate_hz)
+        else:
+            below_servo = 0 if servo.realtime == "off" else max(1, servo.priority - 1)
+            hid = config.device.hid
+            checked = config.device.kind == "hid" and hid.signs == "check"
+            check = Check(hid.travel_m, hid.full_scale_force_n) if checked else None
+            self.connection = Connection(source_of(config.device), below_servo, stop_file, check)
+            if config.device.hid.offload == "auto":
+                self._offload = self.connection.offload
+        try:
+            self._make()
+        except BaseException:
+            self._disconnect()
+            raise
+
+    def _make(self) -> None:
+        """Opens the device, and makes the servo for it."""
+        config, servo = self.config, self.config.servo
+        sim = config.device.sim
+        resolution_m, report_age_s = sim.encoder_step_m, sum(sim.reports_s)
+        self.force_steps_n = (sim.force_step_n, sim.force_step_n)
+        self._link: Link | None = None
+        if self.connection is not None:
+            plan, self._link = self.connection.open()
+            self.force_steps_n = plan.force_steps_n
+            resolution_m, report_age_s = plan.resolution_m, 0.0
+        self._resolution_m = resolution_m
+        self.output = self._output_at(servo.rate_hz)
+        self._loop = self._loop_at(self.output)
+        self._compiling = threading.Lock()
+        self._judged: tuple[int, Stability] | None = None
+        self._judging = threading.Lock()
+        self._told: dict[str, _Told] = {}
+        refused = rate_faults(config.scene.objects, config.materials, self.output)
+        if refused:
+            raise InvalidError(refused)
+        if self._offload is not None:
+            self._offload.judge_by(self.output.carried_hz)
+        self._operators: deque[tuple[int, CData]] = deque()
+        self._operator_tick: int | None = None
+        self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
+        self._marks = Marks()
+        self._plays = Plays()
+        self._changes: deque[Change] = deque(maxlen=CHANGES)
+        self._dropped = ffi.new("uint64_t *")
+        self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
+        self._sequence = ffi.new("uint64_t *")
+        settings = ffi.new("struct hd_servo_config *")
+        settings.rate_hz = servo.rate_hz
+        settings.cpu = -1 if servo.cpu is None else servo.cpu
+        settings.priority = servo.priority
+        settings.realtime = Realtime[servo.realtime.upper()]
+        settings.slot_capacity = MAX_OBJECTS
+        settings.sample_capacity = SAMPLE_CAPACITY
+        settings.spin_ns = round(servo.spin_us * 1000)
+        settings.resolution_m = resolution_m
+        settings.device_timeout_s = DEVICE_TIMEOUT_S + report_age_s
+        settings.clock = ClockSource[servo.clock.upper()]
+        settings.overrun_threshold = servo.overruns.threshold
+        settings.overrun_action = self._overrun_action(servo.rate_hz)
+        settings.frozen_s = config.device.frozen_after_s or 0.0
+        settings.frozen_force_n = FROZEN_FORCE * config.device.max_force_n
+        # A real device pushes once somebody says so.
+        settings.forces_on = self._sim is not None
+        hid = None if self.connection is None else self.connection.hid
+        made = lib.hd_servo_new(settings, self._sim or ffi.NULL, hid or ffi.NULL)
+        if made == ffi.NULL:
+            raise HapticdError(invalid_reason())
+
+        # The thread ends first: the destructor itself keeps alive what the thread uses until then.
+        def free(servo: CData, _used: tuple[object, ...] = (self._sim, hid, self._operators)) -> None:
+            lib.hd_servo_free(servo)
+
+        self._servo = ffi.gc(made, free)
+        # Whoever compiles for seconds is at work all the while. (`made` itself keeps nothing alive.)
+        self._working = _Working(lambda: lib.hd_servo_beat(made))
+        self._compiler = Compiler(self.output, self._working, self._offload)
+        self._publish(self.scene, self.scene.objects, self.materials, self.revision)
+
+    def _output_at(self, rate_hz: float) -> Output:
+        return output_of(self.config, rate_hz, None if self._link is None else self._link.carried_hz(rate_hz))
+
+    def _loop_at(self, output: Output) -> Loop | None:
+        return loop_of(
+            self.config,
+            output.rate_hz,
+            resolution_m=self._resolution_m,
+            force_step_n=max(self.force_steps_n),
+            link_rate_hz=None if self._link is None else output.link_rate_hz,
+        )
+
+    def _overrun_action(self, rate_hz: float) -> OverrunAction:
+        """What the servo does about an overload at this rate."""
+        action = OverrunAction[self.config.servo.overruns.action.upper()]
+        if action == OverrunAction.STEP_DOWN and rate_hz < 2.0 * LEAST_RATE_HZ:
+            return OverrunAction.FAULT
+        return action
+
+    @property
+    def scene(self) -> Scene:
+        """The scene in force."""
+        return self.state.scene
+
+    @property
+    def materials(self) -> Materials:
+        """The materials in force."""
+        return self.state.materials
+
+    @property
+    def revision(self) -> int:
+        """Raised whenever the scene, the materials or the rate changes."""
+        return self.state.revision
+
+    # ---- Life ------------------------------------------------------------------------------------------------------
+
+    def start(self) -> Granted:
+        """Starts the servo thread. Raises HapticdError where real time is required and refused."""
+        try:
+            if self.connection is not None:
+                self.connection.start()
+            return self._start()
+        except BaseException:
+            self._disconnect()
+            raise
+
+    def _start(self) -> Granted:
+        grant = ffi.new("struct hd_grant *")
+        return self._take_grant(lib.hd_servo_start(self._servo, grant), grant)
+
+    def _take_grant(self, status: int, grant: CData) -> Granted:
+        servo = self.config.servo
+        missing = []
+        if grant.scheduler:
+            missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
+        if grant.affinity:
+            missing.append(f"processor {servo.cpu}: {os.strerror(grant.affinity)}")
+        if grant.memory:
+            kept = "only the servo's memory is locked" if grant.memory_kind else "nothing is locked"
+            missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
+        if servo.realtime != "off":
+            try:
+                self._awake.hold()
+            except OSError as error:
+                missing.append(f"processors kept out of deep idle states: {error.strerror} ({error.filename})")
+        if self.connection is not None and self.connection.denied:
+            missing.append("SCHED_FIFO for the threads that read and write the device")
+            if servo.realtime == "required":
+                status = Status.ERR_DENIED
+        if status == Status.ERR_DENIED:
+            raise HapticdError(
+                f"servo.realtime is required but refused: {'; '.join(missing)}; "
+                "raise the limits rtprio and memlock, or set servo.realtime to preferred"
+            )
+        if status != Status.OK:
+            raise HapticdError(f"the servo thread does not start: {os.strerror(ffi.errno)}")
+        self.granted = Granted(
+            scheduler="fifo" if grant.priority else "other",
+            priority=grant.priority,
+            cpu=None if grant.affinity else servo.cpu,
+            memory=_MEMORY_KINDS[grant.memory_kind],
+            awake=self._awake.held,
+            missing=tuple(missing),
+        )
+        return self.granted
+
+    def stop(self) -> None:
+        """Fades the force out over the ramp, puts zero, ends the thread and lets the device go."""
+        self._awake.release()
+        ended = lib.hd_servo_stop(self._servo)
+        self._disconnect()
+        if ended != Status.OK:
+            raise HapticdError(f"the servo thread does not end: {os.strerror(ffi.errno)}")
+
+    def _disconnect(self) -> None:
+        if self.connection is not None:
+            self.connection.stop()
+
+    def beat(self) -> None:
+        """The thread that serves commands lives; without a beat for a second the forces fade out."""
+        lib.hd_servo_beat(self._servo)
+
+    def working(self) -> None:
+        """Called often by who changes something: beats in the thread that serves commands, and tells another one's
+        progress, which raises what ends it."""
+        if self._working.progress is None:
+            self.beat()
+        else:
+            self._working()
+
+    @contextmanager
+    def beside(self, progress: Progress) -> Iterator[None]:
+        """What this thread changes, it changes beside the one that serves commands."""
+        self._working.progress = progress
+        try:
+            yield
+        finally:
+            self._working.progress = None
+
+    # ---- What the servo cannot do by itself --------------------------------------------------------------------------
+
+    def look_after(self) -> None:
+        """Looks, now and then, whether the servo or its device needs something: another rate, a new set-up. For the
+        thread that changes something, which calls it often. Raises HapticdError where the servo does not go on."""
+        now_ns = monotonic_ns()
+        if now_ns < self._look_ns:
+            return
+        self._look_ns = now_ns + LOOK_EVERY_NS
+        self._changes.extend(self._plays.taken(self._servo))
+        counters = self.counters()
+        if counters.suspends != self._suspends:
+            self._suspends = counters.suspends
+            if self.connection is not None:
+                self.connection.suspect()
+        self._signs.note(counters.signs)
+        # While another thread compiles, the rate stays; it is looked at again soon.
+        if counters.overloaded and not counters.running and self._compiling.acquire(blocking=False):
+            try:
+                self._step_down()
+            finally:
+                self._compiling.release()
+
+    def _step_down(self) -> None:
+        """Half the rate, or, where that cannot be, the same with a fault."""
+        before, after = self.output, self._output_at(0.5 * self.rate_hz)
+        refused = rate_faults(self.scene.objects, self.materials, after)
+        problem = str(InvalidError(refused)) if refused else None
+        if problem is None:
+            try:
+                self._change_rate(after)
+            except HapticdError as error:
+                problem = str(error)
+        if problem is not None:
+            _log.error("no step down to %g Hz: %s", after.rate_hz, problem)
+            self._change_rate(before)
+        grant = ffi.new("struct hd_grant *")
+        faults = 0 if problem is None else int(Fault.OVERRUN)
+        self._take_grant(lib.hd_servo_restart(self._servo, faults, grant), grant)
+
+    def _change_rate(self, output: Output) -> None:
+        """Of a servo that has ended by overload. Raises HapticdError; then it is to be called with another one."""
+        rate_hz = output.rate_hz
+        told_hz = None if rate_hz == self.rate_hz else rate_hz
+        if lib.hd_servo_set_rate(self._servo, rate_hz, self._overrun_action(rate_hz)) != Status.OK:
+            raise HapticdError(f"servo: {invalid_reason()}")
+        if self._sim is not None:
+            set_rate(self._sim, self.config.device.sim, rate_hz)
+        self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
+        if self._offload is not None:
+            self._offload.judge_by(output.carried_hz)
+        self._compiler.turn_to(output)
+        self._plays.turn_to(self._servo, output)
+        revision = (self.revision + 1) & 0xFFFFFFFF
+        self._publish(self.scene, (), self.materials, revision)
+        self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
+        self.state = self.state._replace(revision=revision)
+
+    # ---- Scene and materials ---------------------------------------------------------------------------------------
+
+    def set_scene(self, scene: Scene, expected: int | None = None) -> int:
+        """Takes a validated scene; returns its revision. `expected`: the revision that it is to follow on.
+
+        Raises StaleRevisionError, as all that change something do.
+        """
+        return self.replace(scene, self.materials, expected)
+
+    def update_objects(self, changes: Mapping[str, SceneObject | None], expected: int | None = None) -> int:
+        """Adds, replaces and (None) removes validated objects; returns the revision."""
+        return self._take(self.scene.with_objects(changes), changes, self.materials, expected)
+
+    def replace(self, scene: Scene, materials: Materials, expected: int | None = None) -> int:
+        """Takes a validated scene and the materials that it uses, at once; returns its revision."""
+        before = self.scene.objects
+        changed = [id for id, item in scene.objects.items() if before.get(id) != item]
+        changed += [id for id in before if id not in scene.objects]
+        return self._take(scene, changed, materials, expected)
+
+    def set_materials(self, materials: Materials, expected: int | None = None) -> int:
+        """Takes validated materials that define every name the scene uses; returns the revision."""
+        return self._take(self.scene, (), materials, expected)
+
+    def missing(self, objects: Iterable[SceneObject], materials: Materials) -> int:
+        """Filters, shapes and spectra that are yet to be found for these objects and for what is in use, with these
+        materials; a few milliseconds each."""
+        return self._compiler.missing(used_materials(objects), materials)
+
+    def wait_revision(self, revision: int) -> int:
+        """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
+        return self._wait(
+            lambda timeout_ns, tick: lib.hd_servo_wait_revision(self._servo, revision, timeout_ns, tick),
+            f"revision {revision} was not in force",
+        )
+
+    def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
+        """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
+        scene, materials, _ = self.state
+        objects = _of_all_materials(scene.objects)
+        told = {name: self._tell(name, each) for name, each in materials_in(objects, materials).items()}
+        self._told = dict(told)
+        played = self.played()
+        lacking = [one for each in told.values() for one in each.undisplayable]
+        found = [one for each in told.values() for one in each.warnings]
+        found += warnings(objects, {}, self.output)
+        return [one for one in lacking if (one.material, one.mode) not in played], found
+
+    def _tell(self, name: str, material: Material) -> _Told:
+        """What the rate cannot carry of a material, and what is shown otherwise; found once while it is in use."""
+        known = self._told.get(name)
+        if known is None or known.material is not material or known.output is not self.output:
+            output = self.output
+            lacking = undisplayable({name: material}, output)
+            known = self._told[name] = _Told(material, output, lacking, material_warnings(name, material, output))
+        return known
+
+    def played(self) -> set[tuple[str, str]]:
+        """Materials of the scene and modes of theirs that the device plays by itself. For any thread."""
+        return {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
+
+    @property
+    def offload_version(self) -> int:
+        """Raised whenever `offloaded` may say something else though the scene is the same."""
+        return 0 if self._offload is None else self._offload.version
+
+    def offloaded(self) -> list[Offloaded]:
+        """What became of the scene's taps and ruptures, where the device was to play them by itself. For any thread."""
+        if self._offload is None:
+            return []
+        return self._offload.told(materials_in(self.scene.objects, self.materials))
+
+    def stability(self) -> Stability:
+        """Which sets of objects that act together are not safe, of the scene in force. For any thread.
+
+        Found anew only where the scene changed. While another thread changes it, that of the scene before; of a scene
+        of more than JUDGED_AT_ONCE objects and patches, until a thread has found it, which takes seconds at most.
+        """
+        if self._loop is None:
+            return Stability(UNKNOWN_HANDLE, None)
+        known = self._judged
+        # Nobody waits here for the filters of many textures; but the first one is always told.
+        if not self._compiling.acquire(blocking=known is None):
+            assert known is not None
+            return known[1]
+        try:
+            if known is not None and known[0] == self.revision:
+                return known[1]
+            revision, scene, parts = self.revision, self.scene, self._compiler.parts()
+            names = self._compiler.names()
+        finally:
+            self._compiling.release()
+        loop = self._loop
+
+        def find() -> Stability:
+            found = judge(parts, names.__getitem__, lambda: field_ids(scene.objects), loop)
+            self._judged = revision, found
+            return found
+
+        if known is None or np.count_nonzero(parts.objects["shape"]) + len(parts.pieces) <= JUDGED_AT_ONCE:
+            return find()
+        if self._judging.acquire(blocking=False):
+
+            def run() -> None:
+                try:
+                    find()
+                finally:
+                    self._judging.release()
+
+            try:
+                threading.Thread(target=run, name="stability", daemon=True).start()
+            except RuntimeError:  # there may be no more threads: whoever asks finds it
+                self._judging.release()
+                return find()
+        return known[1]
+
+    def name_of(self, slot: int, generation: int) -> str | None:
+        """The id of the object that an event speaks of; None where no object is meant."""
+        return self._compiler.name_of(slot, generation)
+
+    def events_read(self, revision: int) -> None:
+        """Every event was read that is older than a sample of this revision, or of its tick: objects that are gone
+        since are not asked for by name any more."""
+        self._compiler.events_read(revision)
+
+    def _take(self, scene: Scene, changed: Iterable[str], materials: Materials, expected: int | None) -> int:
+        changed = tuple(changed)
+        objects = scene.objects
+        # What takes long comes first: whoever wants to know the state, or another rate, waits for the rest alone.
+        names = used_materials(objects[id] for id in changed if id in objects)
+        progress = self._working.progress
+        self._compiler.prepare(names, materials, progress)
+        if progress is not None:
+            for name in names:  # or who asks for the status first would have to find it out
+                self._tell(name, materials[name])
+                progress.step()
+        with self._compiling:
+            before = self.state
+            if expected is not None and expected != before.revision:
+                raise StaleRevisionError(f"revision {expected} is not in force")
+            revision = (before.revision + 1) & 0xFFFFFFFF
+            self._publish(scene, changed, materials, revision)
+            self._changes.append(revised(revision, before.scene, scene, changed, before.materials, materials))
+            self.state = State(scene, materials, revision)
+        return revision
+
+    def _publish(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
+        changed = list(changed)
+        table = self._compiler.update(scene, changed, materials, revision)
+        if self._offload is not None:
+            self._offload.settle()
+        status = lib.hd_servo_publish(self._servo, table)
+        if status != Status.OK:
+            # The servo still has what it had; so does the compiler after this.
+            reason = "no memory" if status == Status.ERR_MEMORY else invalid_reason()
+            self._compiler.restore(self.scene, changed, self.materials, self.revision)
+            raise HapticdError(f"the scene cannot be rendered: {reason}")
+        self._compiler.published()
+
+    # ---- Commands --------------------------------------------------------------------------------------------------
+
+    def play(
+        self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float
+    ) -> tuple[int, float | None]:
+        """Strikes a mode; the tick that took it, and the frequency displayed (None: the rate cannot carry it).
+
+        What WaitTimeoutError is raised for may still be struck, at the rate that the servo has then.
+        """
+        command = self._command(CommandKind.PLAY)
+        effect = None
+        if self._offload is not None:
+            effect = self._offload.take(mode)
+            self._offload.give(mode)
+            self._offload.settle()
+        length = math.hypot(*direction)
+        command.direction = (direction[0] / length, direction[1] / length)
+        command.amplitude = amplitude_m_per_s2
+        command.slot = PLAY_SLOT
+        play = Play(mode, attack, direction, amplitude_m_per_s2, effect)
+        output = None
+        # A servo that ended meanwhile takes it in its first tick again, before any force: it is struck once more.
+        while output is not self.output:
+            output = self.output
+            command.mode = play.record(output)
+            tick = self._send_and_wait([command], play=play)
+        self._changes.extend(self._plays.taken(self._servo))
+        played_hz = None if self._offload is None else self._offload.shown_hz(mode)
+        if played_hz is not None:
+            return tick, played_hz
+        shown, _ = displayed_mode(mode, self.output)
+        return tick, None if shown is None else shown.frequency_hz
+
+    def reset(self, ids: Iterable[str] | None) -> int:
+        """Heals membranes and clears contact state, of these objects or of all; the tick that took it."""
+        commands = []
+        ids = None if ids is None else tuple(ids)
+        if ids is None:
+            command = self._command(CommandKind.RESET)
+            command.slot = NO_SLOT
+            commands.append(command)
+        else:
+            for id in ids:
+                place = self._compiler.slot_of(id)
+                if place is not None:
+                    command = self._command(CommandKind.RESET)
+                    command.slot, command.generation = place
+                    commands.append(command)
+        tick = self._send_and_wait(commands)
+        self._changes.append(Reset(tick, ids))
+        return tick
+
+    def set_forces(self, enabled: bool) -> int:
+        """Forces on (which clears latched faults whose cause is gone) or off; the tick that took it."""
+        command = self._command(CommandKind.FORCES)
+        command.value = enabled
+        return self._send_and_wait([command])
+
+    def set_operator(self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]) -> int:
+        """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned.
+
+        Raises HapticdError where there is no simulated hand.
+        """
+        if self._sim is None:
+            raise HapticdError(f"the device is of kind {self.config.device.kind}: its handle has a hand of its own")
+        path = new_operator(waypoints.tolist(), interpolation)
+        command = self._command(CommandKind.OPERATOR)
+        command.path = path
+        tick = self._send_and_wait([command], keep=path)
+        # The servo uses the newest only.
+        while len(self._operators) > 1:
+            self._operators.popleft()
+        self._operator_tick = tick
+        return tick
+
+    def operator(self) -> dict[str, object] | None:
+        """The tick that took the last operator, and the last gestures that ended; None without a simulated hand. For
+        any thread."""
+        if self._sim is None:
+            return None
+        return {"started_tick": self._operator_tick, "ends": list(self._gesture_ends)}
+
+    def gesture_ended(self, event: dict[str, object]) -> None:
+        """Keeps the event at a gesture's end. For the thread that reads events."""
+        self._gesture_ends.append(event)
+
+    def mark(self, mark: Mark) -> int:
+        """Has the servo leave an event for a mark; the tick that took it. Forces may be off, faults latched."""
+        try:
+            number = self._marks.add(mark)
+        except MarksFullError:
+            raise RingFullError(f"{MARKS} marks are under way: their events have not been sent yet") from None
+        command = self._command(CommandKind.MARK)
+        command.value = number
+        try:
+            return self._send_and_wait([command])
+        except RingFullError:
+            self._marks.take(number)
+            raise
+
+    def take_mark(self, number: int) -> Mark:
+        """The mark of an event. For the thread that reads events, once for each."""
+        return self._marks.take(number)
+
+    def set_lease(self, deadline_ns: int) -> None:
+        """Forces fade out when this time (CLOCK_MONOTONIC) passes; 0: no lease."""
+        lib.hd_servo_set_lease(self._servo, deadline_ns)
+
+    def _command(self, kind: CommandKind) -> CData:
+        command = ffi.new("struct hd_command *")
+        command.kind = kind
+        command.revision = self.revision
+        return command
+
+    def _send_and_wait(self, commands: list[CData], keep: CData | None = None, play: Play | None = None) -> int:
+        if not commands:
+            return self.counters().ticks
+        batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
+        status = lib.hd_servo_send(self._servo, batch, len(commands), self._sequence)
+        if status == Status.ERR_FULL:
+            raise RingFullError(f"the command ring has no room for {len(commands)} more")
+        if status != Status.OK:
+            raise HapticdError(invalid_reason())
+        sequence = self._sequence[0]
+        if keep is not None:
+            self._operators.append((sequence, keep))
+        if play is not None:
+            self._plays.sent(sequence, play)
+        return self._wait(
+            lambda timeout_ns, tick: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, tick),
+            "the servo did not take the command",
+        )
+
+    def _wait(self, taken: Callable[[int, CData], int], late: str) -> int:
+        """The tick that took something; `taken` itself waits for at most the nanoseconds that it is given.
+
+        A servo that steps down goes on by this thread's doing, and would be waited for in vain if it did not look after
+        it. Raises WaitTimeoutError, which says what is `late`.
+        """
+        tick = ffi.new("uint64_t *")
+        until_ns = monotonic_ns() + int(WAIT_S * 1e9)
+        while taken(max(0, min(LOOK_EVERY_NS, until_ns - monotonic_ns())), tick) != Status.OK:
+            if monotonic_ns() >= until_ns:
+                raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
+            self.look_after()
+        return int(tick[0])
+
+    # ---- What the servo says ---------------------------------------------------------------------------------------
+
+    def counters(self) -> Counters:
+        """What was counted so far."""
+        raw = ffi.new("struct hd_counters *")
+        lib.hd_servo_counters(self._servo, raw)
+        return Counters(
+            raw.ticks,
+            raw.skipped,
+            raw.overruns,
+            raw.samples_dropped,
+            raw.events_dropped,
+            raw.strikes,
+            raw.glitches,
+            raw.saturations,
+            raw.revision,
+            Fault(raw.faults) if raw.faults else _NO_FAULT,
+            bool(raw.forces_on),
+            bool(raw.running),
+            raw.memory_refused,
+            bool(raw.overloaded),
+            raw.overloads,
+            raw.suspends,
+            raw.missed_share,
+            Told.read(raw.signs),
+            energy_of(raw.energy),
+        )
+
+    def histograms(self) -> tuple[Histogram, Histogram]:
+        """Of lateness and of work, since the start. For any thread."""
+        raw = ffi.new("struct hd_histograms *")
+        lib.hd_servo_histograms(self._servo, raw)
+        return _histogram_of(raw.lateness), _histogram_of(raw.work)
+
+    def faults(self) -> Fault:
+        """The faults that are latched."""
+        raw = ffi.new("struct hd_counters *")
+        lib.hd_servo_counters(self._servo, raw)
+        return Fault(raw.faults) if raw.faults else _NO_FAULT
+
+    def read_changes(self) -> Iterator[Change]:
+        """What commands changed since it was read last. For one thread."""
+        with suppress(IndexError):
+            while True:
+                yield self._changes.popleft()
+
+    def read_samples(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
+        """Moves samples into `room` (SAMPLE_DTYPE); how many, and the running total of those dropped."""
+        return self._read(lib.hd_servo_read_samples, "struct hd_sample[]", SAMPLE_DTYPE, room)
+
+    def read_events(self, room: npt.NDArray[np.void]) -> tuple[int, int]:
+        """Moves events into `room` (EVENT_DTYPE); how many, and the running total of those dropped."""
+        return self._read(lib.hd_servo_read_events, "struct hd_event[]", EVENT_DTYPE, room)
+
+    def touching(self) -> list[str]:
+        """The ids of what is touched, at most 1024, by the servo's own account: no event is needed for it. For the
+        thread that reads samples and events, after these."""
+        count = lib.hd_servo_read_touched(self._servo, self._touched)
+        names = (self.name_of(record.slot, record.generation) for record in self._touched[0:count])
+        return sorted(name for name in names if name is not None)
+
+    def _read(
+        self,
+        read: Callable[[CData, CData, int, CData], int],
+        ctype: str,
+        dtype: np.dtype[np.void],
+        room: npt.NDArray[np.void],
+    ) -> tuple[int, int]:
+        if room.dtype != dtype:
+            raise ValueError(f"room for records of {dtype}, not {room.dtype}")
+        count = read(self._servo, pointer(ctype, room), len(room), self._dropped)
+        return int(count), int(self._dropped[0])
+
+
+def energy_of(raw: CData) -> Energy:
+    """A `struct hd_energy`."""
+    return Energy(raw.energy_j, raw.largest_j, raw.contacts, raw.restrained, raw.acted)
+
+
+def _histogram_of(raw: CData) -> Histogram:
+    counts: list[int] = ffi.unpack(raw.counts, len(HISTOGRAM_EDGES_NS) + 1)
+    return Histogram(HISTOGRAM_EDGES_NS, counts, raw.sum_ns, raw.max_ns)
+
+
+def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
+    """The objects that say all there is to say of a scene's materials: patched ones, and the first of each material."""
+    found: dict[str, SceneObject] = {}
+    seen: set[str] = set()
+    for id, item in objects.items():
+        names = material_names(item)
+        if len(names) > 1 or not seen.issuperset(names):
+            seen.update(names)
+            found[id] = item
+    return found
+
+
+def monotonic_ns() -> int:
+    """The servo's clock."""
+    return time.clock_gettime_ns(time.CLOCK_MONOTONIC)

@@ -1,0 +1,319 @@
+"""The flight recorder: the last seconds of samples and events, kept, and written to a file on a fault or when asked.
+
+The telemetry thread leaves here what it sends: samples go round in one array that never grows (1.1 MB a second at
+10 kHz); flight_scene.py keeps what they were rendered with, so that a file can be rendered again. A thread of its own
+writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun AFTER_S
+after the fault, so that it shows what became of it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import queue
+import re
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base import clock
+from hapticd.base.clock import Moment
+from hapticd.base.core import SAMPLE_DTYPE
+from hapticd.base.errors import HapticdError
+from hapticd.daemon.flight_scene import FlightScene, Stretch
+from hapticd.protocol.changes import Change
+from hapticd.recording.missed_periods import gaps_of, missed_periods, rates_of
+from hapticd.system.repeated_lines import SHORTEST_S, Repeats
+
+AFTER_S: Final = 1.0
+"""So much after a fault is in its file."""
+MOST_EVENTS: Final = 5000
+"""Events that are kept; of a flood, the newest."""
+CHUNK: Final = 3200
+"""Samples that are written at once: 360 kB."""
+_PLAIN: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
+"""A sample without its members, which numpy would copy one by one."""
+CLOCK_EVERY_NS: Final = 1_000_000_000
+"""So often the clocks are read, for a file's beginning."""
+MOST_GAPS: Final = 1000
+"""Gaps that a file lists."""
+
+_NAME: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
+_log = logging.getLogger("hapticd")
+
+
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """A file that is to be written, once it is `due_ns`."""
+
+    path: Path
+    reason: str
+    tick: int | None
+    """Of the fault."""
+    due_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    asked: _Asked
+    samples: npt.NDArray[np.void]
+    events: list[dict[str, object]]
+    stretch: Stretch
+    started: Moment | None
+    ended: Moment
+
+
+class Flight:
+    """Keeps and writes. `keep_...`, `turn` and `finish` are the telemetry thread's, `run` is the writer's, the rest for
+    any thread."""
+
+    def __init__(
+        self,
+        directory: Path,
+        seconds: float,
+        keep: int,
+        rate_hz: float,
+        now_ns: Callable[[], int],
+        scene: FlightScene,
+        texts: Callable[[], Mapping[str, object]] = dict,
+        read_clock: Callable[[], Moment] = clock.read,
+    ) -> None:
+        """`keep`: files that stay; older ones are removed. `texts`: what else goes into a file, as in recordings."""
+        self._scene, self._read_clock = scene, read_clock
+        self._moments: deque[Moment] = deque([read_clock()])
+        self._directory, self._seconds, self._keep = directory, seconds, keep
+        self._now_ns, self._texts = now_ns, texts
+        self._samples = np.zeros(round((seconds + AFTER_S) * rate_hz), _PLAIN)
+        self._count = 0
+        """Of samples that came; the next one's place, round the array."""
+        self._events: deque[dict[str, object]] = deque(maxlen=MOST_EVENTS)
+        self._lock = threading.Lock()
+        self._asked: list[_Asked] = []
+        self._dumping = False
+        """A file that somebody asked for is the writer's; another one waits, so that not many copies do."""
+        self._number = max((int(match[1]) for _, match in self._files()), default=0)
+        self._quiet_until_ns = 0
+        self._repeats = Repeats()
+        self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self._under_way = 0
+        self._written = 0
+        self._skipped = 0
+        self._last: Path | None = None
+        self._problem: str | None = None
+
+    # ---- The telemetry thread --------------------------------------------------------------------------------------
+
+    def keep_samples(self, samples: npt.NDArray[np.void]) -> None:
+        """Takes a batch, shape (n,), of SAMPLE_DTYPE; a copy of it is kept."""
+        most = len(self._samples)
+        batch = samples[-most:].view(_PLAIN)
+        place = self._count % most
+        until_end = most - place
+        self._samples[place : place + len(batch)] = batch[:until_end]
+        self._samples[: len(batch[until_end:])] = batch[until_end:]
+        self._count += len(batch)
+        oldest = self._samples.view(SAMPLE_DTYPE)[self._count % most if self._count > most else 0]
+        while self._events and int(str(self._events[0]["tick"])) < oldest["tick"]:
+            self._events.popleft()
+        self._scene.forget(int(oldest["tick"]), int(oldest["revision"]))
+        while len(self._moments) > 1 and self._moments[1].monotonic_ns <= oldest["time_ns"]:
+            self._moments.popleft()
+
+    def keep_change(self, change: Change) -> None:
+        """Takes what a command changed."""
+        self._scene.take(change)
+
+    def keep_event(self, event: dict[str, object]) -> None:
+        """Takes an event as it is sent; one that tells of faults asks for a file."""
+        self._events.append(event)
+        if event["event"] == "fault" and event["faults"]:
+            self._fault(int(str(event["tick"])))
+
+    def _fault(self, tick: int) -> None:
+        now_ns = self._now_ns()
+        with self._lock:
+            if now_ns < self._quiet_until_ns:
+                self._skipped += 1
+                return
+            self._quiet_until_ns = now_ns + round((self._seconds + AFTER_S) * 1e9)
+            self._ask("fault", tick, now_ns + round(AFTER_S * 1e9))
+
+    def turn(self, kept_ns: int) -> None:
+        """Hands over to the writer what is due at `kept_ns`: the time until which everything is kept, or on its way."""
+        moment = self._read_clock()
+        if moment.monotonic_ns - self._moments[-1].monotonic_ns >= CLOCK_EVERY_NS:
+            self._moments.append(moment)
+        with self._lock:
+            held = self._dumping
+            # A change may come a moment later than the samples that were rendered with it.
+            ready_ns = kept_ns if self._told() else kept_ns - round(AFTER_S * 1e9)
+            due = [
+                asked for asked in self._asked if ready_ns >= asked.due_ns and not (held and asked.reason == "asked")
+            ]
+            self._asked = [asked for asked in self._asked if asked not in due]
+            self._dumping = held or any(asked.reason == "asked" for asked in due)
+        self._hand_over(due)
+
+    def _told(self) -> bool:
+        """Whether the newest sample's revision is known."""
+        if self._count == 0:
+            return True
+        newest = self._samples.view(SAMPLE_DTYPE)[(self._count - 1) % len(self._samples)]
+        return self._scene.knows(int(newest["revision"]))
+
+    def finish(self) -> None:
+        """The last samples have come: hands over everything that was asked for."""
+        with self._lock:
+            due, self._asked = self._asked, []
+        self._hand_over(due)
+
+    def _hand_over(self, due: list[_Asked]) -> None:
+        for asked in due:
+            place = self._count % len(self._samples) if self._count > len(self._samples) else 0
+            kept = self._samples[: self._count]
+            samples = np.concatenate((kept[place:], kept[:place])).view(SAMPLE_DTYPE)
+            started = self._moments[0] if len(samples) else None
+            self._jobs.put(_Job(asked, samples, list(self._events), self._scene.stretch(), started, self._read_clock()))
+
+    # ---- Any thread ------------------------------------------------------------------------------------------------
+
+    def dump(self) -> Path:
+        """Has a file written of what is kept now; its name. It is there once it is whole. Until it is begun, it is
+        everybody's who asks."""
+        with self._lock:
+            waiting = next((asked.path for asked in self._asked if asked.reason == "asked"), None)
+            return waiting or self._ask("asked", None, self._now_ns())
+
+    def _ask(self, reason: str, tick: int | None, due_ns: int) -> Path:
+        path = None
+        while path is None or path.exists():  # another daemon may write there, too
+            self._number += 1
+            path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
+        self._asked.append(_Asked(path, reason, tick, due_ns))
+        self._under_way += 1
+        return path
+
+    def status(self) -> dict[str, object]:
+        """What get_status says."""
+        with self._lock:
+            return {
+                "directory": str(self._directory),
+                "seconds": self._seconds,
+                "under_way": self._under_way,
+                "written": self._written,
+                "skipped": self._skipped,
+                "last": None if self._last is None else str(self._last),
+                "problem": self._problem,
+            }
+
+    # ---- The writer ------------------------------------------------------------------------------------------------
+
+    def run(self, stop: threading.Event) -> None:
+        """Writes what was handed over until `stop` is set and `wake` called, and what was handed over before."""
+        while True:
+            try:
+                job = self._jobs.get(timeout=SHORTEST_S)
+            except queue.Empty:
+                self._repeats.flush()
+                continue
+            if job is None:
+                break
+            self._carry_out(job)
+            del job  # the next one may be hours away, and this one holds all that was kept
+            self._repeats.flush()
+        self._repeats.finish()
+
+    def _carry_out(self, job: _Job) -> None:
+        try:
+            self._write(job)
+            problem = None
+        except (HapticdError, OSError) as error:
+            problem = str(error)
+        with self._lock:
+            self._under_way -= 1
+            if job.asked.reason == "asked":
+                self._dumping = False
+            self._problem = problem
+            if problem is None:
+                self._written += 1
+                self._last = job.asked.path
+        # Clients may ask for dozens a second.
+        file, level = job.asked.path, logging.INFO if problem is None else logging.ERROR
+        self._repeats.note(
+            f"{job.asked.reason} {level}",
+            lambda since: _log.log(
+                level, "flight recorder: %s%s", problem or file, since.more, extra={"fields": {"file": file}}
+            ),
+            longest_s=SHORTEST_S,
+        )
+
+    def wake(self) -> None:
+        """Ends `run`."""
+        self._jobs.put(None)
+
+    def _write(self, job: _Job) -> None:
+        from hapticd.client.record import open_sink
+
+        if not self._directory.is_dir():
+            os.makedirs(self._directory)
+            os.chmod(self._directory, 0o750)
+        stretch, about = job.stretch, {"reason": job.asked.reason, "tick": job.asked.tick}
+        changes = stretch.change_maps()
+        with open_sink(job.asked.path) as sink:
+            sink.begin({**self._texts(), **stretch.texts()})
+            for change in changes:
+                sink.write_change(change)
+            # Not in small pieces: each write is a chance to wait for the interpreter, and has others wait for it.
+            for first in range(0, len(job.samples), CHUNK):
+                sink.write(job.samples[first : first + CHUNK])
+            for event in job.events:
+                sink.write_event(event)
+            recording = _account(job, changes)
+            sink.finish({"recording": recording, "flight": {**about, "complete_from": stretch.complete_from}})
+        self._remove_old()
+
+    def _remove_old(self) -> None:
+        numbered = sorted((int(match[1]), path) for path, match in self._files())
+        for _, path in numbered[: -self._keep]:
+            path.unlink(missing_ok=True)
+
+    def _files(self) -> list[tuple[Path, re.Match[str]]]:
+        if not self._directory.is_dir():
+            return []
+        found = ((path, _NAME.fullmatch(path.name)) for path in self._directory.iterdir())
+        return [(path, match) for path, match in found if match is not None]
+
+
+def _account(job: _Job, changes: list[dict[str, object]]) -> dict[str, object]:
+    """What the file holds and what it lacks, as in recordings."""
+    samples, stretch = job.samples, job.stretch
+    ticks, times = samples["tick"].astype(np.int64), samples["time_ns"]
+    rates = rates_of(samples, changes, stretch.rate_hz)
+    gaps = gaps_of(ticks)
+    return {
+        "ticks": len(samples),
+        "duration_s": float(times[-1] - times[0]) / 1e9 + 1.0 / rates[-1] if len(samples) else 0.0,
+        "events": len(job.events),
+        "lost": 0,
+        "dropped": sum(length for _, length in gaps),
+        "gaps": gaps[:MOST_GAPS],
+        "missed_periods": missed_periods(samples, rates),
+        "missing_revisions": stretch.missing(set(np.unique(samples["revision"]).tolist())),
+        "started": None if job.started is None else asdict(job.started),
+        "ended": asdict(job.ended),
+        "ended_because": None,
+        "notes": {},
+    }
+
+
+def directory_of(configured: str | None, runtime: Path, environ: Mapping[str, str] | None = None) -> Path:
+    """Where files go: as configured, else the state directory that systemd gives, else the runtime directory."""
+    environ = os.environ if environ is None else environ
+    state = environ.get("STATE_DIRECTORY", "").split(":")[0]
+    return Path(configured or state or runtime).absolute()

@@ -1,0 +1,174 @@
+"""What the flight recorder's samples were rendered with: the scene at the oldest of them, and the changes since.
+
+The telemetry thread alone calls it. What is kept is bounded: where more changes in the seconds that are kept, the scene
+at the beginning moves forward, and samples from before it are in the file, but cannot be rendered again.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import chain
+from typing import Final, NamedTuple, TypeVar
+
+from hapticd.base.model import Model
+from hapticd.config.materials import Material, Materials
+from hapticd.config.scene import Scene, SceneObject
+from hapticd.protocol.changes import Change, Played, Reset, Revised, change_map, pieces
+
+T = TypeVar("T")
+
+MOST_OBJECTS: Final = 2000
+"""A larger scene stays out of the files: putting it into words would hold up commands."""
+MOST_PIECES: Final = 20_000
+"""One of more `pieces` does, too: its words would take hundreds of megabytes."""
+MOST_CHANGED: Final = 4000
+"""Changes that are kept, each counted once and for each of the `pieces` in it."""
+
+
+class _Base(NamedTuple):
+    """A scene in pieces, which changes are put into one by one."""
+
+    shown: dict[str, object]
+    objects: dict[str, SceneObject]
+    materials: dict[str, Material]
+
+    def is_too_large(self) -> bool:
+        """For a file."""
+        everything = chain(self.objects.values(), self.materials.values())
+        return len(self.objects) > MOST_OBJECTS or sum(map(pieces, everything)) > MOST_PIECES
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """What a file tells, as it was when the file became due; the writer makes maps of it."""
+
+    revision: int
+    rate_hz: float
+    base: _Base | None
+    """None: it is too large."""
+    changes: tuple[Change, ...]
+    complete_from: int
+    """All that was played and reset since this tick is among the changes."""
+
+    def texts(self) -> dict[str, object]:
+        """`scene` and `materials` at the beginning, as in recordings; None where they are too large."""
+        if self.base is None:
+            return {"scene": None, "materials": None}
+        objects = {id: item.to_dict() for id, item in self.base.objects.items()}
+        shown = {name: _plain(value) for name, value in self.base.shown.items()}
+        materials = {name: material.to_dict() for name, material in self.base.materials.items()}
+        return {"scene": {**shown, "objects": objects}, "materials": materials}
+
+    def change_maps(self) -> list[dict[str, object]]:
+        """`changes`, as in recordings; the first entry has the revision and the rate at the beginning."""
+        first: dict[str, object] = {"revision": self.revision, "rate_hz": self.rate_hz}
+        return [first, *map(change_map, self.changes)]
+
+    def missing(self, revisions: set[int]) -> list[int]:
+        """Those of the samples' revisions whose scene is not told."""
+        told = {change.revision for change in self.changes if isinstance(change, Revised)}
+        return sorted(revisions - told - {self.revision})
+
+
+def _plain(value: object) -> object:
+    return value.to_dict() if isinstance(value, Model) else value
+
+
+class FlightScene:
+    """Follows the changes, and forgets those that no sample is left of."""
+
+    def __init__(self, scene: Scene, materials: Materials, revision: int, rate_hz: float) -> None:
+        self._rate_hz = rate_hz
+        self._revision = revision
+        self._base = _base_of(scene, materials)
+        self._lost = False
+        """Changes were given up before they came here: nobody knows the scene until all of it is told again."""
+        self._changes: deque[Change] = deque()
+        self._weight = 0
+        self._complete_from = 0
+        self.newest = revision
+        """The newest revision that was told."""
+
+    def take(self, change: Change) -> None:
+        """Takes what a command changed."""
+        if isinstance(change, Revised):
+            if change.whole is not None:
+                # What comes next is all there; what was before it is not kept beside it.
+                while self._changes:
+                    self._drop()
+                self._base, self._lost = _base_of(*change.whole), False
+                self._revision = self.newest = change.revision
+                return
+            if change.revision != (self.newest + 1) & 0xFFFFFFFF:
+                self._lost = True
+            self.newest = change.revision
+        self._changes.append(change)
+        self._weight += _weight(change)
+        while self._weight > MOST_CHANGED:
+            self._drop()
+
+    def forget(self, tick: int, revision: int) -> None:
+        """No sample is kept that is older than this tick, rendered with this revision."""
+        while self._changes and _is_over(self._changes[0], tick, revision):
+            self._drop()
+
+    def knows(self, revision: int) -> bool:
+        """Whether the change to this revision was told; it may come after the first sample rendered with it."""
+        return _ahead(self.newest, revision) >= 0
+
+    def stretch(self) -> Stretch:
+        """What there is now."""
+        known = not self._lost and not self._base.is_too_large()
+        base = _Base(*map(dict, self._base)) if known else None  # type: ignore[arg-type]
+        return Stretch(self._revision, self._rate_hz, base, tuple(self._changes), self._complete_from)
+
+    def _drop(self) -> None:
+        """Gives up the oldest change: what it changed is so from the beginning."""
+        change = self._changes.popleft()
+        self._weight -= _weight(change)
+        if not isinstance(change, Revised):
+            self._complete_from = max(self._complete_from, change.tick + 1)
+            return
+        self._revision = change.revision
+        if change.rate_hz is not None:
+            self._rate_hz = change.rate_hz
+        self._base.shown.update(change.scene)
+        _merge(self._base.objects, change.objects)
+        _merge(self._base.materials, change.materials)
+
+
+def _base_of(scene: Scene, materials: Materials) -> _Base:
+    shown = {name: getattr(scene, name) for name in Scene.model_fields if name != "objects"}
+    return _Base(shown, dict(scene.objects), dict(materials))
+
+
+def _weight(change: Change) -> int:
+    match change:
+        case Played():
+            return 1
+        case Reset(_, objects):
+            return 1 + len(objects or ())
+        case Revised():
+            return 1 + sum(map(pieces, chain(change.objects.values(), change.materials.values())))
+
+
+def _is_over(change: Change, tick: int, revision: int) -> bool:
+    if isinstance(change, Revised):
+        return _ahead(revision, change.revision) >= 0
+    return change.tick < tick
+
+
+def _ahead(one: int, other: int) -> int:
+    """By how many revisions, which go round at 2^32."""
+    ahead = (one - other) & 0xFFFFFFFF
+    return ahead if ahead < 0x80000000 else ahead - 0x100000000
+
+
+def _merge(into: dict[str, T], changes: Mapping[str, T | None]) -> None:
+    for name, value in changes.items():
+        if value is None:
+            into.pop(name, None)
+        else:
+            into[name] = value

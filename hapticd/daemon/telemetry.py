@@ -1,0 +1,214 @@
+"""The telemetry publisher: drains the servo's rings and sends what they held to whoever listens.
+
+Runs in a thread of its own. The servo never waits for it; a ring holds more than a second, which outlasts a garbage
+collection. A slow subscriber costs itself messages, nobody else.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
+from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
+from hapticd.daemon.flight_recorder import Flight
+from hapticd.daemon.publisher import Publisher
+from hapticd.protocol import messages
+from hapticd.protocol.changes import change_map
+from hapticd.protocol.events import event_map
+from hapticd.system.journal import EventLog
+
+SAMPLES_EVERY_S: Final = 0.020
+STATE_EVERY_S: Final = 1.0 / 60.0
+STATUS_EVERY_S: Final = 1.0
+TOPICS: Final = ("samples", "state", "event", "change", "status")
+
+_EVENT_READS: Final = 2
+_DESCRIPTION: Final = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
+
+
+def sample_map(sample: np.void) -> dict[str, object]:
+    """One sample as a map of plain numbers and lists, by field name."""
+    return {name: sample[name].tolist() for name in SAMPLE_DTYPE.names or ()}
+
+
+def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
+    """Where the last event of each object is, and how many it has."""
+    objects = events["slot"].astype(np.uint64) << np.uint64(32) | events["generation"]
+    _, first, counts = np.unique(objects[::-1], return_index=True, return_counts=True)
+    return dict(zip((len(events) - 1 - first).tolist(), counts.tolist(), strict=True))
+
+
+class Telemetry:
+    """Publishes one engine's telemetry."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        publisher: Publisher,
+        status: Callable[[], dict[str, object]],
+        flight: Flight | None = None,
+    ) -> None:
+        self._engine = engine
+        self._publisher = publisher
+        self._status = status
+        self._flight = flight
+        self._log = EventLog(
+            missing=lambda: engine.granted is not None and bool(engine.granted.missing),
+            rate_hz=lambda: engine.rate_hz,
+        )
+        self._samples = records(SAMPLE_DTYPE, SAMPLE_CAPACITY)
+        self._events = records(EVENT_DTYPE, 1024)
+        self._held = 0
+        self._newest: npt.NDArray[np.void] | None = None
+        self._dropped = 0
+        self._asked: deque[Future[dict[str, object]]] = deque()
+
+    def wake(self) -> None:
+        """Ends the wait for the next message, so that `run` looks whether it is to stop. For any thread."""
+        self._publisher.wake()
+
+    def ask_state(self) -> Future[dict[str, object]]:
+        """What `state` says once there is a tick, of the newest at this time or of a later one. For any thread."""
+        answer: Future[dict[str, object]] = Future()
+        self._asked.append(answer)
+        self._publisher.wake()
+        return answer
+
+    def run(self, stop: threading.Event) -> None:
+        """Publishes until `stop` is set, and once more after it."""
+        now = monotonic_ns()
+        due = {"samples": now, "state": now, "status": now}
+        every = {
+            "samples": round(SAMPLES_EVERY_S * 1e9),
+            "state": round(STATE_EVERY_S * 1e9),
+            "status": round(STATUS_EVERY_S * 1e9),
+        }
+        send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
+        while True:
+            self._publisher.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9))
+            if stop.is_set():
+                break
+            drained_ns = monotonic_ns()
+            asked = len(self._asked)
+            self._drain()
+            self._answer(asked)
+            self._log.flush()
+            self._send_changes()
+            now = monotonic_ns()
+            for topic, time in due.items():
+                if now >= time:
+                    send[topic]()
+                    # After a stall the rhythm starts anew instead of catching up.
+                    late = now - time
+                    due[topic] = time + every[topic] if late < every[topic] else now + every[topic]
+            if self._flight is not None:
+                self._flight.turn(drained_ns)
+        self._drain()
+        self._send_changes()
+        self._send_samples()
+        self._send_state()
+        self._log.finish()
+        if self._flight is not None:
+            self._flight.finish()
+
+    def _drain(self) -> None:
+        count, self._dropped = self._engine.read_samples(self._samples[self._held :])
+        if count:
+            self._held += count
+            self._newest = self._samples[self._held - 1 : self._held].copy()
+        if self._held == len(self._samples):
+            self._send_samples()
+        # Bounded: a flood of events must not keep the samples waiting, and the ring counts what it has to drop.
+        for _ in range(_EVENT_READS):
+            count, _ = self._engine.read_events(self._events)
+            for message in self._maps(self._events[:count]):
+                self._send("event", message)
+                self._log.note(message)
+                if self._flight is not None:
+                    self._flight.keep_event(message)
+            if count < len(self._events):
+                if self._newest is not None:
+                    self._engine.events_read(int(self._newest["revision"][0]))
+                break
+
+    def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
+        """Events as maps. Those that come in floods are told once for all that were found together: overruns of a busy
+        machine are added up, grooves of one object are counted, and of revisions the newest is the one in force.
+        Telling each would hold up commands."""
+        kinds = events["kind"]
+        overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]
+        if len(revisions):
+            yield event_map(revisions[-1], None)
+        strikes = np.flatnonzero(kinds == EventKind.GROOVE)
+        counts = _last_of_each(events[strikes])
+        told = (kinds != EventKind.OVERRUN) & (kinds != EventKind.REVISION) & (kinds != EventKind.GROOVE)
+        told[strikes[list(counts)]] = True
+        grooves = {int(strikes[place]): count for place, count in counts.items()}
+        for place in np.flatnonzero(told).tolist():
+            message = self._note(events[place])
+            yield message | {"count": grooves[place]} if place in grooves else message
+        if len(overruns):
+            total = {"missed": int(overruns["value"].sum()), "count": len(overruns)}
+            yield event_map(overruns[-1], None) | total
+
+    def _send_samples(self) -> None:
+        if self._held:
+            batch = self._samples[: self._held]
+            self._held = 0
+            message: dict[str, object] = {
+                "first_tick": int(batch["tick"][0]),
+                "dropped": self._dropped,
+                "dtype": _DESCRIPTION,
+                "data": batch.tobytes(),
+            }
+            self._send("samples", message)
+            if self._flight is not None:
+                self._flight.keep_samples(batch)
+
+    def _send_changes(self) -> None:
+        for change in self._engine.read_changes():
+            if self._publisher.wants("change"):  # one of thousands of patches takes long to put into words
+                self._send("change", change_map(change))
+            if self._flight is not None:
+                self._flight.keep_change(change)
+
+    def _answer(self, count: int) -> None:
+        """Answers the first who asked for the state: those who did before the rings were drained."""
+        if count and self._newest is not None:
+            state = self._state(self._newest[0])
+            for _ in range(count):
+                self._asked.popleft().set_result(state)
+
+    def _send_state(self) -> None:
+        if self._newest is not None and self._publisher.wants("state"):
+            self._send("state", self._state(self._newest[0]))
+
+    def _state(self, sample: np.void) -> dict[str, object]:
+        state = sample_map(sample)
+        state["touching"] = self._engine.touching()
+        state["flag_names"] = [flag.name.lower() for flag in Flag(int(sample["flags"])) if flag.name]
+        return state
+
+    def _send_status(self) -> None:
+        self._send("status", self._status())
+
+    def _send(self, topic: str, message: dict[str, object]) -> None:
+        self._publisher.publish(topic, messages.encode(message))
+
+    def _note(self, event: Any) -> dict[str, object]:
+        """An event's map."""
+        name = self._engine.name_of(int(event["slot"]), int(event["generation"]))
+        kind = int(event["kind"])
+        mark = self._engine.take_mark(int(event["code"])) if kind == EventKind.MARK else None
+        message = event_map(event, name, mark)
+        if kind == EventKind.GESTURE_END:
+            # Before it is sent: whoever subscribes and then asks for the status misses none.
+            self._engine.gesture_ended(message)
+        return message

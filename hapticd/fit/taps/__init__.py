@@ -1,0 +1,1 @@
+"""The taps of a recording: found, fitted one by one, and the law of all."""

@@ -1,0 +1,307 @@
+"""Decaying sinusoids in a stretch of acceleration, by variable projection.
+
+    a(t) = c_0 + c_1 t + sum_k A_k exp(-B_k (t - t_0)) sin(w_k (t - t_0)) [t >= t_0]
+
+All modes are struck at the onset t_0, which is free. The line under them is gravity and drift. What a known sensor
+makes of the modes (sensor.py) is fitted instead of them. For every B, w and t_0 the best A and line are linear least
+squares; so the search is over B, w and t_0 alone (Golub and Pereyra, 1973, with Kaufman's Jacobian, 1975), by
+Levenberg's and Marquardt's steps from the best point of a grid.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.analysis.recordings.sensor import Complexes, Sensor
+from hapticd.analysis.statistics import FitError, Floats
+
+ITERATIONS: Final = 60
+ENOUGH: Final = 1e-9
+"""The search ends where a step gains less than this part of the squares."""
+FREQUENCIES: Final = (0.85, 1.05, 1.35)
+"""Times the highest line of the spectrum, where the grid looks."""
+DAMPINGS: Final = (0.03, 0.12, 0.5)
+"""B over w, where the grid looks."""
+EARLIER: Final = (0.01, 0.05, 0.12)
+"""Onsets of the grid before the first sample that stands out, in periods."""
+STANDS_OUT: Final = 0.15
+"""Of the peak."""
+SHORTEST: Final = 16
+"""Samples."""
+HALVES: Final = 2
+"""So many halves of a period the onset is looked for to each side."""
+PROBES: Final = ((2.0, 1.0), (0.5, 1.0), (1.0, 2.0), (2.0, 0.0), (0.5, 0.0))
+"""Shapes beside a mode, times its B and w: of another decay, twice as fast, and pushes."""
+
+
+_NONE: Final = (np.empty(0), np.empty((0, 0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Ringing:
+    """What was fitted; modes by falling share of the squares."""
+
+    coefficients: Floats
+    """(modes,) A, in m/s^2."""
+    decay_rate_per_s: Floats
+    """(modes,) B."""
+    angular_frequency_rad_per_s: Floats
+    """(modes,) w."""
+    onset_s: float
+    """After the first sample."""
+    covariance: Floats
+    """(3 modes + 1, 3 modes + 1) of all A, all B, all w, onset; for white noise."""
+    residual: Floats
+    """(n,) measured less modelled."""
+    variance_accounted_for: float
+    """1 - (squares left over)/(squares above the line), while the modes ring: five decay times from the onset."""
+    noise_m_per_s2: float
+    """RMS of what is left over."""
+    misfit: tuple[Floats, Floats]
+    """Of one mode: what is left over times shapes that it does not have (PROBES), (k,), and those shapes' squares,
+    (k, k). The shapes are as large as the mode, without what the fit can take up. Empty for more modes."""
+
+
+def fit_ringing(
+    acceleration: Floats,
+    rate_hz: float,
+    modes: int = 1,
+    onset_s: float | None = None,
+    start: Ringing | None = None,
+    sensor: Sensor | None = None,
+) -> Ringing:
+    """Fits `modes` decaying sinusoids to acceleration (n,) in m/s^2, sampled at `rate_hz`.
+
+    The onset is sought near `onset_s`, without it at the first sample that stands out. `start` with as many modes is
+    begun from instead, without a search. What is told is of the modes before the `sensor`. Raises FitError where
+    nothing rings, or where the samples are too few.
+    """
+    least = max(SHORTEST, 2 * (3 * modes + 3))
+    if len(acceleration) < least:
+        raise FitError(f"{len(acceleration)} samples are too few for {modes} modes: needs {least}")
+    search = _Search(acceleration, rate_hz, sensor if sensor is not None and sensor.poles else None)
+    if start is None:
+        place = search.begin(onset_s)
+        for _ in range(1, modes):
+            place = search.joined(search.descend(place))
+    else:
+        place = np.concatenate(
+            (np.log(start.decay_rate_per_s), np.log(start.angular_frequency_rad_per_s), [start.onset_s])
+        )
+    return search.result(search.at_the_onset(search.descend(place)))
+
+
+class _Search:
+    """Places are (log B of every mode, log w of every mode, onset)."""
+
+    def __init__(self, acceleration: Floats, rate_hz: float, sensor: Sensor | None) -> None:
+        self._measured = acceleration
+        self._rate_hz = rate_hz
+        self._sensor = sensor
+        self._time_s = np.arange(len(acceleration)) / rate_hz
+        self._line = np.column_stack((np.ones(len(acceleration)), np.linspace(-1.0, 1.0, len(acceleration))))
+        self._slowest = 0.2 / self._time_s[-1]
+        """Of decays and angular frequencies: what does not change over the stretch is the line."""
+        self._fastest = math.pi * rate_hz
+
+    # ---- Where to begin -------------------------------------------------------------------------------------------
+
+    def begin(self, onset_s: float | None) -> Floats:
+        above = self._measured - np.median(self._measured)
+        size = np.abs(above)
+        if not size.max() > 0:
+            raise FitError("nothing rings: the acceleration is constant")
+        if onset_s is None:
+            onset_s = float(self._time_s[np.argmax(size > STANDS_OUT * size.max())])
+        return self._best(above, onset_s, np.empty(0))
+
+    def joined(self, place: Floats) -> Floats:
+        """With one mode more, the best in what is left over."""
+        left = self._solved(place)[1]
+        return self._best(left, float(place[-1]), place)
+
+    def _best(self, signal: Floats, onset_s: float, beside: Floats) -> Floats:
+        """The best place of the grid for one mode more, `beside` those of a place."""
+        first = min(int(np.searchsorted(self._time_s, onset_s)), len(signal) - SHORTEST // 2)
+        rings = signal[first:] - signal[first:].mean()
+        power = np.abs(np.fft.rfft(rings, 8 * len(rings))) ** 2
+        highest = 1 + int(np.argmax(power[1:]))
+        peak_hz = highest * self._rate_hz / (8 * len(rings))
+        found, least = None, math.inf
+        for tried in self._grid(peak_hz, onset_s, beside):
+            squares = self._squares(tried)
+            if squares < least:
+                found, least = tried, squares
+        assert found is not None
+        return found
+
+    def _grid(self, peak_hz: float, onset_s: float, beside: Floats) -> Iterator[Floats]:
+        known = len(beside) // 2
+        for factor in FREQUENCIES:
+            angular = min(2 * math.pi * peak_hz * factor, 0.95 * self._fastest)
+            # Beside modes that are fitted already, the onset is known.
+            for earlier in EARLIER if known == 0 else (0.0,):
+                for damping in DAMPINGS:
+                    yield np.concatenate(
+                        (
+                            beside[:known],
+                            [math.log(damping * angular)],
+                            beside[known : 2 * known],
+                            [math.log(angular), onset_s - earlier * 2 * math.pi / angular],
+                        )
+                    )
+
+    # ---- The model ------------------------------------------------------------------------------------------------
+
+    def _answers(self, place: Floats) -> tuple[int, list[tuple[Complexes, Complexes, Complexes]]]:
+        """The first sample after the onset, and of every mode y, whose imaginary part is heard from there on, and its
+        derivatives by the pole -B + i w and by time (sensor.py)."""
+        modes = len(place) // 2
+        since = self._time_s - place[-1]
+        first = int(np.searchsorted(since, 0.0))
+        ringing = since[first:]
+        found = []
+        for pole in -np.exp(place[:modes]) + 1j * np.exp(place[modes:-1]):
+            if self._sensor is None:
+                turned = np.exp(pole * ringing)
+                found.append((turned, ringing * turned, pole * turned))
+            else:
+                found.append(self._sensor.answer(complex(pole), ringing))
+        return first, found
+
+    def _solved(self, place: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """Coefficients (modes + 2,), what is left over (n,), columns (n, modes + 2), their orthonormal base."""
+        first, answers = self._answers(place)
+        modes = len(answers)
+        columns = np.empty((len(self._measured), modes + 2))
+        columns[:first, :modes] = 0.0
+        for mode, (heard, _, _) in enumerate(answers):
+            columns[first:, mode] = heard.imag
+        columns[:, modes:] = self._line
+        norms = np.sqrt(np.sum(columns**2, axis=0))
+        if not (norms > 0).all():
+            # The onset is behind the last sample.
+            return np.zeros(columns.shape[1]), self._measured.copy(), columns, np.zeros_like(columns)
+        base, triangle = np.linalg.qr(columns / norms)
+        on_base = base.T @ self._measured
+        try:
+            coefficients = np.linalg.solve(triangle, on_base) / norms
+        except np.linalg.LinAlgError:
+            # Two modes in the same place.
+            coefficients = np.linalg.lstsq(triangle, on_base, rcond=1e-12)[0] / norms
+        return coefficients, self._measured - base @ on_base, columns, base
+
+    def _squares(self, place: Floats) -> float:
+        return float(np.sum(self._solved(place)[1] ** 2))
+
+    def _slopes(self, place: Floats, coefficients: Floats) -> Floats:
+        """(n, 2 modes + 1): the model's derivatives by the place."""
+        modes = len(place) // 2
+        first, answers = self._answers(place)
+        slopes = np.zeros((len(self._measured), 2 * modes + 1))
+        for mode, (_, by_pole, by_time) in enumerate(answers):
+            slopes[first:, mode] = -coefficients[mode] * np.exp(place[mode]) * by_pole.imag
+            slopes[first:, modes + mode] = coefficients[mode] * np.exp(place[modes + mode]) * by_pole.real
+            slopes[first:, -1] -= coefficients[mode] * by_time.imag
+        return slopes
+
+    # ---- The search -----------------------------------------------------------------------------------------------
+
+    def descend(self, place: Floats) -> Floats:
+        coefficients, left, _, base = self._solved(place)
+        least = float(left @ left)
+        damping = 1e-3
+        for _ in range(ITERATIONS):
+            slopes = self._slopes(place, coefficients)
+            slopes -= base @ (base.T @ slopes)
+            norms = np.sqrt(np.sum(slopes**2, axis=0))
+            norms[norms == 0] = 1.0
+            slopes /= norms
+            square, side = slopes.T @ slopes, slopes.T @ left
+            gained = 0.0
+            while damping < 1e8:
+                step = np.linalg.solve(square + damping * np.eye(len(square)), side) / norms
+                tried = self._bounded(place, step)
+                solved = self._solved(tried)
+                squares = float(solved[1] @ solved[1])
+                if squares < least:
+                    gained = least - squares
+                    place, least = tried, squares
+                    coefficients, left, _, base = solved
+                    damping = max(1e-12, damping / 10)
+                    break
+                damping *= 6
+            if gained <= ENOUGH * least:
+                break
+        return place
+
+    def at_the_onset(self, place: Floats) -> Floats:
+        """The place, or a better one whose onset is half a period away: there the same ringing begins the other way."""
+        least = self._squares(place)
+        half_s = math.pi / math.exp(float(place[len(place) // 2]))
+        for turned in (*range(-HALVES, 0), *range(1, HALVES + 1)):
+            tried = place.copy()
+            tried[-1] += turned * half_s
+            if not 0 <= tried[-1] < self._time_s[-2] or self._squares(tried) >= least:
+                continue
+            tried = self.descend(tried)
+            squares = self._squares(tried)
+            if squares < least:
+                place, least = tried, squares
+        return place
+
+    def _bounded(self, place: Floats, step: Floats) -> Floats:
+        modes = len(place) // 2
+        period_s = 2 * math.pi / math.exp(float(place[modes:-1].max()))
+        tried = place + np.clip(step, -0.5, 0.5)
+        tried[-1] = place[-1] + min(max(step[-1], -0.25 * period_s), 0.25 * period_s)
+        tried[:-1] = np.clip(tried[:-1], math.log(self._slowest), math.log(self._fastest))
+        tried[-1] = min(max(tried[-1], -period_s), float(self._time_s[-2]))
+        return tried
+
+    def result(self, place: Floats) -> Ringing:
+        modes = len(place) // 2
+        coefficients, left, columns, _ = self._solved(place)
+        decay, angular = np.exp(place[:modes]), np.exp(place[modes:-1])
+        slopes = self._slopes(place, coefficients)
+        slopes[:, : 2 * modes] /= np.concatenate((decay, angular))
+        jacobian = np.column_stack((columns[:, :modes], slopes, columns[:, modes:]))
+        norms = np.sqrt(np.sum(jacobian**2, axis=0))
+        norms[norms == 0] = 1.0
+        noise = math.sqrt(float(left @ left) / (len(left) - jacobian.shape[1]))
+        spread = np.linalg.pinv((jacobian / norms).T @ (jacobian / norms), rcond=1e-14) * noise**2
+        spread /= np.outer(norms, norms)
+        by_share = np.argsort(-np.abs(coefficients[:modes]) / np.sqrt(decay))
+        order = np.concatenate((by_share, modes + by_share, 2 * modes + by_share, [3 * modes]))
+        rings = (self._time_s >= place[-1]) & (self._time_s <= place[-1] + 5.0 / decay.min())
+        above = self._measured[rings] - columns[rings][:, modes:] @ coefficients[modes:]
+        heard = float(above @ above)
+        return Ringing(
+            coefficients=coefficients[by_share],
+            decay_rate_per_s=decay[by_share],
+            angular_frequency_rad_per_s=angular[by_share],
+            onset_s=float(place[-1]),
+            covariance=spread[np.ix_(order, order)],
+            residual=left,
+            variance_accounted_for=1.0 - float(left[rings] @ left[rings]) / heard if heard > 0 else 0.0,
+            noise_m_per_s2=noise,
+            misfit=self._misfit(place, float(coefficients[0]), jacobian / norms, left) if modes == 1 else _NONE,
+        )
+
+    def _misfit(self, place: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:
+        since = np.maximum(self._time_s - place[-1], 0.0)
+        begun = self._time_s >= place[-1]
+        decay, angular = math.exp(place[0]), math.exp(place[1])
+        shapes = []
+        for slower, faster in PROBES:
+            wave = coefficient * begun * np.exp((-slower * decay + 1j * faster * angular) * since)
+            shapes += [wave.real, wave.imag] if faster else [wave.real]
+        columns = np.column_stack(shapes)
+        base = np.linalg.qr(taken)[0]
+        columns -= base @ (base.T @ columns)
+        return columns.T @ left, columns.T @ columns

@@ -1,0 +1,236 @@
+"""HID devices of this machine, which of them can be driven, and the choice of one.
+
+What there is stands in sysfs, for everybody to read: nothing is opened to list it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, Literal
+
+from hapticd.base.errors import quoted
+from hapticd.config.hid import Hid
+from hapticd.hid.device import RULE
+from hapticd.hid.layout import Layout
+from hapticd.hid.plan import DeviceError, UndrivableError
+from hapticd.hid.verdict import Verdict, verdict_of
+
+SYSFS: Final = Path("/sys/class/hidraw")
+DEV: Final = Path("/dev")
+
+_BUSES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
+_TOLD: Final = 3
+_HERE: Final = "`hapticd devices` lists what is there"
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A HID device, as sysfs describes it."""
+
+    path: str
+    name: str
+    vendor: int
+    product: int
+    serial: str
+    bus: str
+    driver: str
+    descriptor: bytes
+    in_interval_s: float | None
+    """Of its interrupt endpoints (USB); None where it has none."""
+    out_interval_s: float | None
+    permission: Literal["ok", "denied", "absent"]
+    hid_name: str = ""
+    """As /sys/bus/hid/devices has it."""
+    port: str = ""
+    """Where it is plugged in."""
+    hid: Hid = field(default=Hid(), kw_only=True)
+    """The configuration by which it is judged."""
+    verdict: Verdict = field(init=False, repr=False, compare=False)
+    """Whether it can be driven."""
+
+    def __post_init__(self) -> None:
+        # Once: reading the descriptor and planning take some milliseconds.
+        object.__setattr__(self, "verdict", verdict_of(self.hid, self.descriptor))
+
+    @property
+    def layout(self) -> Layout | None:
+        """None where its report descriptor cannot be read."""
+        return self.verdict.layout
+
+    @property
+    def problem(self) -> str | None:
+        """Why its report descriptor cannot be read."""
+        return self.verdict.problem
+
+    @property
+    def usable(self) -> bool:
+        """Whether it can be driven."""
+        return self.verdict.drivable
+
+    @property
+    def resets_seen(self) -> bool | None:
+        """Whether it has a report that says which of our effects play: without, a reset by another program is not
+        noticed. None where it cannot be driven, and where it has no effects (device.hid.report). A device with such a
+        report may still not send it."""
+        plan = self.verdict.plan
+        return None if plan is None or plan.foreign_s is None else plan.effects is not None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What its descriptor lacks, by the specification's names."""
+        return () if self.layout is None else tuple(self.layout.missing)
+
+    def __str__(self) -> str:
+        return f"{self.path} ({self.name or 'no name'}, {self.vendor:04x}:{self.product:04x})"
+
+    @property
+    def identity(self) -> str:
+        """Tells it from any other device that may take its place; one without serial is known by its port, too."""
+        return f"{self.vendor:04x}:{self.product:04x} {self.serial or self.port} {self.name} {self.descriptor.hex()}"
+
+    @property
+    def is_other(self) -> bool:
+        """Whether it is no device of the PID class at all, or none that can be read."""
+        return self.layout is None or self.layout.constant_force is None
+
+    def judged_by(self, hid: Hid) -> Found:
+        """The same, judged by a configuration if that may mean it."""
+        return replace(self, hid=hid) if hid != self.hid and is_meant(hid, self) else self
+
+    def to_dict(self) -> dict[str, object]:
+        """For programs."""
+        why_not = self.verdict.why_not
+        return {
+            "path": self.path,
+            "name": self.name,
+            "vendor": self.vendor,
+            "product": self.product,
+            "serial": self.serial,
+            "bus": self.bus,
+            "driver": self.driver,
+            "usable": why_not is None,
+            "why_not": why_not,
+            "missing": list(self.missing),
+            "problem": self.problem,
+            "resets_seen": self.resets_seen,
+            "permission": self.permission,
+            "in_interval_s": self.in_interval_s,
+            "out_interval_s": self.out_interval_s,
+        }
+
+
+def find(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
+    """Every hidraw device, by number. A device that goes away while it is looked at is left out."""
+    try:
+        names = [name for name in os.listdir(sysfs) if re.fullmatch(r"hidraw\d+", name)]
+    except OSError:
+        return []
+    found = []
+    for name in sorted(names, key=lambda text: int(text[6:])):
+        try:
+            found.append(_look(sysfs / name, dev / name))
+        except OSError:
+            continue
+    return found
+
+
+def choose(hid: Hid, found: Sequence[Found]) -> Found:
+    """The one device that the configuration means. Raises DeviceError: none, several, or one that cannot be driven."""
+    wanted = [
+        f"{key} {quoted(value) if isinstance(value, str) else f'0x{value:04x}'}"
+        for key, value in (("vendor", hid.vendor), ("product", hid.product), ("serial", hid.serial), ("path", hid.path))
+        if value is not None
+    ]
+    meant = [item for item in found if is_meant(hid, item)]
+    text = f" with {', '.join(wanted)}" if wanted else ""
+    if not meant:
+        others = f"; there are {_listed(found)}" if found and wanted else ""
+        raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
+    judged = [item.judged_by(hid) for item in meant]
+    usable = [item for item in judged if item.usable]
+    if not usable:
+        # What lacks nothing by itself does not suit the configuration: whoever opens it says why.
+        near = judged if hid.report is not None else [item for item in judged if item.layout and item.layout.usable]
+        usable = near if len(near) == 1 else []
+    if not usable:
+        if len(judged) == 1:
+            hint = "; a device with reports of its own needs device.hid.report" if judged[0].is_other else ""
+            told = f"{judged[0]} cannot be driven: {judged[0].verdict.why_not}{hint}"
+            raise DeviceError(told) if judged[0].is_other and not hid.names_one else UndrivableError(told)
+        if near:
+            told = "; ".join(f"{item}: {item.verdict.why_not}" for item in near[:_TOLD])
+            raise UndrivableError(f"no HID device{text} can be driven: {told}; {_HERE}")
+        nearly = [f"; {item}: {item.verdict.why_not}" for item in judged if not item.is_other]
+        raise DeviceError(
+            f"no HID device{text} can be driven: none of {_listed(judged)} is a force-feedback device"
+            f"{''.join(nearly[:1])}; {_HERE}"
+        )
+    if len(usable) > 1:
+        raise DeviceError(
+            f"several HID devices{text} can be driven: {_listed(usable)}; "
+            "choose one by device.hid.vendor, product, serial or path"
+        )
+    one = usable[0]
+    if one.permission == "denied":
+        raise DeviceError(f"{one}: no permission: {RULE}")
+    return one
+
+
+def _listed(found: Sequence[Found]) -> str:
+    return ", ".join(map(str, found[:8])) + (", ..." if len(found) > 8 else "")
+
+
+def is_meant(hid: Hid, item: Found) -> bool:
+    """Whether a configuration may mean this device."""
+    return (
+        hid.vendor in (None, item.vendor)
+        and hid.product in (None, item.product)
+        and hid.serial in (None, item.serial)
+        and (hid.path is None or os.path.realpath(hid.path) == os.path.realpath(item.path))
+    )
+
+
+def _look(entry: Path, node: Path) -> Found:
+    device = entry / "device"
+    told = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
+    bus, vendor, product = (int(part, 16) for part in told.get("HID_ID", "0:0:0").split(":"))
+    descriptor = (device / "report_descriptor").read_bytes()
+    intervals = _intervals(device.resolve().parent)
+    absent = not node.exists()
+    denied = not absent and not os.access(node, os.R_OK | os.W_OK)
+    return Found(
+        path=str(node),
+        name=told.get("HID_NAME", ""),
+        vendor=vendor & 0xFFFF,
+        product=product & 0xFFFF,
+        serial=told.get("HID_UNIQ", ""),
+        bus=_BUSES.get(bus, f"bus {bus}"),
+        driver=told.get("DRIVER", ""),
+        descriptor=descriptor,
+        in_interval_s=intervals.get("in"),
+        out_interval_s=intervals.get("out"),
+        permission="absent" if absent else "denied" if denied else "ok",
+        hid_name=device.resolve().name,
+        port=told.get("HID_PHYS", ""),
+    )
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace")
+
+
+def _intervals(interface: Path) -> dict[str, float]:
+    """Intervals of the interrupt endpoints of a USB interface, by direction."""
+    found: dict[str, float] = {}
+    for endpoint in sorted(interface.glob("ep_*")):
+        try:
+            match = re.fullmatch(r"(\d+)(ms|us)", _text(endpoint / "interval").strip())
+            if match and _text(endpoint / "type").strip() == "Interrupt":
+                found[_text(endpoint / "direction").strip()] = int(match[1]) * (1e-3 if match[2] == "ms" else 1e-6)
+        except OSError:
+            continue
+    return found

@@ -1,0 +1,101 @@
+"""Devices with reports of their own, driven by the description in `device.hid.report`."""
+
+from __future__ import annotations
+
+from hapticd.base.core import HidQuantity
+from hapticd.config.hid import Hid, VendorBits, VendorInputAxis, VendorReport
+from hapticd.hid.descriptor import Descriptor, DescriptorError, ReportKind, parse
+from hapticd.hid.device import Device
+from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, Value
+
+
+class VendorDriver:
+    """Sends what switches the device on; the rest is in the plan."""
+
+    def __init__(self, hid: Hid, descriptor: bytes) -> None:
+        """`descriptor` is the device's own, against which the description is held.
+
+        Raises DeviceError where the two disagree. A descriptor that cannot be read says nothing.
+        """
+        assert hid.report is not None
+        self._hid = hid
+        self._report = hid.report
+        try:
+            parsed = parse(descriptor)
+        except DescriptorError:
+            return
+        _check(self._report, parsed)
+
+    def set_up(self, device: Device) -> Plan:
+        """Switches it on."""
+        for text in self._report.enable:
+            report = report_bytes(text)
+            if text.startswith("feature"):
+                device.send_feature(report)
+            else:
+                device.write(report)
+        return plan_of(self._hid, self._report)
+
+
+def report_bytes(text: str) -> bytes:
+    """A report of the configuration, its id first."""
+    return bytes.fromhex(text.removeprefix("feature "))
+
+
+def plan_of(hid: Hid, report: VendorReport) -> Plan:
+    """What a connection does with such a device."""
+    into, out = report.input, report.output
+    data = bytes([out.report_id]) + bytes(out.length)
+    values = [
+        Value(bits, quantity, axis.counts_per_n, axis.zero_counts, bits.least, bits.most)
+        for axis, quantity in ((out.x, HidQuantity.X), (out.y, HidQuantity.Y))
+        if axis is not None
+        for bits in [_bits(axis)]
+    ]
+    return Plan(
+        x=_axis(into.x, into.report_id),
+        # A handle with one axis stays where it is along the other.
+        y=_axis(into.x, into.report_id, still=True) if into.y is None else _axis(into.y, into.report_id),
+        force=(Message(data, tuple(values)),),
+        renew=(),
+        stop=tuple(Message(report_bytes(text)) for text in report.disable),
+        renew_s=report.renew_s,
+        write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / hid.max_rate_hz,
+    )
+
+
+def _axis(axis: VendorInputAxis, report_id: int, still: bool = False) -> AxisPlan:
+    return AxisPlan(_bits(axis), report_id, axis.zero_counts, STILL_M_PER_COUNT if still else 1.0 / axis.counts_per_m)
+
+
+def _bits(axis: VendorBits) -> Bits:
+    return Bits(axis.bit_offset, axis.bit_size, axis.signed, axis.byte_order == "big")
+
+
+def _check(report: VendorReport, descriptor: Descriptor) -> None:
+    into, out = report.input, report.output
+    written = _data_bytes(descriptor, ReportKind.OUTPUT, out.report_id)
+    if written != out.length:
+        raise DeviceError(
+            f"device.hid.report.output.length: output report {out.report_id} of the device has {written} bytes after "
+            f"its id, not {out.length}"
+        )
+    read = _data_bytes(descriptor, ReportKind.INPUT, into.report_id)
+    for name, axis in (("x", into.x), ("y", into.y)):
+        if axis is not None and axis.end > 8 * read:
+            raise DeviceError(
+                f"device.hid.report.input.{name}: bit {axis.end - 1} lies beyond input report {into.report_id} of the "
+                f"device, which has {read} bytes after its id"
+            )
+
+
+def _data_bytes(descriptor: Descriptor, kind: ReportKind, report_id: int) -> int:
+    """The length of a report without its id. Raises DeviceError where the device has none of that id."""
+    bits = descriptor.report_bits.get((kind, report_id))
+    if bits is None:
+        ids = sorted(number for of, number in descriptor.report_bits if of == kind)
+        raise DeviceError(
+            f"device.hid.report.{kind}.report_id: the device has no {kind} report {report_id}; "
+            f"it has {', '.join(map(str, ids)) or 'none'}"
+        )
+    return (bits + 7) // 8

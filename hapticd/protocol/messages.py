@@ -1,0 +1,371 @@
+"""What daemon and client say to each other: JSON-RPC 2.0 objects in msgpack, and the frames around them.
+
+Nothing here does I/O. The decoder takes bytes from anybody: it allocates no more than the message is long
+(times a small constant), never recurses, and accepts exactly what `docs/protocol.md` says.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, TypeAlias, TypeGuard, cast
+
+import msgpack
+
+from hapticd.base.errors import HapticdError
+
+PROTOCOL: Final = 1
+"""Version of what is said over the sockets, apart from the version of the package."""
+
+GESTURE_ENDS: Final = 16
+"""So many ends of gestures stand in a status."""
+
+MAX_BODY: Final = 2 * 1024 * 1024
+"""Largest body of a request, bytes."""
+
+MAX_DEPTH: Final = 32
+"""Deepest nesting of a body; a request whose params hold only scalars has depth 2."""
+
+MAX_MEMBERS: Final = 65_536
+"""Largest map of a body: building one is a single call, in which no other thread runs."""
+
+LARGE_PART: Final = 16 * 1024
+"""Bytes; a part of an answer that is as large, and encoded already, is sent from where it stands."""
+
+_OFTEN: Final = 64
+"""Strings of so many characters at most, names of materials above all, are kept once in a body."""
+
+# Up to this size a header can claim at most this many elements, which is cheap enough to try.
+_SMALL: Final = 4096
+# The bytes that can open a map or an array, and those that can open an extension. They also occur inside
+# strings and numbers, so that counting them bounds the structure from above.
+_OPENERS: Final = bytes([*range(0x80, 0xA0), 0xDC, 0xDD, 0xDE, 0xDF])
+_EXTENSIONS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
+
+_MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
+
+Id: TypeAlias = int | float | str | None
+
+
+class Code(enum.IntEnum):
+    """The error codes of the protocol: those of JSON-RPC 2.0, and from -32000 down the daemon's own."""
+
+    PARSE = -32700
+    INVALID_REQUEST = -32600
+    NO_SUCH_METHOD = -32601
+    INVALID_PARAMS = -32602
+    INTERNAL = -32603
+    STALE_REVISION = -32001
+    FORCES_OFF = -32003
+    LEASE_HELD = -32004
+    RING_FULL = -32005
+    WAIT_TIMED_OUT = -32006
+    LEASE_LAPSED = -32007
+    NO_OPERATOR = -32008
+    DAEMON_AWAY = -32009
+
+
+class WireError(HapticdError):
+    """A message that is not what the protocol says.
+
+    `id` is the id that the answer carries (None where none could be read), `silent` is true where the
+    message was a notification, which is never answered.
+    """
+
+    def __init__(self, code: int, message: str, *, id: Id = None, silent: bool = False) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+        self.id = id
+        self.silent = silent
+
+
+# ---- bodies ------------------------------------------------------------------------------------------------
+
+
+def _bad(message: str) -> WireError:
+    return WireError(Code.PARSE, message)
+
+
+def _too_long(size: int, limit: int) -> str:
+    return f"the body has {size} bytes: at most {limit} are taken"
+
+
+def _map(strings: dict[str, str], pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """`strings` are those of the body that were met so far. (They are not interned: some versions of Python keep what
+    is interned for ever, and clients can think of any number.)"""
+    result = {}
+    for key, value in pairs:
+        if key.__class__ is not str:
+            raise _bad(f"a key is of type {type(key).__name__}: keys are strings")
+        result[key] = strings.setdefault(value, value) if type(value) is str and len(value) <= _OFTEN else value
+    if len(result) != len(pairs):
+        seen = set[str]()
+        for key, _ in pairs:
+            if key in seen:
+                raise _bad(f"duplicate key {key!r:.40}")
+            seen.add(key)
+    return result
+
+
+def _extension(code: int, data: bytes) -> object:
+    raise _bad(f"extension type {code}: only nil, booleans, numbers, strings, bytes, arrays and maps")
+
+
+def _check_tree(root: object) -> None:
+    """Depth and extension types, level by level: no recursion."""
+    timestamp = msgpack.Timestamp
+    level: list[object] = [[root]]
+    depth = -1
+    while level:
+        depth += 1
+        if depth > MAX_DEPTH:
+            raise _bad(f"nested deeper than {MAX_DEPTH}")
+        below: list[object] = []
+        for container in level:
+            for value in container.values() if type(container) is dict else container:  # type: ignore[attr-defined]
+                kind = value.__class__
+                if kind is dict or kind is list:
+                    below.append(value)
+                elif kind is timestamp:
+                    _extension(-1, b"")
+        level = below
+
+
+def decode(body: bytes, limit: int = MAX_BODY) -> object:
+    """The object that `body` encodes; maps become dicts, arrays lists, bin bytes.
+
+    Raises WireError(-32700) for a body over `limit` bytes, truncated, with trailing bytes, nested deeper
+    than 32, with a map of more than 65,536 members, with duplicate or non-string keys, extension types (timestamps too)
+    or invalid UTF-8.
+    """
+    size = len(body)
+    if size > limit:
+        raise _bad(_too_long(size, limit))
+    # A short body with few bytes that could open a container, and none that could open an extension, needs
+    # no second look; most are so.
+    flat = size <= _SMALL and size - len(body.translate(None, _OPENERS)) <= MAX_DEPTH
+    plain = flat and len(body.translate(None, _EXTENSIONS)) == size
+    try:
+        if not flat:
+            # Structure first, without building anything: a header that claims more than the body holds
+            # allocates nothing, and nesting without end stops at the unpacker's own stack.
+            scanner = msgpack.Unpacker(max_buffer_size=max(size, 1))
+            scanner.feed(body)
+            scanner.skip()
+            if scanner.tell() != size:
+                raise _bad(f"{size - scanner.tell()} trailing bytes")
+        result = msgpack.unpackb(
+            body,
+            raw=False,
+            strict_map_key=False,
+            max_map_len=MAX_MEMBERS if size > MAX_MEMBERS else size,
+            object_pairs_hook=partial(_map, {}),
+            ext_hook=_extension,
+        )
+    except WireError:
+        raise
+    except (msgpack.StackError, RecursionError):
+        raise _bad(f"nested deeper than {MAX_DEPTH}") from None
+    except msgpack.ExtraData as error:
+        raise _bad(f"{len(error.extra)} trailing bytes") from None
+    except msgpack.FormatError:
+        raise _bad("the body is not msgpack") from None
+    except UnicodeDecodeError:
+        raise _bad("a string is not UTF-8") from None
+    except (ValueError, msgpack.UnpackException, OverflowError) as error:
+        if size > MAX_MEMBERS and "max_map_len" in str(error):
+            raise _bad(f"a map has more than {MAX_MEMBERS} members") from None
+        raise _bad("the body is empty" if size == 0 else "the body is truncated") from None
+    if not plain:
+        _check_tree(result)
+    return cast(object, result)
+
+
+def decode_trusted(body: bytes) -> object:
+    """As `decode`, of a body that our own daemon wrote: only well-formed msgpack is asked for, not the
+    protocol's form.
+
+    Raises WireError(-32700).
+    """
+    try:
+        return cast(object, msgpack.unpackb(body, raw=False))
+    except (ValueError, msgpack.UnpackException, RecursionError) as error:
+        raise _bad(f"the body is not msgpack: {error}") from None
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return dict(value)
+    tolist = getattr(value, "tolist", None)  # numpy's scalars and arrays
+    if tolist is None:
+        raise TypeError(f"a {type(value).__name__} is not plain data")
+    return tolist()
+
+
+def encode(value: object) -> bytes:
+    """msgpack of a tree of mappings, lists, tuples, str, bytes, bool, numbers (numpy's and arrays too) and
+    None.
+
+    Raises WireError(-32603) for anything else.
+    """
+    try:
+        return cast(bytes, msgpack.packb(value, default=_plain))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise WireError(Code.INTERNAL, f"cannot be encoded: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """A value that is encoded already, in parts that follow each other. Large parts are shared, never copied."""
+
+    parts: tuple[bytes, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.parts))
+
+    def __bytes__(self) -> bytes:
+        return b"".join(self.parts)
+
+
+def encoded(value: object) -> Encoded:
+    """Any value. Raises as encode does."""
+    return Encoded((encode(value),))
+
+
+def encoded_map(members: Mapping[str, object]) -> Encoded:
+    """A map of these members, of which some may be encoded already. Raises as encode does."""
+    found: list[bytes] = []
+    small = bytearray(msgpack.Packer().pack_map_header(len(members)))
+    for key, value in members.items():
+        small += encode(key)
+        for part in value.parts if isinstance(value, Encoded) else (encode(value),):
+            if len(part) < LARGE_PART:
+                small += part
+            else:
+                found += bytes(small), part
+                small.clear()
+    return Encoded((*found, bytes(small)))
+
+
+def encoded_list(count: int, items: Iterable[object]) -> Encoded:
+    """A list of so many items, encoded one by one: nobody waits for all of them."""
+    packer = msgpack.Packer()
+    data = bytearray(packer.pack_array_header(count))
+    for item in items:
+        data += packer.pack(item)
+    return Encoded((bytes(data),))
+
+
+# ---- requests and replies ----------------------------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class Request:
+    """One call; without an id (`has_id` false) a notification, which is never answered."""
+
+    id: Id
+    has_id: bool
+    method: str
+    params: dict[str, object]
+
+
+def _is_id(value: object) -> TypeGuard[Id]:
+    kind = value.__class__
+    return kind is str or kind is int or value is None or (isinstance(value, float) and math.isfinite(value))
+
+
+def parse_request(message: object) -> Request:
+    """The request in a decoded body; raises WireError with the code and the id of the answer."""
+    if type(message) is not dict:
+        what = "an array (there are no batches)" if type(message) is list else type(message).__name__
+        raise WireError(Code.INVALID_REQUEST, f"a request is a map, not {what}")
+    has_id = "id" in message
+    id = message.get("id")
+    if has_id and not _is_id(id):
+        raise WireError(Code.INVALID_REQUEST, "id: must be an integer, a finite number, a string or nil")
+    if message.get("jsonrpc") != "2.0":
+        raise WireError(Code.INVALID_REQUEST, 'jsonrpc: must be "2.0"', id=id)
+    method = message.get("method")
+    if type(method) is not str:
+        raise WireError(Code.INVALID_REQUEST, "method: must be a string", id=id)
+    if not message.keys() <= _MEMBERS:
+        unknown = ", ".join(sorted(repr(key) for key in message.keys() - _MEMBERS))
+        raise WireError(Code.INVALID_REQUEST, f"unknown member {unknown:.80}", id=id)
+    params = message.get("params", {})
+    if type(params) is not dict:
+        raise WireError(Code.INVALID_PARAMS, "params: must be a map", id=id, silent=not has_id)
+    return Request(id, has_id, method, params)
+
+
+def peek(body: bytes) -> Request | None:
+    """Method and id of a large request, without its params; None for what is not one at a first look. It costs a
+    tenth of decoding it."""
+    found: dict[str, object] = {}
+    try:
+        scanner = msgpack.Unpacker(max_buffer_size=max(len(body), 1), raw=False, strict_map_key=False)
+        scanner.feed(body)
+        members = scanner.read_map_header()
+        if members > len(_MEMBERS):
+            return None
+        for _ in range(members):
+            key = scanner.unpack()
+            if key in ("id", "method"):
+                found[key] = scanner.unpack()
+            else:
+                scanner.skip()
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError):
+        return None
+    id, method = found.get("id"), found.get("method")
+    return Request(id, "id" in found, method, {}) if _is_id(id) and isinstance(method, str) else None
+
+
+def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> bytes:
+    """The body of a call."""
+    message: dict[str, object] = {"jsonrpc": "2.0", "id": id, "method": method}
+    if params:
+        message["params"] = params
+    return encode(message)
+
+
+def result_reply(id: Id, result: object) -> bytes | Encoded:
+    """The body that answers call `id` with its result, a map's members encoded already or not."""
+    if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
+        reply = encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
+        return reply if len(reply.parts) > 1 else reply.parts[0]
+    return encode({"jsonrpc": "2.0", "id": id, "result": result})
+
+
+def error_reply(id: Id, code: int, message: str, data: object = None) -> bytes:
+    """The body that answers call `id` with an error; `data` is left out where there is none."""
+    error: dict[str, object] = {"code": int(code), "message": message}
+    if data is not None:
+        error["data"] = data
+    return encode({"jsonrpc": "2.0", "id": id, "error": error})
+
+
+# ---- frames ------------------------------------------------------------------------------------------------
+
+
+def open_envelope(frames: Sequence[bytes]) -> tuple[bool, bytes | None]:
+    """Of the frames after the identity: is the reply delimited, and the body (None: wrong form)."""
+    count = len(frames)
+    if count == 1:
+        return False, frames[0]
+    delimited = count > 0 and not frames[0]
+    if count == 2 and delimited:
+        return True, frames[1]
+    return delimited, None
+
+
+def too_long(size: int) -> bytes:
+    """The answer to a body of more than MAX_BODY bytes that nobody kept."""
+    return error_reply(None, Code.PARSE, _too_long(size, MAX_BODY))
+
+
+def close_envelope(delimited: bool, body: bytes) -> list[bytes]:
+    """The frames after the identity of an answer, in the form of the question."""
+    return [b"", body] if delimited else [body]

@@ -1,0 +1,170 @@
+"""What the daemon's methods answer and its telemetry tells: dictionaries with the very names of `docs/protocol.md`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NotRequired, TypeAlias, TypedDict
+
+if TYPE_CHECKING:
+    from hapticd.base.yaml_source import Json
+
+
+class GestureEnd(TypedDict):
+    """The event at the end of what the hand was told to do, `completed` or replaced by another operator before that;
+    `started_tick` is that of `set_operator`."""
+
+    event: Literal["gesture_end"]
+    tick: int
+    time_ns: int
+    started_tick: int
+    completed: bool
+
+
+class OperatorStatus(TypedDict):
+    """The tick that took the last operator (None: none so far), and the last gestures that ended, oldest first."""
+
+    started_tick: int | None
+    ends: list[GestureEnd]
+
+
+class Status(TypedDict):
+    """What the daemon is and does."""
+
+    version: str
+    protocol: int
+    started_ns: int
+    clock: dict[str, int]
+    state: str
+    device: str
+    rate_hz: float
+    realtime: dict[str, Json] | None
+    revision: int
+    tick: int
+    forces: Literal["on", "off", "faulted"]
+    faults: list[str]
+    lease_s: float | None
+    intake: dict[str, Json] | None
+    counters: dict[str, int]
+    overruns: dict[str, Json]
+    histograms: dict[str, dict[str, Json]]
+    flight: dict[str, Json] | None
+    passivity: dict[str, Json]
+    undisplayable: list[dict[str, Json]]
+    warnings: list[dict[str, str]]
+    offload: list[dict[str, Json]]
+    stability: dict[str, Json]
+    operator: OperatorStatus | None
+
+
+class ConfigResult(TypedDict):
+    """The configuration's servo and device, by these names."""
+
+    config: dict[str, dict[str, Json]]
+
+
+class SceneResult(TypedDict):
+    """The scene, and the revision that it has."""
+
+    scene: dict[str, Json]
+    revision: int
+
+
+class Warned(TypedDict):
+    """What of a message is not displayed as it was meant: a place in its params, or in the file that they came from."""
+
+    where: str
+    problem: str
+
+
+class RevisionResult(TypedDict):
+    """The revision that a change made; with `wait`, also the first tick rendered with it or a later one.
+
+    `warning`: why forces are off. `warnings`: what of the change is not displayed as it was meant.
+    """
+
+    revision: int
+    tick: NotRequired[int]
+    warning: NotRequired[str]
+    warnings: NotRequired[list[Warned]]
+
+
+class MaterialsResult(TypedDict):
+    """All materials by name, and the scene's revision with them."""
+
+    materials: dict[str, dict[str, Json]]
+    revision: int
+
+
+class TickResult(TypedDict):
+    """The tick that took a command."""
+
+    tick: int
+
+
+class PlayResult(TickResult):
+    """Also the frequency that is shown, where the rate does not carry the mode's own."""
+
+    displayed_hz: float | None
+    warnings: NotRequired[list[Warned]]
+
+
+class SignsCheck(TypedDict):
+    """How far the check of a device's signs is, and what to do."""
+
+    state: Literal["unchecked", "trusted", "checking", "waiting", "right", "wrong", "unclear"]
+    axis: Literal["x", "y"] | None
+    problem: str | None
+    advice: str | None
+
+
+class ForcesResult(TickResult):
+    """Also what the forces are now, and, where the scene is held back until then, the check of the device's signs."""
+
+    forces: Literal["on", "off", "faulted"]
+    signs: NotRequired[SignsCheck]
+
+
+class OperatorResult(TickResult):
+    """Also how long the hand will be under way."""
+
+    duration_s: float
+    warnings: NotRequired[list[Warned]]
+
+
+class LeaseResult(TypedDict):
+    """By this token the lease is renewed or ended; None once it is ended."""
+
+    token: str | None
+    warning: NotRequired[str]
+
+
+class FlightResult(TypedDict):
+    """The file that the flight recorder writes; it is there once it is whole."""
+
+    file: str
+
+
+class State(TypedDict):
+    """The newest sample; vectors are [x, y]. `touching`: ids of objects; `flag_names`: the flags as words.
+
+    `contact_force_n`: touched objects and fields, after the passivity controller. `vibration_force_n`: ringing modes
+    and the noise of textures. Both are before the force limit and the fade of set_forces, but for a strike or
+    a noise, which has the amplitude that the limit left it; `force_n` is after them.
+    """
+
+    tick: int
+    time_ns: int
+    position_m: list[float]
+    velocity_m_per_s: list[float]
+    contact_force_n: list[float]
+    vibration_force_n: list[float]
+    force_n: list[float]
+    revision: int
+    flags: int
+    lateness_ns: int
+    work_ns: int
+    touching: list[str]
+    flag_names: list[str]
+
+
+Event: TypeAlias = "dict[str, Json]"
+"""One event; `event` says which, `tick` and `time_ns` when, the other members depend on it."""

@@ -1,0 +1,1 @@
+"""Recordings: their three formats written and read, and rendered again."""

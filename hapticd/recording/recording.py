@@ -1,0 +1,201 @@
+"""A recording as its reader sees it: `hapticd.load`.
+
+recording = hapticd.load("tap.npz")          # .npz, .csv, .mcap, and files of the flight recorder
+recording.samples["force_n"]                 # (n, 2), numpy
+recording.marks[0]["text"]
+recording.to_pandas()
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base import arguments
+from hapticd.base.clock import Moment, moment_of
+from hapticd.base.errors import HapticdError
+from hapticd.recording.missed_periods import missed_periods, rates_of
+from hapticd.recording.reader import Samples, load_recorded
+from hapticd.recording.writer import open_sink
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from hapticd.base.yaml_source import Json
+
+_AXES: Final = ("x", "y")
+_STRETCH: Final = 10_000
+"""Samples that are written at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """What a file of `hapticd record`, `hapticd simulate` or the flight recorder holds."""
+
+    path: str
+    samples: Samples
+    """(n,) records of `hapticd.SAMPLE_DTYPE`, one a tick."""
+    events: list[dict[str, Any]] = field(repr=False)
+    """As in telemetry, whatever the form of the file."""
+    texts: Mapping[str, Any] = field(repr=False)
+    """What stands beside them, by name, as the file has it."""
+    truth: npt.NDArray[np.float64] | None = field(default=None, repr=False)
+    """(n, 4), of a simulation in a .npz: the handle's own x, y in m, and its velocity along x, y in m/s."""
+
+    def __repr__(self) -> str:
+        return f"<hapticd.Recording {self.path}: {len(self.samples):,} ticks, {len(self.events):,} events>"
+
+    @property
+    def marks(self) -> list[dict[str, Any]]:
+        """The events `mark`, in their order: `tick`, `time_ns`, `text` and `data` of each."""
+        return [event for event in self.events if event.get("event") == "mark"]
+
+    @property
+    def scene(self) -> dict[str, Any]:
+        """The scene at the start; empty where the file does not have it."""
+        return self._map("scene")
+
+    @property
+    def materials(self) -> dict[str, Any]:
+        """All materials at the start, by name."""
+        return self._map("materials")
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """`servo` and `device` of the configuration."""
+        return self._map("config")
+
+    @property
+    def status(self) -> dict[str, Any]:
+        """The result of get_status at the start (of a flight recorder's file, when it was written); empty where no
+        daemon was recorded."""
+        return self._map("status")
+
+    @property
+    def changes(self) -> list[dict[str, Any]]:
+        """What commands changed on the way; the first entry has the revision at the start."""
+        changes = self.texts.get("changes")
+        return [change for change in changes if isinstance(change, dict)] if isinstance(changes, list) else []
+
+    @property
+    def notes(self) -> dict[str, Json]:
+        """What `--note` said, as texts, or `daemon.record(path, trial=3)`, with its types."""
+        notes = self._about.get("notes")
+        return dict(notes) if isinstance(notes, dict) else {}
+
+    @property
+    def started(self) -> Moment | None:
+        """The daemon's clocks when the recording began; None of a simulation, or where nobody asked."""
+        return moment_of(self._about.get("started"))
+
+    @property
+    def ended(self) -> Moment | None:
+        """The daemon's clocks when it ended."""
+        return moment_of(self._about.get("ended"))
+
+    @property
+    def ended_because(self) -> str | None:
+        """Why it ended early; None where it did not."""
+        told = self._about.get("ended_because", self._about.get("ended"))
+        return told if isinstance(told, str) else None
+
+    @property
+    def rate_hz(self) -> float:
+        """Ticks a second at the start."""
+        servo = self.config.get("servo")
+        configured = servo.get("rate_hz") if isinstance(servo, dict) else None
+        first = self.changes[0].get("rate_hz") if self.changes else None
+        found = first or self.status.get("rate_hz") or configured
+        if isinstance(found, bool) or not isinstance(found, int | float) or not found > 0:
+            raise HapticdError(f"{self.path}: does not say at which rate it was recorded")
+        return float(found)
+
+    @cached_property
+    def missed_periods(self) -> int:
+        """Periods in which the servo rendered no tick though one was due, between the first sample and the last."""
+        told = self._about.get("missed_periods")
+        if type(told) is int:
+            return told
+        return missed_periods(self.samples, rates_of(self.samples, self.changes, self.rate_hz))
+
+    def utc(self) -> npt.NDArray[np.datetime64]:
+        """(n,): the time of day of each sample, UTC, by the clocks at the start. Raises HapticdError where the file
+        does not have them."""
+        moment = self.started or self.ended
+        if moment is None:
+            raise HapticdError(f"{self.path}: does not say the time of day")
+        times = self.samples["time_ns"].astype(np.int64) + (moment.realtime_ns - moment.monotonic_ns)
+        return times.view("M8[ns]")
+
+    def to_pandas(self) -> DataFrame:
+        """The samples as a DataFrame: one row a tick, a column for each field, of a vector two (`force_n_x`,
+        `force_n_y`). The index, `time_s`, is the time since the first sample in s.
+
+        `frame.set_index(recording.utc())` has the time of day instead. Raises HapticdError where pandas is missing.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise HapticdError("to_pandas needs pandas: pip install 'hapticd[pandas]'") from None
+        columns: dict[str, npt.NDArray[Any]] = {}
+        for name in self.samples.dtype.names or ():
+            values = self.samples[name]
+            if values.ndim == 1:
+                columns[name] = values
+            else:
+                columns |= {f"{name}_{axis}": values[:, place] for place, axis in enumerate(_AXES)}
+        times = self.samples["time_ns"].astype(np.int64)
+        since = (times - times[:1]) / 1e9
+        return pandas.DataFrame(columns, index=pandas.Index(since, name="time_s"))
+
+    def save(self, path: str | os.PathLike[str], overwrite: bool = False) -> Path:
+        """Writes it into another file, .npz, .csv or .mcap by its ending; `truth` is in .npz alone.
+
+        Returns where it is: under the next free name where a file appeared at `path` meanwhile. Raises HapticdError.
+        """
+        with open_sink(path, overwrite) as sink:
+            sink.begin(
+                {name: text for name, text in self.texts.items() if name not in ("changes", "recording", "flight")}
+            )
+            for change in self.changes:
+                sink.write_change(change)
+            events = iter(self.events)
+            event = next(events, None)
+            for first in range(0, len(self.samples), _STRETCH):
+                part = self.samples[first : first + _STRETCH]
+                sink.write(part)
+                while event is not None and int(event.get("tick", 0)) <= int(part["tick"][-1]):
+                    sink.write_event(event)
+                    event = next(events, None)
+            while event is not None:
+                sink.write_event(event)
+                event = next(events, None)
+            last = {name: self.texts[name] for name in ("recording", "flight") if name in self.texts}
+            sink.finish(last, {} if self.truth is None else {"truth": self.truth})
+            return sink.target
+
+    @property
+    def _about(self) -> dict[str, Any]:
+        return self._map("recording")
+
+    def _map(self, name: str) -> dict[str, Any]:
+        found = self.texts.get(name)
+        return found if isinstance(found, dict) else {}
+
+
+def load(path: str | os.PathLike[str], max_memory: int | None = None) -> Recording:
+    """Reads a recording: .npz, .csv or .mcap of `hapticd record`, `hapticd simulate` or `hapticd flight`.
+
+    `max_memory`, in bytes, is what it may take; by default 32 times the size of the file and at least 1 GiB, but at
+    most nine tenths of the memory that is available. Raises HapticdError (one line) where the file is none, or takes
+    more.
+    """
+    recorded = load_recorded(arguments.path("path", path), max_memory)
+    return Recording(os.fspath(path), recorded.samples, recorded.events, recorded.texts, recorded.truth)

@@ -1,0 +1,449 @@
+"""Recordings rendered again: the servo's own tick, told what the recorded ticks were told.
+
+A tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether forces were
+on), a recording holds the scenes and what was played and reset, and the state is that of a servo as long as it began
+from the same. So a replay begins where nothing was left of what had been before: at tick 0, or at a tick at which
+nothing is touched, rings or ramps. It begins anew where ticks are missing, after a fault, and at another rate. What it
+renders should be the recorded forces, bit for bit. Where it is not, something was not as the recording says it.
+
+Files of the flight recorder tell the scene at their beginning and what changed since, as recordings do. What was before
+the first change that such a file tells is not rendered.
+
+What a recording does not hold: the number of contacts that an object had before (which its noise begins from),
+membranes that had been punctured before, what a device played by itself, when in its period a real device's report
+came, and in which order the servo had met objects that are touched together (a sum's last bits).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base import arguments, wording
+from hapticd.base.core import SAMPLE_DTYPE, Flag
+from hapticd.base.errors import HapticdError
+from hapticd.base.files import displaced
+from hapticd.config.configuration import Device, load_config
+from hapticd.config.materials import Material, validate_materials
+from hapticd.config.modes import Mode
+from hapticd.config.scene import Scene, materials_of, validate_object, validate_scene
+from hapticd.config.texture import Autoregressive, Stochastic
+from hapticd.daemon.engine import output_of
+from hapticd.daemon.flight_scene import MOST_OBJECTS, MOST_PIECES
+from hapticd.protocol.events import event_map
+from hapticd.recording.reader import load_recorded, memory_for
+from hapticd.recording.reading_limits import Memory, Recorded, Samples, TooMuchMemoryError
+from hapticd.recording.writer import open_sink
+from hapticd.rendering.offline import Rerun
+
+FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
+"""What is compared."""
+
+NEEDED: Final = ("config", "scene", "materials", "changes")
+"""What must stand in a recording beside the samples."""
+
+_LEFT_OUT: Final = {
+    "fault": "with a fault latched",
+    "scene": "whose scene is not in the file",
+    "begun_before": "until nothing was touched, rang or ramped",
+}
+_LEFT_OVER: Final = int(Flag.CONTACT | Flag.RINGING | Flag.RAMPING | Flag.GLITCH | Flag.REPEATED)
+_NO_TIME: Final = 0xFFFFFFFF
+_RENDERED_BYTES: Final = 2 * SAMPLE_DTYPE.itemsize + 160
+"""Memory for each sample, beside itself: what is rendered of it, what is compared; rates, periods, intervals, masks."""
+_OBJECT_BYTES: Final = 4096
+"""Memory for an object or a material that was validated."""
+_ENTRY_BYTES: Final = 128
+"""Memory for an object or a material in one more revision."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """Between the recorded and the rendered force, as the length of the vector between them, N."""
+
+    largest_n: float
+    rms_n: float
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """A recording, rendered again."""
+
+    samples: Samples
+    """(m,) records of SAMPLE_DTYPE: the ticks that were rendered again."""
+    recorded: Samples
+    """(m,) the same ticks, as they were recorded."""
+    events: list[dict[str, object]]
+    """Those of the ticks rendered again, as maps."""
+    ticks: int
+    """How many the recording has."""
+    identical: int
+    """Ticks whose three forces are the recorded ones, bit for bit."""
+    first_different: int | None
+    """The first tick whose forces are not."""
+    differences: dict[str, Difference]
+    """By field, over all ticks that were rendered again."""
+    missing_revisions: tuple[int, ...]
+    """Revisions whose scene is not in the recording; their ticks were not rendered again."""
+    left_out: Mapping[str, int]
+    """Why ticks were not rendered again, and how many: `fault` (one was latched), `scene` (it is not in the recording),
+    `begun_before` (what was touched, rang or ramped began before, or what was played before is not told)."""
+    doubts: tuple[str, ...]
+    """What the recording does not say, and may be why forces are others; none where all are as recorded."""
+    settled: bool
+    """False: the recording has no tick to begin from, and what was before it is taken for nothing."""
+    texts: Mapping[str, Any]
+    """What stands in the recording beside the samples."""
+
+    def summary(self) -> str:
+        """One line for people."""
+        ticks = len(self.samples)
+        text = f"{ticks:,} of {wording.count(self.ticks, 'tick')} rendered again, "
+        if self.identical == ticks:
+            text += "all as recorded, bit for bit"
+        else:
+            force = self.differences["force_n"]
+            text += f"{ticks - self.identical:,} not as recorded, the first is tick {self.first_different}; "
+            text += f"the force differs by {force.largest_n:.3g} N at most, {force.rms_n:.3g} N RMS"
+        left_out = [f"{count:,} {_LEFT_OUT[why]}" for why, count in self.left_out.items()]
+        if left_out:
+            text += f"; left out: {', '.join(left_out)}"
+        if not self.settled:
+            text += "; something is touched, rings or ramps in each of them"
+        if self.missing_revisions:
+            text += f"; {wording.count(len(self.missing_revisions), 'revision')} of the scene missing"
+        return text + "".join(f"; {doubt}" for doubt in self.doubts)
+
+    def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
+        """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it, or
+        the target is there already."""
+        with open_sink(target, overwrite) as sink:
+            last = ("changes", "recording", "flight")
+            sink.begin({name: text for name, text in self.texts.items() if name not in last})
+            for change in self.texts["changes"]:
+                sink.write_change(change)
+            sink.write(self.samples)
+            for event in self.events:
+                sink.write_event(event)
+            sink.finish()
+            if sink.displaced:
+                raise HapticdError(displaced(target, sink.target))
+
+    def to_dict(self) -> dict[str, object]:
+        """As plain data, without samples and events."""
+        return {
+            "ticks": self.ticks,
+            "replayed": len(self.samples),
+            "identical": self.identical,
+            "first_different": self.first_different,
+            "differences": {
+                name: {"largest_n": one.largest_n, "rms_n": one.rms_n} for name, one in self.differences.items()
+            },
+            "missing_revisions": list(self.missing_revisions),
+            "left_out": dict(self.left_out),
+            "doubts": list(self.doubts),
+            "settled": self.settled,
+        }
+
+
+def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Replay:
+    """Renders a recording (.npz, .csv or .mcap) again, and compares.
+
+    `max_memory`, in bytes, is what it may take, as with `hapticd.load`. Raises HapticdError where the file is no
+    recording, does not hold what it was rendered with, would take more memory, or holds what this version does not
+    take.
+    """
+    path = arguments.path("path", path)
+    try:
+        memory = memory_for(path, max_memory, SAMPLE_DTYPE.itemsize + _RENDERED_BYTES)
+    except OSError as error:
+        raise HapticdError(f"{os.fspath(path)}: {error.strerror}") from None
+    recorded = load_recorded(path, memory=memory)
+    missing = [name for name in NEEDED if not recorded.texts.get(name)]
+    if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
+        raise HapticdError(
+            f"{os.fspath(path)}: cannot be rendered again: its scene is not in it, as of all scenes of more than "
+            f"{MOST_OBJECTS:,} objects, or {MOST_PIECES:,} patches and models, in files of the flight recorder"
+        )
+    if missing:
+        raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")
+    try:
+        return _replay(recorded, memory)
+    except TooMuchMemoryError:
+        raise
+    except HapticdError as error:
+        raise HapticdError(f"{os.fspath(path)}: {error}") from None
+    except MemoryError:
+        raise HapticdError(f"{os.fspath(path)}: takes more memory than there is") from None
+    except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError, RecursionError) as error:
+        raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with: {error!r}") from None
+
+
+def _replay(recorded: Recorded, memory: Memory) -> Replay:
+    samples, texts = recorded.samples, recorded.texts
+    servo, status = texts["config"]["servo"], texts.get("status") or {}
+    # A daemon that has stepped down has another rate than its configuration.
+    rate_hz = status.get("rate_hz", servo["rate_hz"])
+    revisions = list(_revisions(texts, set(np.unique(samples["revision"]).tolist()), rate_hz, memory))
+    known = [revision.number for revision in revisions]
+    rates_hz = _rates(samples, revisions, rate_hz)
+    is_known = np.isin(samples["revision"], known) & (samples["tick"] >= _complete_from(texts))
+    stretches, settled = _stretches(samples, rates_hz, is_known, texts)
+    link_hz = (status.get("connection") or {}).get("link_hz")
+
+    device = texts["config"]["device"]
+    configs = {
+        hz: load_config({"servo": {**servo, "rate_hz": hz}, "device": device})
+        for hz in {rate_hz, *(revision.rate_hz for revision in revisions)}
+    }
+    outputs = {
+        hz: output_of(config, hz, None if link_hz is None or link_hz >= hz else link_hz)
+        for hz, config in configs.items()
+    }
+    rerun = Rerun(outputs[rate_hz], max((len(revision.scene.objects) for revision in revisions), default=0))
+    periods = _periods(samples, rates_hz)
+    intervals = _intervals(samples, periods, rates_hz, configs[rate_hz].device)
+    commands = _commands(texts)
+    place = -1
+    count = sum(stretch.stop - stretch.start for stretch, _ in stretches)
+    again, at = np.empty(count, SAMPLE_DTYPE), 0
+    events: list[dict[str, object]] = []
+    for stretch, muted in stretches:
+        rerun.restart(muted)
+        if rates_hz[stretch.start] != rate_hz:  # its first revision is turned to below
+            rate_hz = float(rates_hz[stretch.start])
+            rerun.change_rate(outputs[rate_hz])
+        periods[stretch.start] = 1
+        for part in _parts(samples, stretch, commands):
+            number = int(samples["revision"][part.start])
+            if place < 0 or known[place] != number:
+                place = _turn(rerun, revisions, place, known.index(number))
+            for command in commands.get(int(samples["tick"][part.start]), ()):
+                _carry_out(rerun, command, int(samples["time_ns"][part.start]))
+            rendered, happened = rerun.run(samples[part], intervals[part], periods[part])
+            again[at : at + len(rendered)] = rendered
+            at += len(rendered)
+            events += [memory.event(event_map(event, rerun.name_of(event))) for event in happened]
+    if not count:
+        raise HapticdError("no tick of it can be rendered again: there is a fault in each, or its scene is missing")
+    before = samples
+    if count < len(samples):
+        before = np.concatenate([samples[stretch] for stretch, _ in stretches])
+    different = np.zeros(len(again), bool)
+    for name in FORCES:
+        different |= (again[name].view(np.uint64) != before[name].view(np.uint64)).any(axis=1)
+    first = int(before["tick"][np.argmax(different)]) if different.any() else None
+    missing = sorted(set(np.unique(samples["revision"]).tolist()) - set(known))
+    faults = samples["flags"] & Flag.FAULT != 0
+    counts = {
+        "fault": int(faults.sum()),
+        "scene": int((~np.isin(samples["revision"], known) & ~faults).sum()),
+    }
+    counts["begun_before"] = len(samples) - len(again) - sum(counts.values())
+    return Replay(
+        again,
+        before,
+        events,
+        len(samples),
+        int(len(again) - different.sum()),
+        first,
+        {name: _difference(again[name] - before[name]) for name in FORCES},
+        tuple(missing),
+        {why: count for why, count in counts.items() if count},
+        _doubts(configs[rate_hz].device, revisions) if different.any() else (),
+        settled,
+        texts,
+    )
+
+
+def _difference(between: npt.NDArray[np.float64]) -> Difference:
+    square = (between**2).sum(axis=1)
+    return Difference(float(np.sqrt(square.max())), float(np.sqrt(square.mean())))
+
+
+def _complete_from(texts: Mapping[str, Any]) -> int:
+    """The tick from which on every command is told; of what `hapticd record` wrote, all are."""
+    flight = texts.get("flight")
+    return int(flight.get("complete_from", 0)) if isinstance(flight, dict) else 0
+
+
+def _doubts(device: Device, revisions: list[_Revision]) -> tuple[str, ...]:
+    """Which of the things that no recording says may matter in this one."""
+    noise = any(
+        isinstance(revision.materials[name].texture, Stochastic | Autoregressive)
+        for revision in revisions
+        for item in revision.scene.objects.values()
+        for name in materials_of(item)
+        if name in revision.materials
+    )
+    membranes = any(item.kind == "membrane" for revision in revisions for item in revision.scene.objects.values())
+    doubts = []
+    if noise:
+        doubts.append("noise of textures depends on how often an object had been touched before")
+    if membranes:
+        doubts.append("membranes may have been punctured before")
+    if device.kind != "sim":
+        doubts.append("when in its period a report of the device came is not recorded")
+        if device.hid.offload == "auto":
+            doubts.append("nor is what the device played by itself")
+    return tuple(doubts)
+
+
+# ---- What was rendered ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Revision:
+    number: int
+    scene: Scene
+    materials: Mapping[str, Material]
+    changed: tuple[str, ...]
+    """Objects that are not those of the one before in this list, in the order in which they changed."""
+    rate_hz: float
+
+
+def _revisions(texts: Mapping[str, Any], wanted: set[int], rate_hz: float, memory: Memory) -> Iterator[_Revision]:
+    """Those of the recording that samples were rendered with, in order."""
+    entries = [len(found) for found in (texts["scene"].get("objects", {}), texts["materials"])]
+    memory.take(_OBJECT_BYTES * sum(entries), "its scenes")
+    scene = validate_scene(texts["scene"], ("scene",))
+    materials: dict[str, Material] = validate_materials(texts["materials"])
+    pending = dict.fromkeys(scene.objects)
+    for change in texts["changes"]:
+        if "revision" not in change:
+            continue
+        objects = {
+            id: None if item is None else validate_object(id, item, ("changes",))
+            for id, item in change.get("objects", {}).items()
+        }
+        if objects:
+            memory.take(_OBJECT_BYTES * len(objects), "its scenes")
+            scene = scene.with_objects(objects)
+        pending |= dict.fromkeys(objects)
+        if "scene" in change:
+            shown = validate_scene({**scene.model_copy(update={"objects": {}}).to_dict(), **change["scene"]})
+            scene = shown.model_copy(update={"objects": scene.objects})
+        if "materials" in change:
+            patch = change["materials"]
+            new = validate_materials({name: item for name, item in patch.items() if item is not None})
+            materials = {name: item for name, item in materials.items() if name not in patch} | new
+        rate_hz = change.get("rate_hz", rate_hz)
+        if change["revision"] in wanted:
+            memory.take(_ENTRY_BYTES * (len(scene.objects) + len(materials)), "its scenes")
+            yield _Revision(change["revision"], scene, materials, tuple(pending), rate_hz)
+            pending = {}
+
+
+def _rates(samples: Samples, revisions: list[_Revision], rate_hz: float) -> npt.NDArray[np.float64]:
+    """Of the servo at each tick, Hz; where the revision is missing, the one at the start."""
+    rates = np.full(len(samples), rate_hz)
+    for revision in revisions:
+        if revision.rate_hz != rate_hz:
+            rates[samples["revision"] == revision.number] = revision.rate_hz
+    return rates
+
+
+def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
+    """From the revision at `place` to another, which is a later one as a rule; a place below 0: from nothing."""
+    if to > place:
+        changed = [id for revision in revisions[place + 1 : to + 1] for id in revision.changed]
+    else:
+        changed = [*revisions[place].scene.objects, *revisions[to].scene.objects]
+    revision = revisions[to]
+    # In the same order each time, because the order in which forces are added up follows from it.
+    rerun.turn_to(revision.scene, dict.fromkeys(changed), revision.materials, revision.number)
+    return to
+
+
+# ---- Where it begins, and what each tick was told ------------------------------------------------------------------
+
+
+def _stretches(
+    samples: Samples, rates_hz: npt.NDArray[np.float64], known: npt.NDArray[np.bool_], texts: Mapping[str, Any]
+) -> tuple[list[tuple[slice, bool]], bool]:
+    """Ticks that can be rendered one after the other, and whether the command is zero when they begin; and whether
+    they begin where nothing is left of what was before."""
+    flags = samples["flags"]
+    usable = known & (flags & Flag.FAULT == 0)
+    follows = np.diff(samples["tick"].astype(np.int64), prepend=-2) == 1
+    follows &= np.diff(rates_hz, prepend=rates_hz[:1]) == 0.0
+    begins = np.flatnonzero(usable & ~(follows & np.roll(usable, 1)))
+    ends = np.flatnonzero(usable & ~np.append((follows & usable)[1:], False)) + 1
+    at_start = samples["tick"] == 0
+    # Of two such ticks the second: what is left of an object that went away acts in the last tick of its ramp, too.
+    quiet = flags & _LEFT_OVER == 0
+    fit = (quiet & np.roll(quiet, 1) & follows) | at_start
+    runs = list(zip(begins.tolist(), ends.tolist(), strict=True))
+    settled = bool((usable & fit).any())
+    stretches = []
+    for begin, end in runs:
+        if settled:
+            left = np.flatnonzero(fit[begin:end])
+            if len(left) == 0:
+                continue
+            begin += int(left[0])
+        # A daemon's command comes in over the ramp when it starts; a simulation's is there.
+        # One whose signs are checked meanwhile has none yet.
+        on = int(flags[begin]) & (Flag.FORCES_ON | Flag.CHECKING) == Flag.FORCES_ON
+        muted = "status" in texts if at_start[begin] else not on
+        stretches.append((slice(begin, end), muted))
+    return stretches, settled
+
+
+def _parts(samples: Samples, stretch: slice, commands: Mapping[int, object]) -> Iterator[slice]:
+    """A stretch, cut where the revision changes and where commands were taken."""
+    inside = samples[stretch]
+    edges = {0, len(inside), *(np.flatnonzero(np.diff(inside["revision"])) + 1).tolist()}
+    first = int(inside["tick"][0])
+    edges |= {tick - first for tick in commands if 0 < tick - first < len(inside)}
+    for begin, end in pairwise(sorted(edges)):
+        yield slice(stretch.start + begin, stretch.start + end)
+
+
+def _commands(texts: Mapping[str, Any]) -> dict[int, list[dict[str, Any]]]:
+    """What was played and reset, by the tick that took it."""
+    commands: dict[int, list[dict[str, Any]]] = {}
+    for change in texts["changes"]:
+        if "tick" in change:
+            commands.setdefault(change["tick"], []).append(change)
+    return commands
+
+
+def _carry_out(rerun: Rerun, command: Mapping[str, Any], time_ns: int) -> None:
+    if "play" in command:
+        play = command["play"]
+        mode = Mode(play["decay_rate_per_s"], play["angular_frequency_rad_per_s"])
+        rerun.play(mode, play["attack"], tuple(play["direction"]), play["amplitude_m_per_s2"])
+    if "reset" in command:
+        rerun.reset(command["reset"].get("objects"), time_ns)
+
+
+def _periods(samples: Samples, rates_hz: npt.NDArray[np.float64]) -> npt.NDArray[np.uint32]:
+    """Since the tick before: more than one where periods were missed."""
+    elapsed = np.diff(samples["time_ns"], prepend=samples["time_ns"][:1]) * (rates_hz / 1e9)
+    missed = samples["flags"] & Flag.SKIPPED != 0
+    return np.where(missed, np.clip(np.rint(elapsed), 1, _NO_TIME), 1).astype(np.uint32)
+
+
+def _intervals(
+    samples: Samples, periods: npt.NDArray[np.uint32], rates_hz: npt.NDArray[np.float64], device: Device
+) -> npt.NDArray[np.float64]:
+    """Between the report of each tick and the one before; 0 where none came."""
+    report_s = device.sim.reports_s[0] if device.kind == "sim" else 0.0
+    fresh = samples["flags"] & Flag.REPEATED == 0
+    intervals = np.zeros(len(samples))
+    places = np.flatnonzero(fresh)
+    since = np.diff(np.cumsum(periods, dtype=np.int64)[places], prepend=0)
+    elapsed = since * (1.0 / rates_hz[places])
+    if report_s:
+        elapsed = np.maximum(np.rint(elapsed / report_s), 1.0) * report_s
+    intervals[places] = elapsed
+    # The first report has none before it.
+    intervals[samples["tick"] == 0] = 0.0
+    return intervals

@@ -1,0 +1,1 @@
+"""From configuration to what a tick needs: tables, filters, compensation, stability; rendering offline."""

@@ -1,0 +1,115 @@
+"""The simulated joystick and its operator: C objects made from validated configuration, and what gestures ask of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from hapticd.base.core import CData, Interpolation, Status, ffi, invalid_reason, lib, pointer
+from hapticd.base.errors import HapticdError
+from hapticd.config.configuration import Sim
+from hapticd.config.materials import Material
+from hapticd.config.operator import Grip, Target
+from hapticd.config.scene import SURFACES, Box, Disc, Membrane, SceneObject, Wall
+
+
+def new_sim(sim: Sim, rate_hz: float) -> CData:
+    """A `struct hd_sim *` at rest, freed with the last reference to it.
+
+    Raises HapticdError where the figures do not fit together.
+    """
+    made = lib.hd_sim_new(_sim_config(sim), 1.0 / rate_hz)
+    if made == ffi.NULL:
+        raise HapticdError(f"device.sim: {invalid_reason()}")
+    return ffi.gc(made, lib.hd_sim_free)
+
+
+def set_rate(joystick: CData, sim: Sim, rate_hz: float) -> None:
+    """Time of a `struct hd_sim *` goes on at another rate. Raises HapticdError where it cannot be simulated so."""
+    if lib.hd_sim_set_period(joystick, _sim_config(sim), 1.0 / rate_hz) != Status.OK:
+        raise HapticdError(f"device.sim: {invalid_reason()}")
+
+
+def _sim_config(sim: Sim) -> CData:
+    config = ffi.new("struct hd_sim_config *")
+    hand = sim.hand
+    for name in (
+        "handle_mass_kg",
+        "handle_damping_n_s_per_m",
+        "coulomb_friction_n",
+        "encoder_step_m",
+        "max_force_n",
+        "force_step_n",
+        "workspace_m",
+        "force_timeout_s",
+    ):
+        setattr(config, name, getattr(sim, name))
+    config.report_interval_s, config.report_delay_s = sim.reports_s
+    if sim.link is not None:
+        config.force_interval_s = 1.0 / sim.link.rate_hz
+        config.force_intervals = sim.link.delay_frames
+    config.hand_mass_kg = hand.mass_kg
+    config.hand_stiffness_n_per_m = hand.stiffness_n_per_m
+    config.hand_damping_n_s_per_m = hand.damping_n_s_per_m
+    config.start_m = sim.start_m
+    if sim.actuator is not None:
+        config.actuator_order = sim.actuator.order
+        config.actuator_rate_per_s = sim.actuator.rate_per_s
+        config.actuator_damping_ratio = sim.actuator.damping_ratio
+    return config
+
+
+def new_operator(waypoints: Sequence[Sequence[float]], interpolation: Literal["linear", "minimum_jerk"]) -> CData:
+    """A `struct hd_operator *` over waypoints [t_s, x_m, y_m], freed with the last reference to it.
+
+    Raises HapticdError for waypoints that are not finite or not in order.
+    """
+    points = np.ascontiguousarray(waypoints, dtype=np.float64)
+    kind = Interpolation.LINEAR if interpolation == "linear" else Interpolation.MINIMUM_JERK
+    made = lib.hd_operator_new(pointer("double[]", points), len(points), kind)
+    if made == ffi.NULL:
+        raise HapticdError(f"waypoints: {invalid_reason()}")
+    return ffi.gc(made, lib.hd_operator_free)
+
+
+def grip_of(sim: Sim) -> Grip:
+    """The hand, and what it moves, as gestures need to know them."""
+    return Grip(
+        stiffness_n_per_m=sim.hand.stiffness_n_per_m,
+        damping_n_s_per_m=sim.hand.damping_n_s_per_m + sim.handle_damping_n_s_per_m,
+        moving_mass_kg=sim.handle_mass_kg + sim.hand.mass_kg,
+    )
+
+
+def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Target | None:
+    """What a gesture needs to know of an object; None for what cannot be touched.
+
+    Of a box that is its upper face (as it lies when its angle is 0), of a disc the tangent at its top, without end.
+    """
+    if not isinstance(item, SURFACES):
+        return None
+    material = materials[item.material]
+    rupture = material.rupture if isinstance(item, Membrane) else None
+    point = item.point_m if isinstance(item, Wall) else item.center_m
+    normal = (0.0, 1.0)
+    if isinstance(item, Wall | Membrane):
+        normal = item.normal
+    elif isinstance(item, Box):
+        normal = (-math.sin(item.angle_rad), math.cos(item.angle_rad))
+    half, face = math.inf, "surface"
+    if isinstance(item, Membrane):
+        half, face = item.width_m / 2.0, "membrane"
+    elif isinstance(item, Box):
+        half, face = item.size_m[0] / 2.0, "face"
+    height = item.size_m[1] / 2.0 if isinstance(item, Box) else item.radius_m if isinstance(item, Disc) else 0.0
+    return Target(
+        point_m=(point[0] + height * normal[0], point[1] + height * normal[1]),
+        normal=normal,
+        stiffness_n_per_m=material.stiffness_n_per_m,
+        rupture_depth_m=None if rupture is None else rupture.rupture_depth_m,
+        half_m=half,
+        face=face,
+    )

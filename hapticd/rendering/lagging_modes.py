@@ -1,0 +1,131 @@
+"""Modes that the actuator is too slow for: what is left of each, and what would be right.
+
+What is shown of a mode is the part of the waveform that the handle's acceleration contains (its projection on the
+waveform, 30 Hz to 0.4 of the rate), over the same of an actuator that follows at once. Amplitude and phase of that
+complex number are told.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Final
+
+from hapticd.base.errors import Problem, path_text
+from hapticd.config.actuator import MOST_HZ
+from hapticd.config.dynamics import Dynamics
+from hapticd.config.materials import Material
+from hapticd.config.modes import Mode
+from hapticd.rendering.compensation import Load, part_shown, pole_shape
+from hapticd.rendering.displayability import (
+    Output,
+    Touched,
+    displayed_mode,
+    mode_path,
+    modes_of,
+    struck_shapes,
+    touched_by,
+)
+
+TOLERATED: Final = 0.1
+"""A mode whose amplitude is shown to within this part needs no word. Of order 1 that is half the bandwidth."""
+_STEP: Final = 1.5
+_HALVINGS: Final = 3
+_FREE: Final = Dynamics(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""A handle that nobody knows, which is struck without compensation: its mass cancels."""
+
+
+def lag_warnings(materials: Mapping[str, Material], output: Output) -> list[Problem]:
+    """A warning for each mode of these materials that the actuator does not show as the compensation would have it."""
+    if output.actuator is None:
+        return []
+    return [each for name, material in materials.items() for each in _of_material(name, material, output)]
+
+
+def shown_part(mode: Mode, output: Output, touched: Touched) -> complex:
+    """What is shown of a mode that the rate carries, over what an actuator that follows at once would show."""
+    return _contained(mode, output, touched) / _contained(mode, replace(output, actuator=None), touched)
+
+
+@lru_cache(maxsize=256)
+def _contained(mode: Mode, output: Output, touched: Touched) -> complex:
+    shapes = struck_shapes(mode, output, touched)
+    dynamics, rate_hz = output.dynamics or _FREE, output.carried_hz
+    if shapes is None:
+        load = Load(actuator=output.actuator)
+        return part_shown(mode, dynamics, rate_hz, pole_shape(mode, dynamics, rate_hz, 1 + 0j, load), load)
+    met = (touched.stiffness_n_per_m, touched.damping_n_s_per_m) if touched.own else (0.0, 0.0)
+    load = Load(*met, output.age_s, output.actuator)
+    return part_shown(mode, dynamics, rate_hz, shapes[touched.own], load)
+
+
+def _of_material(name: str, material: Material, output: Output) -> Iterator[Problem]:
+    assert output.actuator is not None
+    for use, mode in modes_of(material):
+        carried, _ = displayed_mode(mode, output)
+        if carried is None:
+            continue
+        touched = touched_by(material, use)
+        part = shown_part(carried, output, touched)
+        if not _does(part):
+            known = f"an actuator of {_hz(output.actuator.bandwidth_hz)} (order {output.actuator.order})"
+            problem = (
+                f"{known} shows {100 * abs(part):.3g} % of this mode of {_hz(carried.frequency_hz)}, {_phase(part)}, "
+                f"with compensation: {output.compensation}; "
+                f"{', or '.join(_remedies(carried, output, touched))}"
+            )
+            yield Problem(path_text(("materials", name, *mode_path(use))), problem)
+
+
+def _phase(part: complex) -> str:
+    late = round(-math.degrees(cmath.phase(part)))
+    return f"{abs(late)} degrees {'late' if late > 0 else 'early'}" if late != 0 else "in phase"
+
+
+def _does(part: complex) -> bool:
+    return abs(abs(part) - 1) <= TOLERATED
+
+
+def _remedies(mode: Mode, output: Output, touched: Touched) -> Iterator[str]:
+    """What would show the mode to within TOLERATED."""
+    if output.compensation == "off":
+        compensated = replace(output, compensation="full")
+        if output.dynamics is None:
+            yield "device.handle and compensation: full would make up for it as far as twice the force does"
+        else:
+            part = shown_part(mode, compensated, touched)
+            if _does(part):
+                yield f"compensation: full would show {100 * abs(part):.3g} %"
+    bandwidth_hz = _needed_hz(mode, output, touched)
+    if bandwidth_hz is None:
+        yield f"no bandwidth of up to {_hz(MOST_HZ)} would do"
+    else:
+        yield f"an actuator of {_hz(bandwidth_hz)} would do"
+
+
+def _needed_hz(mode: Mode, output: Output, touched: Touched) -> float | None:
+    """A bandwidth above the actuator's own that shows the mode, with the same order and damping; less than 6 % lower it
+    does not, or no more."""
+    own = output.actuator
+    assert own is not None
+
+    def does(bandwidth_hz: float) -> bool:
+        faster = own.model_copy(update={"bandwidth_hz": bandwidth_hz})
+        return _does(shown_part(mode, replace(output, actuator=faster), touched))
+
+    low = high = own.bandwidth_hz
+    while not does(high):
+        if high == MOST_HZ:
+            return None
+        low, high = high, min(MOST_HZ, high * _STEP)
+    for _ in range(_HALVINGS):
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if does(middle) else (middle, high)
+    return high
+
+
+def _hz(frequency_hz: float) -> str:
+    return f"{frequency_hz:.4g} Hz"

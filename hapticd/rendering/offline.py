@@ -1,0 +1,403 @@
+"""Rendering without a daemon: the servo's own tick, without clock, thread or I/O.
+
+`render` takes positions and gives forces (open loop); `simulate` closes the loop with the simulated joystick. The same
+input gives the same bits on every run.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import ValidationError
+
+from hapticd.base.core import (
+    EVENT_DTYPE,
+    NO_SLOT,
+    SAMPLE_DTYPE,
+    CData,
+    Status,
+    ffi,
+    invalid_reason,
+    lib,
+    pointer,
+    records,
+)
+from hapticd.base.errors import HapticdError, InvalidError, Problem, shown
+from hapticd.base.model import problems_of
+from hapticd.config.configuration import Config, ConfigSource, Servo, load_config
+from hapticd.config.materials import Materials
+from hapticd.config.modes import Attack, Mode
+from hapticd.config.operator import Operator, load_operator, parse_operator
+from hapticd.config.scene import Scene, field_ids
+from hapticd.daemon.engine import loop_of, output_of
+from hapticd.rendering.compiler import Compiler, mode_record
+from hapticd.rendering.displayability import Output, Undisplayable, materials_in, rate_faults, undisplayable, warnings
+from hapticd.rendering.joystick import grip_of, new_operator, new_sim, target_of
+from hapticd.rendering.scene_stability import Stability, judge
+
+Samples: TypeAlias = npt.NDArray[np.void]
+"""Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""
+
+MAX_DURATION_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What a run gave."""
+
+    samples: Samples
+    """(n,) records, one a tick."""
+    events: npt.NDArray[np.void]
+    """(m,) records of `hapticd.base.core.EVENT_DTYPE`."""
+    objects: dict[tuple[int, int], str]
+    """Ids of the objects that events speak of, by their slot and generation."""
+    truth: npt.NDArray[np.float64] | None
+    """(n, 4) the simulated handle's own position (m) and velocity (m/s) at each tick; None for `render`."""
+    undisplayable: tuple[Undisplayable, ...]
+    """Modes and peaks of textures of the scene that this rate cannot carry."""
+    warnings: tuple[Problem, ...]
+    """What of the scene is displayed otherwise than it was meant, at this rate; in the closed loop also what may
+    oscillate."""
+    rate_hz: float
+    """Ticks per second."""
+
+
+class _Scene:
+    """A configuration, compiled for a rate, by default its own. Raises InvalidError for what no signal of it has."""
+
+    def __init__(self, config: ConfigSource, rate_hz: float | None) -> None:
+        self.config: Config = load_config(config)
+        self.rate_hz = self.config.servo.rate_hz if rate_hz is None else _rate(rate_hz)
+        scene, materials = self.config.scene, self.config.materials
+        output = output_of(self.config, self.rate_hz)
+        refused = rate_faults(scene.objects, materials, output)
+        if refused:
+            raise InvalidError(refused)
+        self.undisplayable = tuple(undisplayable(materials_in(scene.objects, materials), output))
+        self.warnings = tuple(warnings(scene.objects, materials, output))
+        compiler = Compiler(output)
+        self.world = new_world(compiler.update(scene, scene.objects, materials, 1))
+        self.objects = {place: id for id in scene.objects if (place := compiler.slot_of(id)) is not None}
+        self._compiler = compiler
+
+    def stability(self) -> Stability:
+        """Which sets of objects are not safe with the simulated joystick, whatever the configuration's device is."""
+        device = self.config.device.model_copy(update={"kind": "sim"})
+        loop = loop_of(self.config.model_copy(update={"device": device}), self.rate_hz)
+        assert loop is not None
+        objects = self.config.scene.objects
+        return judge(self._compiler.parts(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
+
+    def new_state(self, resolution_m: float) -> CData:
+        state = lib.hd_state_new(max(1, len(self.objects)))
+        if state == ffi.NULL:
+            raise MemoryError("no memory for the state of a run")
+        lib.hd_state_set_resolution(state, resolution_m)
+        return ffi.gc(state, lib.hd_state_free)
+
+
+def new_world(table: CData) -> CData:
+    """A `struct hd_world *` that holds a table, freed with the last reference to it. Raises HapticdError."""
+    made = lib.hd_world_new()
+    if made == ffi.NULL:
+        raise MemoryError("no memory for a world")
+    world = ffi.gc(made, lib.hd_world_free)
+    status = lib.hd_world_load(world, table)
+    if status == Status.ERR_MEMORY:
+        raise MemoryError("no memory for a scene")
+    if status != Status.OK:
+        raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
+    return world
+
+
+def _rate(rate_hz: float) -> float:
+    try:
+        return Servo.parsed({"rate_hz": rate_hz}).rate_hz
+    except ValidationError as error:
+        raise InvalidError(problems_of(error)) from None
+
+
+class _Recorder:
+    """Runs in stretches, each with room for as many events as its ticks can have, and keeps what there were."""
+
+    STRETCH = 4096
+    EVENTS_PER_TICK = 256
+
+    def __init__(self) -> None:
+        self._room = records(EVENT_DTYPE, self.STRETCH * self.EVENTS_PER_TICK)
+        self._room_pointer = pointer("struct hd_event[]", self._room)
+        self._count = ffi.new("size_t *")
+        self._taken: list[npt.NDArray[np.void]] = []
+
+    def run(self, count: int, stretch: Callable[[slice, CData, int, CData], int]) -> npt.NDArray[np.void]:
+        """Calls `stretch` for each slice of `count` ticks; the events of all of them."""
+        for start in range(0, count, self.STRETCH):
+            part = slice(start, min(count, start + self.STRETCH))
+            status = stretch(part, self._room_pointer, len(self._room), self._count)
+            if status == Status.ERR_MEMORY:
+                raise MemoryError("no memory for a run")
+            if status != Status.OK:
+                raise HapticdError(f"the scene cannot be rendered: {invalid_reason()}")
+            if self._count[0]:
+                self._taken.append(self._room[: self._count[0]].copy())
+        taken, self._taken = self._taken, []
+        return np.concatenate(taken) if taken else self._room[:0].copy()
+
+
+class Rerun:
+    """Renders ticks of a servo again, from what their samples say that each was told; the scene may change between.
+
+    As the servo's own tick they go on from what was before: contacts, modes, punctures. `restart` forgets it.
+    """
+
+    def __init__(self, output: Output, slots: int) -> None:
+        """`slots`: room for so many objects at once."""
+        self._output = output
+        self._compiler = Compiler(output)
+        self._slots = max(1, slots)
+        self._recorder = _Recorder()
+        self._world: CData | None = None
+        self.restart(False)
+
+    def restart(self, muted: bool) -> None:
+        """From here on as if nothing had been before; `muted`: the command comes in over the ramp."""
+        state = lib.hd_state_new(self._slots)
+        if state == ffi.NULL:
+            raise MemoryError("no memory for the state of a run")
+        self._state = ffi.gc(state, lib.hd_state_free)
+        if muted:
+            lib.hd_state_mute(self._state)
+
+    def change_rate(self, output: Output) -> None:
+        """Another output from the next `turn_to` on, which comes before any tick."""
+        self._output = output
+        self._compiler.turn_to(output)
+
+    def turn_to(self, scene: Scene, changed: Iterable[str], materials: Materials, revision: int) -> None:
+        """Takes a validated scene, of which the objects `changed` are not those of the scene before."""
+        self._world = new_world(self._compiler.update(scene, changed, materials, revision))
+
+    def play(self, mode: Mode, attack: Attack, direction: tuple[float, float], amplitude_m_per_s2: float) -> None:
+        """Strikes a mode at the next tick, as the daemon's `play` does."""
+        length = math.hypot(*direction)
+        record = ffi.new("struct hd_mode *")
+        record[0] = mode_record(mode, 1.0, mode.coefficient(1.0, attack), self._output)
+        along = ffi.new("double[2]", (direction[0] / length, direction[1] / length))
+        if lib.hd_play(self._state, record, along, amplitude_m_per_s2) != Status.OK:
+            raise HapticdError(f"the mode cannot be played: {invalid_reason()}")
+
+    def reset(self, objects: Iterable[str] | None, time_ns: int) -> None:
+        """Clears contact state at the next tick, which has this time, as the daemon's `reset` does."""
+        places = [(NO_SLOT, 0)] if objects is None else map(self._compiler.slot_of, objects)
+        for place in places:
+            if place is not None:
+                lib.hd_state_reset(self._state, *place, time_ns)
+
+    def name_of(self, event: npt.NDArray[np.void] | np.void) -> str | None:
+        """The id of the object that an event speaks of."""
+        return self._compiler.name_of(int(event["slot"]), int(event["generation"]))
+
+    def run(
+        self, recorded: Samples, interval_s: npt.NDArray[np.float64], periods: npt.NDArray[np.uint32]
+    ) -> tuple[Samples, npt.NDArray[np.void]]:
+        """The samples and events of (n,) recorded ticks; `interval_s`, (n,): between the report of a tick and the one
+        before, 0: none came; `periods`, (n,): since the tick before."""
+        world, samples = self._world, np.empty(len(recorded), SAMPLE_DTYPE)
+        assert world is not None
+        recorded, interval_s = np.ascontiguousarray(recorded), np.ascontiguousarray(interval_s)
+        periods = np.ascontiguousarray(periods)
+        events = self._recorder.run(
+            len(recorded),
+            lambda part, room, capacity, found: lib.hd_replay(
+                world,
+                self._state,
+                pointer("struct hd_sample[]", recorded[part]),
+                pointer("double[]", interval_s[part]),
+                pointer("uint32_t[]", periods[part]),
+                part.stop - part.start,
+                pointer("struct hd_sample[]", samples[part]),
+                room,
+                capacity,
+                found,
+            ),
+        )
+        return samples, events
+
+
+def _ticks(duration_s: float, rate_hz: float) -> int:
+    wanted = f"must be a number of seconds, at least one tick and at most {MAX_DURATION_S:g} s"
+    if isinstance(duration_s, bool) or not isinstance(duration_s, int | float | np.integer | np.floating):
+        raise InvalidError([Problem("duration_s", f"{wanted}, is {shown(duration_s)}")])
+    if not 0 < duration_s <= MAX_DURATION_S or round(float(duration_s) * rate_hz) < 1:
+        raise InvalidError([Problem("duration_s", f"{wanted}, is {shown(duration_s)}")])
+    return round(float(duration_s) * rate_hz)
+
+
+def _numbers(values: npt.ArrayLike, name: str, columns: int) -> npt.NDArray[np.float64]:
+    """Real numbers, shape (n, columns); whether they are finite is not asked here."""
+    try:
+        given = np.asarray(values)
+        if given.dtype.kind not in "fiu" or isinstance(values, np.ma.MaskedArray):
+            raise InvalidError([Problem(name, f"must be real numbers, shape (n, {columns}), has type {given.dtype}")])
+        array = np.ascontiguousarray(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidError([Problem(name, f"must be numbers, shape (n, {columns}): {error}")]) from None
+    if array.ndim != 2 or array.shape[1] != columns:
+        raise InvalidError([Problem(name, f"must have shape (n, {columns}), has {array.shape}")])
+    return array
+
+
+def _positions(position_m: npt.ArrayLike, name: str) -> npt.NDArray[np.float64]:
+    array = _numbers(position_m, name, 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = array.sum()
+    if not np.isfinite(total):  # one pass; the sum of finite numbers may overflow, so look again
+        finite = np.isfinite(array).all(axis=1)
+        if finite.all():
+            return array
+        first = int(np.argmin(finite))
+        raise InvalidError([Problem(f"{name}[{first}]", f"must be finite, is {array[first].tolist()}")])
+    return array
+
+
+def render(
+    config: ConfigSource,
+    position_m: npt.ArrayLike,
+    rate_hz: float | None = None,
+    *,
+    velocity_m_per_s: npt.ArrayLike | None = None,
+) -> Samples:
+    """Forces for a path of positions, open loop.
+
+    `config` is what a YAML file holds, as a mapping or a path (materials, device, scene). `position_m` has shape
+    (n, 2), one position a tick, taken as it is: no encoder, no delay, no actuator resolution. `rate_hz`, ticks per
+    second, is by default the configuration's. `velocity_m_per_s`, shape (n, 2), is used where the caller knows it;
+    otherwise it is estimated (exact positions: the backward difference). Forces are on from the first sample; a probe
+    that starts inside an object comes in over the scene's ramp_s.
+
+    Returns (n,) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
+    """
+    return render_run(config, position_m, rate_hz, velocity_m_per_s=velocity_m_per_s).samples
+
+
+def render_run(
+    config: ConfigSource,
+    position_m: npt.ArrayLike,
+    rate_hz: float | None = None,
+    *,
+    velocity_m_per_s: npt.ArrayLike | None = None,
+    periods: npt.ArrayLike | None = None,
+) -> Run:
+    """As `render`, with the events; `periods`, shape (n,), says how many periods before each tick (1: none missed)."""
+    scene = _Scene(config, rate_hz)
+    positions = _positions(position_m, "position_m")
+    count = len(positions)
+    velocities = counts = None
+    if velocity_m_per_s is not None:
+        velocities = _positions(velocity_m_per_s, "velocity_m_per_s")
+        if len(velocities) != count:
+            raise InvalidError([Problem("velocity_m_per_s", f"must have shape ({count}, 2), has {velocities.shape}")])
+    if periods is not None:
+        counts = np.ascontiguousarray(periods, dtype=np.uint32)
+        if counts.shape != (count,):
+            raise InvalidError([Problem("periods", f"must have shape ({count},), has {counts.shape}")])
+    state = scene.new_state(0.0)
+    samples = np.empty(count, SAMPLE_DTYPE)
+    events = _Recorder().run(
+        count,
+        lambda part, room, capacity, found: lib.hd_render(
+            scene.world,
+            state,
+            pointer("double[]", positions[part]),
+            ffi.NULL if velocities is None else pointer("double[]", velocities[part]),
+            ffi.NULL if counts is None else pointer("uint32_t[]", counts[part]),
+            part.stop - part.start,
+            pointer("struct hd_sample[]", samples[part]),
+            room,
+            capacity,
+            found,
+        ),
+    )
+    return Run(samples, events, scene.objects, None, scene.undisplayable, scene.warnings, scene.rate_hz)
+
+
+def simulate(
+    config: ConfigSource,
+    waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
+    duration_s: float | None = None,
+    rate_hz: float | None = None,
+    *,
+    interpolation: Literal["linear", "minimum_jerk"] | None = None,
+) -> Samples:
+    """The closed loop of the tick and the simulated joystick of `config`, whose hand follows `waypoints`.
+
+    `waypoints` are [t_s, x_m, y_m], shape (n, 3), or what an operator file holds (waypoints or a gesture), as a mapping
+    or a path. The handle starts at rest where the hand first wants to be. `duration_s` is by default the operator's,
+    `rate_hz`, ticks per second, the configuration's.
+
+    Returns (round(duration_s * rate),) records of SAMPLE_DTYPE. Raises InvalidError, HapticdError.
+    """
+    return simulate_run(config, waypoints, duration_s, rate_hz, interpolation=interpolation).samples
+
+
+def simulate_run(
+    config: ConfigSource,
+    waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
+    duration_s: float | None = None,
+    rate_hz: float | None = None,
+    *,
+    interpolation: Literal["linear", "minimum_jerk"] | None = None,
+) -> Run:
+    """As `simulate`, with the events and the handle's true motion."""
+    scene = _Scene(config, rate_hz)
+    operator = _operator(waypoints, interpolation)
+    device = scene.config.device.sim
+    path = operator.waypoints_for(
+        lambda id: target_of(scene.config.scene.objects.get(id), scene.config.materials),
+        grip_of(device),
+        device.start_m,
+        scene.config.scene.objects,
+    )
+    count = _ticks(float(path[-1, 0]) if duration_s is None else duration_s, scene.rate_hz)
+    stability = scene.stability()
+    sim = new_sim(device, scene.rate_hz)
+    hand = new_operator(path.tolist(), operator.interpolation)
+    lib.hd_sim_operate(sim, hand)
+    lib.hd_sim_settle(sim)
+    state = scene.new_state(device.encoder_step_m)
+    samples = np.empty(count, SAMPLE_DTYPE)
+    truth = np.empty((count, 4))
+    events = _Recorder().run(
+        count,
+        lambda part, room, capacity, found: lib.hd_simulate(
+            scene.world,
+            state,
+            sim,
+            part.stop - part.start,
+            pointer("struct hd_sample[]", samples[part]),
+            pointer("double[]", truth[part]),
+            room,
+            capacity,
+            found,
+        ),
+    )
+    told = (*scene.warnings, *stability.problems())
+    return Run(samples, events, scene.objects, truth, scene.undisplayable, told, scene.rate_hz)
+
+
+def _operator(
+    waypoints: npt.ArrayLike | Mapping[str, object] | str | os.PathLike[str],
+    interpolation: Literal["linear", "minimum_jerk"] | None,
+) -> Operator:
+    if isinstance(waypoints, str | os.PathLike | Mapping):
+        if interpolation is not None:
+            raise InvalidError([Problem("interpolation", "belongs to the operator's own keys here")])
+        return parse_operator(waypoints) if isinstance(waypoints, Mapping) else load_operator(waypoints)
+    points = _numbers(waypoints, "waypoints", 3).tolist()
+    return parse_operator({"waypoints": points, "interpolation": interpolation or "linear"})

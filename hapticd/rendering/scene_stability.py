@@ -1,0 +1,77 @@
+"""How the sets of objects of a scene stand, as it is reported: by `hapticd check`, in get_status and by a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from hapticd.base.errors import Problem, path_text
+from hapticd.rendering.contact_sets import MOST_LINES, MOST_TOLD, Parts, Sets
+from hapticd.rendering.stability import Loop, Margin
+from hapticd.rendering.stability_remedy import with_remedy
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """How the sets of a scene stand, or why nobody knows."""
+
+    unknown: str | None
+    """One line; None: it is known."""
+    assumed: Loop | None
+    sets: int = 0
+    unsafe: int = 0
+    """How many are not safe."""
+    worst: tuple[Margin, ...] = ()
+    """Up to MOST_TOLD, the least margin first: those that are not safe, or any where that was asked for."""
+
+    @property
+    def harmful(self) -> tuple[Margin, ...]:
+        """Those that are more than unproved."""
+        return tuple(margin for margin in self.worst if margin.verdict == "unsafe")
+
+    def to_dict(self) -> dict[str, object]:
+        """As get_status has it."""
+        return {
+            "unknown": self.unknown,
+            "assumed": None if self.assumed is None else self.assumed.to_dict(),
+            "sets": self.sets,
+            "unsafe": self.unsafe,
+            "worst": [margin.to_dict() for margin in self.worst],
+        }
+
+    def problems(self) -> list[Problem]:
+        """A line for each set that is unsafe, and one for the rest of those that are told."""
+        harmful = self.harmful
+        found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MOST_LINES]]
+        if len(harmful) > MOST_LINES:
+            more = f"{self.unsafe - MOST_LINES} more sets of objects are not safe, see `hapticd check`"
+            found.append(Problem("scene.objects", more))
+        return found
+
+
+def place_of(objects: Sequence[str]) -> str:
+    """Where a set stands in a configuration, and what acts with it."""
+    first, others = objects[0], objects[1:]
+    place = path_text(("scene", "objects", first))
+    if not others:
+        return place
+    more = f" and {len(others) - 2} more" if len(others) > 3 else ""
+    return f"{place} with {', '.join(others[: 2 if more else 3])}{more}"
+
+
+def judge(
+    parts: Parts, name_of: Callable[[int], str], fields: Callable[[], Sequence[str]], loop: Loop, unsafe: bool = True
+) -> Stability:
+    """The sets of a scene; `name_of` a slot is an object's id, `fields` are the ids of those that push everywhere.
+
+    `unsafe`: tell only of sets that are not safe.
+    """
+    sets = Sets(parts, loop)
+    found = sets.worst(MOST_TOLD, unsafe=unsafe)
+    everywhere = tuple(fields()) if found and sets.fields else ()
+    named = [((*map(name_of, slots), *everywhere), place) for slots, place in found]
+    worst = (
+        margin if margin.safe else with_remedy(margin, parts, loop, slots)
+        for margin, (slots, _) in zip(sets.margins(named), found, strict=True)
+    )
+    return Stability(None, loop, len(sets), int((~sets.safe).sum()), tuple(worst))

@@ -1,0 +1,146 @@
+"""Lines of the log that repeat each other: the first at once, those that follow as sums at doubling intervals.
+
+    14:03:22  40 periods missed
+    14:03:23  1,210 periods missed (12.1 %), 31 times, in the last 1 s
+    14:03:25  2,377 periods missed (11.9 %), 58 times, in the last 2 s
+    14:03:29  ...
+
+The interval doubles with each line, from one second to an hour. Whoever was quiet for five minutes begins anew.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final, TypeAlias
+
+from hapticd.base import wording
+
+SHORTEST_S: Final = 1.0
+LONGEST_S: Final = 3600.0
+STATE_S: Final = 60.0
+"""The longest interval for changes of a state that somebody has to know of: a fault, a lost device."""
+QUIET_S: Final = 300.0
+"""After so long without one, what is held back is told, and the next is a first one again."""
+MOST_KINDS: Final = 256
+"""What is remembered; of more, the one that was noted the longest ago is forgotten."""
+
+_NOTHING: Final[Mapping[str, int]] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Since:
+    """What a line sums up: all of its kind since the line before."""
+
+    times: int = 1
+    seconds: float = 0.0
+    """Since the line before; 0 for a line that is told at once."""
+    amounts: Mapping[str, int] = field(default_factory=dict)
+    """Numbers that were added up."""
+
+    @property
+    def window(self) -> str:
+        """`in the last 64 s`; empty for a line that is told at once."""
+        return f"in the last {wording.duration(round(self.seconds) or self.seconds)}" if self.seconds else ""
+
+    @property
+    def more(self) -> str:
+        """What follows a line that shows the newest of several: ` (and 12 more in the last 64 s)`, ` (once in the last
+        64 s)`."""
+        told = [f"and {self.times - 1:,} more"] if self.times > 1 else ["once"] if self.seconds else []
+        told += [self.window] if self.seconds else []
+        return f" ({' '.join(told)})" if told else ""
+
+
+Tell: TypeAlias = Callable[[Since], None]
+
+
+@dataclass(slots=True)
+class _Kind:
+    """A kind of line that was told, and what came since."""
+
+    told_s: float
+    interval_s: float
+    longest_s: float
+    newest_s: float
+    held: Tell | None = None
+    times: int = 0
+    amounts: dict[str, int] = field(default_factory=dict)
+
+    def over(self, now_s: float) -> bool:
+        """Whether the next is a first one again."""
+        quiet_s = now_s - self.newest_s
+        return self.held is None and quiet_s >= QUIET_S and now_s - self.told_s >= SHORTEST_S
+
+    def due(self, now_s: float) -> bool:
+        return now_s - self.told_s >= self.interval_s or now_s - self.newest_s >= QUIET_S
+
+
+class Repeats:
+    """Says which lines are told. For any thread; one calls `flush` now and then, ten times a second say."""
+
+    def __init__(
+        self, now_s: Callable[[], float] = time.monotonic, may_tell: Callable[[], bool] = lambda: True
+    ) -> None:
+        """`may_tell`: asked before each line; a line for which there is no room now is held back as others are."""
+        self._now_s, self._may_tell = now_s, may_tell
+        self._lock = threading.RLock()
+        self._kinds: OrderedDict[str, _Kind] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._kinds)
+
+    def note(self, kind: str, tell: Tell, amounts: Mapping[str, int] = _NOTHING, longest_s: float = LONGEST_S) -> None:
+        """Has `tell` called now, or later with the sum of those that came until then. Of several the newest is called.
+
+        Lines of one kind repeat each other.
+        """
+        with self._lock:
+            self._note(kind, tell, amounts, longest_s)
+
+    def _note(self, kind: str, tell: Tell, amounts: Mapping[str, int], longest_s: float) -> None:
+        now_s = self._now_s()
+        known = self._kinds.pop(kind, None)
+        if known is not None and known.over(now_s):
+            known = None
+        if known is None:
+            known = _Kind(now_s, 0.0, longest_s, now_s)
+        self._kinds[kind] = known
+        known.held, known.newest_s = tell, now_s
+        known.times += 1
+        for name, amount in amounts.items():
+            known.amounts[name] = known.amounts.get(name, 0) + amount
+        if now_s - known.told_s >= known.interval_s:
+            self._tell(known, now_s, at_once=known.times == 1)
+        while len(self._kinds) > MOST_KINDS:
+            self._kinds.popitem(last=False)
+
+    def flush(self) -> None:
+        """Tells the sums that are due, and forgets who was quiet."""
+        with self._lock:
+            now_s = self._now_s()
+            for kind, known in list(self._kinds.items()):
+                if not known.due(now_s):
+                    continue
+                if known.held is not None:
+                    self._tell(known, now_s)
+                elif known.over(now_s):
+                    del self._kinds[kind]
+
+    def finish(self) -> None:
+        """Tells all that is held back, at the end."""
+        with self._lock:
+            now_s = self._now_s()
+            for known in self._kinds.values():
+                self._tell(known, now_s)
+
+    def _tell(self, known: _Kind, now_s: float, at_once: bool = False) -> None:
+        if known.held is None or not self._may_tell():
+            return
+        since = Since(known.times, 0.0 if at_once else now_s - known.told_s, known.amounts)
+        tell, known.held, known.times, known.amounts = known.held, None, 0, {}
+        known.told_s, known.interval_s = now_s, min(max(2 * known.interval_s, SHORTEST_S), known.longest_s)
+        tell(since)

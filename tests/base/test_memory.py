@@ -1,0 +1,54 @@
+"""That large blocks stay apart from small ones, as glibc itself tells (malloc_info)."""
+
+from __future__ import annotations
+
+import json
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.memory import LARGE_BLOCK, settle
+
+pytestmark = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's limit moves, and is set")
+ROOT = Path(__file__).parents[2]
+PROGRAM = """
+import ctypes, json, re, sys
+from hapticd.base.memory import settle
+libc = ctypes.CDLL(None)
+libc.fopen.restype = ctypes.c_void_p
+
+def apart():
+    # How many blocks have pages of their own.
+    file = ctypes.c_void_p(libc.fopen(sys.argv[1].encode(), b"w"))
+    assert file and libc.malloc_info(0, file) == 0 and libc.fclose(file) == 0
+    return int(re.search(r'<total type="mmap" count="(\\d+)"', open(sys.argv[1]).read())[1])
+
+if sys.argv[2] == "settled":
+    settle()
+del (buffer := [bytearray(4 << 20)])[:]  # this is what raises the limit
+before = apart()
+kept = [bytearray(size) for size in json.loads(sys.argv[3])]
+print(apart() - before)
+"""
+
+
+def apart(tmp_path: Path, how: str, *sizes: int) -> int:
+    """How many blocks of these sizes, after a larger one has come and gone, have pages of their own."""
+    command = [sys.executable, "-c", PROGRAM, str(tmp_path / "info.xml"), how, json.dumps(sizes)]
+    return int(subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout)
+
+
+def test_large_blocks_are_kept_apart(tmp_path: Path) -> None:
+    sizes = (1 << 20, 2 << 20, 3 << 20)  # more than the heap has free
+    assert apart(tmp_path, "as it is", *sizes) == 0, "no need of it any more"
+    assert apart(tmp_path, "settled", *sizes) == 3
+    assert apart(tmp_path, "settled", LARGE_BLOCK // 2) == 0
+
+
+def test_a_size_that_malloc_does_not_take_is_refused() -> None:
+    with pytest.raises(HapticdError, match="memory: blocks of 4294967296 bytes or more apart: too large"):
+        settle(2**32)

@@ -1,0 +1,145 @@
+"""`hapticd devices parse`: files that hold a report descriptor, and files that do not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from hapticd.cli import main
+from tests.support.cli import said
+from tests.support.hid_descriptors import Joystick
+
+STICK = bytes(Joystick())
+
+
+def hexadecimal(data: bytes) -> str:
+    return "\n".join(data[at : at + 16].hex(" ") for at in range(0, len(data), 16)) + "\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        STICK,
+        hexadecimal(STICK).encode(),
+        STICK.hex().upper().encode(),
+        b"# a joystick\n" + ", ".join(f"0x{byte:02X}" for byte in STICK).encode() + b" // its end\n",
+    ],
+)
+def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(content)
+    assert main(["devices", "parse", str(file), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["usable"] is True and told["missing"] == []
+    assert {name: told["input"]["y"][name] for name in ("report_id", "bit_offset", "bit_size", "logical_min")} == {
+        "report_id": 1,
+        "bit_offset": 16,
+        "bit_size": 16,
+        "logical_min": -32767,
+    }
+    assert told["constant_force"]["report_bytes"] == 4
+    assert told["constant_force"]["magnitude"]["bit_offset"] == 8
+    assert told["device_control"]["kind"] == "array"
+    assert told["device_control"]["values"]["stop_all_effects"] == 3
+    assert told["pool"]["simultaneous_effects_max"]["bit_offset"] == 16
+
+
+def test_json_of_bits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(bytes(Joystick(control="bits")))
+    assert main(["devices", "parse", str(file), "--json"]) == 0
+    control = json.loads(capsys.readouterr().out)["device_control"]
+    assert control["kind"] == "bits" and control["report_id"] == 7
+    assert control["bits"]["device_reset"]["bit_offset"] == 3
+
+
+def test_one_effect_for_both_axes_says_how_much_comes_out_across_a_force(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half of one of 255 counts a turn is 1.2 % of a force; two effects, or 35999 counts, let nothing through."""
+    file = tmp_path / "descriptor"
+    told = []
+    for like in (
+        Joystick(is_magnitude_signed=False),
+        Joystick(is_magnitude_signed=False, direction_bits=16),
+        Joystick(),
+    ):
+        file.write_bytes(bytes(like))
+        assert main(["devices", "parse", str(file)]) == 0
+        told.append("up to 1.2 % of a force comes out across it" in capsys.readouterr().out)
+    assert told == [True, False, False]
+    assert main(["devices", "parse", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["leak"] == 0.0
+
+
+def test_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(STICK)
+    assert main(["devices", "parse", str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "can be driven"
+    assert lines[1] == "forces: along x and y, by 2 effects"
+    assert lines[2] == "axis x: input report 1, 16 bits at 0, -32767 to 32767"
+    assert "direction: an angle, 0 to 255; Axes Enable: x, y" in lines
+    assert "constant force: output report 4 of 4 bytes, magnitude -10000 to 10000" in lines
+    file.write_bytes(bytes(Joystick(without=frozenset({0x73, 0x96}))))
+    assert main(["devices", "parse", str(file)]) == 0
+    told = capsys.readouterr().out.splitlines()[0]
+    assert told == "cannot be driven; missing: Set Constant Force, Device Control"
+
+
+@pytest.mark.parametrize(
+    ("like", "told"),
+    [
+        (Joystick(force_axes=(0x30,), directions=1), "forces: along x only, by 1 effect"),
+        (Joystick(is_magnitude_signed=False, direction_bits=16), "forces: along x and y, by 1 effect"),
+        (Joystick(direction_bits=0, without=frozenset({0x56})), "direction: none; Axes Enable: x, y"),
+        (Joystick(force_axes=()), "direction: an angle, 0 to 255; Axes Enable: none"),
+    ],
+)
+def test_along_what_it_is_pushed_and_how(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], like: Joystick, told: str
+) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(bytes(like))
+    assert main(["devices", "parse", str(file)]) == 0
+    assert told in capsys.readouterr().out.splitlines()
+
+
+def test_what_is_skipped_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(STICK[:6] + bytes([0x0D, 7]) + STICK[6:])
+    assert main(["devices", "parse", str(file)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "can be driven"
+    assert lines[-1] == "not used: report descriptor, byte 6 (reserved item): skipped"
+    assert main(["devices", "parse", str(file), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["usable"] and told["problems"] == ["report descriptor, byte 6 (reserved item): skipped"]
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"", "the report descriptor is empty"),
+        (STICK[:-1], "report descriptor, byte 4 (Collection): still open where the descriptor ends"),
+        (b"05 01\n09 4\n", 'descriptor, line 2: "4" is not bytes in hexadecimal such as 05 01 09 04'),
+        (b"a joystick\n", 'line 1: "a" is not bytes in hexadecimal'),
+    ],
+)
+def test_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: bytes, told: str) -> None:
+    file = tmp_path / "descriptor"
+    file.write_bytes(content)
+    assert told in said(capsys, 1, "devices", "parse", str(file), "--json")
+
+
+def test_a_file_without_end(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["devices", "parse", "/dev/zero"]) == 1
+    assert "the longest that Linux takes has 4096" in capsys.readouterr().err
+
+
+def test_no_such_file(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["devices", "parse", "/nowhere/descriptor"]) == 1
+    assert "/nowhere/descriptor" in capsys.readouterr().err

@@ -1,0 +1,148 @@
+"""`devices`, `devices dump` and `devices calibrate`, with devices that stand in for the machine's."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hapticd.cli import main
+from hapticd.config.configuration import load_config
+from hapticd.config.hid import ForceAxes, ForceAxis, Hid
+from hapticd.hid import discovery, sources
+from hapticd.hid.connection import Opened
+from hapticd.hid.discovery import Found
+from hapticd.hid.drivers.pid import PidDriver
+from hapticd.hid.verdict import Verdict, verdict_of
+from tests.support.hid_descriptors import Joystick
+from tests.support.hid_device import FakePid
+
+STICK = bytes(Joystick())
+
+
+def found(path: str = "/dev/hidraw0", descriptor: bytes = STICK) -> Found:
+    return Found(
+        path=path,
+        name="Lab stick",
+        vendor=0x1209,
+        product=0x5AFF,
+        serial="",
+        bus="USB",
+        driver="hid-generic",
+        descriptor=descriptor,
+        in_interval_s=0.001,
+        out_interval_s=0.004,
+        permission="ok",
+    )
+
+
+def here(monkeypatch: pytest.MonkeyPatch, *devices: Found) -> None:
+    monkeypatch.setattr(discovery, "find", lambda: list(devices))
+
+
+def test_list(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    pad = found("/dev/hidraw1", bytes(Joystick(without=frozenset({0x73}))))
+    here(monkeypatch, found(), pad, replace(found("/dev/hidraw2"), permission="denied"))
+    assert main(["devices"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["/dev/hidraw0 (Lab stick, 1209:5aff), USB", "    can be driven, a report every 4 ms"]
+    assert lines[3] == "    cannot be driven without a description: its report descriptor has no Set Constant Force"
+    assert lines[5].startswith("    can be driven, a report every 4 ms; but no permission: install ")
+    assert main(["devices", "--json"]) == 0
+    assert [item["usable"] for item in json.loads(capsys.readouterr().out)] == [True, False, True]
+
+
+@pytest.mark.parametrize(("keys", "times"), [({}, 1), ({"travel_m": 0.04}, 2)], ids=["defaults", "configured"])
+def test_a_descriptor_is_read_once_for_each_configuration(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, keys: dict[str, object], times: int
+) -> None:
+    judged = []
+
+    def noted(hid: Hid, descriptor: bytes) -> Verdict:
+        judged.append(hid)
+        return verdict_of(hid, descriptor)
+
+    monkeypatch.setattr(discovery, "verdict_of", noted)
+    here(monkeypatch, found())
+    config = tmp_path / "config.yaml"
+    config.write_text(json.dumps({"device": {"kind": "hid", "hid": keys}}))
+    assert main(["devices", "-c", str(config)]) == 0
+    assert len(judged) == times
+
+
+def test_none(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    here(monkeypatch)
+    assert main(["devices"]) == 0
+    assert capsys.readouterr() == ("", "hapticd: no HID device is connected, or the kernel has no hidraw\n")
+    assert main(["devices", "dump", "/dev/hidraw0", "-o", "x"]) == 1
+    assert capsys.readouterr().err == 'hapticd: no HID device "/dev/hidraw0"; there are: none\n'
+
+
+def test_dump(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    node = tmp_path / "hidraw0"
+    # A file is at its end after one read, as a device is that goes.
+    node.write_bytes(b"\x01\x00\x00\x05\x00\x00")
+    here(monkeypatch, found(str(node)))
+    out = tmp_path / "stick.jsonl"
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--for", "1min"]) == 0
+    head, report = out.read_text().splitlines()
+    assert json.loads(head) == {
+        "recording": 1,
+        "name": "Lab stick",
+        "vendor": 0x1209,
+        "product": 0x5AFF,
+        "descriptor": STICK.hex(),
+    }
+    assert json.loads(report)[1] == "010000050000"
+    assert capsys.readouterr().out.startswith("1 report of ")
+    dumped = out.read_text()
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out)]) == 1
+    assert "stick.jsonl: is there already; give another name, or --overwrite" in capsys.readouterr().err
+    assert out.read_text() == dumped
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--overwrite"]) == 0
+    capsys.readouterr()
+    here(monkeypatch, found(), found("/dev/hidraw1"))
+    assert main(["devices", "dump", "1209:5aff", "-o", str(out), "--overwrite"]) == 1
+    assert "is several devices, name one by its path: /dev/hidraw0" in capsys.readouterr().err
+
+
+def test_calibrate(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    from hapticd.hid import sign_calibration as module
+
+    stick = FakePid(STICK)
+    axes = ForceAxes(x=ForceAxis(sign=-1), swap=True)
+    monkeypatch.setattr(
+        sources, "open_hid", lambda hid: Opened(stick.device, PidDriver(stick.layout, hid), "Lab stick")
+    )
+    monkeypatch.setattr(module, "calibrate", lambda *_: module.Calibration(axes, {}))
+    config = tmp_path / "stick.yaml"
+    config.write_text("device: {kind: hid, hid: {vendor: 0x1209, travel_m: 0.04}}\n")
+    out = tmp_path / "calibrated.yaml"
+    assert main(["devices", "calibrate", "-c", str(config), "-o", str(out), "--yes"]) == 0
+    assert capsys.readouterr().out == out.read_text()
+    read = load_config(out).device
+    assert read.kind == "hid"
+    assert read.hid == Hid(vendor=0x1209, travel_m=0.04, force_axes=axes)
+    assert stick.device.closed
+    assert [item.name for item in tmp_path.iterdir() if item not in (config, out)] == []
+    # What was there stays, and no handle moves for a file that would not be written.
+    before = config.read_text()
+    (tmp_path / "folder").mkdir()
+    monkeypatch.setattr(sources, "open_hid", lambda hid: pytest.fail("a handle would move"))
+    for place, told in (
+        (tmp_path / "none" / "a.yaml", "cannot be written: there is no folder"),
+        (tmp_path / "folder", "is there already"),
+        (out, "is there already; give another name, or --overwrite"),
+    ):
+        assert main(["devices", "calibrate", "-c", str(config), "-o", str(place), "--yes"]) == 1
+        seen = capsys.readouterr()
+        assert seen.out == "" and seen.err.startswith(f"hapticd: {place}: {told}")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["calibrated.yaml", "folder", "stick.yaml"]
+    assert main(["devices", "calibrate", "-c", str(config), "-o", f"{tmp_path}/./stick.yaml", "--yes"]) == 2
+    assert "would take the place of the configuration" in capsys.readouterr().err
+    assert config.read_text() == before
+    assert main(["devices", "calibrate", "-c", str(config), "--force", "1"]) == 2
+    assert "--force 1: at most 0.89" in capsys.readouterr().err
+    stick.close()

@@ -1,0 +1,419 @@
+"""What commands print: people's lines, programs' JSON, and the line or object of a command that failed."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, cast
+
+import msgpack
+import pytest
+
+from hapticd.base.core import Fault, SignsProblem, SignsState
+from hapticd.base.errors import HapticdError, InvalidError, Problem, in_order
+from hapticd.cli import main
+from hapticd.cli.common import print_result
+from hapticd.cli.failure import asks_for_json, tell
+from hapticd.cli.shell import PHRASES, in_shell_words
+from hapticd.cli.status import FAULTS, lines, text_of
+from hapticd.daemon.control import _FAULT_WORDS
+from hapticd.daemon.engine import Granted
+from hapticd.hid.signs import Told
+from hapticd.protocol.calls import DaemonNotRunning, RemoteError, outcome, patch_tree
+from hapticd.protocol.events import fault_names
+from hapticd.protocol.messages import Code
+from hapticd.protocol.results import Status
+from hapticd.system.paths import runtime_paths
+from tests.support.cli import said
+from tests.support.fake_daemon import fake_daemon
+
+# ---- status ----------------------------------------------------------------------------------------------------------
+
+
+def status(**changes: object) -> Status:
+    histogram = {"edges": [1000, 2000], "counts": [0, 10, 0], "sum": 15000, "max": 1_500_000}
+    plain: dict[str, Any] = {
+        "version": "1.2.3",
+        "protocol": 1,
+        "state": "running",
+        "device": "sim",
+        "connection": None,
+        "rate_hz": 10_000.0,
+        "realtime": Granted("fifo", 80, 3, "process", True, ()).to_dict(),
+        "revision": 1234,
+        "tick": 98_766,
+        "forces": "on",
+        "faults": [],
+        "lease_s": None,
+        "counters": {"skipped": 0, "overruns": 0, "samples_dropped": 0, "events_dropped": 0, "strikes": 12_340},
+        "overruns": {"threshold": 0.1, "action": "warn", "missed_share": 0.0123, "configured_rate_hz": 10_000.0},
+        "histograms": {"lateness_ns": histogram},
+        "flight": {"seconds": 10.0, "written": 1, "directory": "/var/lib/hapticd", "problem": None},
+        "undisplayable": [],
+        "warnings": [],
+        "offload": [],
+    }
+    return cast(Status, {**plain, **changes})
+
+
+def test_the_status_of_a_daemon_that_is_well() -> None:
+    assert text_of(list(lines(status()))).splitlines() == [
+        "forces           on",
+        "real time        SCHED_FIFO 80, processor 3, all memory locked, idle states held off",
+        "periods          98,766 ticks, none missed",
+        "device           sim at 10 kHz",
+        "scene            revision 1,234",
+        "lease            none",
+        "lateness         median 1.5 us, 99 % within 1.99 us, longest 1.5 ms",
+        "strikes          12,340",
+        "telemetry        nothing dropped",
+        "flight recorder  the last 10 s; 1 file written to /var/lib/hapticd",
+        "daemon           hapticd 1.2.3, protocol 1, running",
+    ]
+
+
+def test_what_is_wrong_comes_first_with_what_to_do() -> None:
+    refused = Granted("other", 0, None, "none", False, ("SCHED_FIFO priority 80: Operation not permitted",))
+    counters = {"skipped": 1234, "overruns": 1, "samples_dropped": 1, "events_dropped": 0}
+    told = status(
+        forces="faulted", faults=["device", "lease"], realtime=refused.to_dict(), counters=counters, rate_hz=5000.0
+    )
+    assert text_of(list(lines(told))).splitlines()[:9] == [
+        "forces           off by a fault: the device does not report and a lease lapsed",
+        "                 `hapticd force on` turns them on again once its cause is gone",
+        "real time        no priority, any processor, no memory locked, idle states as they are",
+        "                 not granted: SCHED_FIFO priority 80: Operation not permitted",
+        "                 `hapticd doctor` says how to grant it",
+        "periods          98,766 ticks; 1,234 missed (1.23 %), 1 time",
+        "                 1.23 % of the last second's; above 10 %: warn",
+        "device           sim at 5 kHz, stepped down from 10 kHz",
+        "scene            revision 1,234",
+    ]
+    assert ("telemetry", "1 sample and 0 events dropped") in list(lines(told))
+    assert ("forces", "off: `hapticd force on` turns them on") in list(lines(status(forces="off")))
+
+
+def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProblem.FINE) -> list[tuple[str, str]]:
+    connection = {
+        "name": None,
+        "state": "connected",
+        "problem": None,
+        "link_hz": None,
+        "report_hz": None,
+        "force_hz": None,
+        "states": {},
+        "resets": 0,
+        "signs": Told(word, problem, "x").to_dict(),
+    }
+    faults = ["signs"] if forces == "faulted" else []
+    return list(lines(status(forces=forces, faults=faults, connection=connection)))
+
+
+def test_the_status_says_how_far_the_check_of_signs_is_and_what_to_do() -> None:
+    told = with_signs("on", SignsState.CHECKING)
+    assert told[0] == ("forces", "on, but held back while the signs of the device are checked")
+    assert ("signs", "checking") in told
+    told = with_signs("on", SignsState.WAITING, SignsProblem.CONTACT)
+    advice = "the handle touches an object of the scene: move it away and let go of it"
+    assert ("signs", f"waiting: {advice}") in told
+    told = with_signs("on", SignsState.RIGHT)
+    assert told[0] == ("forces", "on") and ("signs", "right") in told
+    told = with_signs("faulted", SignsState.WRONG, SignsProblem.SWAPPED)
+    assert told[:2] == [
+        ("forces", "off by a fault: the signs of the device are not known"),
+        (
+            "",
+            "a force along x moves the handle along y: run `hapticd devices calibrate` to find device.hid.force_axes, "
+            "or set device.hid.signs: trust to skip the check",
+        ),
+    ]
+    assert ("signs", "wrong") in told
+
+
+def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    signs = Told(SignsState.CHECKING, SignsProblem.FINE, "x").to_dict()
+    wrong = Told(SignsState.WRONG, SignsProblem.REVERSED, "x").line()
+    answers: list[Any] = [
+        {"result": {"forces": "on", "tick": 1, "signs": signs}},
+        {"error": {"code": -32003, "message": f"forces are off because {wrong}", "data": {"faults": ["signs"]}}},
+    ]
+
+    def answer(request: dict[str, Any]) -> list[bytes]:
+        return [msgpack.packb({"jsonrpc": "2.0", "id": request["id"], **answers.pop(0)})]
+
+    with fake_daemon(tmp_path, answer):
+        assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 0
+        assert capsys.readouterr().out == (
+            "forces on; first the signs of the device are checked: let go of the handle\n"
+        )
+        assert main(["--runtime-dir", str(tmp_path), "force", "on"]) == 1
+        assert capsys.readouterr().err == (
+            "hapticd: forces are off because a force along x moves the handle the other way: "
+            "run `hapticd devices calibrate` to find device.hid.force_axes, "
+            "or set device.hid.signs: trust to skip the check\n"
+        )
+
+
+def test_the_status_has_the_daemons_words_for_faults() -> None:
+    assert {fault_names(fault)[0]: _FAULT_WORDS[fault] for fault in Fault} == FAULTS
+
+
+# ---- failures --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "asked"),
+    [(["status", "--json"], True), (["status"], False), (["mark", "--", "--json"], False), (["--json", "x"], True)],
+)
+def test_who_asks_for_json(arguments: list[str], asked: bool) -> None:
+    assert asks_for_json(arguments) is asked
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message", "problems"),
+    [
+        (HapticdError("no\nway"), None, "no way", []),
+        (DaemonNotRunning("nobody"), -32009, "nobody", []),
+        (
+            InvalidError([Problem("a.yaml:3: scene", "is missing")]),
+            -32602,
+            "a.yaml:3: scene: is missing",
+            [{"where": "a.yaml:3: scene", "problem": "is missing"}],
+        ),
+        (
+            RemoteError(Code.INVALID_PARAMS, "x", [{"where": "mode", "problem": "must be a mapping"}]),
+            -32602,
+            "mode: must be a mapping",
+            [{"where": "mode", "problem": "must be a mapping"}],
+        ),
+        ("no memory", None, "no memory", []),
+    ],
+)
+def test_a_failure_for_programs(
+    error: BaseException | str, code: int | None, message: str, problems: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert tell(error, 1, as_json=True) == 1
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert json.loads(captured.err) == {
+        "error": {"message": message, "code": code, "exit_code": 1, "problems": problems}
+    }
+    assert tell(error, 1, as_json=False) == 1
+    assert capsys.readouterr().err == f"hapticd: {message}\n"
+
+
+WITH_JSON = [
+    ["status"],
+    ["reload"],
+    ["scene", "get"],
+    ["scene", "set", "scene.yaml"],
+    ["material", "set", "none.yaml"],
+    ["apply", "scene.yaml"],
+    ["mark", "trial 3"],
+    ["play", "wood", "--amplitude", "1"],
+    ["force", "on"],
+    ["reset"],
+    ["watch"],
+    ["record", "x.npz"],
+    ["recover", "x.npz"],
+    ["flight"],
+    ["replay", "none.npz"],
+    ["simulate", "none.yaml", "--operator", "none.yaml", "-o", "x.npz"],
+    ["check", "-c", "none.yaml"],
+    ["devices", "parse", "none.hex"],
+    ["devices", "dump", "none", "-o", "x.yaml"],
+    ["devices", "calibrate", "-c", "none.yaml"],
+    ["calibrate", "-c", "none.yaml"],
+    ["verify", "-c", "none.yaml"],
+    ["fit", "tap", "none.csv"],
+    ["fit", "synthesize", "tap", "--material", "none", "-o", "x.npz"],
+    ["key", "new", "a/b"],
+]
+
+
+@pytest.mark.parametrize("arguments", WITH_JSON, ids=" ".join)
+def test_every_command_fails_in_json_where_it_is_asked_to(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text("objects: {}\n")
+    place = ["--runtime-dir", str(tmp_path)]
+    assert said(capsys, 1, *place, *arguments, "--json") == said(capsys, 1, *place, *arguments)
+    # Neither a stray argument nor an unknown option comes as text.
+    assert "--nonsense" in said(capsys, 2, *place, *arguments, "--json", "--nonsense")
+
+
+def test_with_json_nothing_but_an_error_is_on_stderr(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without a daemon the materials are the shipped ones, which people are told beside them."""
+    place = ["--runtime-dir", str(tmp_path)]
+    assert main([*place, "material", "get", "wood"]) == 0
+    assert "shipped" in capsys.readouterr().err
+    assert main([*place, "material", "get", "wood", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert list(json.loads(captured.out)["materials"]) == ["wood"] and captured.err == ""
+    assert "unknown material" in said(capsys, 1, *place, "material", "get", "none", "--json")
+
+
+class Terminal(io.StringIO):
+    """A stderr that is a terminal."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_on_a_terminal_each_fault_has_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = [Problem(f"s.yaml:{line}:1: ramp_s", "set_operator moves\nit") for line in (10, 9)]
+    for error in (
+        InvalidError(problems),
+        RemoteError(Code.INVALID_PARAMS, "", [asdict(problem) for problem in in_order(problems)]),
+    ):
+        terminal, pipe = Terminal(), io.StringIO()
+        for stream in (terminal, pipe):
+            monkeypatch.setattr("sys.stderr", stream)
+            assert tell(error, 1, as_json=False) == 1
+        nine, ten = (f"s.yaml:{line}:1: ramp_s: `hapticd operator` moves it" for line in (9, 10))
+        assert terminal.getvalue() == f"hapticd: {nine}\nhapticd: {ten}\n"
+        if type(error) is RemoteError:
+            assert pipe.getvalue() == f"hapticd: {nine}; {ten}\n"
+    monkeypatch.setattr("sys.stderr", Terminal())
+    tell(InvalidError(problems), 1, as_json=True)
+    assert isinstance(sys.stderr, Terminal)
+    assert [each["where"] for each in json.loads(sys.stderr.getvalue())["error"]["problems"]] == [
+        "s.yaml:9:1: ramp_s",
+        "s.yaml:10:1: ramp_s",
+    ]
+
+
+def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
+    file = tmp_path / "s.yaml"
+    file.write_text("b: {kind: wall}\na: {kind: wall}\n")
+    params = {"objects": patch_tree(file, "objects")}
+    found = [{"where": f"objects.{id}.point_m", "problem": "is missing"} for id in ("a", "b", "c")]
+    with pytest.raises(RemoteError) as caught:
+        outcome(RemoteError(Code.INVALID_PARAMS, "", found), params, runtime_paths(tmp_path))
+    assert [problem.where for problem in caught.value.problems] == [
+        f"{file}:1:1: b.point_m",
+        f"{file}:1:1: c.point_m",
+        f"{file}:2:1: a.point_m",
+    ]
+
+
+# ---- the shell's words -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("code", "message", "told"),
+    [
+        (
+            Code.FORCES_OFF,
+            "forces are off: set_forces with enabled: true turns them on",
+            "forces are off: `hapticd force on` turns them on",
+        ),
+        (
+            Code.FORCES_OFF,
+            "forces are off because a lease lapsed: set_forces with enabled: true turns them on again",
+            "forces are off because a lease lapsed: `hapticd force on` turns them on again",
+        ),
+        (
+            Code.STALE_REVISION,
+            "expect_revision: 3 is stale, the scene is at revision 5",
+            "--expect-revision: 3 is stale, the scene is at revision 5: see `hapticd scene get`",
+        ),
+        (
+            Code.NO_SUCH_METHOD,
+            "no such method; known: play",
+            "the daemon does not know this command: it is of another version; `hapticd status` says which",
+        ),
+        (
+            Code.NO_OPERATOR,
+            "set_operator moves the simulated joystick's hand; this device is of kind hid",
+            "`hapticd operator` moves the simulated joystick's hand; this device is of kind hid",
+        ),
+        (Code.LEASE_HELD, "another client holds the lease for 2.000 s more", None),
+    ],
+)
+def test_the_daemons_words_in_those_of_the_shell(code: int, message: str, told: str | None) -> None:
+    assert in_shell_words(RemoteError(code, message)) == (told or message)
+
+
+def test_what_is_replaced_is_what_the_daemon_says() -> None:
+    source = (Path(__file__).parents[2] / "hapticd" / "daemon" / "control.py").read_text()
+    for phrase, _ in PHRASES:
+        assert phrase in source
+
+
+def test_warnings_of_a_result(capsys: pytest.CaptureFixture[str]) -> None:
+    result = {
+        "revision": 2,
+        "warning": "forces are off: set_forces with enabled: true turns them on",
+        "warnings": [{"where": "materials.x.tap", "problem": "50 kHz is above 0.4 of the rate"}],
+    }
+    print_result(result, as_json=False, text="revision 2")
+    captured = capsys.readouterr()
+    assert captured.out == "revision 2\n"
+    assert captured.err.splitlines() == [
+        "hapticd: warning: forces are off: `hapticd force on` turns them on",
+        "hapticd: warning: materials.x.tap: 50 kHz is above 0.4 of the rate",
+    ]
+    print_result(result, as_json=True, text="revision 2")
+    captured = capsys.readouterr()
+    assert (json.loads(captured.out), captured.err) == (result, "")
+
+
+# ---- commands that there are not -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["recrod"], "No such command 'recrod'. Did you mean 'record'? (see hapticd --help)"),
+        (["scene", "gte"], "No such command 'gte'. Did you mean 'get'? (see hapticd scene --help)"),
+        (["xyzzy"], "No such command 'xyzzy'. (see hapticd --help)"),
+        (["status", "--jsn"], "No such option '--jsn'. Did you mean '--json'? (see hapticd status --help)"),
+    ],
+)
+def test_a_command_that_is_mistyped(arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert said(capsys, 2, *arguments) == f"hapticd: {told}\n"
+
+
+@pytest.mark.parametrize("command", ["run", "bridge"])
+@pytest.mark.parametrize("options", [["-q", "-v"], ["-v", "--log-level", "info"]])
+def test_one_level_of_the_log(command: str, options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert "-q, -v and --log-level say the same" in said(capsys, 2, command, *options)
+
+
+@pytest.mark.parametrize(
+    ("options", "level"),
+    [([], "info"), (["-q"], "warning"), (["-v"], "debug"), (["--log-level", "error"], "error")],
+)
+def test_one_option_says_how_much_is_logged(
+    options: list[str], level: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given: list[object] = []
+    monkeypatch.setattr("hapticd.daemon.process.run", lambda *words: given.append(words[-1]) or 0)
+    monkeypatch.setattr("gc.disable", lambda: None)
+    assert main(["run", *options]) == 0
+    assert given == [level]
+
+
+def test_main_is_what_is_tested(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["xyzzy", "--json"]) == 2
+    assert json.loads(capsys.readouterr().err)["error"]["exit_code"] == 2
+
+
+def test_forces_that_a_fault_keeps_off_are_told_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from hapticd.cli import command
+
+    class Faulted:
+        def set_forces(self, enabled: bool) -> dict[str, object]:
+            return {"forces": "faulted", "tick": 7}
+
+    monkeypatch.setattr(command, "daemon", lambda ctx: nullcontext(Faulted()))
+    assert main(["force", "off"]) == 0
+    assert capsys.readouterr().out == "forces off, and a fault is latched: `hapticd status` says which\n"

@@ -1,0 +1,208 @@
+"""What a document is, by its keys, and the command that a reader names which is given another one's file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from hapticd.base.yaml_source import Json, load_text
+from hapticd.bridge.config import BridgeConfig
+from hapticd.config import document_kinds
+from hapticd.config.configuration import Config, load_config
+from hapticd.config.document_kinds import kind_of, likely_kind_of
+from hapticd.config.materials import Material
+from hapticd.config.operator import Gesture, OperatorParams
+from hapticd.config.scene import Scene, SceneObject
+from tests.support.cli import said
+
+FLOOR = "{kind: wall, point_m: [0, 0], normal: [0, 1], material: wood}"
+SCENE = f"objects:\n  floor: {FLOOR}\n"
+TAP = "gesture: {kind: tap, object: floor, speed_m_per_s: 0.1}\n"
+PATH = "waypoints: [[0, 0, 0.01], [0.1, 0, 0.01]]\n"
+PINE = "materials:\n  pine: {stiffness_n_per_m: 700}\n"
+
+KINDS: list[tuple[str, str | None]] = [
+    (SCENE, "bare scene"),
+    ("ramp_s: 0.1\n", "bare scene"),
+    ("scene: {}\n", "scene"),
+    (PINE, "materials"),
+    (PINE + "scene: {}\n", "change"),
+    ("servo: {}\nscene: {}\n", "configuration"),
+    ("flight: {seconds: 5}\n", "configuration"),
+    (PATH, "waypoints"),
+    (TAP, "gesture"),
+    ("{kind: tap, object: floor, speed_m_per_s: 0.1}\n", "gesture"),
+    ("listen: tcp://127.0.0.1:1\n", "bridge"),
+    (f"floor: {FLOOR}\n", "objects"),
+    (f"device: {FLOOR}\nhoney: null\n", "objects"),
+    ("pine: {stiffness_n_per_m: 700}\n", "bare materials"),
+    ("materials: {tap: {stiffness_n_per_m: 700}}\n", "materials"),
+    ("device: {kind: sim}\n", "configuration"),
+    ("floor: null\n", None),
+    ("a: 1\n", None),
+    ("- 1\n", None),
+    ("", None),
+]
+
+
+@pytest.mark.parametrize(("text", "kind"), KINDS, ids=range(len(KINDS)))
+def test_a_document_is_known_by_its_keys(text: str, kind: str | None) -> None:
+    assert kind_of(load_text(text, "f").data) == kind
+
+
+def test_a_key_that_is_nearly_one() -> None:
+    def likely(*keys: str) -> str | None:
+        data: dict[str, Json] = {key: 1 for key in keys}
+        return likely_kind_of(data)
+
+    assert (likely("objcts"), likely("Servo"), likely("wayponts"), likely("x")) == (
+        "bare scene",
+        "configuration",
+        "waypoints",
+        None,
+    )
+
+
+def test_the_keys_are_those_of_the_models() -> None:
+    def kinds(union: object) -> set[str]:
+        (members, *_) = get_args(union)
+        return {kind for member in get_args(members) for kind in get_args(member.model_fields["kind"].annotation)}
+
+    assert {*document_kinds.CONFIGURATION, "materials", "scene"} == set(Config.model_fields)
+    assert set(document_kinds.SCENE) == set(Scene.model_fields)
+    assert set(document_kinds.MATERIAL) == set(Material.model_fields)
+    assert set(document_kinds.OPERATOR) == set(OperatorParams.model_fields)
+    assert set(document_kinds.BRIDGE) == set(BridgeConfig.model_fields)
+    assert set(document_kinds.GESTURE_KINDS) == kinds(Gesture)
+    assert set(document_kinds.OBJECT_KINDS) == {
+        kind for member in get_args(SceneObject) for kind in get_args(member.model_fields["kind"].annotation)
+    }
+
+
+READERS = {
+    "check -c": ["check", "-c"],
+    "run -c": ["run", "-c"],
+    "apply": ["apply"],
+    "bridge -c": ["bridge", "-c"],
+    "simulate": ["simulate", "--operator", "stroke", "-o", "x.npz"],
+    "simulate --operator": ["simulate", "comb", "-o", "x.npz", "--operator"],
+    "replay": ["replay"],
+    "fit tap": ["fit", "tap"],
+}
+FILES = {
+    "scene.yaml": (SCENE, "a scene", "scene set"),
+    "floor.yaml": (f"floor: {FLOOR}\n", "objects", "scene update"),
+    "pine.yaml": (PINE, "materials", "material set"),
+    "both.yaml": (PINE + "scene: {}\n", "materials and a scene", "apply"),
+    "tap.yaml": (TAP, "a gesture", "operator"),
+    "path.yaml": (PATH, "waypoints", "operator"),
+    "config.yaml": ("servo: {}\n", "a configuration", "run -c"),
+    "bridge.yaml": ("clients: {}\n", "the configuration of a bridge", "bridge -c"),
+    "tap.npz": (None, "a recording", "replay"),
+}
+CONFIGURATION = {"scene.yaml", "pine.yaml", "both.yaml", "config.yaml"}
+TAKEN = {
+    "check -c": CONFIGURATION,
+    "run -c": CONFIGURATION,
+    "apply": {"scene.yaml", "pine.yaml", "both.yaml"},
+    "bridge -c": {"bridge.yaml"},
+    "simulate": {"scene.yaml", "both.yaml", "config.yaml"},
+    "simulate --operator": {"tap.yaml", "path.yaml"},
+    "replay": {"tap.npz"},
+    "fit tap": {"tap.npz"},
+}
+
+
+@pytest.mark.parametrize(
+    ("reader", "name"), [(reader, name) for reader in READERS for name in FILES if name not in TAKEN[reader]]
+)
+def test_a_file_for_another_command_is_named_with_that_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], reader: str, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    text, what, command = FILES[name]
+    if text is None:
+        np.savez(name, samples=np.zeros(3))
+    else:
+        Path(name).write_text(text)
+    it = "is no recording: it " if reader in ("replay", "fit tap") else ""
+    if reader == "simulate" and command == "operator":
+        command = "simulate SCENE --operator"
+    told = said(capsys, 1, *READERS[reader], name)
+    more = "; or put them below `objects:`" if name == "floor.yaml" and "scene.yaml" in TAKEN[reader] else ""
+    assert told == f"hapticd: {name}: {it}holds {what}; use: hapticd {command} {name}{more}\n"
+    assert os.listdir() == [name]
+
+
+def test_recordings_of_every_form_are_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name, content in (("r.csv", b"tick,time_ns,position_m_x\n0,0,0\n"), ("r.mcap", b"\x89MCAP0\r\n\x01")):
+        path = tmp_path / name
+        path.write_bytes(content)
+        for command in (["check", "-c"], ["simulate", "comb", "-o", "x.npz", "--operator"]):
+            assert f"{name}: holds a recording; use: hapticd replay " in said(capsys, 1, *command, str(path))
+    other = tmp_path / "other.zip"
+    other.write_bytes(b"PK\x03\x04 and so on")
+    assert said(capsys, 1, "check", "-c", str(other)) == f"hapticd: {other}: is an archive, no YAML\n"
+
+
+def test_a_scene_alone_is_a_configuration(tmp_path: Path) -> None:
+    bare, section, materials = tmp_path / "bare.yaml", tmp_path / "section.yaml", tmp_path / "materials.yaml"
+    bare.write_text(SCENE)
+    section.write_text("scene:\n  " + SCENE.replace("\n", "\n  ").rstrip() + "\n")
+    materials.write_text(PINE)
+    assert load_config(bare) == load_config(section)
+    both = load_config([materials, bare])
+    assert list(both.scene.objects) == ["floor"] and both.materials["pine"].stiffness_n_per_m == 700
+
+
+def test_faults_of_a_scene_alone_are_told_where_they_are_in_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text("ramp_s: 9\n" + SCENE.replace("wood", "woood"))
+    unknown = 'objects.floor.material: unknown material "woood"; did you mean wood?\n'
+    too_much = "hapticd: s.yaml:1:1: ramp_s: must be at most 1, is 9; "
+    assert said(capsys, 1, "check", "-c", "s.yaml") == f"{too_much}s.yaml:3:56: {unknown}"
+    Path("s.yaml").write_text(SCENE.replace("wood", "woood"))
+    assert said(capsys, 1, "check", "-c", "s.yaml") == f"hapticd: s.yaml:2:56: {unknown}"
+
+
+@pytest.mark.parametrize(
+    ("gesture", "told"),
+    [
+        ("{kind: tapp, object: floor, speed_m_per_s: 0.1}", 'unknown kind "tapp"; did you mean tap?'),
+        ("{kind: tap, object: flor, speed_m_per_s: 0.1}", 'has the id "flor"; did you mean floor?'),
+        ("{kind: tap, object: floor, sped_m_per_s: 0.1}", "unknown key; did you mean speed_m_per_s?"),
+    ],
+)
+def test_gestures_with_slips(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], gesture: str, told: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(SCENE + "  honey: {kind: viscous, damping_n_s_per_m: 1}\n")
+    Path("g.yaml").write_text(f"gesture: {gesture}\n")
+    assert told in said(capsys, 1, "simulate", "s.yaml", "--operator", "g.yaml", "-o", "x.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "more"),
+    [
+        (
+            "o.yaml",
+            "floor: {kind: viscous, damping_n_s_per_m: 1}\n",
+            "scene update o.yaml; or put them below `objects:`\n",
+        ),
+        ("m.yaml", "cork: {stiffness_n_per_m: 300}\n", "material set m.yaml; or put them below `materials:`\n"),
+    ],
+)
+def test_what_lacks_its_key_is_told_the_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], name: str, text: str, more: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(text)
+    assert said(capsys, 1, "check", "-c", name).endswith(more)

@@ -1,0 +1,138 @@
+"""What the flight recorder's samples were rendered with: what is kept, and what is given up first."""
+
+from __future__ import annotations
+
+import pytest
+
+from hapticd.config.configuration import default_config
+from hapticd.config.modes import Mode
+from hapticd.config.scene import Scene, SceneObject, validate_object, validate_scene
+from hapticd.daemon.flight_scene import MOST_CHANGED, MOST_OBJECTS, MOST_PIECES, FlightScene
+from hapticd.protocol.changes import MOST_CHANGED as MOST_TOLD
+from hapticd.protocol.changes import Change, Played, Reset, Revised, revised
+
+MATERIALS = default_config().materials
+FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+RATE_HZ = 1000.0
+
+
+def disc(place: float) -> SceneObject:
+    return validate_object("disc", {"kind": "disc", "center_m": [place, 0], "radius_m": 0.01, "material": "wood"})
+
+
+def moved(revision: int, place: float, id: str = "disc") -> Revised:
+    return Revised(revision, {}, {id: disc(place)}, {}, None)
+
+
+def played(tick: int) -> Played:
+    return Played(tick, Mode(10.0, 300.0), "coefficient", (0.0, 1.0), 1.0)
+
+
+@pytest.fixture
+def scene() -> FlightScene:
+    return FlightScene(validate_scene({"objects": {"floor": FLOOR}}), MATERIALS, 1, RATE_HZ)
+
+
+def told(scene: FlightScene) -> tuple[list[int | None], set[str], int]:
+    """Revisions of the changes (None: of commands), ids at the beginning, and where all commands are told from."""
+    stretch = scene.stretch()
+    objects = stretch.texts()["scene"]["objects"]  # type: ignore[index]
+    return [change.get("revision") for change in stretch.change_maps()], set(objects), stretch.complete_from  # type: ignore[misc]
+
+
+def test_changes_are_kept_as_long_as_a_sample_of_before_is(scene: FlightScene) -> None:
+    changes: list[Change] = [moved(2, 0.1), played(50), moved(3, 0.2, "other"), Reset(70, ("disc",))]
+    for change in changes:
+        scene.take(change)
+    assert told(scene) == ([1, 2, None, 3, None], {"floor"}, 0)
+    scene.forget(10, 1)
+    assert told(scene) == ([1, 2, None, 3, None], {"floor"}, 0)
+    scene.forget(40, 2)
+    assert told(scene) == ([2, None, 3, None], {"floor", "disc"}, 0)
+    scene.forget(60, 2)
+    assert told(scene) == ([2, 3, None], {"floor", "disc"}, 51)
+    scene.forget(80, 3)
+    assert told(scene) == ([3], {"floor", "disc", "other"}, 71)
+    stretch = scene.stretch()
+    assert stretch.texts()["scene"]["objects"]["disc"]["center_m"] == [0.1, 0.0]  # type: ignore[index]
+    assert stretch.missing({3, 4}) == [4]
+
+
+def test_what_goes_away_is_gone(scene: FlightScene) -> None:
+    scene.take(Revised(2, {"ramp_s": 0.5}, {"floor": None}, {"wood": None}, None, 500.0))
+    scene.forget(0, 2)
+    stretch = scene.stretch()
+    texts = stretch.texts()
+    assert texts["scene"] == {**Scene().to_dict(), "ramp_s": 0.5, "objects": {}}
+    assert "wood" not in texts["materials"]  # type: ignore[operator]
+    assert stretch.change_maps() == [{"revision": 2, "rate_hz": 500.0}]
+
+
+def test_revisions_go_round(scene: FlightScene) -> None:
+    scene = FlightScene(Scene(), MATERIALS, 0xFFFFFFFF, RATE_HZ)
+    scene.take(moved(0, 0.1))
+    assert told(scene)[0] == [0xFFFFFFFF, 0] and scene.knows(0) and not scene.knows(1)
+    scene.forget(5, 0)
+    assert told(scene)[0] == [0]
+
+
+def test_of_too_many_changes_the_oldest_are_part_of_the_beginning(scene: FlightScene) -> None:
+    scene.take(played(5))
+    for revision in range(2, MOST_CHANGED + 2):
+        scene.take(moved(revision, revision / 1e6))
+    revisions, objects, complete_from = told(scene)
+    assert len(revisions) == 1 + MOST_CHANGED // 2, "each counts, and the object in it"
+    assert (objects, complete_from) == ({"floor", "disc"}, 6)
+    assert revisions[0] == MOST_CHANGED + 1 - MOST_CHANGED // 2
+    assert scene.stretch().missing({1, 2, MOST_CHANGED}) == [1, 2]
+
+
+def test_a_change_that_is_too_large_to_be_told_is_a_new_beginning(scene: FlightScene) -> None:
+    before = validate_scene({"objects": {"floor": FLOOR}})
+    after = before.with_objects({f"disc{number}": disc(number / 1e4) for number in range(MOST_TOLD + 1)})
+    scene.take(moved(2, 0.1))
+    change = revised(3, before, after, list(after.objects), MATERIALS, MATERIALS)
+    assert change.whole is not None
+    scene.take(change)
+    scene.take(moved(4, 0.2))
+    revisions, objects, _ = told(scene)
+    assert revisions == [3, 4] and objects == set(after.objects)
+
+
+def test_a_scene_that_is_too_large_is_not_written() -> None:
+    objects = {f"disc{number}": disc(number / 1e4) for number in range(MOST_OBJECTS + 1)}
+    scene = FlightScene(Scene().with_objects(objects), MATERIALS, 1, RATE_HZ)
+    assert scene.stretch().texts() == {"scene": None, "materials": None}
+    scene.take(Revised(2, {}, {"disc0": None}, {}, None))
+    scene.forget(9, 2)
+    assert len(told(scene)[1]) == MOST_OBJECTS
+
+
+def patched(count: int) -> SceneObject:
+    each = [{"from_m": 4e-4 * n, "to_m": 4e-4 * n + 3e-4, "material": "wood"} for n in range(count)]
+    return validate_object("wall", {**FLOOR, "patches": each})
+
+
+def test_patches_count_as_objects_do() -> None:
+    """Each takes as many words: twenty moves of a wall of 40,000 made a file of the recorder take a gigabyte."""
+    before = validate_scene({"objects": {"floor": FLOOR}})
+    scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
+    many = before.with_objects({"wall": patched(MOST_PIECES)})
+    change = revised(2, before, many, ["wall"], MATERIALS, MATERIALS)
+    assert change.whole is not None and change.objects == {}
+    scene.take(change)
+    assert scene.stretch().texts() == {"scene": None, "materials": None}
+    some = before.with_objects({"wall": patched(1000)})
+    scene.take(revised(3, many, before, ["wall"], MATERIALS, MATERIALS))
+    for revision in range(4, 10):
+        change = revised(revision, before, some, ["wall"], MATERIALS, MATERIALS)
+        assert change.whole is None
+        scene.take(change)
+    assert told(scene)[0] == [6, 7, 8, 9], "1002 pieces each"
+
+
+def test_after_a_change_that_never_came_nothing_is_known_until_all_of_it_is_told(scene: FlightScene) -> None:
+    scene.take(moved(3, 0.1))
+    assert scene.stretch().texts()["scene"] is None
+    scene.take(Revised(4, {}, {}, {}, (validate_scene({"objects": {"floor": FLOOR}}), MATERIALS)))
+    assert told(scene) == ([4], {"floor"}, 0)

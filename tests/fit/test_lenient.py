@@ -1,0 +1,269 @@
+"""Fits of sets with a bad file or a bad event: it is left out and told, the rest is fitted, and --strict refuses."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pytest
+
+from hapticd.analysis.recordings.clipping import clipped
+from hapticd.analysis.recordings.stretches import whole_stretches
+from hapticd.analysis.statistics import FitError
+from hapticd.cli import main
+from hapticd.config.configuration import load_config
+from hapticd.fit.grooves import fit_grooves
+from hapticd.fit.left_out import LeftOut
+from hapticd.fit.puncture import fit_puncture
+from hapticd.fit.recording import Recording, Source
+from hapticd.fit.tap import fit_tap
+from hapticd.fit.texture import fit_texture
+from tests.cli.test_cli import said
+from tests.fit.test_refusals import GOOD, RATE_HZ, SEEN, TIME, Columns, puncture, ringing, written
+from tests.support.marks import rest_slow
+
+KINDS: Final = ("tap", "grooves", "texture", "puncture")
+
+
+def one_tap(speed: float, seed: int, hz: float = 300.0, rest: int = 2000, rate_hz: float = RATE_HZ) -> Columns:
+    """400 1/s, decay 10 ms."""
+    time_s = np.arange(rest + round(0.2 * rate_hz)) / rate_hz
+    seen = 9.8 + ringing(time_s, (rest - 0.7) / rate_hz, 400 * speed, hz, 0.01)
+    noise = np.random.default_rng(seed).standard_normal(len(time_s))
+    return {TIME: time_s, SEEN: seen + 0.3 * noise, "speed_m_per_s": np.full(len(time_s), speed)}
+
+
+def clip(columns: Columns) -> Columns:
+    middle, reach = np.median(columns[SEEN]), np.ptp(columns[SEEN]) / 8
+    return {**columns, SEEN: np.clip(columns[SEEN], middle - reach, middle + reach)}
+
+
+def silent(columns: Columns) -> Columns:
+    noise = np.random.default_rng(9).standard_normal(len(columns[TIME]))
+    return {**columns, SEEN: 9.8 + 1e-3 * noise}
+
+
+def too_fast(columns: Columns) -> Columns:
+    """A ringing of 4950 Hz over all that is there."""
+    return {**columns, SEEN: 9.8 + ringing(columns[TIME], 0.2, 100, 4950, 0.01)}
+
+
+def lost(columns: Columns) -> Columns:
+    """The last 20 samples but ten."""
+    kept = np.delete(np.arange(len(columns[TIME])), np.arange(-30, -10))
+    return {name: values[kept] for name, values in columns.items()}
+
+
+SETS: Final[dict[str, list[Columns]]] = {
+    **GOOD,
+    "tap": [one_tap(speed, seed) for seed, speed in enumerate((0.1, 0.15, 0.2, 0.3))],
+}
+MORE: Final[dict[str, Columns]] = {
+    "tap": one_tap(0.25, 7),
+    "puncture": puncture(0.02, 7),
+    "grooves": {**GOOD["grooves"][0], SEEN: GOOD["grooves"][0][SEEN] + 0.01},
+    "texture": {**GOOD["texture"][0], SEEN: GOOD["texture"][0][SEEN] + 0.01},
+}
+"""One recording more."""
+
+
+def fitted(folder: Path, capsys: pytest.CaptureFixture[str], kind: str, files: list[str]) -> tuple[str, list[str]]:
+    """The material's YAML without its provenance, and what was told."""
+    assert main(["fit", kind, *files, "-o", str(folder / "found.yaml"), "--overwrite"]) == 0
+    material = load_config(str(folder / "found.yaml")).materials["found"].to_dict()
+    origin = material.pop("provenance")
+    assert isinstance(origin, dict) and all(file["path"] in files for file in origin["files"])
+    told = capsys.readouterr().err.splitlines()
+    return json.dumps([material, len(origin["files"])]), told
+
+
+BAD: Final = (
+    ("tap", clip, "it is clipped at"),
+    ("tap", silent, "no onset: its largest acceleration is"),
+    ("tap", too_fast, "is sampled at 10000 Hz, which is too low"),
+    ("puncture", clip, "the ringing of the rupture is clipped at"),
+    ("puncture", silent, "the acceleration moves by"),
+    ("puncture", too_fast, "Hz, and is sampled at 10000 Hz, which is too low"),
+    ("grooves", clip, "clipped at"),
+    ("grooves", silent, "the acceleration moves by"),
+    ("grooves", too_fast, "Hz, and is sampled at 10000 Hz, which is too low"),
+    ("texture", clip, "clipped at"),
+    ("texture", silent, "the acceleration moves by"),
+    ("texture", too_fast, "left out: "),
+)
+
+
+@pytest.mark.parametrize(("kind", "damage", "told"), rest_slow(BAD, fast=3))
+def test_a_bad_file_is_left_out_and_the_rest_fitted_as_without_it(
+    kind: str, damage: object, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert callable(damage)
+    *good, bad = written(tmp_path, [*SETS[kind], damage(MORE[kind])])
+    alone, _ = fitted(tmp_path, capsys, kind, good)
+    beside, lines = fitted(tmp_path, capsys, kind, [bad, *good])
+    (line,) = (line for line in lines if "left out" in line)
+    assert line.startswith(f"hapticd: {bad}: ") and told in line
+    assert beside == alone
+    assert "--strict refuses that" in said(capsys, 1, "fit", kind, bad, *good, "--strict")
+
+
+@pytest.mark.parametrize("kind", [*KINDS[:1], *rest_slow(KINDS[1:], fast=0)])
+def test_a_gap_far_from_what_is_fitted_costs_nothing_else(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """20 of the last samples are lost: a tap and a puncture are the same as without the file's end; of strokes the
+    figures stay as they are within a few per cent."""
+    files = written(tmp_path, [*SETS[kind][1:], lost(SETS[kind][0])])
+    assert main(["fit", kind, *files, "-o", str(tmp_path / "found.yaml")]) == 0
+    lines = capsys.readouterr().err
+    assert ("left out" in lines) == (kind in ("grooves", "texture"))
+    if kind in ("grooves", "texture"):
+        assert f"{files[-1]}: a part is left out" in lines and "20 samples are missing at" in lines
+        assert "--strict refuses that" in said(capsys, 1, "fit", kind, *files, "--strict")
+
+
+def test_a_gap_in_a_tap_leaves_that_tap_out() -> None:
+    recording = taps_of([0.1, 0.2, 0.3, 0.15, 0.25])
+    assert recording.acceleration_m_per_s2 is not None
+    spoilt = np.array(recording.acceleration_m_per_s2)
+    spoilt[8220:8260] = np.linspace(spoilt[8219], spoilt[8260], 40)
+    left = LeftOut()
+    fit = fit_tap([dataclasses.replace(recording, acceleration_m_per_s2=spoilt, gaps=((8220, 8260),))], left=left)
+    assert [tap.speed_m_per_s for tap in fit.taps] == [0.1, 0.2, 0.15, 0.25] or len(fit.taps) == 5
+    whole = fit_tap([recording])
+    assert fit.slope_per_s.value == pytest.approx(whole.slope_per_s.value, rel=0.01)
+
+
+# ---- Taps -----------------------------------------------------------------------------------------------------------
+
+
+def taps_of(speeds: list[float], noise: float = 0.3) -> Recording:
+    """At 0.2 s + 0.3 s k: 400 1/s, 300 Hz, 10 ms."""
+    time_s = np.arange(round((0.2 + 0.3 * len(speeds)) * RATE_HZ)) / RATE_HZ
+    seen = np.full(len(time_s), 9.8) + noise * np.random.default_rng(2).standard_normal(len(time_s))
+    for index, speed in enumerate(speeds):
+        seen += ringing(time_s, 0.2 + 0.3 * index, 400 * speed, 300, 0.01)
+    return Recording("taps", RATE_HZ, seen, None, None, None, np.array(speeds), Source("taps", ""))
+
+
+def of(columns: Columns, name: str = "one", rate_hz: float = RATE_HZ) -> Recording:
+    return Recording(
+        name, rate_hz, columns[SEEN], None, None, None, float(columns["speed_m_per_s"][0]), Source(name, "")
+    )
+
+
+def refusals(recordings: list[Recording]) -> list[str]:
+    left = LeftOut()
+    with contextlib.suppress(FitError):
+        fit_tap(recordings, left=left)
+    return [each.reason for each in left.items]
+
+
+def test_a_strong_tap_that_is_no_ringing_is_not_called_weak() -> None:
+    """One sample 124 times the noise, where it could not be told how it rings; and a weak one that is weak."""
+    good = taps_of([0.1, 0.2, 0.3, 0.15, 0.25], noise=0.1)
+    assert good.acceleration_m_per_s2 is not None
+    for height, told in ((12.4, "it stands 12"), (0.9, "")):
+        spoilt = np.array(good.acceleration_m_per_s2)
+        spoilt[8000:8400] = 9.8 + 0.1 * np.random.default_rng(3).standard_normal(400)
+        spoilt[8200] += height
+        reasons = refusals([dataclasses.replace(good, acceleration_m_per_s2=spoilt)])
+        assert not any("too weak" in reason for reason in reasons)
+        assert told == "" or any(told in reason and "its shape is no ringing" in reason for reason in reasons)
+
+
+@pytest.mark.parametrize("rest", [2, 3, 5, 7])
+def test_a_short_rest_does_where_the_onset_is_clear(rest: int) -> None:
+    recordings = [
+        of(one_tap(speed, seed, rest=rest + 1), f"t{seed}") for seed, speed in enumerate((0.1, 0.15, 0.2, 0.3, 0.25))
+    ]
+    fit = fit_tap(recordings)
+    assert len(fit.taps) == 5
+    assert fit.slope_per_s.value == pytest.approx(400, rel=0.03)
+    assert fit.frequency_hz.value == pytest.approx(300, rel=0.01)
+
+
+def test_few_samples_in_a_cycle_are_enough_where_the_onset_is_known() -> None:
+    """300 Hz at 660 Hz: 2.2 samples in a cycle."""
+    speeds = (0.1, 0.15, 0.2, 0.3, 0.25, 0.12, 0.18, 0.35)
+    taps = [one_tap(speed, seed, rest=20, rate_hz=660.0) for seed, speed in enumerate(speeds)]
+    fit = fit_tap([of(each, str(place), 660.0) for place, each in enumerate(taps)])
+    assert fit.slope_per_s.value == pytest.approx(400, rel=0.03)
+    assert fit.frequency_hz.value == pytest.approx(300, rel=0.003)
+    assert fit.decay_time_s.value == pytest.approx(0.01, rel=0.03)
+    assert any("2.2 samples in a cycle" in warning for warning in fit.warnings) and fit.verdict.startswith("fair")
+
+
+def test_no_rest_is_told_with_what_there_is_and_what_is_wanted() -> None:
+    late = one_tap(0.2, 3, rest=30)
+    cut = {name: values[30:] for name, values in late.items()}
+    good = [of(one_tap(speed, seed), f"t{seed}") for seed, speed in enumerate((0.1, 0.15, 0.2, 0.3))]
+    (reason,) = refusals([*good, of(cut, "cut")])
+    assert reason in {f"{count} samples of rest before it, 2 are wanted" for count in (0, 1)}
+
+
+def test_taps_that_are_left_out_weigh_on_the_verdict() -> None:
+    speeds = [0.1, 0.2, 0.3, 0.15, 0.25, 0.12, 0.22, 0.32]
+    recording = taps_of(speeds)
+    assert recording.acceleration_m_per_s2 is not None
+    low = dataclasses.replace(
+        recording, acceleration_m_per_s2=np.minimum(recording.acceleration_m_per_s2, 9.8 + 400 * 0.145)
+    )
+    fit = fit_tap([low])
+    assert len(fit.left_out) > len(fit.taps) >= 3
+    assert f"{len(fit.left_out)} of 8 taps are left out" in fit.verdict and fit.verdict.startswith("fair")
+    with pytest.raises(FitError, match="--strict refuses that"):
+        fit_tap([low], left=LeftOut(strict=True))
+
+
+# ---- Parts ----------------------------------------------------------------------------------------------------------
+
+
+def test_clipped_samples_are_those_that_stand_at_an_end_after_a_leap() -> None:
+    wave = np.round(100 * np.sin(np.linspace(0, 40, 4000))) / 10
+    assert not clipped(wave).any()
+    cut = np.clip(100 * np.sin(np.linspace(0, 40, 400)), -1000, 70)
+    assert np.array_equal(clipped(cut), cut == 70)
+    assert not clipped(np.zeros(20)).any()
+
+
+def test_noise_on_the_peak_of_a_pulse_in_coarse_numbers_is_not_clipping() -> None:
+    pulse = np.concatenate((np.zeros(60), 240.0 * np.sin(np.linspace(0, np.pi, 50)), np.zeros(60)))
+    pulse[80:90] = [231.0, 234.0, 232.0, 236.0, 240.0, 240.0, 240.0, 236.0, 237.0, 234.0]
+    assert not clipped(0.25 * np.round(pulse), 0.25).any()
+    # A longer run is no chance, nor is one that is reached by a leap.
+    pulse[83] = pulse[87] = 240.0
+    assert np.count_nonzero(clipped(0.25 * np.round(pulse), 0.25)) == 5
+    sharp = np.concatenate((np.zeros(20), [1.0, 100.0, 240.0, 240.0, 240.0, 80.0], np.zeros(20)))
+    assert np.count_nonzero(clipped(0.25 * sharp, 0.25)) == 3
+
+
+def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
+    seen = np.random.default_rng(1).standard_normal(10_000)
+    seen[3000:3004] = 9.0
+    recording = Recording(
+        "one", 1e3, seen, np.arange(10_000.0), None, None, 0.1, Source("", ""), gaps=((6000, 6010), (9800, 9900))
+    )
+    left = LeftOut()
+    parts = whole_stretches(recording, 0.5, left)
+    assert [part.name for part in parts] == ["one from 0 s", "one from 3.004 s", "one from 6.01 s"]
+    lengths = [len(part.force_n) for part in parts if part.force_n is not None]
+    assert lengths == [3000, 2996, 3790]
+    assert parts[1].force_n is not None and parts[1].force_n[0] == 3004.0
+    (told,) = left.items
+    assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in told.reason
+    assert "0.214 of 10 s" in told.reason
+    with pytest.raises(FitError, match=r"0 % of it is whole in stretches of 5 s, 50 % are wanted"):
+        whole_stretches(recording, 5.0, LeftOut())
+
+
+@pytest.mark.parametrize("fit", [fit_tap, fit_grooves, fit_texture, fit_puncture])
+def test_the_same_file_twice_is_refused_by_every_fit(fit: object) -> None:
+    one = dataclasses.replace(taps_of([0.1, 0.2]), source=Source("a", "ab"), name="a")
+    assert callable(fit)
+    with pytest.raises(FitError, match="b: holds the same as a, and would count twice; leave out one"):
+        fit([one, dataclasses.replace(one, name="b")])

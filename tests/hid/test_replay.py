@@ -1,0 +1,225 @@
+"""Recordings of devices: written, read, refused, and played as a device."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import threading
+import time
+import tracemalloc
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hapticd.base.core import SAMPLE_DTYPE, Fault, records
+from hapticd.base.errors import HapticdError, InvalidError
+from hapticd.config.configuration import load_config
+from hapticd.config.hid import Hid, Replay
+from hapticd.daemon.engine import Engine
+from hapticd.hid.plan import DeviceError
+from hapticd.hid.replay import Recording, ReplayDevice, load, record, save
+from hapticd.hid.sources import replay_source
+from tests.support.hid_descriptors import Joystick
+
+STICK = bytes(Joystick())
+
+
+def report(x: int, y: int) -> bytes:
+    return struct.pack("<BhhB", 1, x, y, 0)
+
+
+def moving(count: int = 100) -> Recording:
+    """Down by a count a millisecond."""
+    return Recording("stick", 0x1209, 0x5AFF, STICK, tuple((n / 1000, report(0, n)) for n in range(count)))
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> str:
+    return str(tmp_path / "stick.jsonl")
+
+
+def test_as_it_was_written(path: str) -> None:
+    recording = moving()
+    save(path, recording)
+    assert load(path) == recording
+    assert recording.on_change
+    assert not Recording("", 0, 0, b"", ((0.0, b"a"), (0.1, b"a"))).on_change
+
+
+HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "0501"}\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "is no recording: it is empty"),
+        ("hello\n", ":1: Expecting value: line 1 column 1 (char 0)"),
+        ("[]\n", ":1: is no recording: its first line has no `recording`"),
+        ('{"recording": 2}\n', ":1: a recording of version 2; this reads version 1"),
+        ('{"recording": 1, "name": "a"}\n', ":1: the first line needs `vendor`"),
+        (HEAD.replace("0501", "05x"), ":1: `descriptor` must be hex digits"),
+        (HEAD, "holds no report: was the device moved while it was recorded?"),
+        (HEAD + '[0.1, "01"]\n[0.05, "01"]\n', ":3: the time 0.05 does not follow 0.1"),
+        (HEAD + '["a", "01"]\n', ':2: the time "a" does not follow 0'),
+        (HEAD + '[NaN, "01"]\n', ":2: the time nan does not follow 0"),
+        (HEAD + '[0, "0"]\n', ':2: "0" is not hex digits'),
+        (HEAD + '[0, ""]\n', ":2: a report has 1 to 4096 bytes, this one 0"),
+        (HEAD + "[0]\n", ':2: needs [t_s, "report in hex"]'),
+        (HEAD + "[" * 50000 + "\n", ":2: "),
+        (HEAD + '[0, "01"]\n' + "1" * 65536 + "\n", ":3: a line of more than 65536 characters"),
+        (" " * 70000 + "\n" + HEAD, ":1: a line of more than 65536 characters"),
+    ],
+)
+def test_what_is_no_recording(path: str, text: str, told: str) -> None:
+    Path(path).write_text(text)
+    with pytest.raises(HapticdError) as caught:
+        load(path)
+    assert str(caught.value).startswith(path) and told in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_no_more_is_read_of_a_line_than_fits(path: str) -> None:
+    """A file of a gigabyte without an end of line, which takes no room on the disk."""
+    Path(path).write_text(HEAD)
+    os.truncate(path, 1 << 30)
+    tracemalloc.start()
+    try:
+        with pytest.raises(HapticdError) as caught:
+            load(path)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert str(caught.value) == f"{path}:2: a line of more than 65536 characters"
+    assert most < 2 << 20
+
+
+def test_no_file(path: str) -> None:
+    with pytest.raises(HapticdError) as caught:
+        load(path)
+    assert str(caught.value) == f"{path}: No such file or directory"
+    Path(path).write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(HapticdError):
+        load(path)
+
+
+def test_what_may_have_no_end_is_no_recording(path: str) -> None:
+    os.mkfifo(path)
+    for other in (path, "/dev/zero"):
+        with pytest.raises(HapticdError) as caught:
+            load(other)
+        assert str(caught.value) == f"{other}: is no recording: no regular file"
+
+
+def test_rounds_that_take_no_time_are_held_apart(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    due: list[float] = []
+
+    def next_round(self: ReplayDevice, when: float) -> bool:
+        due.append(when)
+        return len(due) < 4
+
+    monkeypatch.setattr(ReplayDevice, "_wait_until", next_round)
+    at_once = Recording("stick", 0x1209, 0x5AFF, STICK, ((0.0, report(0, 1)),))
+    device = ReplayDevice(at_once, Replay(path=path, loop=True, speed=0.5))
+    device._thread.join(60)
+    device.close()
+    assert np.diff(due) == pytest.approx([2e-3] * 3)
+
+
+def test_recording_a_device() -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        for n in range(3):
+            theirs.send(report(n, -n))
+        theirs.shutdown(socket.SHUT_RDWR)
+        reports = record(ours.fileno(), 60.0)
+    assert [data for _, data in reports] == [report(n, -n) for n in range(3)]
+    assert all(0.0 <= one[0] <= two[0] for one, two in pairwise(reports))
+
+
+def read_all(device: ReplayDevice) -> list[bytes]:
+    found = []
+    while data := os.read(device.fileno(), 4096):
+        found.append(data)
+    return found
+
+
+def test_played_once(path: str) -> None:
+    save(path, moving())
+    source = replay_source(Replay(path=path, speed=10.0), Hid())
+    opened = source()
+    assert read_all(opened.device) == [data for _, data in moving().reports]  # type: ignore[arg-type]
+    opened.device.close()
+    with pytest.raises(DeviceError) as caught:
+        source()
+    assert str(caught.value) == f"{path}: the recording is over"
+
+
+def test_played_for_ever_and_closed_meanwhile(path: str) -> None:
+    save(path, moving(3))
+    device = ReplayDevice(load(path), Replay(path=path, loop=True, speed=50.0))
+    found = [os.read(device.fileno(), 4096) for _ in range(7)]
+    assert [struct.unpack("<BhhB", data)[2] for data in found] == [0, 1, 2, 0, 1, 2, 0]
+    device.write(b"\x01")
+    device.close()
+
+
+def test_a_recording_of_what_cannot_be_driven(path: str) -> None:
+    save(path, Recording("mouse", 1, 2, bytes(Joystick(without=frozenset({0x73}))), ((0.0, b"\x01"),)))
+    with pytest.raises(DeviceError) as caught:
+        replay_source(Replay(path=path), Hid())
+    assert str(caught.value) == "the device cannot be driven: its report descriptor has no Set Constant Force"
+
+
+def test_configuration() -> None:
+    with pytest.raises(InvalidError) as caught:
+        load_config({"device": {"kind": "replay"}})
+    assert str(caught.value) == "device: kind replay needs device.replay.path, a recording of `hapticd devices dump`"
+
+
+def test_an_engine_follows_a_recording(path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Into a wall and to the recording's end, which is a device that is gone."""
+    wait_until, seen = ReplayDevice._wait_until, threading.Event()
+    waited = 0
+
+    def until_seen(self: ReplayDevice, when: float) -> bool:
+        """The last report comes once the servo has seen one, however late it began."""
+        nonlocal waited
+        waited += 1
+        return (waited < 400 or seen.wait(60)) and wait_until(self, when)
+
+    monkeypatch.setattr(ReplayDevice, "_wait_until", until_seen)
+    save(path, moving(400))
+    config = {
+        "servo": {"realtime": "off", "rate_hz": 1000},
+        "device": {"kind": "replay", "replay": {"path": path}, "hid": {"travel_m": 0.05}},
+        "scene": {"objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}}},
+    }
+    engine = Engine(load_config(config))
+    engine.start()
+    taken = []
+    room = records(SAMPLE_DTYPE, 16384)
+    try:
+        pause, deadline = threading.Event(), time.monotonic() + 60
+        while Fault.DEVICE not in engine.faults():
+            assert time.monotonic() < deadline
+            engine.beat()
+            count, _ = engine.read_samples(room)
+            taken.append(room[:count].copy())
+            if count and room["position_m"][count - 1, 1] < 0.0:
+                seen.set()
+            pause.wait(0.01)
+        connection = engine.connection
+        assert connection is not None
+        while connection.status()["problem"] != f"{path}: the recording is over":
+            assert time.monotonic() < deadline
+            pause.wait(0.01)
+    finally:
+        seen.set()
+        engine.stop()
+    count, _ = engine.read_samples(room)
+    heights = np.concatenate([*taken, room[:count]])["position_m"][:, 1]
+    counts = heights / (0.05 / 32767)
+    assert np.all(np.diff(counts) <= 1e-9)
+    assert counts[-1] < -1 and counts == pytest.approx(np.round(counts), abs=1e-6)

@@ -1,0 +1,148 @@
+"""Calibration on a device whose handle goes where it is pushed, by a wiring that the calibration has to find."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+from itertools import product
+from typing import Any
+
+import pytest
+
+from hapticd.config.hid import Hid
+from hapticd.hid.drivers.pid import PidDriver
+from hapticd.hid.drivers.vendor import VendorDriver
+from hapticd.hid.plan import DeviceError
+from hapticd.hid.sign_calibration import MOST_OF_FULL, Calibration, calibrate
+from tests.hid.test_vendor import DESCRIPTOR, REPORT, Recorder
+from tests.support.hid_descriptors import Joystick
+from tests.support.hid_device import FakePid
+
+FULL_N = 8.9
+M_PER_N = 0.02
+TRAVEL_M = 0.05
+
+
+class Bench:
+    """A device on a table, and a clock that stands still unless somebody waits."""
+
+    def __init__(self, wiring: tuple[tuple[float, float], tuple[float, float]], like: Joystick | None = None) -> None:
+        self.stick = FakePid(bytes(like or Joystick(direction_bits=16)))
+        self.wiring = wiring
+        self.time_s = 0.0
+        self.largest_n = 0.0
+        self.largest_m = 0.0
+        self.gone_at_s = math.inf
+
+    def pause(self, duration_s: float) -> None:
+        self.time_s += duration_s
+        if self.time_s >= self.gone_at_s and not self.stick.gone:
+            self.stick.unplug()
+        forces = [FULL_N * part for part in self.stick.force()]
+        self.largest_n = max(self.largest_n, math.hypot(*forces))
+        x, y = (M_PER_N * sum(k * f for k, f in zip(row, forces, strict=True)) for row in self.wiring)
+        self.largest_m = max(self.largest_m, abs(x), abs(y))
+        counts = [max(-32767, min(32767, round(32767 * part / TRAVEL_M))) for part in (x, -y)]
+        self.stick.report(*counts)
+
+    def calibrate(self, force_n: float = 0.4, **keys: Any) -> Calibration:
+        hid = Hid.model_validate({"travel_m": TRAVEL_M, "full_scale_force_n": FULL_N, **keys})
+        driver = PidDriver(self.stick.layout, hid)
+        return calibrate(self.stick.device, driver, hid, force_n, now=lambda: self.time_s, pause=self.pause)
+
+    def is_at_rest(self) -> bool:
+        return self.stick.force() == (0.0, 0.0) and not self.stick.effects and not self.stick.enabled
+
+
+@pytest.mark.parametrize("signed", [True, False])
+@pytest.mark.parametrize(("x", "y", "swap"), list(product((1, -1), (1, -1), (False, True))))
+def test_what_it_finds_makes_the_device_right(x: int, y: int, swap: bool, signed: bool) -> None:
+    wiring = ((0.0, y), (x, 0.0)) if swap else ((x, 0.0), (0.0, y))
+    like = Joystick(direction_bits=16, is_magnitude_signed=signed)
+    bench = Bench(wiring, like)
+    found = bench.calibrate()
+    assert bench.is_at_rest()
+    assert bench.largest_n == pytest.approx(0.4, rel=0.01)
+    bench.stick.close()
+    # Driven by what was found, a force moves the handle its own way.
+    again = Bench(wiring, like)
+    told = again.calibrate(force_axes=found.force_axes.to_dict())
+    again.stick.close()
+    assert told.moved_m["x"] == pytest.approx((0.4 * M_PER_N, 0.0), abs=2e-4)
+    assert told.moved_m["y"] == pytest.approx((0.0, 0.4 * M_PER_N), abs=2e-4)
+
+
+def test_a_push_ends_once_the_handle_has_moved() -> None:
+    bench = Bench(((10.0, 0.0), (0.0, 10.0)))
+    bench.calibrate()
+    bench.stick.close()
+    assert bench.largest_m < 0.3 * TRAVEL_M
+
+
+@pytest.mark.parametrize(
+    ("wiring", "told"),
+    [
+        (
+            ((0.0, 0.0), (0.0, 0.0)),
+            "the handle did not move along any axis when 0.4 N pushed along the device's x axis",
+        ),
+        (((1.0, 0.5), (1.0, 0.5)), "not clear which it is"),
+        (((1.0, 1.0), (0.0, 0.0)), "both of the device's axes moved the handle along x"),
+    ],
+)
+def test_what_is_not_clear(wiring: Any, told: str) -> None:
+    bench = Bench(wiring)
+    with pytest.raises(DeviceError) as caught:
+        bench.calibrate()
+    bench.stick.close()
+    assert told in str(caught.value)
+    assert bench.is_at_rest()
+
+
+def test_a_device_that_goes_meanwhile() -> None:
+    bench = Bench(((1.0, 0.0), (0.0, 1.0)))
+    bench.gone_at_s = 1.0
+    with pytest.raises(DeviceError):
+        bench.calibrate()
+    bench.stick.close()
+
+
+def test_no_more_than_a_tenth() -> None:
+    bench = Bench(((1.0, 0.0), (0.0, 1.0)))
+    with pytest.raises(ValueError, match="N is not above 0"):
+        bench.calibrate(1.1 * MOST_OF_FULL * FULL_N)
+    bench.stick.close()
+    assert bench.stick.log == []
+
+
+class Deaf(Recorder):
+    """It takes every report, and its handle stays where it is."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._ours, self._theirs = os.pipe()
+
+    def fileno(self) -> int:
+        return self._ours
+
+    def close(self) -> None:
+        os.close(self._ours)
+        os.close(self._theirs)
+
+
+def test_of_a_report_of_its_own_the_last_one_is_told() -> None:
+    """-0.4 N of 1000 counts a newton, 16 bits, the highest byte first; y at rest, 0x800 from bit 20 on."""
+    hid = Hid.model_validate({"report": REPORT, "full_scale_force_n": FULL_N})
+    device, clock = Deaf(), itertools.count()
+    with pytest.raises(DeviceError) as caught:
+        calibrate(
+            device,
+            VendorDriver(hid, DESCRIPTOR),
+            hid,
+            0.4,
+            now=lambda: 0.005 * next(clock),
+            pause=lambda duration_s: None,
+        )
+    device.close()
+    assert "sent was 02 fe 70 00 80 00 00 (hex" in str(caught.value)

@@ -1,0 +1,296 @@
+"""The check of a device's signs in model time: a handle with mass, friction, spring and hand, one step a tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from hapticd.base.core import CData, SignsProblem, SignsState, ffi, lib
+from hapticd.hid.signs import Check, Told
+
+RATE_HZ = 1000
+TRAVEL_M = 0.05
+FULL_N = 8.9
+MAX_N = 6.0
+RAMP_S = 0.1
+STEP_N = MAX_N / RATE_HZ / RAMP_S
+"""What a command may move the force by in a tick."""
+
+Hand = Callable[[float], tuple[float, float]]
+
+
+def _no_hand(_: float) -> tuple[float, float]:
+    return 0.0, 0.0
+
+
+@dataclass
+class Handle:
+    """A handle in model time; `turn` is what the device makes of a commanded force."""
+
+    mass_kg: float = 0.1
+    damping: float = 0.5
+    friction_n: float = 0.05
+    spring: float = 0.0
+    turn: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
+    hand: Hand = _no_hand
+    """Its force over time, N."""
+    step_m: float = 1.5e-6
+    noise_m: float = 0.0
+    late: int = 10
+    """Ticks from a force to the position that shows it."""
+    held: bool = False
+    position_m: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    speed: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    forces: list[tuple[float, float]] = field(default_factory=list)
+    random: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
+
+    def report(self) -> tuple[float, float]:
+        here = [position + self.random.normal() * self.noise_m for position in self.position_m]
+        return tuple(round(position / self.step_m) * self.step_m for position in here)  # type: ignore[return-value]
+
+    def move(self, force_n: tuple[float, float], time_s: float) -> None:
+        self.forces.append(force_n)
+        acts = self.forces[-self.late - 1] if len(self.forces) > self.late else (0.0, 0.0)
+        for axis, hand_n in enumerate(self.hand(time_s)):
+            if self.held:
+                continue
+            pushed = self.turn[axis][0] * acts[0] + self.turn[axis][1] * acts[1] + hand_n
+            pushed -= self.spring * self.position_m[axis] + self.damping * self.speed[axis]
+            speed = self.speed[axis] + pushed / self.mass_kg / RATE_HZ
+            drag = self.friction_n / self.mass_kg / RATE_HZ
+            self.speed[axis] = math.copysign(max(abs(speed) - drag, 0.0), speed)
+            self.position_m[axis] += self.speed[axis] / RATE_HZ
+            if abs(self.position_m[axis]) > TRAVEL_M:
+                self.position_m[axis] = math.copysign(TRAVEL_M, self.position_m[axis])
+                self.speed[axis] = 0.0
+
+
+class Run:
+    """The check against a handle."""
+
+    def __init__(self, handle: Handle, axes: tuple[bool, bool] = (True, True)) -> None:
+        self.handle = handle
+        self.signs = ffi.gc(lib.hd_signs_new(), lib.hd_signs_free)
+        self.of: CData = ffi.new("struct hd_hid_signs *")
+        check = Check(TRAVEL_M, FULL_N).of("stick", axes, handle.step_m)
+        assert check is not None
+        check.fill(self.of)
+        self.input = ffi.new("struct hd_signs_input *")
+        self.input.elapsed_s = 1.0 / RATE_HZ
+        self.input.max_force_n, self.input.ramp_s = MAX_N, RAMP_S
+        self.input.enabled = 1
+        self.force = ffi.new("double[2]")
+        self.ticks = 0
+
+    def tick(self) -> Told:
+        self.input.position_m = self.handle.report()
+        told = Told.read(lib.hd_signs_try(self.signs, self.of, self.input, self.force))
+        self.handle.move((self.force[0], self.force[1]), self.ticks / RATE_HZ)
+        self.ticks += 1
+        return told
+
+    def until(self, *states: SignsState, at_most_s: float = 30.0) -> Told:
+        for _ in range(round(at_most_s * RATE_HZ)):
+            told = self.tick()
+            if told.state in states:
+                return told
+        raise AssertionError(told)
+
+    def end(self) -> Told:
+        return self.until(SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR)
+
+
+HANDLES = {
+    "light": Handle(mass_kg=0.03),
+    "middling": Handle(),
+    "heavy": Handle(mass_kg=0.4, friction_n=0.2),
+    "no friction at all": Handle(friction_n=0.0, damping=0.0),
+    "spring-centred": Handle(spring=60.0, damping=1.5),
+    "stiff spring": Handle(mass_kg=0.05, spring=300.0, damping=1.0),
+    "10 bits, noisy": Handle(step_m=1e-4, noise_m=1e-4),
+    "8 bits": Handle(step_m=4e-4),
+    "at its stop": Handle(position_m=[TRAVEL_M, -TRAVEL_M]),
+    "slow link": Handle(late=25),
+}
+
+
+@pytest.mark.parametrize(
+    "name", [name if name == "middling" else pytest.param(name, marks=pytest.mark.slow) for name in HANDLES]
+)
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_the_way_a_device_pushes_is_found(name: str, way: float) -> None:
+    like = HANDLES[name]
+    handle = Handle(**{key: getattr(like, key) for key in like.__dataclass_fields__ if key not in ("turn", "forces")})
+    handle.position_m, handle.speed = list(like.position_m), [0.0, 0.0]
+    handle.turn = ((way, 0.0), (0.0, way))
+    run = Run(handle)
+    told = run.end()
+    if way > 0:
+        assert told.state == SignsState.RIGHT and told.line() is None
+    else:
+        assert (told.state, told.problem, told.axis) == (SignsState.WRONG, SignsProblem.REVERSED, "x")
+    assert run.ticks / RATE_HZ < 8
+    forces = np.array(handle.forces)
+    assert np.abs(forces).max() <= 0.1 * FULL_N + 1e-12
+    assert np.abs(np.diff(forces, axis=0)).max() <= STEP_N * (1 + 1e-9)
+    assert (forces[:, 0] * forces[:, 1] == 0).all()
+    assert np.abs(forces.sum(axis=0)).max() < 1e-6 * len(forces), "every pulse is followed by its opposite"
+
+
+@pytest.mark.parametrize(
+    ("turn", "problem", "axis"),
+    [
+        (((0.0, 1.0), (1.0, 0.0)), SignsProblem.SWAPPED, "x"),
+        (((1.0, 0.0), (0.0, -1.0)), SignsProblem.REVERSED, "y"),
+    ],
+)
+def test_one_wrong_axis_is_enough(
+    turn: tuple[tuple[float, float], tuple[float, float]], problem: SignsProblem, axis: str
+) -> None:
+    run = Run(Handle(turn=turn))
+    told = run.end()
+    assert (told.state, told.problem, told.axis) == (SignsState.WRONG, problem, axis)
+    pushed = len(run.handle.forces)
+    for _ in range(500):
+        assert run.tick().state == SignsState.WRONG
+    assert not np.array(run.handle.forces)[pushed - 1 :].any()
+    line = told.line()
+    assert (
+        line is not None
+        and "hapticd devices calibrate" in line
+        and "device.hid.signs: trust" in line
+        and "\n" not in line
+    )
+
+
+def test_one_axis_is_pushed_alone() -> None:
+    run = Run(Handle(turn=((1.0, 0.0), (0.0, -1.0))), axes=(True, False))
+    assert run.end().state == SignsState.RIGHT
+    assert not np.array(run.handle.forces)[:, 1].any()
+    run = Run(Handle(turn=((-1.0, 0.0), (0.0, 1.0))), axes=(False, True))
+    assert run.end().state == SignsState.RIGHT
+    assert not np.array(run.handle.forces)[:, 0].any()
+
+
+def test_an_axis_without_force_may_move_as_it_likes() -> None:
+    """A pedal beside a wheel."""
+    run = Run(Handle(hand=lambda time_s: (0.0, math.sin(20 * time_s))), axes=(True, False))
+    assert run.end().state == SignsState.RIGHT
+
+
+def test_a_handle_that_is_held_is_unclear_until_it_is_let_go() -> None:
+    run = Run(Handle(held=True))
+    said = {run.tick().line() for _ in range(1500)}
+    assert "the handle did not move when it was pushed along x: let go of it" in said
+    told = run.end()
+    assert (told.state, told.problem) == (SignsState.UNCLEAR, SignsProblem.STILL)
+    pulses = len(run.handle.forces)
+    run.input.enabled = 0
+    for _ in range(100):
+        assert run.tick().state == SignsState.UNCLEAR
+    assert not np.array(run.handle.forces)[pulses - 1 :].any()
+    run.handle.held, run.input.enabled = False, 1
+    assert run.end().state == SignsState.RIGHT
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_hand_that_moves_it_meanwhile_deceives_nobody(way: float) -> None:
+    """Its own motion is waited for to end, and told; whatever it does then, the answer is never the wrong one."""
+    wrong = SignsState.WRONG if way > 0 else SignsState.RIGHT
+    right = SignsState.RIGHT if way > 0 else SignsState.WRONG
+    outcomes = []
+    for seed in range(12):
+        random = np.random.default_rng(seed)
+        rates_hz, phases = random.uniform(0.3, 9.0, (2, 4)), random.uniform(0, 2 * np.pi, (2, 4))
+        sizes = random.uniform(0.0, 0.3, (2, 4))
+
+        def hand(time_s: float, *of: np.ndarray) -> tuple[float, float]:
+            rates_hz, phases, sizes = of
+            swings = (sizes * np.sin(2 * np.pi * rates_hz * time_s + phases)).sum(axis=1)
+            return tuple(swings * (time_s < 4.0))  # type: ignore[return-value]
+
+        run = Run(Handle(turn=((way, 0.0), (0.0, way)), hand=lambda t, of=(rates_hz, phases, sizes): hand(t, *of)))
+        said = set()
+        for _ in range(round(30 * RATE_HZ)):
+            told = run.tick()
+            said.add(told.problem)
+            if told.state in (SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR):
+                break
+        outcomes.append(told.state)
+    assert wrong not in outcomes
+    assert outcomes.count(right) >= 10
+
+
+def test_it_waits_while_the_handle_moves_and_says_so() -> None:
+    handle = Handle(held=True)
+    run = Run(handle)
+
+    def swung() -> Told:
+        handle.position_m[0] = 0.02 * math.sin(2 * math.pi * run.ticks / RATE_HZ)
+        return run.tick()
+
+    told = [swung() for _ in range(3000)][-1]
+    assert (told.state, told.problem) == (SignsState.WAITING, SignsProblem.MOVING)
+    assert told.line() == "the handle does not come to rest: let go of it"
+    handle.held = False
+    assert run.end().state == SignsState.RIGHT
+
+
+def test_nothing_is_pushed_while_something_is_touched() -> None:
+    run = Run(Handle())
+    run.input.contact = 1
+    told = [run.tick() for _ in range(1000)][-1]
+    assert (told.state, told.problem) == (SignsState.WAITING, SignsProblem.CONTACT)
+    assert told.line() == "the handle touches an object of the scene: move it away and let go of it"
+    assert not np.array(run.handle.forces).any()
+    run.input.contact = 0
+    while not run.force[0]:
+        run.tick()
+    run.input.contact = 1
+    run.tick()
+    assert run.force[0] == 0.0, "a pulse ends in the tick that meets something"
+    run.input.contact = 0
+    assert run.end().state == SignsState.RIGHT
+
+
+@pytest.mark.parametrize("fails", ["enabled", "jumped"])
+def test_a_pulse_ends_at_once_and_the_check_begins_again(fails: str) -> None:
+    run = Run(Handle())
+    while not run.force[0]:
+        run.tick()
+    setattr(run.input, fails, fails == "jumped")
+    told = run.tick()
+    assert run.force[0] == 0.0
+    assert told.state == (SignsState.UNCHECKED if fails == "enabled" else SignsState.CHECKING)
+    setattr(run.input, fails, fails == "enabled")
+    assert run.end().state == SignsState.RIGHT
+
+
+def test_nothing_is_pushed_while_the_scene_still_fades() -> None:
+    run = Run(Handle())
+    run.input.gain = 0.5
+    for _ in range(500):
+        assert run.tick().state == SignsState.CHECKING
+    assert not np.array(run.handle.forces).any()
+
+
+def test_a_device_is_checked_once_and_another_one_again() -> None:
+    run = Run(Handle())
+    assert run.end().state == SignsState.RIGHT
+    run.of.number = 2
+    assert run.tick().state == SignsState.CHECKING
+    assert run.end().state == SignsState.RIGHT
+    run.of.number = 0
+    assert run.tick().state == SignsState.TRUSTED
+
+
+def test_a_device_has_one_number_as_often_as_it_comes() -> None:
+    check = Check(TRAVEL_M, FULL_N)
+    numbers = [check.of(identity, (True, False), 0.0) for identity in ("a", "b", "a")]
+    assert [one and one.number for one in numbers] == [1, 2, 1]
+    assert check.of("c", (False, False), 0.0) is None

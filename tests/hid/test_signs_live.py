@@ -1,0 +1,358 @@
+"""The check of a device's signs in a whole engine, over a PID device whose handle goes where its force pushes it."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hapticd.analysis.calibration.rig import rig_of
+from hapticd.base.core import SAMPLE_DTYPE, Fault, Flag, SignsState, records
+from hapticd.base.errors import HapticdError
+from hapticd.config.configuration import load_config
+from hapticd.config.hid import Hid
+from hapticd.daemon.control import Control, MethodError
+from hapticd.daemon.engine import Engine
+from hapticd.hid.connection import Opened
+from hapticd.hid.descriptor import parse
+from hapticd.hid.drivers.pid import PidDriver
+from hapticd.hid.layout import layout_of
+from hapticd.recording.replay import replay
+from hapticd.rendering.offline import Rerun
+from tests.hid.test_connection import COUNTS, FULL_N, STIFFNESS, TRAVEL_M, World
+from tests.recording.test_replay import write
+from tests.support import firmware_descriptors as descriptors
+from tests.support.firmware import ARDUINO, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
+
+GIVES = 0.8
+"""Of the half travel, for the full force: a spring-centred handle."""
+AWAY = {"objects": {"floor": {"kind": "wall", "point_m": [0, -0.02], "normal": [0, 1], "material": "plain"}}}
+
+
+class Sprung(World):
+    """Joysticks whose handle goes where their force takes it."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        super().__init__(monkeypatch)
+        self.hid = {"renew_s": 0.1, "effect_duration_s": 0.25, "signs": "check"}
+        self.config["scene"] = AWAY
+        self.way = ((1.0, 0.0), (0.0, 1.0))
+        """What the device makes of a force."""
+        self.gives = GIVES
+        self.port = "here"
+        self.room = records(SAMPLE_DTYPE, 16384)
+        self.samples = records(SAMPLE_DTYPE, 0)
+
+    def open(self) -> Opened:
+        return replace(super().open(), identity=self.port)
+
+    def _move(self) -> None:
+        while not self._stop.wait(0.0005):
+            if self.engine is not None:
+                self.engine.beat()
+                self.engine.look_after()
+            stick = self.stick
+            if stick is not None:
+                force = stick.force()
+                # HID's Y grows towards the user.
+                x, y = (self.gives * (a * force[0] + b * force[1]) for a, b in self.way)
+                stick.report(round(COUNTS * x), round(-COUNTS * y) + self._y)
+
+    def look(self) -> None:
+        """Takes what was rendered since."""
+        assert self.engine is not None
+        count, dropped = self.engine.read_samples(self.room)
+        assert not dropped
+        self.samples = np.concatenate([self.samples, self.room[:count].copy()])
+
+    def comes_to(self, *states: SignsState) -> None:
+        def there() -> bool:
+            assert self.engine is not None
+            self.look()
+            state = self.engine.counters().signs.state
+            if state == SignsState.UNCLEAR:  # whoever moves the handle is a thread of Python, which may be held up
+                self.engine.set_forces(True)
+            return state in states
+
+        self.until(there)
+
+    def checked(self) -> np.ndarray:
+        return np.asarray(self.samples["flags"] & Flag.CHECKING != 0)
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> Iterator[Sprung]:
+    made = Sprung(monkeypatch)
+    yield made
+    made.close()
+
+
+class Flashed(Sprung):
+    """A simulated firmware, which shares nothing with the driver."""
+
+    firmware: Firmware
+
+    def flash(self, descriptor: bytes, variant: Variant) -> Firmware:
+        self.firmware = Firmware(descriptor, variant, clock=time.monotonic)
+        return self.firmware
+
+    def open(self) -> Opened:
+        hid = Hid(travel_m=TRAVEL_M, full_scale_force_n=FULL_N, **self.hid)
+        driver = PidDriver(layout_of(parse(self.firmware.descriptor)), hid)
+        return Opened(self.firmware.device, driver, "stick", 0.001, False)
+
+    def _move(self) -> None:
+        while not self._stop.wait(0.0005):
+            if self.engine is not None:
+                self.engine.beat()
+            x, y = self.firmware.force()
+            self.firmware.position(self.gives * x, self.gives * y)
+
+    def close(self) -> None:
+        super().close()
+        self.firmware.close()
+
+
+@pytest.fixture
+def flashed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Flashed]:
+    made = Flashed(monkeypatch)
+    yield made
+    made.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("descriptor", "variant", "state"),
+    [
+        (descriptors.FINO, FINO, SignsState.RIGHT),
+        (descriptors.ARDUINO, ARDUINO, SignsState.WRONG),
+        (descriptors.OPENFFBOARD_2, OPENFFBOARD, SignsState.RIGHT),
+        (descriptors.OPENFFBOARD_1, OPENFFBOARD_1, SignsState.RIGHT),
+        (descriptors.OPENFFBOARD_1, replace(OPENFFBOARD_1, signs=(-1, 1)), SignsState.WRONG),
+        (descriptors.SIDEWINDER_FF2, Variant(), SignsState.RIGHT),
+        (descriptors.SIDEWINDER_FF2, Variant(signs=(1, -1)), SignsState.WRONG),
+    ],
+    ids=["fino", "arduino", "openffboard", "one axis", "one axis reversed", "sidewinder", "sidewinder with y reversed"],
+)
+def test_the_signs_of_known_firmware(flashed: Flashed, descriptor: bytes, variant: Variant, state: SignsState) -> None:
+    firmware = flashed.flash(descriptor, variant)
+    engine = flashed.start()
+    engine.set_forces(True)
+    flashed.comes_to(SignsState.RIGHT, SignsState.WRONG)
+    signs = engine.counters().signs
+    assert signs.state == state, signs
+    if state == SignsState.WRONG:
+        assert signs.axis == ("x" if variant.signs[0] < 0 else "y")
+        assert engine.faults() == Fault.SIGNS
+        last = int(np.flatnonzero(flashed.checked())[-1])
+        settled(flashed)
+        assert not flashed.samples["force_n"][last + 1 :].any()
+        flashed.until(lambda: firmware.force() == (0.0, 0.0))
+
+
+def settled(world: Sprung) -> None:
+    """Waits until ten more ticks were rendered."""
+    assert world.engine is not None
+    engine, ticks = world.engine, world.engine.counters().ticks
+    world.until(lambda: engine.counters().ticks > ticks + 10)
+    world.look()
+
+
+def signs_of(engine: Engine) -> dict[str, Any]:
+    connection = Control(engine).call("get_status", {})["connection"]
+    assert isinstance(connection, dict)
+    return dict(connection["signs"])
+
+
+@pytest.mark.slow
+def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_path: Path) -> None:
+    world.plug()
+    engine = world.start()
+    assert signs_of(engine) == {"state": "unchecked", "axis": None, "problem": None, "advice": None}
+    settled(world)
+    assert not world.samples["force_n"].any() and not world.checked().any()
+    told = Control(engine).call("set_forces", {"enabled": True})
+    assert told["forces"] == "on" and told["signs"]["state"] == "checking"  # type: ignore[index]
+    with pytest.raises(MethodError, match="signs of the device are checked") as refused:
+        Control(engine).call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
+    assert refused.value.code == -32003
+    world.comes_to(SignsState.RIGHT)
+    world.hold(0.024)  # by hand, on top of what gives way
+    assert engine.faults() == Fault(0)
+    world.until(lambda: (world.look(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
+    checked = world.checked()
+    forces = world.samples["force_n"][checked]
+    assert 0.05 * FULL_N < np.abs(forces).max() <= 0.1 * FULL_N * (1 + 1e-12)
+    assert (world.samples["flags"][checked] & Flag.FORCES_ON).all()
+
+    rerun = Rerun(engine.output, 1)
+    rerun.turn_to(engine.scene, engine.scene.objects, engine.materials, engine.revision)
+    rerun.restart(muted=True)
+    samples, begin = world.samples, int(np.argmax(checked))
+    assert begin and not checked[0]
+    interval_s = np.where(samples["flags"] & Flag.REPEATED, 0.0, 1e-3)
+    missed = np.diff(samples["time_ns"], prepend=samples["time_ns"][0] - 1_000_000)
+    periods = np.where(samples["flags"] & Flag.SKIPPED, np.rint(missed / 1e6), 1).astype(np.uint32)
+    # Ticks of the start-up, without a position, are left out.
+    first = int(np.argmax(samples["flags"] & Flag.REPEATED == 0))
+    again, _ = rerun.run(samples[first:], interval_s[first:], periods[first:])
+    for name in ("contact_force_n", "vibration_force_n", "force_n"):
+        assert again[name].tobytes() == samples[name][first:].tobytes(), name
+    assert again["flags"][1:].tobytes() == samples["flags"][first + 1 :].tobytes()
+
+    # A recording that begins in the middle of the check has no force of the scene before its end, either.
+    middle = (begin + int(np.flatnonzero(checked)[-1])) // 2
+    # A replay begins where two ticks running have a new report and nothing that is left over.
+    fresh = samples["flags"][middle:] & (Flag.REPEATED | Flag.RAMPING | Flag.GLITCH) == 0
+    part = samples[middle + int(np.argmax(fresh[:-1] & fresh[1:])) :]
+    config = {"servo": {"rate_hz": 1000}, "device": {"kind": "hid"}, **world.config}
+    write(
+        tmp_path / "part.npz", part, config, texts={"status": {"connection": {"link_hz": engine.output.link_rate_hz}}}
+    )
+    found = replay(tmp_path / "part.npz")
+    assert found.identical == len(found.samples) > 0.8 * len(part), found.summary()
+    assert (found.samples["flags"] & Flag.CHECKING).any() and not (found.samples["flags"][-1] & Flag.CHECKING)
+
+
+@pytest.mark.slow
+def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "hapticd")
+    world.way = ((-1.0, 0.0), (0.0, 1.0))
+    stick = world.plug()
+    engine = world.start()
+    engine.set_forces(True)
+    world.comes_to(SignsState.WRONG)
+    told = signs_of(engine)
+    assert (told["state"], told["axis"], told["problem"]) == ("wrong", "x", "reversed")
+    assert "hapticd devices calibrate" in told["advice"] and "\n" not in told["advice"]
+    assert engine.faults() == Fault.SIGNS
+    world.hold(0.024)
+    for _ in range(2):
+        with pytest.raises(
+            MethodError, match="moves the handle the other way: run `hapticd devices calibrate`"
+        ) as caught:
+            Control(engine).call("set_forces", {"enabled": True})
+        assert caught.value.code == -32003 and caught.value.data == {"faults": ["signs"]}
+        settled(world)
+    last = int(np.flatnonzero(world.checked())[-1])
+    assert not world.samples["force_n"][last + 1 :].any()
+    assert stick.force() == (0.0, 0.0)
+    world.until(lambda: any("signs of the device are wrong" in line for line in caplog.messages))
+    assert sum("signs of the device are wrong" in line for line in caplog.messages) == 1
+    # It stays so when the same device comes back; another one is checked.
+    world.unplug()
+    world.until(lambda: Fault.DEVICE in engine.faults())
+    world._y = 0
+    world.way = ((1.0, 0.0), (0.0, 1.0))
+    world.port = "elsewhere"
+    world.plug()
+    world.until(lambda: engine.counters().signs.state == SignsState.UNCHECKED)
+    world.until(lambda: engine.set_forces(True) > 0 and engine.faults() == Fault(0))
+    world.comes_to(SignsState.RIGHT)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_who_strikes_a_device_waits_for_the_check(world: Sprung, way: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`hapticd calibrate` and `verify` have a servo of their own."""
+    world.way = ((way, 0.0), (0.0, way))
+    world.plug()
+    monkeypatch.setattr("hapticd.daemon.engine.DEVICE_TIMEOUT_S", world.late_after_s)
+    config = load_config(
+        {"servo": {"realtime": "off", "rate_hz": 1000}, "device": {"kind": "hid", "hid": {**world.hid}}, **world.config}
+    )
+    mover = threading.Thread(target=world._move)
+    mover.start()
+    try:
+        if way > 0:
+            with rig_of(config) as rig:
+                samples = rig.run(0.1)
+                assert not (samples["flags"][-1] & Flag.CHECKING) and samples["flags"][-1] & Flag.FORCES_ON
+        else:
+            with pytest.raises(HapticdError, match="moves the handle the other way: run `hapticd devices calibrate`"):
+                rig_of(config)
+    finally:
+        world._stop.set()
+        mover.join()
+
+
+@pytest.mark.slow
+def test_a_device_that_comes_back_is_not_checked_again(world: Sprung) -> None:
+    world.plug()
+    engine = world.start()
+    engine.set_forces(True)
+    world.comes_to(SignsState.RIGHT)
+    world.unplug()
+    world.until(lambda: Fault.DEVICE in engine.faults())
+    world.plug()
+    world.until(lambda: engine.set_forces(True) > 0 and engine.faults() == Fault(0))
+    world.look()
+    before = len(world.samples)
+    settled(world)
+    assert not world.checked()[before:].any()
+    assert engine.counters().signs.state == SignsState.RIGHT
+
+
+@pytest.mark.slow
+def test_it_waits_for_the_handle_to_leave_what_it_touches(world: Sprung) -> None:
+    world.plug()
+    engine = world.start()
+    world.hold(0.024)
+    world.arrived(engine, 0.024)
+    engine.set_forces(True)
+    world.comes_to(SignsState.WAITING)
+    assert signs_of(engine)["problem"] == "contact"
+    assert signs_of(engine)["advice"].startswith("the handle touches an object of the scene")
+    settled(world)
+    assert not world.samples["force_n"].any()
+    world._y = 0
+    world.comes_to(SignsState.RIGHT)
+
+
+def test_forces_off_end_a_pulse(world: Sprung) -> None:
+    stick = world.plug()
+    engine = world.start()
+    engine.set_forces(True)
+    stick.wait(lambda: stick.force()[0] != 0.0)
+    tick = engine.set_forces(False)
+    settled(world)
+    assert not world.samples["force_n"][world.samples["tick"] >= tick].any()
+    assert signs_of(engine)["state"] == "unchecked"
+
+
+@pytest.mark.parametrize("trusted", [{"signs": "trust"}, {"force_axes": {"x": {"sign": 1}}}])
+def test_a_device_that_is_trusted_pushes_at_once(world: Sprung, trusted: dict[str, Any]) -> None:
+    del world.hid["signs"]
+    world.hid |= trusted
+    world.gives = 0.0
+    world.plug()
+    engine = world.start()
+    world.hold(0.024)
+    engine.set_forces(True)
+    world.until(lambda: (world.look(), world.samples["force_n"][-1, 1] > 0.5 * 0.004 * STIFFNESS)[1])
+    assert not world.checked().any()
+    assert signs_of(engine)["state"] == "trusted"
+
+
+def test_what_a_configuration_says_of_signs() -> None:
+    report = {
+        "input": {"x": {"bit_offset": 0, "bit_size": 16, "counts_per_m": 1e5}},
+        "output": {"length": 2, "x": {"bit_offset": 0, "bit_size": 16, "counts_per_n": 100}},
+    }
+    assert Hid().signs == "check"
+    assert Hid(travel_m=0.1).signs == "check"
+    assert Hid(force_axes={}).signs == "check", "says nothing"
+    assert Hid(force_axes={"x": {"sign": -1}}).signs == "trust"
+    assert Hid(report=report).signs == "trust"
+    assert Hid(report=report, signs="check").signs == "check"
+    hid = load_config({"device": {"kind": "hid", "hid": {"signs": "trust"}}}).device.hid
+    assert load_config({"device": {"hid": hid.to_dict()}}).device.hid == hid
+    hid = load_config({"device": {"kind": "hid"}}).device.hid
+    assert load_config({"device": {"hid": hid.to_dict()}}).device.hid.signs == "check"

@@ -1,0 +1,226 @@
+"""Devices with reports of their own: their description, what is wrong with it, and the plan that comes of it."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+
+from hapticd.base.core import ffi, lib
+from hapticd.base.errors import InvalidError
+from hapticd.config.configuration import load_config
+from hapticd.config.hid import Hid
+from hapticd.hid.drivers.vendor import VendorDriver, plan_of
+from hapticd.hid.plan import STILL_M_PER_COUNT, DeviceError
+from tests.support.hid_descriptors import (
+    APPLICATION,
+    INPUT,
+    OUTPUT,
+    collection,
+    data,
+    logical,
+    report_id,
+    size,
+    usage,
+    usage_page,
+)
+
+REPORT: dict[str, Any] = {
+    "input": {
+        "report_id": 1,
+        "x": {"bit_offset": 0, "bit_size": 16, "counts_per_m": 400000},
+        "y": {"bit_offset": 16, "bit_size": 16, "counts_per_m": -400000, "zero_counts": 100},
+    },
+    "output": {
+        "report_id": 2,
+        "length": 6,
+        "x": {"bit_offset": 0, "bit_size": 16, "byte_order": "big", "counts_per_n": 1000},
+        "y": {"bit_offset": 20, "bit_size": 12, "signed": False, "counts_per_n": -100, "zero_counts": 2048},
+    },
+    "enable": ["02 01 00 00 00 00 00", "feature 0301"],
+    "disable": ["02 00 00 00 00 00 00"],
+}
+DESCRIPTOR = collection(
+    usage_page(1) + usage(4),
+    APPLICATION,
+    report_id(1) + usage(0x30, 0x31) + logical(-32768, 32767) + size(16, 2) + data(INPUT),
+    usage_page(0xFF00) + report_id(2) + usage(1) + logical(0, 255) + size(8, 6) + data(OUTPUT),
+)
+
+
+class Recorder:
+    path = "fake0"
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, str]] = []
+
+    def fileno(self) -> int:
+        raise AssertionError
+
+    def write(self, report: bytes) -> None:
+        self.sent.append(("output", report.hex()))
+
+    def send_feature(self, report: bytes) -> None:
+        self.sent.append(("feature", report.hex()))
+
+    def get_feature(self, report_id: int, length: int) -> bytes:
+        raise AssertionError
+
+    def listen(self, timeout_s: float) -> bytes:
+        return b""
+
+    def close(self) -> None:
+        pass
+
+
+def changed(**parts: dict[str, Any]) -> dict[str, Any]:
+    """The description with other members, by path: output__x={"bit_size": 8}."""
+    report = copy.deepcopy(REPORT)
+    for path, members in parts.items():
+        place = report
+        for key in path.split("__"):
+            place = place[key]
+        place.update(members)
+    return report
+
+
+def hid(report: dict[str, Any]) -> Hid:
+    return Hid.model_validate({"report": report})
+
+
+def faults(report: dict[str, Any]) -> dict[str, str]:
+    with pytest.raises(InvalidError) as caught:
+        load_config({"device": {"kind": "hid", "hid": {"report": report}}})
+    return {problem.where: problem.problem for problem in caught.value.problems}
+
+
+def test_enable_sequence_and_plan() -> None:
+    recorder = Recorder()
+    plan = VendorDriver(hid(REPORT), DESCRIPTOR).set_up(recorder)
+    assert recorder.sent == [("output", "02010000000000"), ("feature", "0301")]
+    assert [message.data.hex() for message in plan.stop] == ["02000000000000"]
+    assert plan.x.m_per_count == 1 / 400000 and plan.y.m_per_count == -1 / 400000 and plan.y.zero_counts == 100
+    assert plan.force[0].at_rest() == bytes.fromhex("02 0000 00 80 0000")
+
+
+@pytest.mark.parametrize(
+    ("force_n", "x", "y"),
+    [
+        ((0, 0), 0, 2048),
+        ((1.5, 0), 1500, 2048),
+        ((-8.9, 3.0), -8900, 2048 - 300),
+        ((40, -30), 32767, 4095),
+        ((-40, 30), -32768, 0),
+    ],
+)
+def test_forces(force_n: tuple[float, float], x: int, y: int) -> None:
+    plan = plan_of(hid(REPORT), hid(REPORT).report or pytest.fail())
+    described = plan.to_c()
+    room = ffi.new("uint8_t[7]")
+    lib.hd_hid_compose(ffi.addressof(described.force.messages, 0), ffi.new("double[2]", force_n), room)
+    report = bytes(ffi.buffer(room))
+    assert report[0] == 2
+    assert int.from_bytes(report[1:3], "big", signed=True) == x
+    assert int.from_bytes(report[3:5], "little") >> 4 == y
+    assert report[5:] == b"\0\0"
+
+
+def test_bits_are_those_of_the_core() -> None:
+    """Two implementations of the same packing."""
+    plan = plan_of(hid(REPORT), hid(REPORT).report or pytest.fail())
+    described = plan.to_c()
+    message = described.force.messages[0]
+    for value, bits in zip(message.values, (each.bits for each in plan.force[0].values), strict=False):
+        for counts in (bits.least, -1 if bits.signed else 1, 0, 1, 1000, bits.most):
+            ours, theirs = bytearray(b"\xa5" * 7), ffi.new("uint8_t[7]", b"\xa5" * 7)
+            bits.put(ours, counts)
+            field = ffi.addressof(value, "field")
+            assert lib.hd_field_write(field, theirs, 7, counts) == 0
+            assert bytes(ours) == bytes(ffi.buffer(theirs))
+            assert bits.get(bytes(ours)) == counts
+        with pytest.raises(ValueError):
+            bits.put(bytearray(7), bits.most + 1)
+        with pytest.raises(ValueError):
+            bits.put(bytearray(2), 0)
+
+
+def test_a_single_axis_stays_where_it_is_along_the_other() -> None:
+    report = copy.deepcopy(REPORT)
+    del report["input"]["y"], report["output"]["y"]
+    plan = plan_of(hid(report), hid(report).report or pytest.fail())
+    assert plan.y.m_per_count == STILL_M_PER_COUNT and len(plan.force[0].values) == 1
+
+
+@pytest.mark.parametrize(
+    ("parts", "where", "problem"),
+    [
+        (
+            {"output__x": {"bit_offset": 40}},
+            "output",
+            "x ends at bit 55, a report of 6 bytes at bit 47",
+        ),
+        (
+            {"output__y": {"bit_offset": 8}},
+            "output",
+            "x (bits 0 to 15) and y (bits 8 to 19) overlap",
+        ),
+        ({"input__y": {"bit_offset": 15}}, "input", "x (bits 0 to 15) and y (bits 15 to 30) overlap"),
+        ({"output__x": {"bit_size": 33}}, "output.x.bit_size", "must be at most 32, is 33"),
+        ({"output__x": {"bit_size": 0}}, "output.x.bit_size", "must be at least 1, is 0"),
+        (
+            {"output__x": {"bit_size": 12}},
+            "output.x",
+            "byte_order big needs whole bytes: bit_offset and bit_size must be multiples of 8",
+        ),
+        ({"output__x": {"counts_per_n": 0}}, "output.x", "counts_per_n must be at least 0.001 either way, is 0"),
+        ({"input__x": {"counts_per_m": 0.5}}, "input.x", "counts_per_m must be at least 1 either way, is 0.5"),
+        (
+            {"output__y": {"zero_counts": 5000}},
+            "output.y",
+            "zero_counts 5000 does not fit into 12 bits: 0 to 4095",
+        ),
+        ({"output": {"report_id": 256}}, "output.report_id", "must be at most 255, is 256"),
+        ({"output": {"length": 0}}, "output.length", "must be at least 1, is 0"),
+    ],
+)
+def test_wrong_descriptions(parts: dict[str, Any], where: str, problem: str) -> None:
+    assert faults(changed(**parts)) == {f"device.hid.report.{where}": problem}
+
+
+def test_wrong_scripts() -> None:
+    assert list(faults(REPORT | {"enable": ["0", "02 01"]})) == ["device.hid.report.enable[0]"]
+    told = faults(REPORT | {"disable": ["feature 02 01"]})
+    assert told == {"device.hid.report": "disable takes output reports only, no feature reports"}
+
+
+@pytest.mark.parametrize(
+    ("parts", "told"),
+    [
+        (
+            {"output": {"length": 8}},
+            "device.hid.report.output.length: output report 2 of the device has 6 bytes after its id, not 8",
+        ),
+        (
+            {"output": {"report_id": 9}},
+            "device.hid.report.output.report_id: the device has no output report 9; it has 2",
+        ),
+        (
+            {"input": {"report_id": 7}},
+            "device.hid.report.input.report_id: the device has no input report 7; it has 1",
+        ),
+        (
+            {"input__y": {"bit_offset": 24}},
+            "device.hid.report.input.y: bit 39 lies beyond input report 1 of the device, which has 4 bytes after "
+            "its id",
+        ),
+    ],
+)
+def test_descriptions_of_another_device(parts: dict[str, Any], told: str) -> None:
+    with pytest.raises(DeviceError) as caught:
+        VendorDriver(hid(changed(**parts)), DESCRIPTOR)
+    assert str(caught.value) == told
+
+
+def test_a_descriptor_that_cannot_be_read_says_nothing() -> None:
+    VendorDriver(hid(REPORT), b"\x05")

@@ -1,0 +1,290 @@
+"""A short run of each fuzzer, of other seeds than `make fuzz` begins with; and what the long ones found."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import struct
+import threading
+import zipfile
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+
+from hapticd.base.errors import HapticdError
+from hapticd.config.configuration import load_config
+from hapticd.config.materials import validate_materials
+from hapticd.config.operator import parse_operator
+from hapticd.config.scene import validate_scene
+from hapticd.recording.reader import load_recorded
+from hapticd.recording.replay import replay
+from tests.soak import fuzz_messages, fuzz_recordings, fuzz_yaml, fuzz_zmtp
+
+
+def test_messages() -> None:
+    found = fuzz_messages.run(random.Random(101), 400)
+    assert {0, -32700, -32600, -32602} <= found.outcomes.keys(), "some kind of message was not among them"
+
+
+def test_zmtp() -> None:
+    assert 0 < fuzz_zmtp.run(random.Random(105), 2000) < 2000
+
+
+@pytest.mark.parametrize(
+    ("kind", "runs"), [("config", 200), ("check", 20), ("bridge", 100), ("operator", 100), ("key", 100)]
+)
+def test_documents(kind: str, runs: int) -> None:
+    found = fuzz_yaml.run(kind, random.Random(102), runs)
+    assert found.outcomes["taken"] > 0
+    assert found.outcomes["refused"] > 0
+
+
+def test_reloads() -> None:
+    outcomes = fuzz_yaml.run_reloads(random.Random(103), 20, lambda _: None)
+    assert outcomes["refused"] == 20
+
+
+def test_recordings() -> None:
+    outcomes, _, most = fuzz_recordings.run(random.Random(104), 150)
+    assert most < 2 * fuzz_recordings.LIMIT_BYTES
+    tried = {outcome.split()[0] for outcome in outcomes}
+    assert tried == set(fuzz_recordings.FORMS)
+    # What a killed recording left comes less often than whole files, and more of it can be used.
+    whole = [form for form in fuzz_recordings.FORMS if not form.startswith("left")]
+    assert all(outcomes[f"{form} refused"] > 0 for form in whole)
+    assert any(outcomes[f"{form} refused"] > 0 for form in fuzz_recordings.FORMS if form not in whole)
+    assert any(outcome.endswith("rendered") for outcome in outcomes)
+
+
+def test_what_they_begin_from_is_valid() -> None:
+    for material in fuzz_yaml.MATERIALS:
+        validate_materials({"mine": material})
+    for item in fuzz_yaml.OBJECTS:
+        validate_scene({"objects": {"mine": item}})
+    for device in fuzz_yaml.DEVICES:
+        load_config({"device": device})
+    for gesture in fuzz_yaml.GESTURES:
+        parse_operator(gesture)
+
+
+# ---- What our own oracles are worth ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("body", "codes"),
+    [
+        (b"", {-32700}),
+        (b"\xc1", {-32700}),
+        (b"\x80\x00", {-32700}),
+        (b"\x81\x01\x01", {-32700}),
+        (b"\x82\xa1a\x01\xa1a\x01", {-32700}),
+        (b"\xd4\x01x", {-32700}),
+        (b"\xa1\xff", {-32700}),
+        (b"\x91" * 32 + b"\xc0", {-32600}),
+        (b"\x91" * 33 + b"\xc0", {-32700}),
+        (b"\xdd\xff\xff\xff\xff", {-32700}),
+        (b"\x01", {-32600}),
+    ],
+)
+def test_what_a_body_is_answered_with(body: bytes, codes: set[int]) -> None:
+    assert fuzz_messages.expected([body]).codes == codes
+    assert fuzz_messages.expected([b"", body]).codes == codes
+    assert fuzz_messages.expected([b"x", body]).codes == {-32600}
+
+
+# ---- Recordings that claim more than they hold -------------------------------------------------------------------
+
+
+def archive(path: Path, **members: bytes) -> Path:
+    with zipfile.ZipFile(path, "w") as file:
+        for name, member in members.items():
+            file.writestr(f"{name}.npy", member)
+    return path
+
+
+def array(header: str, data: bytes = b"") -> bytes:
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header.encode() + data
+
+
+def saved(value: object) -> bytes:
+    made = io.BytesIO()
+    np.save(made, np.asarray(value))
+    return made.getvalue()
+
+
+def answered_late(directory: Path, stopped: threading.Event) -> None:
+    """A daemon's command socket that answers changes when nothing else comes, as it may answer long ones."""
+    change = msgpack.packb({"jsonrpc": "2.0", "id": None, "result": {"revision": 7}})
+    bad = msgpack.packb({"jsonrpc": "2.0", "id": None, "error": {"code": -32700, "message": "1 trailing bytes"}})
+    held: list[list[bytes]] = []
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as router:
+        router.linger = 0
+        router.bind(f"ipc://{directory}/hapticd.command")
+        while not stopped.is_set():
+            if not router.poll(20):
+                for each in held:
+                    router.send_multipart(each)
+                held.clear()
+                continue
+            identity, *envelope, body = router.recv_multipart()
+            if b"update_scene" not in body:
+                unknown = {"jsonrpc": "2.0", "id": "sentinel", "error": {"code": -32601, "message": "no such method"}}
+                router.send_multipart([identity, *envelope, msgpack.packb(unknown)])
+            elif body.endswith(b"\0"):
+                router.send_multipart([identity, *envelope, bad])
+            else:
+                held.append([identity, *envelope, change])
+
+
+def test_answers_without_an_id_are_told_apart(tmp_path: Path) -> None:
+    """The oldest under way without an id was a change, which is answered late; the answer was another message's."""
+    stopped = threading.Event()
+    server = threading.Thread(target=answered_late, args=(tmp_path, stopped))
+    server.start()
+    params = {"objects": {"floor": {"kind": "wall"}}}
+    change = msgpack.packb({"jsonrpc": "2.0", "id": None, "method": "update_scene", "params": params})
+    traffic = fuzz_messages.Traffic(tmp_path)
+    try:
+        for _ in range(fuzz_messages.CONNECTIONS):
+            traffic.send(fuzz_messages.expected([change]))
+        for _ in range(fuzz_messages.CONNECTIONS):
+            traffic.send(fuzz_messages.expected([b"", change + b"\0"]))
+        traffic.settle()
+    finally:
+        traffic.close()
+        stopped.set()
+        server.join()
+    assert traffic.outcomes == {0: 8, -32700: 8, -32601: 8}
+
+
+@pytest.mark.parametrize(
+    "member",
+    [
+        array("{'descr': '<f8', 'fortran_order': False, 'shape': (1099511627776,), }"),
+        array("{'descr': '<f8', 'fortran_order': False, 'shape': (-8,), }"),
+        array("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", b"cos\nsystem\n."),
+        array("{'descr': '<f8', 'fortran_order': False, 'shape': " + "(" * 60),
+        array("{'descr': '<f8', 'fortran_order': " + "-" * 5000 + "1, 'shape': (1,), }", bytes(8)),
+        saved([1.0, 2.0]),
+        saved(1.0),
+        b"",
+    ],
+    ids=(
+        "a terabyte",
+        "less than nothing",
+        "pickled",
+        "open brackets",
+        "many signs",
+        "no fields",
+        "one number",
+        "empty",
+    ),
+)
+def test_samples_that_are_none(tmp_path: Path, member: bytes) -> None:
+    path = archive(tmp_path / "a.npz", samples=member)
+    with fuzz_recordings.bounded_memory(), pytest.raises(HapticdError) as caught:
+        load_recorded(path)
+    fuzz_recordings.check_refusal(caught.value, path)
+
+
+def changed_npz(path: Path, at: int, value: bytes) -> Path:
+    """A recording whose directory says something else of its first member."""
+    content = bytearray(fuzz_recordings.whole(".npz")[".npz"])
+    place = content.find(b"PK\x01\x02") + at
+    content[place : place + len(value)] = value
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize(("at", "value"), [(8, b"\x01\x00"), (10, b"\x63\x00"), (24, bytes(4))])
+def test_archives_that_cannot_be_read(tmp_path: Path, at: int, value: bytes) -> None:
+    path = changed_npz(tmp_path / "a.npz", at, value)
+    with pytest.raises(HapticdError) as caught:
+        load_recorded(path)
+    fuzz_recordings.check_refusal(caught.value, path)
+
+
+def test_texts_without_end(tmp_path: Path) -> None:
+    with np.load(io.BytesIO(fuzz_recordings.whole(".npz")[".npz"])) as file:
+        samples = saved(file["samples"])
+    path = archive(tmp_path / "a.npz", samples=samples, scene=saved("[" * 200_000))
+    with pytest.raises(HapticdError) as caught:
+        load_recorded(path)
+    fuzz_recordings.check_refusal(caught.value, path)
+
+
+def test_texts_that_are_no_unicode(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    with zipfile.ZipFile(io.BytesIO(fuzz_recordings.whole(".npz")[".npz"])) as old:
+        members = {name.removesuffix(".npy"): old.read(name) for name in old.namelist()}
+    text = members["materials"]
+    members["materials"] = text.replace("w".encode("utf-32-le"), b"\xff\xff\xff\x7f")
+    with pytest.raises(HapticdError) as caught:
+        load_recorded(archive(path, **members))
+    fuzz_recordings.check_refusal(caught.value, path)
+    members["materials"] = text
+    assert "wood" in load_recorded(archive(path, **members)).texts["materials"]
+
+
+@pytest.mark.parametrize("direction", [[0.0, 0.0], [1.0], [], "up"])
+def test_what_was_played_nowhere(tmp_path: Path, direction: object) -> None:
+    files = dict(fuzz_recordings.whole(".csv"))
+    texts = json.loads(files[".about.json"])
+    (played,) = [change["play"] for change in texts["changes"] if "play" in change]
+    played["direction"] = direction
+    files[".about.json"] = json.dumps(texts).encode()
+    for name, content in files.items():
+        (tmp_path / f"a{name}").write_bytes(content)
+    with pytest.raises(HapticdError) as caught:
+        replay(tmp_path / "a.csv")
+    fuzz_recordings.check_refusal(caught.value, tmp_path / "a.csv")
+
+
+def test_a_csv_without_rows_warns_nobody(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    files = fuzz_recordings.whole(".csv")
+    (tmp_path / "a.events.csv").write_bytes(files[".events.csv"])
+    (tmp_path / "a.about.json").write_bytes(files[".about.json"])
+    (tmp_path / "a.csv").write_bytes(files[".csv"].splitlines(keepends=True)[0] + b"\n\n")
+    assert len(load_recorded(tmp_path / "a.csv").samples) == 0
+    (tmp_path / "a.about.json").write_text("[]")
+    with pytest.raises(HapticdError):
+        load_recorded(tmp_path / "a.csv")
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("size", [1 << 40, 2**64 - 1])
+def test_a_chunk_that_claims_a_terabyte(tmp_path: Path, size: int) -> None:
+    pytest.importorskip("mcap")
+    content = bytearray(fuzz_recordings.whole(".mcap")[".mcap"])
+    at = 8
+    while content[at] != 6:
+        at += 9 + struct.unpack_from("<Q", content, at + 1)[0]
+    struct.pack_into("<Q", content, at + 9 + 16, size)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with (
+        fuzz_recordings.bounded_memory(),
+        pytest.raises(HapticdError, match=f"a chunk says that it holds {size} bytes"),
+    ):
+        load_recorded(path)
+
+
+@pytest.mark.parametrize("length", [1 << 31, 1 << 40])
+def test_a_record_that_claims_gigabytes(tmp_path: Path, length: int) -> None:
+    pytest.importorskip("mcap")
+    content = bytearray(fuzz_recordings.whole(".mcap")[".mcap"])
+    at = 8
+    while content[at] != 9:  # an attachment: its data has a length of its own
+        at += 9 + struct.unpack_from("<Q", content, at + 1)[0]
+    name = struct.unpack_from("<I", content, at + 9 + 16)[0]
+    kind = struct.unpack_from("<I", content, at + 9 + 20 + name)[0]
+    struct.pack_into("<Q", content, at + 9 + 24 + name + kind, length)
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with fuzz_recordings.bounded_memory(), pytest.raises(HapticdError) as caught:
+        load_recorded(path)
+    fuzz_recordings.check_refusal(caught.value, path)

@@ -1,0 +1,58 @@
+"""Every fault of a message is told at once: those of its scene and materials beside those of its parameters."""
+
+from __future__ import annotations
+
+import pytest
+
+from hapticd.config.configuration import load_config
+from hapticd.daemon.control import Control, MethodError
+from hapticd.daemon.engine import Engine
+
+FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+SCENE = {"objects": {"floor": {**FLOOR, "point_m": [0]}, "ball": {"kind": "disk"}}}
+SCENE_FAULTS = ["scene.objects.floor.point_m", "scene.objects.ball.kind"]
+MATERIALS = {"pine": {"stiffness_n_per_m": -1}}
+
+
+@pytest.fixture(scope="module")
+def control() -> Control:
+    return Control(Engine(load_config({"servo": {"rate_hz": 1000}, "scene": {"objects": {"floor": FLOOR}}})))
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "places"),
+    [
+        ("set_scene", {"scene": SCENE, "wait": "yes"}, ["wait", *SCENE_FAULTS]),
+        ("set_scene", {"scene": SCENE, "wate": True}, ["wate", *SCENE_FAULTS]),
+        (
+            "update_scene",
+            {"objects": SCENE["objects"], "expect_revision": -1},
+            ["expect_revision", "objects.floor.point_m", "objects.ball.kind"],
+        ),
+        ("set_materials", {"materials": MATERIALS, "wait": 1}, ["wait", "materials.pine.stiffness_n_per_m"]),
+        (
+            "set_materials",
+            {"materials": {**MATERIALS, "wood": None}},
+            ["materials.wood", "materials.pine.stiffness_n_per_m"],
+        ),
+        ("update_materials", {"materials": MATERIALS, "wait": 1}, ["wait", "materials.pine.stiffness_n_per_m"]),
+        (
+            "apply",
+            {"materials": MATERIALS, "scene": SCENE, "wait": 1},
+            ["wait", "materials.pine.stiffness_n_per_m", *SCENE_FAULTS],
+        ),
+        (
+            "apply",
+            {"materials": 5, "scene": SCENE},
+            ["materials", *SCENE_FAULTS],
+        ),
+        ("play", {"material": "pien", "direction": [0, 0], "amplitude_m_per_s2": 1}, ["material", "direction"]),
+    ],
+)
+def test_every_fault_is_told_at_once(
+    control: Control, method: str, params: dict[str, object], places: list[str]
+) -> None:
+    with pytest.raises(MethodError) as told:
+        control.call(method, params)
+    assert isinstance(told.value.data, list)
+    assert sorted(problem["where"] for problem in told.value.data) == sorted(places)

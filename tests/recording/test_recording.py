@@ -1,0 +1,219 @@
+"""`hapticd.load`: what a recording holds, the same from every form."""
+
+from __future__ import annotations
+
+import json
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hapticd
+from hapticd import shipped
+from hapticd.base.clock import Moment, moment_of, read
+from hapticd.base.core import SAMPLE_DTYPE
+from hapticd.base.errors import HapticdError
+from hapticd.cli import main
+from hapticd.recording.writer import open_sink
+from tests.support.cli import said
+
+CONFIG = Path(shipped.__path__[0])
+FORMS = ["npz", "csv", "mcap"]
+RECORDING = {
+    "ticks": 20,
+    "missed_periods": 7,
+    "started": {"monotonic_ns": 1_000, "realtime_ns": 1_700_000_000_000_001_000},
+    "ended": {"monotonic_ns": 9_000, "realtime_ns": 1_700_000_000_000_009_000},
+    "ended_because": "stopped",
+    "notes": {"subject": "3", "hand": "left = right"},
+}
+CHANGES = [{"revision": 4}, {"revision": 5, "objects": {"floor": None}}]
+
+
+def some(count: int) -> np.ndarray:
+    samples = np.zeros(count, SAMPLE_DTYPE)
+    samples["tick"] = np.arange(100, 100 + count)
+    samples["time_ns"] = 5_000 + np.arange(count) * 100_000
+    samples["force_n"] = np.random.default_rng(1).standard_normal((count, 2))
+    return samples
+
+
+EVENTS: list[dict[str, object]] = [
+    {"event": "release", "tick": 101, "time_ns": 1, "object": "floor"},
+    {"event": "mark", "tick": 103, "time_ns": 2, "text": "trial 1", "data": {"left": True}},
+    {"event": "saturation", "tick": 104, "time_ns": 3, "wanted_n": 12.0},
+    {"event": "mark", "tick": 105, "time_ns": 4, "text": "trial 2", "data": None},
+]
+
+
+def write(target: Path, recording: object = RECORDING) -> Path:
+    with open_sink(target) as sink:
+        sink.begin(
+            {
+                "config": {"servo": {"rate_hz": 10_000.0}, "device": {"kind": "sim"}},
+                "scene": {"ramp_s": 0.02, "objects": {"floor": {"kind": "wall"}}},
+                "materials": {"wood": {"stiffness_n_per_m": 500}},
+                "status": {"rate_hz": 5000.0},
+            }
+        )
+        for change in CHANGES:
+            sink.write_change(change)
+        sink.write(some(20))
+        for event in EVENTS:
+            sink.write_event(event)
+        sink.finish({"recording": recording})
+    return target
+
+
+@pytest.mark.parametrize("ending", FORMS)
+def test_every_form_gives_the_same(tmp_path: Path, ending: str) -> None:
+    recording = hapticd.load(write(tmp_path / f"run.{ending}"))
+    assert isinstance(recording, hapticd.Recording)
+    assert recording.samples.tobytes() == some(20).tobytes()
+    assert recording.events == EVENTS
+    assert [(mark["tick"], mark["text"], mark["data"]) for mark in recording.marks] == [
+        (103, "trial 1", {"left": True}),
+        (105, "trial 2", None),
+    ]
+    assert recording.scene["objects"] == {"floor": {"kind": "wall"}}
+    assert recording.materials == {"wood": {"stiffness_n_per_m": 500}}
+    assert recording.config["device"] == {"kind": "sim"} and recording.status == {"rate_hz": 5000.0}
+    assert recording.changes == CHANGES
+    assert recording.notes == {"subject": "3", "hand": "left = right"}
+    assert recording.started == Moment(1_000, 1_700_000_000_000_001_000)
+    assert recording.ended == Moment(9_000, 1_700_000_000_000_009_000)
+    assert (recording.ended_because, recording.missed_periods, recording.rate_hz) == ("stopped", 7, 5000.0)
+    assert recording.truth is None
+    assert repr(recording) == f"<hapticd.Recording {tmp_path}/run.{ending}: 20 ticks, 4 events>"
+
+
+def test_the_time_of_day_of_each_sample(tmp_path: Path) -> None:
+    recording = hapticd.load(write(tmp_path / "run.npz"))
+    assert recording.utc().dtype == "M8[ns]"
+    assert recording.utc()[[0, 1]].astype(np.int64).tolist() == [1_700_000_000_000_005_000, 1_700_000_000_000_105_000]
+    assert recording.started is not None
+    assert recording.started.utc == datetime(2023, 11, 14, 22, 13, 20, 1, UTC)
+    with pytest.raises(HapticdError, match="does not say the time of day"):
+        hapticd.load(write(tmp_path / "none.npz", {"started": None})).utc()
+
+
+def test_pandas(tmp_path: Path) -> None:
+    recording = hapticd.load(write(tmp_path / "run.csv"))
+    frame = recording.to_pandas()
+    assert frame.index.name == "time_s" and frame.index[:3].tolist() == pytest.approx([0.0, 1e-4, 2e-4])
+    assert list(frame.columns[:4]) == ["tick", "time_ns", "position_m_x", "position_m_y"]
+    assert frame["force_n_y"].to_numpy().tobytes() == some(20)["force_n"][:, 1].tobytes()
+    assert len(frame) == 20 and frame["tick"].dtype == np.uint64
+    by_day = frame.set_index(recording.utc())
+    assert str(by_day.index[0]) == "2023-11-14 22:13:20.000005"
+
+
+def test_without_pandas_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = hapticd.load(write(tmp_path / "run.npz"))
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(HapticdError, match=r"^to_pandas needs pandas: pip install 'hapticd\[pandas\]'$"):
+        recording.to_pandas()
+
+
+@pytest.mark.parametrize("ended", [None, "stopped"])
+def test_files_of_before_are_read(tmp_path: Path, ended: str | None) -> None:
+    """`recording.ended` was the reason, nothing said how many periods were missed."""
+    recording = hapticd.load(write(tmp_path / "run.npz", {"ticks": 20, "ended": ended}))
+    assert (recording.ended, recording.ended_because, recording.started, recording.notes) == (None, ended, None, {})
+    assert recording.missed_periods == 0
+
+
+@pytest.mark.parametrize("ending", FORMS)
+@pytest.mark.parametrize("other", FORMS)
+def test_a_recording_goes_into_another_form(tmp_path: Path, ending: str, other: str) -> None:
+    recording = hapticd.load(write(tmp_path / f"run.{ending}"))
+    assert recording.save(tmp_path / f"copy.{other}") == tmp_path / f"copy.{other}"
+    again = hapticd.load(tmp_path / f"copy.{other}")
+    assert again.samples.tobytes() == recording.samples.tobytes()
+    assert (again.events, again.texts) == (recording.events, recording.texts)
+    with pytest.raises(HapticdError, match="is there already"):
+        recording.save(tmp_path / f"copy.{other}")
+
+
+def test_a_simulation_has_truth_and_notes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    command = [
+        "simulate",
+        str(CONFIG / "scenes" / "comb.yaml"),
+        "--operator",
+        str(CONFIG / "operators" / "stroke.yaml"),
+    ]
+    command += ["-o", "run.npz", "--for", "100ms"]
+    assert main([*command, "--note", "subject=3", "--note", "why=a=b"]) == 0
+    recording = hapticd.load("run.npz")
+    assert recording.truth is not None and recording.truth.shape == (1000, 4)
+    assert recording.notes == {"subject": "3", "why": "a=b"}
+    assert (recording.missed_periods, recording.started, recording.ended_because) == (0, None, None)
+    assert recording.rate_hz == 10_000.0
+    saved = hapticd.load(recording.save("copy.npz"))
+    assert saved.truth is not None and saved.truth.tobytes() == recording.truth.tobytes()
+    before = Path("run.npz").read_bytes()
+    assert "run.npz: is there already; give another name, or --overwrite" in said_to(command)
+    assert Path("run.npz").read_bytes() == before
+    assert main([*command, "--overwrite"]) == 0
+    assert hapticd.load("run.npz").notes == {}
+    assert main(["replay", "run.npz", "-o", "again.npz"]) == 0
+    assert "again.npz: is there already" in said_to(["replay", "run.npz", "-o", "again.npz"])
+    assert main(["replay", "run.npz", "-o", "again.npz", "--overwrite"]) == 0
+
+
+def said_to(command: list[str]) -> str:
+    """What a command that is refused says, before it does anything."""
+    import contextlib
+    import io
+
+    err, out = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stderr(err), contextlib.redirect_stdout(out):
+        assert main(command) == 1
+    assert out.getvalue() == "" and err.getvalue().count("\n") == 1
+    return err.getvalue()
+
+
+@pytest.mark.parametrize("note", ["subject", "=3", " = 3", ""])
+def test_a_note_has_a_key_and_a_value(capsys: pytest.CaptureFixture[str], note: str) -> None:
+    told = said(capsys, 2, "record", "run.npz", "--note", note)
+    assert f"{note!r} is not of the form KEY=VALUE" in told
+    assert "'a' is given twice" in said(capsys, 2, "record", "run.npz", "--note", "a=1", "--note", "a=2")
+
+
+def test_clocks_are_read_together() -> None:
+    before, moment, after = read(), read(), read()
+    assert before.monotonic_ns <= moment.monotonic_ns <= after.monotonic_ns
+    assert moment_of({"monotonic_ns": 1, "realtime_ns": 2}) == Moment(1, 2)
+    for wrong in (None, "stopped", {}, {"monotonic_ns": 1}, {"monotonic_ns": 1.5, "realtime_ns": 2}):
+        assert moment_of(wrong) is None
+
+
+@pytest.mark.parametrize("count", [10**15, 200_000])
+def test_events_that_an_archive_cannot_hold_are_refused(tmp_path: Path, count: int) -> None:
+    """Before there is memory for them."""
+    import zipfile
+
+    write(tmp_path / "run.npz")
+    with zipfile.ZipFile(tmp_path / "run.npz") as file:
+        members = {info.filename: file.read(info) for info in file.infolist()}
+    head = np.lib.format.dtype_to_descr(np.dtype([("event", "<U1")]))
+    with zipfile.ZipFile(tmp_path / "many.npz", "w", zipfile.ZIP_DEFLATED) as file:
+        for name, data in members.items():
+            if name == "events.npy":
+                import io
+
+                made = io.BytesIO()
+                np.lib.format.write_array_header_1_0(made, {"descr": head, "fortran_order": False, "shape": (count,)})
+                data = made.getvalue() + bytes(4 * 200_000)
+            file.writestr(name, data)
+    with pytest.raises(HapticdError, match=f"says that it has {count} events"):
+        hapticd.load(tmp_path / "many.npz")
+
+
+def test_json_of_the_summary_is_plain() -> None:
+    from dataclasses import asdict
+
+    assert json.loads(json.dumps(asdict(Moment(1, 2)))) == {"monotonic_ns": 1, "realtime_ns": 2}

@@ -1,0 +1,444 @@
+"""Recordings rendered again: a run without clock is the recording, and what it was is known to the bit."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+import hapticd
+from hapticd import shipped
+from hapticd.base.core import SAMPLE_DTYPE, Flag
+from hapticd.base.errors import HapticdError
+from hapticd.cli import main
+from hapticd.cli.simulation import simulate_files
+from hapticd.config.configuration import default_config, load_config
+from hapticd.config.modes import Mode
+from hapticd.config.scene import validate_scene
+from hapticd.daemon.engine import output_of
+from hapticd.recording.reader import load_recorded
+from hapticd.recording.replay import FORCES, _Revision, _turn, replay
+from hapticd.recording.writer import open_sink
+from hapticd.rendering.offline import Rerun, render_run, simulate_run
+
+CONFIG = Path(shipped.__path__[0])
+SCENES = sorted(CONFIG.glob("scenes/*.yaml"))
+FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+RATE_HZ = 10_000
+PUSH_N = 0.5
+PUSH = {"kind": "constant", "force_n": [0.0, PUSH_N]}
+
+
+def write(
+    target: Path,
+    samples: np.ndarray,
+    config: Mapping[str, Any],
+    *changes: Mapping[str, Any],
+    texts: Mapping[str, Any] | None = None,
+) -> None:
+    """A recording as `hapticd record` makes it, of what somebody else rendered."""
+    whole = load_config(config)
+    with open_sink(target, overwrite=True) as sink:
+        sink.begin(
+            {
+                "config": {"servo": whole.servo.to_dict(), "device": whole.device.to_dict()},
+                "scene": whole.scene.to_dict(),
+                "materials": {name: material.to_dict() for name, material in whole.materials.items()},
+                **(texts or {}),
+            }
+        )
+        for change in ({"revision": 1}, *changes):
+            sink.write_change(change)
+        sink.write(samples)
+        sink.finish()
+
+
+def strokes(seconds: float, seed: int = 1) -> np.ndarray:
+    """A smooth way in and out of what lies at y = 0."""
+    time = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
+    phase = np.random.default_rng(seed).uniform(0, 6, 4)
+    x = 0.02 * np.sin(7 * time + phase[0]) + 0.01 * np.sin(19 * time + phase[1])
+    y = 0.003 + 0.005 * np.cos(50 * time) + 0.001 * np.sin(41 * time + phase[3])
+    return np.column_stack([x, y])
+
+
+@pytest.mark.parametrize("scene", SCENES, ids=lambda path: path.stem)
+def test_every_shipped_scene_comes_out_bit_for_bit(tmp_path: Path, scene: Path) -> None:
+    operator = re.search(r"\bOperator: (\w+\.yaml)\n", scene.read_text())
+    assert operator is not None
+    simulate_files(str(scene), str(CONFIG / "operators" / operator[1]), str(tmp_path / "run.npz"), 3.0, None)
+    again = replay(tmp_path / "run.npz")
+    assert len(again.samples) == again.ticks == again.identical == 3 * RATE_HZ
+    assert (again.first_different, again.missing_revisions, again.settled) == (None, (), True)
+    for name in SAMPLE_DTYPE.names or ():
+        assert again.samples[name].tobytes() == again.recorded[name].tobytes(), name
+    with np.load(tmp_path / "run.npz") as file:
+        recorded = [(str(event["event"]), int(event["tick"])) for event in file["events"]]
+    # What the hand was told to do is no matter of the tick.
+    recorded = [event for event in recorded if event[0] != "gesture_end"]
+    assert [(event["event"], event["tick"]) for event in again.events] == recorded
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+@pytest.mark.parametrize("reports", [{"report_interval_s": 0.00025}, {"link": {"rate_hz": 1000}}])
+def test_reports_that_are_rarer_than_ticks(tmp_path: Path, reports: dict[str, Any], ending: str) -> None:
+    config = {"device": {"sim": reports}, "scene": {"objects": {"floor": FLOOR}}}
+    run = simulate_run(config, [[0, 0, 0.01], [0.2, 0.01, -0.004], [0.4, 0.0, 0.01]])
+    assert (run.samples["flags"] & Flag.REPEATED).any() and (run.samples["flags"] & Flag.CONTACT).any()
+    write(tmp_path / f"run.{ending}", run.samples, config)
+    again = replay(tmp_path / f"run.{ending}")
+    assert again.identical == again.ticks
+    assert again.samples["flags"].tobytes() == run.samples["flags"].tobytes()
+
+
+def test_missed_periods_are_those_of_the_recording(tmp_path: Path) -> None:
+    positions = strokes(0.5)
+    periods = np.where(np.arange(len(positions)) % 700 == 699, 30, 1)
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run(config, positions, RATE_HZ, periods=periods)
+    assert (run.samples["flags"] & Flag.SKIPPED).any() and (run.samples["flags"] & Flag.RINGING).any()
+    write(tmp_path / "run.npz", run.samples, config)
+    assert replay(tmp_path / "run.npz").identical == len(positions)
+
+
+def test_jumps_of_the_position_are_those_of_the_recording(tmp_path: Path) -> None:
+    positions = strokes(0.5)
+    positions[2000:] += [0.01, 0.0]
+    positions[3000:] += [0.0, 0.002]
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run(config, positions, RATE_HZ)
+    assert np.flatnonzero(run.samples["flags"] & Flag.GLITCH).tolist() == [2000, 3000]
+    write(tmp_path / "run.npz", run.samples, config)
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == again.ticks
+    speeds = [event["speed_m_per_s"] for event in again.events if event["event"] == "glitch"]
+    steps = np.hypot(*np.diff(positions, axis=0)[[1999, 2999]].T)
+    assert speeds == pytest.approx(steps * RATE_HZ)
+
+
+def test_the_link_of_a_real_device_decides_what_it_can_display(tmp_path: Path) -> None:
+    """At 1000 forces a second glass is lowered; what was struck is what the daemon struck at this link."""
+    config = {"device": {"kind": "hid"}, "scene": {"objects": {"floor": {**FLOOR, "material": "glass"}}}}
+    whole = load_config(config)
+    rerun = Rerun(output_of(whole, RATE_HZ, 1000.0), 1)
+    rerun.turn_to(whole.scene, whole.scene.objects, whole.materials, 1)
+    recorded = render_run({"scene": config["scene"]}, strokes(0.5), RATE_HZ).samples
+    samples, _ = rerun.run(recorded, np.full(len(recorded), 1 / RATE_HZ), np.ones(len(recorded), np.uint32))
+    status = {"connection": {"link_hz": 1000.0}}
+    write(tmp_path / "run.npz", samples[1:], config, texts={"status": status})
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == len(again.samples) > 4000
+    write(tmp_path / "run.npz", samples[1:], config, texts={"status": {"connection": None}})
+    again = replay(tmp_path / "run.npz")
+    assert again.differences["vibration_force_n"].largest_n > 0.01
+
+
+@pytest.mark.parametrize("begin", [0, 60])
+def test_the_force_of_a_check_of_signs_is_as_recorded_and_none_of_the_scene(tmp_path: Path, begin: int) -> None:
+    """A constant force of the scene comes in over the ramp once the check is over."""
+    config = {"device": {"kind": "hid"}, "scene": {"objects": {"push": PUSH}}}
+    whole = load_config(config)
+    recorded = np.zeros(2000, SAMPLE_DTYPE)
+    recorded["tick"] = np.arange(2000)
+    recorded["time_ns"] = recorded["tick"] * 100_000
+    recorded["flags"] = Flag.FORCES_ON
+    recorded["flags"][:1000] |= np.uint32(Flag.CHECKING)
+    recorded["force_n"][:900, 0] = 0.1 * np.sin(np.arange(900))
+    rerun = Rerun(output_of(whole, RATE_HZ), 1)
+    rerun.turn_to(whole.scene, whole.scene.objects, whole.materials, 1)
+    rerun.restart(muted=True)
+    samples, _ = rerun.run(recorded, np.full(2000, 1 / RATE_HZ), np.ones(2000, np.uint32))
+    assert samples["force_n"][:1000].tobytes() == recorded["force_n"][:1000].tobytes()
+    assert (samples["flags"] & Flag.CHECKING).tobytes() == (recorded["flags"] & Flag.CHECKING).tobytes()
+    assert 0.0 < samples["force_n"][1000, 1] < 0.1 * PUSH_N and samples["force_n"][-1].tolist() == [0.0, PUSH_N]
+    write(tmp_path / "run.npz", samples[begin:], config, texts={"status": {"connection": None}})
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == len(again.samples) > 1900
+
+
+def test_the_rate_is_that_which_the_daemon_had_stepped_down_to(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run({**config, "servo": {"rate_hz": 5000}}, strokes(0.5)[::2], 5000)
+    write(tmp_path / "run.npz", run.samples, config, texts={"status": {"rate_hz": 5000.0}})
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == len(again.samples) > 2000
+    write(tmp_path / "run.npz", run.samples, config)
+    assert replay(tmp_path / "run.npz").differences["force_n"].largest_n > 0.01
+
+
+class Changing:
+    """A run that changes on the way, by the calls that a daemon makes."""
+
+    def __init__(self) -> None:
+        config = default_config()
+        self.materials = config.materials
+        self.rerun = Rerun(output_of(config, RATE_HZ), 4)
+        self.positions = strokes(1.0)
+        self.parts: list[np.ndarray] = []
+        self.at = 0
+
+    def go(self, to: int, revision: int) -> None:
+        recorded = np.zeros(to - self.at, SAMPLE_DTYPE)
+        recorded["tick"] = np.arange(self.at, to)
+        recorded["time_ns"] = recorded["tick"] * 100_000
+        recorded["position_m"] = self.positions[self.at : to]
+        before = np.vstack([self.positions[:1], self.positions[:-1]])
+        recorded["velocity_m_per_s"] = (self.positions - before)[self.at : to] * RATE_HZ
+        recorded["flags"] = Flag.FORCES_ON
+        samples, _ = self.rerun.run(recorded, np.full(to - self.at, 1 / RATE_HZ), np.ones(to - self.at, np.uint32))
+        assert set(samples["revision"]) == {revision}
+        self.parts.append(samples)
+        self.at = to
+
+
+def test_scene_materials_and_commands_change_where_they_did(tmp_path: Path) -> None:
+    """Under the hand, too: a material at tick 3000, an object that comes at 5000 and goes at 7000, a mode that is
+    played at 8000, and a contact that is cleared at a tick that presses."""
+    run = Changing()
+    first = validate_scene({"objects": {"floor": FLOOR}})
+    run.rerun.turn_to(first, ["floor"], run.materials, 1)
+    run.go(3000, 1)
+    softer = {**run.materials, "wood": run.materials["wood"].model_copy(update={"stiffness_n_per_m": 500.0})}
+    run.rerun.turn_to(first, [], softer, 2)
+    run.go(5000, 2)
+    box = {"kind": "box", "center_m": [0.0, 0.002], "size_m": [0.03, 0.004], "material": "steel"}
+    second = validate_scene({"ramp_s": 0.01, "objects": {"floor": FLOOR, "box": box}})
+    run.rerun.turn_to(second, ["box"], softer, 3)
+    run.go(7000, 3)
+    run.rerun.turn_to(validate_scene({"ramp_s": 0.01, "objects": {"floor": FLOOR}}), ["box"], softer, 5)
+    run.go(8000, 5)
+    run.rerun.play(Mode(100.0, 900.0), "first_peak", (3.0, 4.0), 7.0)
+    pressed = 8300 + int(np.argmax(run.positions[8300:, 1] < -0.001))
+    run.go(pressed, 5)
+    run.rerun.reset(["floor"], pressed * 100_000)
+    run.go(10_000, 5)
+    samples = np.concatenate(run.parts)
+    assert all((part["flags"] & Flag.CONTACT).any() for part in run.parts if len(part) > 1500)
+    changes = (
+        {"revision": 2, "materials": {"wood": softer["wood"].to_dict()}},
+        {"revision": 3, "scene": {"ramp_s": 0.01}, "objects": {"box": second.objects["box"].to_dict()}},
+        {"revision": 4, "objects": {"box": {**box, "size_m": [0.01, 0.01]}}},
+        {"revision": 5, "objects": {"box": None}},
+        {
+            "tick": 8000,
+            "play": {
+                "decay_rate_per_s": 100.0,
+                "angular_frequency_rad_per_s": 900.0,
+                "attack": "first_peak",
+                "direction": [3.0, 4.0],
+                "amplitude_m_per_s2": 7.0,
+            },
+        },
+        {"tick": pressed, "reset": {"objects": ["floor"]}},
+    )
+    config = {"servo": {"rate_hz": RATE_HZ}, "scene": {"objects": {"floor": FLOOR}}}
+    for ending in ("npz", "csv", "mcap"):
+        write(tmp_path / f"run.{ending}", samples, config, *changes)
+        again = replay(tmp_path / f"run.{ending}")
+        assert again.identical == again.ticks == 10_000, ending
+    # Each change matters: without it, the first difference is where it was.
+    for left_out, tick in enumerate((3000, 5000, None, 7000, 8000, pressed)):
+        kept = [change for place, change in enumerate(changes) if place != left_out]
+        write(tmp_path / "less.npz", samples, config, *kept)
+        again = replay(tmp_path / "less.npz")
+        if "revision" in changes[left_out] and tick is not None:
+            assert again.missing_revisions == (changes[left_out]["revision"],)
+            assert len(again.samples) < 10_000
+        elif tick is None:
+            assert again.identical == 10_000, "no tick was rendered with revision 4"
+        else:
+            first = again.first_different
+            assert first is not None and tick <= first < tick + 100
+
+
+def test_it_begins_where_nothing_is_left_of_what_was_before(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run(config, strokes(1.0), RATE_HZ)
+    flags = run.samples["flags"]
+    touched = np.flatnonzero(flags & Flag.CONTACT)
+    begin = int(touched[0]) + 50
+    assert flags[begin] & Flag.CONTACT and flags[begin] & Flag.RINGING
+    write(tmp_path / "run.npz", run.samples[begin:], config)
+    again = replay(tmp_path / "run.npz")
+    quiet = flags & (Flag.CONTACT | Flag.RINGING | Flag.RAMPING) == 0
+    expected = next(tick for tick in range(begin + 1, len(flags)) if quiet[tick] and quiet[tick - 1])
+    assert int(again.samples["tick"][0]) == expected
+    assert again.identical == len(again.samples) == len(flags) - expected
+
+
+def test_without_such_a_tick_all_of_it_is_rendered_and_said_so(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    inside = np.column_stack([np.zeros(2000), np.full(2000, -0.001)])
+    run = render_run(config, inside, RATE_HZ)
+    write(tmp_path / "run.npz", run.samples[1000:], config)
+    again = replay(tmp_path / "run.npz")
+    assert not again.settled and len(again.samples) == 1000
+    # What was pressed is met anew, and its force comes in over the ramp: 200 ticks.
+    different = np.flatnonzero((again.samples["force_n"] != again.recorded["force_n"]).any(axis=1))
+    assert 190 <= len(different) <= 200 and different[-1] <= 200
+    assert "touched, rings or ramps in each" in again.summary()
+
+
+def test_it_begins_anew_after_a_gap_and_after_a_fault(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    samples = render_run(config, strokes(1.0), RATE_HZ).samples
+    kept = np.concatenate([samples[:2500], samples[2600:]])
+    kept["flags"][5000:5100] |= np.uint32(Flag.FAULT)
+    write(tmp_path / "run.npz", kept, config)
+    again = replay(tmp_path / "run.npz")
+    assert again.identical == len(again.samples)
+    ticks = set(again.samples["tick"].tolist())
+    assert set(range(2500)) < ticks
+    assert not ticks & {*range(2500, 2600), *range(5100, 5200)}
+    assert {2600 + 7000, 5200 + 4000} < ticks
+
+
+def test_forces_that_were_off_are_off(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    samples = render_run(config, strokes(0.6), RATE_HZ).samples
+    off = samples.copy()
+    off["flags"] &= ~np.uint32(Flag.FORCES_ON)
+    write(tmp_path / "run.npz", off[1:], config)
+    again = replay(tmp_path / "run.npz")
+    assert (again.samples["flags"] & Flag.CONTACT).any()
+    assert not again.samples["force_n"].any()
+
+
+def test_a_difference_is_measured_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    samples = render_run(config, strokes(0.4), RATE_HZ).samples
+    samples["force_n"][700] += [0.03, 0.04]
+    write(tmp_path / "run.npz", samples, config)
+    again = replay(tmp_path / "run.npz")
+    assert (again.identical, again.first_different) == (3999, 700)
+    assert again.differences["force_n"].largest_n == pytest.approx(0.05)
+    assert again.differences["force_n"].rms_n == pytest.approx(0.05 / np.sqrt(4000))
+    assert again.differences["contact_force_n"].largest_n == 0
+    assert main(["replay", str(tmp_path / "run.npz")]) == 1
+    told = "4,000 of 4,000 ticks rendered again, 1 not as recorded, the first is tick 700; "
+    assert capsys.readouterr().out == f"{tmp_path}/run.npz: {told}the force differs by 0.05 N at most, 0.000791 N RMS\n"
+
+
+def test_the_command_and_the_function(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene, operator = str(CONFIG / "scenes" / "membrane.yaml"), str(CONFIG / "operators" / "push.yaml")
+    simulate_files(scene, operator, str(tmp_path / "run.mcap"), 1.0, None)
+    target = tmp_path / "again.npz"
+    assert main(["replay", str(tmp_path / "run.mcap"), "-o", str(target), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["ticks"], told["replayed"], told["identical"], told["first_different"]) == (10_000,) * 3 + (None,)
+    assert told["differences"].keys() == set(FORCES)
+    assert hapticd.replay(target).identical == 10_000, "what was rendered is a recording again"
+    assert load_recorded(target).samples.tobytes() == load_recorded(tmp_path / "run.mcap").samples.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("left_out", "told"),
+    [("config", "no config"), ("scene", "no scene"), ("materials", "no materials"), ("changes", "no changes")],
+)
+def test_what_does_not_say_what_it_was_rendered_with(tmp_path: Path, left_out: str, told: str) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    samples = render_run(config, strokes(0.1), RATE_HZ).samples
+    write(tmp_path / "run.csv", samples, config)
+    about = json.loads((tmp_path / "run.about.json").read_text())
+    del about[left_out]
+    (tmp_path / "run.about.json").write_text(json.dumps(about))
+    with pytest.raises(HapticdError, match=f"run.csv: does not say what it was rendered with .{told}"):
+        replay(tmp_path / "run.csv")
+
+
+@pytest.mark.parametrize(
+    ("part", "value", "told"),
+    [
+        ("config", {"servo": {"rate_hz": -1}, "device": {}}, "servo.rate_hz"),
+        ("config", [], "no config"),
+        ("config", {"servo": {}}, "KeyError"),
+        ("scene", {"objects": {"floor": {**FLOOR, "material": "nothing"}}}, "nothing"),
+        ("scene", {"objects": {"floor": {"kind": "cube"}}}, "cube"),
+        ("changes", [{"revision": 9}], "no tick of it can be rendered again"),
+        ("changes", [7], "TypeError"),
+    ],
+)
+def test_what_says_it_wrongly_is_one_line(tmp_path: Path, part: str, value: object, told: str) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    samples = render_run(config, strokes(0.1), RATE_HZ).samples
+    write(tmp_path / "run.csv", samples, config)
+    about = json.loads((tmp_path / "run.about.json").read_text())
+    about[part] = value
+    (tmp_path / "run.about.json").write_text(json.dumps(about))
+    with pytest.raises(HapticdError, match=told) as raised:
+        replay(tmp_path / "run.csv")
+    assert "run.csv" in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_ticks_of_a_recording_only_grow(tmp_path: Path) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    samples = render_run(config, strokes(0.2), RATE_HZ).samples
+    with pytest.raises(HapticdError, match="comes after tick"):
+        again = replace_ticks(samples)
+        rerun = Rerun(output_of(load_config(config), RATE_HZ), 1)
+        whole = load_config(config)
+        rerun.turn_to(whole.scene, whole.scene.objects, whole.materials, 1)
+        rerun.run(again, np.full(len(again), 1e-4), np.ones(len(again), np.uint32))
+
+
+def replace_ticks(samples: np.ndarray) -> np.ndarray:
+    backwards = samples.copy()
+    backwards["tick"] = backwards["tick"][::-1]
+    return backwards
+
+
+@pytest.mark.parametrize("ending", ["npz", "csv", "mcap"])
+def test_a_step_down_is_rendered_at_both_rates(tmp_path: Path, ending: str) -> None:
+    """The second half is what a run of its own gives at its rate; its first ticks ring on from before."""
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    positions = strokes(1.0)
+    fast = render_run(config, positions[:5000], RATE_HZ).samples
+    slow = render_run({**config, "servo": {"rate_hz": 5000}}, positions[5000::2], 5000).samples.copy()
+    slow["tick"] += 5000
+    slow["time_ns"] += 500_000_000
+    slow["revision"] = 2
+    samples = np.concatenate([fast, slow])
+    target = tmp_path / f"run.{ending}"
+    status = {"rate_hz": float(RATE_HZ)}
+    write(target, samples, config, {"revision": 2, "rate_hz": 5000.0}, texts={"status": status})
+    again = replay(target)
+    assert again.missing_revisions == ()
+    ticks = again.samples["tick"]
+    assert set(ticks.tolist()) >= set(range(5000)) and (ticks >= 5000).sum() > 2000
+    assert again.identical == len(again.samples)
+    # As if nobody had said so.
+    write(target, samples, config, {"revision": 2}, texts={"status": status})
+    again = replay(target)
+    assert again.first_different is not None and again.first_different >= 5000
+
+
+@pytest.mark.parametrize("rate_hz", ["fast", 0.0, -1.0, 1e300, None, [5000]])
+def test_a_rate_that_is_none_is_refused(tmp_path: Path, rate_hz: object) -> None:
+    config = {"scene": {"objects": {"floor": FLOOR}}}
+    run = render_run(config, strokes(0.1), RATE_HZ)
+    run.samples["revision"][500:] = 2
+    write(tmp_path / "run.npz", run.samples, config, {"revision": 2, "rate_hz": rate_hz})
+    with pytest.raises(HapticdError):
+        replay(tmp_path / "run.npz")
+
+
+def test_objects_are_taken_in_the_order_in_which_they_changed() -> None:
+    """The order in which forces are added up follows from it, and must not differ from process to process."""
+    scene = validate_scene({"objects": {id: {"kind": "constant", "force_n": [1, 0]} for id in ("c", "a", "b")}})
+    taken: list[list[str]] = []
+
+    class Took:
+        def turn_to(self, _scene: object, changed: Mapping[str, None], *_: object) -> None:
+            taken.append(list(changed))
+
+    names = [f"o{number}" for number in range(40, 0, -1)]
+    revisions = [_Revision(1, scene, {}, (*names, "c"), 1e3), _Revision(2, scene, {}, ("z", "o7", "c", "a"), 1e3)]
+    rerun = cast(Rerun, Took())
+    assert _turn(rerun, revisions, -1, 1) == 1
+    assert _turn(rerun, revisions, 1, 0) == 0
+    assert taken == [[*names, "c", "z", "a"], ["c", "a", "b"]]

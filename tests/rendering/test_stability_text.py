@@ -1,0 +1,73 @@
+"""What a person reads of a scene's stability: what it means and what to do."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hapticd.analysis.check import check
+from hapticd.cli import main
+from hapticd.config.configuration import load_config
+from hapticd.rendering.stability_text import stability_words
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+FLOOR: dict[str, object] = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "glass"}
+SLOW = {"sim": {"link": {"rate_hz": 1000}}}
+
+
+def words(objects: dict[str, object], device: dict[str, object] | None = None) -> list[tuple[str, str]]:
+    config = load_config({"device": device or {}, "scene": {"objects": objects}})
+    return stability_words(check(config).stability.to_dict())
+
+
+def test_the_scene_of_the_readme_does_not_frighten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene,) = re.findall(r"cat > scene\.yaml <<EOF\n(.*?)EOF\n", README, flags=re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    Path("scene.yaml").write_text(scene)
+    assert main(["check", "-c", "scene.yaml"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    told = captured.out.splitlines()
+    assert (
+        "stability: stable in the hand that is configured; that it is in every other hand too is not proved. "
+        "Nothing needs to be done" in told
+    )
+    assert (
+        "unproved: floor, honey: with a damping of 0.5 N s/m no stiffness is proved to be stable in any hand, as the "
+        "handle itself damps by 0.2 N s/m. Less damping would have a proof" in told
+    )
+    assert " 0 of 1 " not in captured.out
+
+
+def test_what_is_safe() -> None:
+    assert words({"floor": FLOOR}) == [("stability", "all that can be touched is stable in any hand")]
+    assert words({}) == [("stability", "the scene has nothing that can be touched")]
+
+
+def test_what_may_oscillate_says_what_to_do() -> None:
+    (_, whole), (verdict, one) = words({"floor": FLOOR}, SLOW)
+    assert (
+        whole == "what can be touched may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
+    )
+    assert verdict == "unsafe"
+    proved = "up to which a wall is proved to be stable in any hand"
+    assert one.startswith(f"floor: 800 N/m are not below the 80 N/m {proved}; it may ")
+    assert one.endswith("Needed: a lower stiffness or a higher servo.rate_hz")
+
+
+def test_several_sets_are_counted() -> None:
+    peg = {"kind": "disc", "center_m": [0.05, 0.05], "radius_m": 0.005, "material": "wood"}
+    (_, whole), *rest = words({"floor": FLOOR, "peg": peg}, SLOW)
+    assert whole.startswith("2 of 2 sets of objects may oscillate: ") and len(rest) == 2
+    (_, whole), *rest = words({"floor": FLOOR, "peg": peg, "honey": {"kind": "viscous", "damping_n_s_per_m": 1}})
+    assert "is not proved for 2 of 2 sets of objects" in whole and len(rest) == 2
+
+
+def test_what_is_not_known() -> None:
+    told: dict[str, Any] = {"unknown": "device.handle is not given", "sets": 0, "unsafe": 0, "worst": []}
+    assert stability_words(told) == [("stability", "not known: device.handle is not given")]

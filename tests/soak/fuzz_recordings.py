@@ -1,0 +1,568 @@
+"""Mutated recordings, as many as asked for: each is read, or refused in one line; memory stays bounded.
+
+    python -m tests.soak.fuzz_recordings [--runs 20000] [--seed 0]
+
+A recording of each form, .npz, .csv and .mcap, a file of the flight recorder and what killed recordings left are
+changed in their bytes and in what they hold: members, directories, headers, lengths, chunks, texts. What is read is
+rendered again, which must say what is wrong, too; of parts a file is made, or they stay. Each may take LIMIT_BYTES of
+memory, and the process gets little more. The tests do some of each; a file that fails is kept and named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import random
+import re
+import resource
+import shutil
+import struct
+import tempfile
+import time
+import warnings
+import zipfile
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import cache, partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from hapticd.base.core import SAMPLE_DTYPE
+from hapticd.base.errors import HapticdError
+from hapticd.config.configuration import load_config
+from hapticd.recording.mcap_writer import McapSink
+from hapticd.recording.reader import load_recorded
+from hapticd.recording.recovery import recover
+from hapticd.recording.replay import replay
+from hapticd.recording.writer import Sink, open_sink
+from hapticd.rendering.offline import simulate
+from tests.support import fuzzing
+from tests.support.fuzzing import Tree
+
+HANGS_S: Final = 10.0
+"""Processor time; a recording of twenty milliseconds that takes longer hangs."""
+LIMIT_BYTES: Final = 64 << 20
+"""What each recording may take."""
+ROOM_BYTES: Final = 4 * LIMIT_BYTES
+"""Address room beyond what the process has, so that what is freed and not yet given back has its place."""
+LONGEST_LINE: Final = 4000
+TICKS: Final = 200
+
+FLOOR: Final = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
+CONFIG: Final = {"servo": {"rate_hz": 10000}, "scene": {"objects": {"floor": FLOOR}}}
+CHANGES: Final[tuple[Tree, ...]] = (
+    {"revision": 1},
+    {"revision": 2, "objects": {"floor": FLOOR | {"material": "steel"}}},
+    {"tick": 20, "reset": {"objects": ["floor"]}},
+    {
+        "tick": 50,
+        "play": {
+            "decay_rate_per_s": 90.0,
+            "angular_frequency_rad_per_s": 400.0,
+            "attack": "coefficient",
+            "direction": [0.0, 1.0],
+            "amplitude_m_per_s2": 3.0,
+        },
+    },
+)
+
+
+class Failure(AssertionError):
+    """What was found, and where the file is."""
+
+
+def _fill(sink: Sink) -> None:
+    """Records a short simulation."""
+    config = load_config(CONFIG)
+    samples = simulate(CONFIG, [[0.0, 0.0, 0.001], [0.01, 0.0, -0.001], [0.02, 0.001, 0.001]], 1e-4 * TICKS)
+    samples["revision"] = np.where(samples["tick"] < 120, 1, 2)
+    sink.begin(
+        {
+            "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
+            "scene": config.scene.to_dict(),
+            "materials": {name: config.materials[name].to_dict() for name in ("wood", "steel")},
+        }
+    )
+    for change in CHANGES:
+        sink.write_change(change)
+    sink.write(samples)
+    sink.write_event({"event": "contact", "tick": 3, "time_ns": 300000, "object": "floor"})
+    sink.write_event({"event": "mark", "tick": 9, "time_ns": 900000, "text": "one", "data": {"a": [1, None]}})
+
+
+@cache
+def whole(form: str) -> dict[str, bytes]:
+    """The files of a recording, by what their names have behind the stem; of parts by their names."""
+    with tempfile.TemporaryDirectory(prefix="hapticd-test-") as folder:
+        with open_sink(Path(folder) / f"r{form}") as sink:
+            _fill(sink)
+            if form.startswith("left"):
+                if isinstance(sink, McapSink):
+                    sink._write_chunk()
+                kinds = {path.suffix: path.read_bytes() for path in Path(folder).iterdir()}
+                return {f".f{form}.1.0123456789abcdef{kind}": content for kind, content in kinds.items()}
+            flight = {"reason": "asked", "tick": None, "complete_from": 10}
+            sink.finish({"flight": flight, "recording": {"ticks": TICKS}} if form.startswith("flight") else {})
+        return {path.name.removeprefix("r"): path.read_bytes() for path in Path(folder).iterdir()}
+
+
+@cache
+def members(form: str) -> dict[str, tuple[bytes, str | None]]:
+    """The members of an archive: their bytes, and the text of those that are one."""
+    found = {}
+    with zipfile.ZipFile(io.BytesIO(whole(form)[form])) as archive:
+        for name in archive.namelist():
+            member = archive.read(name)
+            array = np.load(io.BytesIO(member))
+            found[name] = (member, str(array) if array.dtype.kind == "U" else None)
+    return found
+
+
+# ---- What is changed ---------------------------------------------------------------------------------------------
+
+
+def torn(source: random.Random, content: bytes) -> bytes:
+    """Bytes changed, cut, added; now and then lengths of all ones."""
+    found = bytearray(content)
+    for _ in range(source.choice((1, 1, 2, 8, 64))):
+        at = source.randrange(len(found)) if found else 0
+        choice = source.randrange(8)
+        if choice < 3 and found:
+            found[at] ^= 1 << source.randrange(8)
+        elif choice == 3:
+            found[at : at + 8] = source.choice((b"\xff" * 8, b"\xff" * 4, bytes(8), struct.pack("<Q", 1 << 40)))
+        elif choice == 4:
+            del found[at : at + source.randrange(1, 50)]
+        elif choice == 5:
+            found[at:at] = source.randbytes(source.randrange(1, 20))
+        elif choice == 6 and source.random() < 0.3:
+            del found[at:]
+        elif found:
+            found[at] = source.randrange(256)
+    return bytes(found)
+
+
+def _text(source: random.Random, content: bytes) -> bytes:
+    """JSON with a wrong branch, or torn."""
+    if source.random() < 0.3:
+        return torn(source, content)
+    if source.random() < 0.02:
+        return source.choice((b"[" * 100_000, b"1" * 10_000, b"nan", b'"' + b"x" * 100_000 + b'"', b""))
+    tree = json.loads(content)
+    if type(tree) is not dict and type(tree) is not list:
+        return json.dumps(fuzzing.value(source)).encode()
+    for _ in range(source.choice((1, 1, 2, 4))):
+        fuzzing.mutate(source, tree)
+    return json.dumps(tree).encode()
+
+
+HEADERS: Final = (
+    (
+        b"(200,)",
+        (b"(200000000000,)", b"(-1,)", b"(201,)", b"(199,)", b"(200,1)", b"()", b"(2**40,)", b"(1e3,)", b"(True,)"),
+    ),
+    (b"'<f8'", (b"'|O'", b"'<f4'", b"'<U9999999'", b"'>f8'", b"'<c16'", b"'|S0'", b"'<M8[ns]'", b"'|V99999999'")),
+    (b"'tick'", (b"'tock'", b"''", b"'time_ns'", b"1", b"b'tick'")),
+    (b"(2,)", (b"(3,)", b"(0,)", b"(99999999,)", b"(-2,)", b"(2,2)")),
+    (b"False", (b"True", b"0", b"[]", b"-" * 5000 + b"1", b"(" * 150, b"{" * 50)),
+    (b"'fortran_order'", (b"'x'", b"'descr'")),
+)
+
+
+def _array(source: random.Random, content: bytes) -> bytes:
+    """A .npy member: its header changed to another that can be read, or its bytes."""
+    if source.random() < 0.4:
+        return torn(source, content)
+    size = struct.unpack("<H", content[8:10])[0]
+    header, data = content[10 : 10 + size], content[10 + size :]
+    for old, new in source.sample(HEADERS, 2):
+        header = header.replace(old, source.choice(new), source.choice((1, 9)))
+    if source.random() < 0.3:
+        records = np.frombuffer(data[: len(data) // SAMPLE_DTYPE.itemsize * SAMPLE_DTYPE.itemsize], SAMPLE_DTYPE).copy()
+        if len(records):
+            _hurt(source, records)
+            data = records.tobytes()
+    return content[:8] + struct.pack("<H", len(header) % 65536) + header + data
+
+
+def _hurt(source: random.Random, records: np.ndarray) -> None:
+    """Numbers that no servo records."""
+    for _ in range(source.choice((1, 3, 20))):
+        record = records[source.randrange(len(records))]
+        name = source.choice(SAMPLE_DTYPE.names or ())
+        base = SAMPLE_DTYPE[name].base
+        if base.kind == "f":
+            record[name][source.randrange(2)] = fuzzing.number(source)
+        else:
+            limits = np.iinfo(base)
+            record[name] = source.choice((0, int(limits.max), int(limits.min), source.randrange(int(limits.max))))
+
+
+def npz(source: random.Random, form: str = ".npz") -> dict[str, bytes]:
+    """A .npz: its archive torn, or put together anew of changed members."""
+    content = whole(form)[form]
+    choice = source.random()
+    if choice < 0.2:
+        return {form: torn(source, content)}
+    if choice < 0.4:
+        return {form: _patched(source, content)}
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as new, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that a name is there twice is meant
+        names = list(members(form))
+        plain = (zipfile.ZIP_DEFLATED, zipfile.ZIP_STORED)
+        kinds = (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA) if source.random() < 0.05 else plain
+        chosen = source.sample(names, source.choice((1, 1, 2)))
+        for name in names:
+            member, text = members(form)[name]
+            if name in chosen:
+                if source.random() < 0.15:
+                    continue
+                member = _member(source, member, text)
+            kind = source.choice(kinds)
+            new.writestr(
+                name if source.random() < 0.98 else source.choice(("../x.npy", "x.npy", "a/b.npy")), member, kind
+            )
+        if source.random() < 0.1:
+            again = source.choice(names)
+            new.writestr(again, members(form)[again][0])
+    found = made.getvalue()
+    return {form: _patched(source, found) if source.random() < 0.2 else found}
+
+
+def flight(source: random.Random) -> dict[str, bytes]:
+    """A file of the flight recorder."""
+    return npz(source, "flight.npz")
+
+
+def _member(source: random.Random, member: bytes, text: str | None) -> bytes:
+    """A changed member; texts are arrays of one long string."""
+    choice = source.random()
+    if choice < 0.005:
+        return member + bytes(source.choice((20_000_000, 100_000_000)))
+    if choice < 0.02:  # a header that is said to be as long as all that follows
+        return b"\x93NUMPY\x02\x00" + struct.pack("<I", source.choice((2**31, 2**32 - 1, 65536))) + bytes(1_000_000)
+    if text is None or source.random() < 0.2:
+        return _array(source, member)
+    made = io.BytesIO()
+    np.save(made, np.array(_text(source, text.encode()).decode("utf-8", "replace")))
+    return made.getvalue()
+
+
+ZIP_FIELDS: Final = {
+    b"PK\x03\x04": ((4, 2), (6, 2), (8, 2), (14, 4), (18, 4), (22, 4), (26, 2), (28, 2)),
+    b"PK\x01\x02": ((6, 2), (8, 2), (10, 2), (16, 4), (20, 4), (24, 4), (28, 2), (30, 2), (32, 2), (34, 2), (42, 4)),
+    b"PK\x05\x06": ((4, 2), (6, 2), (8, 2), (10, 2), (12, 4), (16, 4), (20, 2)),
+    b"PK\x06\x06": ((4, 8), (24, 8), (32, 8), (40, 8), (48, 8)),
+}
+"""Of local headers, of the directory, and of its end: where fields are, and how long."""
+
+
+def _patched(source: random.Random, content: bytes) -> bytes:
+    """An archive whose headers or directory say something else: flags, methods, checksums, sizes, lengths, places."""
+    found = bytearray(content)
+    for _ in range(source.choice((1, 1, 2, 4))):
+        mark = source.choice((b"PK\x03\x04", b"PK\x01\x02", b"PK\x01\x02", b"PK\x01\x02", b"PK\x05\x06"))
+        places = [match.start() for match in re.finditer(re.escape(mark), content)]
+        if not places:
+            continue
+        place, size = source.choice(ZIP_FIELDS[mark])
+        at = source.choice(places) + place
+        old = int.from_bytes(found[at : at + size], "little")
+        most = 256**size
+        new = source.choice((0, 1, most - 1, most // 2 - 1, old + 1, old - 1, old * 2, 99, source.randrange(most)))
+        found[at : at + size] = (new % most).to_bytes(size, "little")
+    return bytes(found)
+
+
+def csv(source: random.Random) -> dict[str, bytes]:
+    """A .csv with what stands beside it."""
+    files = dict(whole(".csv"))
+    name = source.choice((".csv", ".csv", ".about.json", ".events.csv"))
+    if name == ".events.csv" and source.random() < 0.2:
+        files[name] += source.choice(
+            (b'"', b'"' + b"x" * 200_000, b"mark,1,2" + b"," * 5000, b"a,\n" * 1000, b"\r\r\n\0")
+        )
+    elif name == ".about.json":
+        files[name] = _text(source, files[name])
+    elif source.random() < 0.4:
+        files[name] = torn(source, files[name])
+    else:
+        rows = [line.split(b",") for line in files[name].splitlines()]
+        for _ in range(source.choice((1, 2, 10))):
+            row = rows[source.choice((0, 1, source.randrange(len(rows))))]
+            place = source.randrange(len(row))
+            row[place] = source.choice(
+                (
+                    b"",
+                    b"nan",
+                    b"inf",
+                    b"-1",
+                    b"1e999",
+                    b"x",
+                    b'"',
+                    b"#",
+                    b"9" * 400,
+                    b"\xff",
+                    b"1 2",
+                    row[place - 1],
+                    b"9" * 70_000,
+                    b"0x1",
+                    b"1_0",
+                    b"[" * 2000,
+                    b"null",
+                    b'"a"',
+                    b"1.5",
+                    b"2e3",
+                    b"\0",
+                )
+            )
+            if source.random() < 0.2:
+                row.append(b"1")
+        if source.random() < 0.2:
+            rows = rows[: source.randrange(4)]
+        files[name] = source.choice((b"\n", b"\n", b"\r\n", b"\n\n")).join(b",".join(row) for row in rows)
+    if source.random() < 0.01:
+        del files[name]
+    return files
+
+
+def _records(content: bytes) -> Iterator[tuple[int, bytes]]:
+    """The records of a .mcap between its magics."""
+    at = 8
+    while at < len(content) - 8:
+        opcode, length = struct.unpack_from("<BQ", content, at)
+        yield opcode, content[at + 9 : at + 9 + length]
+        at += 9 + length
+
+
+def mcap(source: random.Random) -> dict[str, bytes]:
+    """A .mcap: its bytes torn, or its records changed, with lengths and places as they are, or put right."""
+    content = whole(".mcap")[".mcap"]
+    choice = source.random()
+    if choice < 0.4:
+        return {".mcap": torn(source, content)}
+    found = [content[:8]]
+    records = list(_records(content))
+    if source.random() < 0.1:
+        source.shuffle(records)
+    if source.random() < 0.1:
+        records.insert(source.randrange(len(records)), source.choice(records))
+    hit = source.sample(range(len(records)), source.choice((1, 1, 2)))
+    for place, (opcode, body) in enumerate(records):
+        if place in hit:
+            body = _record(source, opcode, body, choice < 0.8)
+            if source.random() < 0.1:
+                opcode = source.randrange(256)
+        if place in hit and source.random() < 0.05:
+            continue
+        length = len(body) if source.random() < 0.98 else source.choice((0, 1 << 40, 2**64 - 1, len(body) + 1))
+        found.append(struct.pack("<BQ", opcode, length) + body)
+    return {".mcap": b"".join(found) + content[-8:]}
+
+
+def _record(source: random.Random, opcode: int, body: bytes, same_size: bool) -> bytes:
+    if opcode == 6 and source.random() < 0.8:  # a chunk: its own lengths, or what it holds
+        begin, end, size, crc, length = struct.unpack_from("<QQQII", body)
+        kind, data = body[32 : 32 + length], body[40 + length :]
+        import zstandard
+
+        if source.random() < 0.5:
+            size = source.choice((0, size + 1, 1 << 31, 1 << 40, 2**64 - 1))
+        else:
+            messages = bytearray(zstandard.decompress(data, size)) if kind == b"zstd" else bytearray(data)
+            messages = bytearray(torn(source, bytes(messages)))
+            if source.random() < 0.1:
+                messages += bytes(50_000_000)
+            size, crc = len(messages), zlib.crc32(bytes(messages))
+            data = zstandard.compress(bytes(messages)) if kind == b"zstd" else bytes(messages)
+        if source.random() < 0.4:  # compressed in another way, and perhaps for long
+            raw = zstandard.decompress(data, 1 << 27) if kind == b"zstd" and source.random() < 0.9 else data
+            if source.random() < 0.05:
+                raw += bytes(80_000_000)
+            kind = source.choice((b"lz4", b"lz4", b"", b"zst", b"zstd"))
+            if kind == b"lz4":
+                import lz4.frame
+
+                data = lz4.frame.compress(raw, store_size=source.random() < 0.5)
+            elif kind == b"zstd":
+                data = zstandard.ZstdCompressor(write_content_size=source.random() < 0.5).compress(raw)
+            else:
+                data = raw
+            if source.random() < 0.3:
+                data = torn(source, data)
+            if source.random() < 0.3:
+                size, crc = len(raw), zlib.crc32(raw)
+        return struct.pack("<QQQII", begin, end, size, crc, len(kind)) + kind + struct.pack("<Q", len(data)) + data
+    made = bytearray(body)
+    for _ in range(source.choice((1, 2, 6))):
+        at = source.randrange(len(made)) if made else 0
+        made[at : at + 4] = source.choice(
+            (b"\xff\xff\xff\xff", bytes(4), source.randbytes(4), struct.pack("<I", source.randrange(5000)))
+        )
+    return bytes(made[: len(body)]) if same_size else bytes(made)
+
+
+def left(source: random.Random, form: str) -> dict[str, bytes]:
+    """What a killed recording left: its part or its notes changed."""
+    files = dict(whole(form))
+    for name in source.sample(sorted(files), source.choice((1, 1, 2))):
+        if source.random() < 0.03:
+            del files[name]
+        elif name.endswith(".notes") and source.random() < 0.7:
+            lines = files[name].splitlines()
+            at = source.randrange(len(lines))
+            lines[at] = _text(source, lines[at])
+            files[name] = b"".join(line + b"\n" for line in lines)
+        else:
+            files[name] = torn(source, files[name])
+    return files
+
+
+FORMS: Final[dict[str, Callable[[random.Random], dict[str, bytes]]]] = {
+    ".npz": npz,
+    ".csv": csv,
+    ".mcap": mcap,
+    "flight.npz": flight,
+    "left.npz": partial(left, form="left.npz"),
+    "left.csv": partial(left, form="left.csv"),
+    "left.mcap": partial(left, form="left.mcap"),
+}
+WEIGHTS: Final = (6, 6, 6, 2, 1, 1, 1)
+
+
+# ---- Runs --------------------------------------------------------------------------------------------------------
+
+
+@contextmanager
+def bounded_memory() -> Iterator[None]:
+    """So little room that what a file claims beyond its size does not fit."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + ROOM_BYTES, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+class Peak:
+    """The most memory that the process held since `begin`, beyond what it held then."""
+
+    def begin(self) -> None:
+        with suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5")
+        self._before, _ = _resident()
+
+    def taken(self) -> int:
+        """Bytes."""
+        return max(0, _resident()[1] - self._before)
+
+
+def _resident() -> tuple[int, int]:
+    """Bytes that are held now, and the most that were."""
+    told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    now, most = (int(told[name].split()[0]) << 10 for name in ("VmRSS", "VmHWM"))
+    return now, most
+
+
+def check_refusal(error: HapticdError, path: Path) -> None:
+    """One line that names a file of the recording."""
+    told = str(error)
+    assert told.isprintable(), repr(told)
+    assert len(told) < LONGEST_LINE, len(told)
+    assert str(path.with_suffix("")) in told, told
+    assert "takes more memory than there is" not in told, told
+
+
+def run_one(path: Path) -> str:
+    """Reads a recording and renders it again; what came of it."""
+    if path.name.startswith("fleft"):
+        return _recovered(path)
+    try:
+        found = load_recorded(path, LIMIT_BYTES)
+    except HapticdError as error:
+        check_refusal(error, path)
+        return "refused"
+    assert found.samples.dtype == SAMPLE_DTYPE
+    assert found.samples.ndim == 1
+    try:
+        again = replay(path, LIMIT_BYTES)
+    except HapticdError as error:
+        check_refusal(error, path)
+        return "read, not rendered"
+    assert np.isfinite(again.samples["force_n"]).all()
+    json.dumps(again.to_dict())
+    assert again.summary().isprintable()
+    return "rendered"
+
+
+def _recovered(path: Path) -> str:
+    found = recover(path)
+    for told in found.told:
+        check_refusal(HapticdError(told), path.with_name(f".{path.name}"))
+    for made in found.files:
+        try:
+            load_recorded(made, LIMIT_BYTES)
+        except HapticdError as error:
+            check_refusal(error, made)
+            return "recovered, not read"
+    return "rendered" if found.files else "refused"
+
+
+def _write(folder: str, files: Mapping[str, bytes]) -> None:
+    for name, content in files.items():
+        hidden = name.endswith((".part", ".notes"))
+        (Path(folder) / (name if hidden else f"f{name}")).write_bytes(content)
+
+
+def run(source: random.Random, runs: int, forms: tuple[str, ...] = tuple(FORMS)) -> tuple[Counter[str], float, int]:
+    """So many recordings: what came of them, the longest time (s) and the most memory (bytes) that one took.
+
+    Raises Failure with the one that failed.
+    """
+    outcomes: Counter[str] = Counter()
+    worst_s, most, peak = 0.0, 0, Peak()
+    for form in forms:
+        whole(form)
+    with tempfile.TemporaryDirectory(prefix="hapticd-test-") as folder, fuzzing.hangs_after(HANGS_S) as begin:
+        for form in forms:
+            _write(folder, whole(form))
+            assert run_one(Path(folder) / f"f{form}") == "rendered"
+        for number in range(runs):
+            (form,) = source.choices(forms, [WEIGHTS[list(FORMS).index(form)] for form in forms])
+            for old in Path(folder).iterdir():
+                old.unlink()
+            _write(folder, FORMS[form](source))
+            begin()
+            peak.begin()
+            started = time.process_time()
+            try:
+                with bounded_memory():
+                    outcomes[f"{form} {run_one(Path(folder) / f'f{form}')}"] += 1
+            except BaseException as error:  # a panic of pydantic is no Exception
+                kept = tempfile.mkdtemp(prefix="hapticd-fuzz-")
+                shutil.copytree(folder, kept, dirs_exist_ok=True)
+                raise Failure(f"{number}: {type(error).__name__}: {error}: {kept}/f{form}") from error
+            worst_s, most = max(worst_s, time.process_time() - started), max(most, peak.taken())
+    return outcomes, worst_s, most
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    outcomes, worst_s, most = run(random.Random(arguments.seed), arguments.runs)
+    told = ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items()))
+    ends = f"the slowest {1e3 * worst_s:.0f} ms, the largest {most / 2**20:.1f} MiB"
+    print(f"fuzz_recordings: ok, {arguments.runs} recordings: {told}; {ends}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""Noise and ringing modes where the contact takes the force limit: noise yields first, by a gain that is the same for
+samples of either sign; modes that ring when the contact passes the limit end without a step.
+
+The references are the same strokes without a limit, and closed forms of the contact force K d."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hapticd.base.core import EventKind, Flag, Status, ffi, lib
+from hapticd.config.materials import Mode
+from hapticd.daemon.engine import output_of
+from hapticd.rendering.compiler import mode_record
+from tests.support.rig import FLOOR, Rig
+
+Array = npt.NDArray[np.float64]
+
+RATE = 10_000
+STIFFNESS = 800.0
+LIMIT = 8.9
+GAIN_RAMP_S = 0.02
+CREST = 4.0
+"""The noise's gain leaves so many RMS of it room."""
+LOUD = {
+    "kind": "stochastic",
+    "peak_hz": 250,
+    "mean_hz": 310,
+    "velocity_gain_per_s": 200,
+    "direction": "normal",
+    "seed": 7,
+}
+SPEED = 0.1
+RMS_N = 0.05 * 200 * SPEED
+
+
+def stroke(force_n: npt.ArrayLike, limit_n: float, **texture: object) -> tuple[Rig, npt.NDArray[np.void]]:
+    """A stroke at `SPEED` along a floor, pressed with a force a tick."""
+    force = np.asarray(force_n, dtype=np.float64)
+    rig = Rig(
+        {"w": {**FLOOR, "material": "paper"}},
+        materials={"paper": {"stiffness_n_per_m": STIFFNESS, "texture": {**LOUD, **texture}}},
+        device={"effective_mass_kg": 0.05, "max_force_n": limit_n},
+    )
+    ticks = np.arange(len(force))
+    position = np.stack([SPEED / RATE * ticks, -force / STIFFNESS], axis=1)
+    velocity = np.tile([SPEED, 0.0], (len(force), 1))
+    return rig, rig.render(position, velocity)
+
+
+def play(rig: Rig, mode: Mode, direction: tuple[float, float], amplitude_m_per_s2: float) -> None:
+    record = ffi.new("struct hd_mode *")
+    record[0] = mode_record(mode, 1.0, 1.0, output_of(rig.config, rig.rate_hz))
+    assert lib.hd_play(rig.state, record, ffi.new("double[2]", direction), amplitude_m_per_s2) == Status.OK
+
+
+@pytest.mark.parametrize("pressed_n", [6.0, 8.0, 8.85, LIMIT])
+def test_the_mean_force_at_the_limit_is_the_contact_s(pressed_n: float) -> None:
+    _, samples = stroke(np.full(12_000, pressed_n), LIMIT)
+    force = samples["force_n"][400:, 1]
+    room = LIMIT - pressed_n
+    rms = min(RMS_N, room / CREST)
+    # Noise of this spectrum forgets itself within some 20 samples.
+    assert np.mean(force) == pytest.approx(pressed_n, abs=5 * rms * np.sqrt(20 / len(force)) + 1e-9)
+    assert force.min() >= pressed_n - room - 1e-9 and np.hypot(*samples["force_n"].T).max() <= LIMIT
+    assert np.std(force) == pytest.approx(rms, rel=0.1, abs=1e-9)
+    both = samples["contact_force_n"] + samples["vibration_force_n"]
+    np.testing.assert_allclose(samples["force_n"], both, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("direction", ["normal", "tangent"])
+def test_noise_keeps_its_waveform_when_it_yields(direction: str) -> None:
+    """It is the unlimited noise by one gain, and never larger."""
+    axis = 1 if direction == "normal" else 0
+    pressed = np.full(4000, 8.0)
+    _, free = stroke(pressed, 100.0, direction=direction)
+    _, held = stroke(pressed, LIMIT, direction=direction)
+    ratio = held["vibration_force_n"][400:, axis] / free["vibration_force_n"][400:, axis]
+    expected = (LIMIT - 8.0) / (CREST * RMS_N)
+    assert np.median(ratio) == pytest.approx(expected, rel=1e-9)
+    assert ratio.max() <= expected * (1 + 1e-9) and ratio.min() > 0.6 * expected
+    assert np.mean(np.abs(ratio / expected - 1) > 1e-9) < 0.1
+
+
+def test_the_gain_comes_back_over_its_ramp_and_is_reported_once() -> None:
+    """Pressed to the limit, then let off to 2 N: the gain rises by a tick's part of 20 ms at most."""
+    pressed = np.concatenate(
+        [np.full(400, 8.0), np.linspace(8, LIMIT, 400), np.linspace(LIMIT, 2, 400), np.full(600, 2.0)]
+    )
+    _, free = stroke(pressed, 100.0)
+    rig, held = stroke(pressed, LIMIT)
+    noise = free["vibration_force_n"][:, 1]
+    heard = (np.abs(noise) > 0.05) & (np.arange(len(noise)) > 300)  # the contact, met inside, has come in
+    gain = np.interp(
+        np.arange(len(noise)), np.flatnonzero(heard), (held["vibration_force_n"][:, 1][heard] / noise[heard])
+    )
+    room = np.minimum(1, (LIMIT - pressed) / (CREST * RMS_N))
+    assert np.all(gain[300:] <= room[300:] + 2e-3)
+    assert np.diff(gain[300:]).max() <= 1 / (GAIN_RAMP_S * RATE) * (1 + 1e-6)
+    np.testing.assert_allclose(gain[-300:], 1, rtol=1e-9)
+    saturated = (held["flags"] & Flag.SATURATED) != 0
+    assert np.array_equal(saturated[heard], gain[heard] < 1 - 1e-12)
+    assert len(rig.of(EventKind.SATURATION)) == 1
+
+
+def test_a_strike_does_not_make_room_for_noise() -> None:
+    """A mode struck by hand in loud noise is as large as without it; the noise yields to it."""
+    scales = []
+    for gain in (1e-9, 200.0):
+        rig = Rig(
+            {"w": {**FLOOR, "material": "paper"}},
+            materials={
+                "paper": {
+                    "stiffness_n_per_m": STIFFNESS,
+                    "tap": {"attack_slope_per_s": 600, "frequency_hz": 150, "decay_time_s": 0.01},
+                    "texture": {**LOUD, "velocity_gain_per_s": gain},
+                }
+            },
+            device={"effective_mass_kg": 0.05, "max_force_n": LIMIT},
+        )
+        depth = np.concatenate([np.full(5, -1e-4), np.linspace(1e-5, 5e-3, 100), np.full(295, 5e-3)])
+        position = np.stack([SPEED / RATE * np.arange(400), -depth], axis=1)
+        velocity = np.stack([np.full(400, SPEED), np.full(400, -0.45)], axis=1)
+        samples = rig.render(position, velocity)
+        assert np.hypot(*samples["force_n"].T).max() <= LIMIT
+        scales.append(rig.of(EventKind.CONTACT)[0]["scale"])
+    assert scales[0] == scales[1] and 0 < scales[0] < 1
+
+
+@pytest.mark.parametrize("slant", [0.0, 90.0, 30.0])
+def test_what_rings_when_the_contact_passes_the_limit_ends_without_a_step(slant: float) -> None:
+    """A mode played at an angle to the normal, while the wall grows through the limit in some ticks. From tick to tick
+    the command moves by no more than contact and mode do by themselves, what is left of the mode fades, and below the
+    limit what acts along the surface closes as sqrt(limit^2 - contact^2)."""
+    count, mode_hz, decay = 1500, 60.0, 0.05
+    for phase in range(0, 160, 20):
+        pressed = np.concatenate([np.full(450 + phase, 6.0), np.linspace(6, 12, 40), np.full(count - 490 - phase, 12)])
+        runs = []
+        for limit in (100.0, LIMIT):
+            rig = Rig(
+                {"w": {**FLOOR, "material": "plain"}},
+                materials={"plain": {"stiffness_n_per_m": STIFFNESS}},
+                device={"effective_mass_kg": 0.05, "max_force_n": limit},
+            )
+            position = np.stack([np.zeros(count), -pressed / STIFFNESS], axis=1)
+            first = rig.render(position[:400])
+            angle = np.radians(90 - slant)
+            play(rig, Mode(1 / decay, 2 * np.pi * mode_hz), (float(np.cos(angle)), float(np.sin(angle))), 50.0)
+            runs.append(np.concatenate([first["force_n"], rig.render(position[400:])["force_n"]]))
+        free, held = runs
+        assert np.hypot(*held.T).max() <= LIMIT
+        own = np.hypot(*np.diff(free, axis=0).T)
+        fade = np.hypot(*(free[:-1] - np.stack([np.zeros(count), pressed], axis=1)[:-1]).T) / (GAIN_RAMP_S * RATE)
+        closing = np.abs(np.diff(np.sqrt(np.maximum(0, LIMIT**2 - pressed**2)))) * np.sin(np.radians(slant))
+        step = np.hypot(*np.diff(held, axis=0).T)
+        assert np.all(step[410:] <= (own + 2 * fade + closing)[410:] + 1e-9), phase
+        np.testing.assert_allclose(held[-1], [0, LIMIT], rtol=1e-12, atol=1e-12)

@@ -1,0 +1,165 @@
+"""Friction across seams: what holds the probe goes on where one surface touches the next.
+
+The reference is the stop operator (Prandtl) over the whole way, which knows nothing of seams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hapticd.base.core import EventKind
+from tests.support.rig import Rig, still
+
+Points = npt.NDArray[np.float64]
+Make = Callable[[float, float, str], dict[str, object]]
+
+K, MU, SPRING, RAMP_S = 800.0, 0.35, 600.0, 0.02
+MATERIALS: dict[str, object] = {
+    "rough": {"stiffness_n_per_m": K, "friction": {"coefficient": MU, "stiffness_n_per_m": SPRING}},
+    "stiff": {"stiffness_n_per_m": K, "friction": {"coefficient": 0.8, "stiffness_n_per_m": 1500}},
+    "plain": {"stiffness_n_per_m": K},
+}
+
+
+def turned(points: npt.ArrayLike, angle: float) -> Points:
+    """Points turned counterclockwise about the origin."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.asarray(points, dtype=np.float64) @ np.array([[c, s], [-s, c]])
+
+
+def box(x: float, angle: float, material: str, y: float = 0.0) -> dict[str, object]:
+    """2 cm wide, its surface the line y, before all is turned."""
+    center = turned([x, y - 0.005], angle).tolist()
+    return {"kind": "box", "center_m": center, "size_m": [0.02, 0.01], "angle_rad": angle, "material": material}
+
+
+def upside_down(x: float, angle: float, material: str) -> dict[str, object]:
+    return {**box(x, angle, material), "angle_rad": angle + np.pi}
+
+
+def skin(x: float, angle: float, material: str) -> dict[str, object]:
+    center, normal = turned([x, 0], angle).tolist(), turned([0, 1], angle).tolist()
+    return {"kind": "membrane", "center_m": center, "normal": normal, "width_m": 0.02, "material": material}
+
+
+def from_below(x: float, angle: float, material: str) -> dict[str, object]:
+    return {**skin(x, angle, material), "normal": turned([0, -1], angle).tolist()}
+
+
+def stop(s: Points, longest: Points) -> Points:
+    """Stretch of the spring at each place along a path, from none."""
+    found = np.zeros_like(s)
+    for i in range(1, len(s)):
+        found[i] = np.clip(found[i - 1] + s[i] - s[i - 1], -longest[i], longest[i])
+    return found
+
+
+def press(rig: Rig, x: float, angle: float, depth: float = 0.001) -> None:
+    rig.render(turned(np.column_stack([np.full(30, x), np.linspace(0.0005, -depth, 30)]), angle))
+
+
+def pushes(rig: Rig, x: Points, depth: npt.ArrayLike, angle: float) -> Points:
+    path = np.column_stack(np.broadcast_arrays(x, -np.asarray(depth)))
+    return turned(rig.render(turned(path, angle))["contact_force_n"], -angle)
+
+
+@pytest.mark.parametrize("makes", [(box, box), (skin, skin), (box, upside_down), (from_below, skin), (skin, box)])
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 213.0])
+def test_a_seam_of_one_material_is_not_there(makes: Sequence[Make], degrees: float) -> None:
+    """To and fro over it, under a changing load: as on one surface."""
+    angle = np.radians(degrees)
+    rig = Rig({"a": makes[0](-0.01, angle, "rough"), "b": makes[1](0.01, angle, "rough")}, materials=MATERIALS)
+    t = np.arange(12_000) / 10_000
+    x = -0.0011 + 0.003 * np.sin(2 * np.pi * 4 * t) + 0.0007 * np.sin(60 * t)
+    depth = 0.001 + 0.0004 * np.sin(2 * np.pi * 1.3 * t)
+    press(rig, x[0], angle)
+    found = pushes(rig, x, depth, angle)
+    assert rig.kinds().count(EventKind.CONTACT) >= 6
+    np.testing.assert_allclose(found[:, 1], K * depth, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(found[:, 0], -SPRING * stop(x, MU * K * depth / SPRING), rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("before", "after"), [("rough", "stiff"), ("stiff", "rough")])
+def test_friction_goes_over_to_another_material_over_the_ramp(before: str, after: str) -> None:
+    """Sliding: mu F_n with a mu that goes over in a straight line, from the tick of the seam on."""
+    rig = Rig({"a": box(-0.01, 0, before), "b": box(0.01, 0, after)}, materials=MATERIALS)
+    press(rig, -0.004, 0)
+    x = -0.004 + 0.2 * np.arange(600) / 10_000
+    found = pushes(rig, x, 0.001, 0)[:, 0]
+    (contact,) = rig.of(EventKind.CONTACT)
+    seam = int(np.argmax(x > 0))
+    assert int(contact["tick"]) - 30 == seam
+    mu = {"rough": MU, "stiff": 0.8}
+    weight = np.clip((np.arange(600) - seam + 1) / (RAMP_S * 10_000), 0, 1)
+    expected = -(mu[before] + weight * (mu[after] - mu[before])) * K * 0.001
+    # A stronger spring that has not yet slid holds less: it is stretched by the way alone.
+    if mu[after] < mu[before]:
+        np.testing.assert_allclose(found[150:], expected[150:], rtol=0, atol=1e-12)
+    else:
+        assert np.all(np.abs(found[150:]) <= np.abs(expected[150:]) + 1e-12)
+        assert found[-1] == pytest.approx(expected[-1], abs=1e-12)
+    assert np.abs(np.diff(found[100:])).max() <= 1500 * 2e-5 * 1.001
+
+
+@pytest.mark.parametrize(("before", "after"), [("rough", "stiff"), ("stiff", "rough"), ("rough", "plain")])
+def test_a_hand_that_rests_beyond_the_seam_is_pushed_no_harder(before: str, after: str) -> None:
+    """It sticks over the seam and stops there: neither a stiffer nor a softer spring adds to what it holds."""
+    rig = Rig({"a": box(-0.01, 0, before), "b": box(0.01, 0, after)}, materials=MATERIALS)
+    press(rig, -1e-4, 0)
+    first = abs(float(pushes(rig, np.linspace(-1e-4, 1e-8, 100), 0.001, 0)[-1, 0]))
+    assert first > 0.05
+    held = np.concatenate([[first], np.abs(rig.render(still(1e-8, -0.001, 300))["contact_force_n"][:, 0])])
+    assert np.all(np.diff(held) <= 1e-12)
+    assert -np.diff(held).min() <= 2 * max(first, MU * K * 0.001) / (RAMP_S * 10_000)
+    if after == "plain":
+        assert held[-1] == 0.0
+
+
+def test_no_closed_way_over_seams_of_three_materials_gives_energy() -> None:
+    """Quasi-static, sticking and sliding, pressed more and less: the hand never gets back more than it gave."""
+    rng = np.random.default_rng(7)
+    for _ in range(10):
+        order = rng.permutation(["rough", "stiff", "plain"])
+        objects = {str(n): box(0.0002 * (n - 1), 0, str(order[n])) for n in range(3)}
+        for n, item in enumerate(objects.values()):
+            item["size_m"] = [0.0002, 0.01] if n == 1 else [0.02, 0.01]
+            item["center_m"] = [(n - 1) * (0.0001 + 0.01), -0.005]
+        rig = Rig(objects, materials=MATERIALS)
+        t = np.linspace(0, 2 * np.pi, 20_001)
+        size = rng.uniform(1e-4, 4e-4)
+        x = size * (np.sin(t + rng.uniform(0, 6)) + 0.5 * np.sin(rng.integers(2, 9) * t))
+        depth = 0.001 + 0.0008 * np.sin(rng.integers(1, 5) * t + rng.uniform(0, 6))
+        x = np.concatenate([np.full(2000, x[0]), x, x[1:], np.full(2000, x[-1])])
+        lift = np.linspace(-0.0005, depth[0], 2000)
+        path = np.column_stack([x, -np.concatenate([lift, depth, depth[1:], lift[::-1]])])
+        force = rig.render(path)["contact_force_n"]
+        given = float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(path, axis=0)))
+        assert given < 0.0
+
+
+@pytest.mark.parametrize(
+    "beyond", [box(0.010001, 0, "rough"), box(0.01, 0, "rough", 2e-6), box(0.01, 0, "rough", -2e-6)]
+)
+def test_over_a_gap_or_a_step_friction_begins_anew(beyond: dict[str, object]) -> None:
+    rig = Rig({"a": box(-0.01, 0, "rough"), "b": beyond}, materials=MATERIALS)
+    press(rig, -0.004, 0)
+    x = -0.004 + 0.2 * np.arange(300) / 10_000
+    found = pushes(rig, x, 0.001, 0)[:, 0]
+    seam = int(np.argmax(x > 1e-6))
+    assert found[seam - 2] == pytest.approx(-MU * K * 0.001, abs=1e-12)
+    assert abs(found[seam]) <= K * 2.1e-5  # the way since then, or into the side of a step
+
+
+def test_a_seam_between_two_that_both_hold_is_none() -> None:
+    """A box in a wall, flush with it: each has a spring of its own, and that of the box is gone with it."""
+    floor = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "rough"}
+    rig = Rig({"w": floor, "a": box(-0.01, 0, "rough")}, materials=MATERIALS)
+    press(rig, -0.004, 0)
+    x = -0.004 + 0.2 * np.arange(400) / 10_000
+    found = pushes(rig, x, 0.001, 0)[:, 0]
+    assert found[150] == pytest.approx(-2 * MU * K * 0.001, abs=1e-12)
+    assert found[-1] == pytest.approx(-MU * K * 0.001, abs=1e-12)
