@@ -16,7 +16,6 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import Disc, field_ids
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.daemon.engine import UNKNOWN_HANDLE, loop_of, output_of
 from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discovery import choose, find
 from hapticd.hid.plan import UndrivableError
@@ -24,7 +23,6 @@ from hapticd.hid.replay import load
 from hapticd.hid.verdict import verdict_of
 from hapticd.rendering.compiler import Compiler
 from hapticd.rendering.displayability import (
-    Output,
     Use,
     displayed_mode,
     displayed_pair,
@@ -40,6 +38,7 @@ from hapticd.rendering.displayed_error import displayed_error, waveform_error
 from hapticd.rendering.driven_hand import driven
 from hapticd.rendering.filter_design import peak_of, reflection_of, resampled
 from hapticd.rendering.lagging_modes import lag_warnings
+from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge
 from hapticd.rendering.stability import Loop
 

@@ -55,7 +55,6 @@ from hapticd.rendering.contact_sets import Parts
 from hapticd.rendering.displayability import (
     TOUCHED_N_PER_M,
     UNTOUCHED,
-    Output,
     Touched,
     displayed_mode,
     displayed_pair,
@@ -66,6 +65,7 @@ from hapticd.rendering.displayability import (
     waveform_of,
 )
 from hapticd.rendering.groove_tuning import shapes_needed, tuning_of
+from hapticd.rendering.output import Output
 from hapticd.rendering.retired_names import Gone
 from hapticd.rendering.tap_tuning import tap_shapes_needed, tap_tuning_of
 

@@ -14,7 +14,6 @@ from hapticd.config.scene import SceneObject, validate_scene
 from hapticd.config.texture import Stochastic
 from hapticd.rendering.displayability import (
     DISPLAYABLE,
-    Output,
     Undisplayable,
     displayed_mode,
     displayed_pair,
@@ -23,6 +22,7 @@ from hapticd.rendering.displayability import (
     warnings,
 )
 from hapticd.rendering.filter_design import coefficients_of, reflection_of, resampled, stochastic_filter
+from hapticd.rendering.output import Output
 
 Keys = dict[str, Json]
 
