@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Final, NamedTuple
 
 from hapticd.base.errors import HapticdError, Problem, path_text
+from hapticd.base.lattice import reflection_of
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
 from hapticd.config.scene import Disc, field_ids
@@ -36,7 +37,7 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.displayed_error import displayed_error, waveform_error
 from hapticd.rendering.driven_hand import driven
-from hapticd.rendering.filter_design import peak_of, reflection_of, resampled
+from hapticd.rendering.filter_design import peak_of, resampled
 from hapticd.rendering.lagging_modes import lag_warnings
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge

@@ -22,6 +22,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, least_squares, student_t
+from hapticd.base.lattice import coefficients_of
 from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
 from hapticd.fit.lines import lines_of, tell_lines
@@ -42,7 +43,7 @@ from hapticd.fit.strokes import (
 )
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
-from hapticd.rendering.filter_design import coefficients_of, power_spectrum, stochastic_filter
+from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 BLOCK_S: Final = 0.5
 LEAST_BLOCKS: Final = 8

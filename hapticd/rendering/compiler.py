@@ -27,6 +27,7 @@ from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.base import lattice
 from hapticd.base.core import (
     KICKS,
     MATERIAL_DTYPE,
@@ -396,7 +397,7 @@ def _new_design(texture: _Noise, output: Output, working: Callable[[], None]) ->
 
 @lru_cache(maxsize=1024)
 def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: float) -> filter_design.Model:
-    given = filter_design.reflection_of(model.coefficients)
+    given = lattice.reflection_of(model.coefficients)
     other = filter_design.resampled(given, from_rate_hz, to_rate_hz)
     rms = model.level(given) * math.sqrt(other.kept)
     return filter_design.Model(model.speed_m_per_s, model.force_n, other.reflection, rms)

@@ -13,6 +13,7 @@ from itertools import islice
 from typing import Final, Literal, TypeAlias
 
 from hapticd.base.errors import Path, Problem, path_text, undisplayable_text
+from hapticd.base.lattice import reflection_of
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
@@ -21,7 +22,7 @@ from hapticd.config.scene import SceneObject, Wall, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
-from hapticd.rendering.filter_design import power_above, reflection_of, resampled, stochastic_filter
+from hapticd.rendering.filter_design import power_above, resampled, stochastic_filter
 from hapticd.rendering.output import Output
 
 DISPLAYABLE: Final = 0.4
