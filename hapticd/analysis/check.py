@@ -24,7 +24,6 @@ from hapticd.hid.replay import load
 from hapticd.hid.verdict import verdict_of
 from hapticd.rendering.compiler import Compiler
 from hapticd.rendering.displayability import (
-    Use,
     displayed_mode,
     displayed_pair,
     displayed_wave_rate,
@@ -42,6 +41,7 @@ from hapticd.rendering.lagging_modes import lag_warnings
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge
 from hapticd.rendering.stability import Loop
+from hapticd.rendering.undisplayable import Use
 
 _UNPLUGGED: Final = "the encoder's step is not known"
 

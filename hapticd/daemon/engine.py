@@ -55,7 +55,6 @@ from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
 from hapticd.rendering.compiler import Compiler
 from hapticd.rendering.displayability import (
-    Undisplayable,
     displayed_mode,
     material_warnings,
     materials_in,
@@ -67,6 +66,7 @@ from hapticd.rendering.joystick import new_operator, new_sim, set_rate
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge
 from hapticd.rendering.stability import Loop
+from hapticd.rendering.undisplayable import Undisplayable
 from hapticd.system.idle_states import Awake
 
 SAMPLE_CAPACITY: Final = 16384

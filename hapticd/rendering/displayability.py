@@ -7,12 +7,12 @@ Three answers: what is muted or lowered (`undisplayable`), what is refused becau
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
-from hapticd.base.errors import Path, Problem, path_text, undisplayable_text
+from hapticd.base.errors import Path, Problem, path_text
 from hapticd.base.lattice import reflection_of
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.materials import Material
@@ -24,6 +24,7 @@ from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
 from hapticd.rendering.filter_design import power_above, resampled, stochastic_filter
 from hapticd.rendering.output import Output
+from hapticd.rendering.undisplayable import Undisplayable, Use
 
 DISPLAYABLE: Final = 0.4
 """What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""
@@ -37,25 +38,6 @@ MAX_LOSS: Final = 0.01
 """More of a recorded texture's power than this is not lost silently."""
 MAX_ERROR_DB: Final = 3.0
 """Nor is its spectrum farther off than this."""
-
-
-Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
-
-
-@dataclass(frozen=True, slots=True)
-class Undisplayable:
-    """A mode, the middle of a waveform's spectrum or the peak of a texture's, that the rate cannot carry.
-
-    `shown_hz` is what is displayed in its place, None if nothing is.
-    """
-
-    material: str
-    mode: Use
-    frequency_hz: float
-    shown_hz: float | None
-
-    def __str__(self) -> str:
-        return undisplayable_text(asdict(self))
 
 
 def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:

@@ -15,7 +15,6 @@ from hapticd.config.scene import SceneObject, validate_scene
 from hapticd.config.texture import Stochastic
 from hapticd.rendering.displayability import (
     DISPLAYABLE,
-    Undisplayable,
     displayed_mode,
     displayed_pair,
     rate_faults,
@@ -24,6 +23,7 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.filter_design import resampled, stochastic_filter
 from hapticd.rendering.output import Output
+from hapticd.rendering.undisplayable import Undisplayable
 
 Keys = dict[str, Json]
 
