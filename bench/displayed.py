@@ -21,7 +21,7 @@ from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import pole_gain, pole_shape, shape_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayed_error import FINER, band_error, handle_acceleration, waveform
 from hapticd.rendering.offline import new_world
 from hapticd.rendering.output import output_of

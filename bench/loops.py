@@ -30,7 +30,7 @@ from bench.stability import judged
 from hapticd.analysis.check import check
 from hapticd.base.core import SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import Config, load_config
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
 from hapticd.rendering.output import output_of

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from bench.report import Advance, Floats, Options, Section, Table, spread, verdict
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import load_config
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.offline import new_world
 from hapticd.rendering.output import output_of
 

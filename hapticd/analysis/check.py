@@ -22,7 +22,7 @@ from hapticd.hid.discovery import choose, find
 from hapticd.hid.plan import UndrivableError
 from hapticd.hid.replay import load
 from hapticd.hid.verdict import verdict_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
     displayed_mode,
     displayed_pair,

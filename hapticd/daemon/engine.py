@@ -53,7 +53,7 @@ from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
     displayed_mode,
     material_warnings,

@@ -35,7 +35,7 @@ from hapticd.config.materials import Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.scene import Scene, field_ids
-from hapticd.rendering.compiler import Compiler, mode_record
+from hapticd.rendering.compiler.table import Compiler, mode_record
 from hapticd.rendering.displayability import materials_in, rate_faults, undisplayable, warnings
 from hapticd.rendering.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.rendering.output import Output, loop_of, output_of

@@ -15,7 +15,7 @@ from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
 from hapticd.config.patches import Patch, Patches
 from hapticd.config.scene import Scene, Wall, validate_object
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.output import output_of
 
 GIVEN = [

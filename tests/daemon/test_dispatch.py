@@ -21,7 +21,7 @@ from hapticd.daemon.control import Control
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
 from hapticd.protocol import messages
-from hapticd.rendering import compiler as compiling
+from hapticd.rendering.compiler import table as compiling
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SANDED = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "sand"}

@@ -9,7 +9,7 @@ from hapticd.base.core import HISTOGRAM_EDGES_NS, MATERIAL_DTYPE, NOISE_DTYPE, O
 from hapticd.cli.status import quantile_ns
 from hapticd.config.configuration import Sim, load_config
 from hapticd.daemon.engine import Engine
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
 from hapticd.rendering.output import output_of
 

@@ -52,6 +52,7 @@ from hapticd.config.waveform import Waveform
 from hapticd.rendering import filter_design
 from hapticd.rendering.compensation import Ringing
 from hapticd.rendering.compensation import Shape as Struck
+from hapticd.rendering.compiler.retired_names import Gone
 from hapticd.rendering.contact_sets import Parts
 from hapticd.rendering.displayability import (
     TOUCHED_N_PER_M,
@@ -67,12 +68,11 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.groove_tuning import shapes_needed, tuning_of
 from hapticd.rendering.output import Output
-from hapticd.rendering.retired_names import Gone
 from hapticd.rendering.tap_tuning import tap_shapes_needed, tap_tuning_of
 
 _RECORD = struct.Struct("=8I6d")
 if _RECORD.size != OBJECT_DTYPE.itemsize:
-    raise ImportError("the records of hapticd.rendering.compiler are not those of csrc/api/hd_api.h")
+    raise ImportError("the records of hapticd.rendering.compiler.table are not those of csrc/api/hd_api.h")
 
 PASSIVITY_BRAKE: Final = 0.1
 """The passivity controller takes at most this part of a handle's momentum in a period."""
