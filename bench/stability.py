@@ -21,7 +21,7 @@ from bench.report import ROOT, Advance, Floats, Options, Section, Table
 from hapticd.base.core import SAMPLE_DTYPE, CData, ffi, lib, pointer
 from hapticd.config.configuration import Config, load_config
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.contact_sets import Sets
+from hapticd.rendering.contact_sets import ContactSets
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
 from hapticd.rendering.output import loop_of, output_of
@@ -175,11 +175,11 @@ def _loop(config: Config) -> Loop:
     return loop
 
 
-def judged(config: Config) -> Sets:
+def judged(config: Config) -> ContactSets:
     """What the margins of a configuration's scene are."""
     compiler = Compiler(output_of(config, config.servo.rate_hz))
     compiler.update(config.scene, config.scene.objects, config.materials, 1)
-    return Sets(compiler.parts(), _loop(config))
+    return ContactSets(compiler.surfaces(), _loop(config))
 
 
 class Simulation:

@@ -183,7 +183,7 @@ def _stability(config: Config, output: Output, loop: Loop) -> Stability:
     }
     objects = config.scene.objects
     compiler.update(config.scene, objects, silent, 1)
-    return judge(compiler.parts(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
+    return judge(compiler.surfaces(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
 
 
 class _Device(NamedTuple):

@@ -590,7 +590,7 @@ class Engine:
         try:
             if known is not None and known[0] == self.revision:
                 return known[1]
-            revision, scene, parts = self.revision, self.scene, self._compiler.parts()
+            revision, scene, parts = self.revision, self.scene, self._compiler.surfaces()
             names = self._compiler.names()
         finally:
             self._compiling.release()

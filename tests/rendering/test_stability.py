@@ -26,7 +26,7 @@ from hapticd.daemon.control import Control
 from hapticd.daemon.engine import Engine
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.rendering import contact_sets
-from hapticd.rendering.contact_sets import Sets
+from hapticd.rendering.contact_sets import ContactSets
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
 from hapticd.rendering.output import loop_of
@@ -627,7 +627,7 @@ def test_check_of_a_joystick_that_nobody_knows(tmp_path: Path, capsys: pytest.Ca
 
 def test_sets_of_an_empty_scene() -> None:
     sets = judged(config_of({}))
-    assert isinstance(sets, Sets)
+    assert isinstance(sets, ContactSets)
     assert len(sets) == 0
     assert sets.worst(5, unsafe=False) == []
     assert sets.margins([]) == []
