@@ -924,7 +924,7 @@ class Compiler:
         slot = self._slots.get(id)
         pieces = self._use_pieces(slot, item) if item.kind == "wall" and item.patches else None
         generation = stamp if former is None else former[1]
-        place_version = skin_version = stamp
+        pose_version = surface_version = stamp
         first = 0
         held: _Pieces | None = None
         if slot is None:
@@ -939,9 +939,9 @@ class Compiler:
             if before[3] == shape:
                 generation = before[0]
                 if before[8:] == place:
-                    place_version = before[1]
+                    pose_version = before[1]
                 if before[4] == material and _same(held, pieces):
-                    skin_version, first = before[2], before[5]
+                    surface_version, first = before[2], before[5]
             else:
                 self._forget(slot)
                 self._owners[slot] = (generation, id)
@@ -949,7 +949,7 @@ class Compiler:
         if held is not pieces:
             self._turn_pieces(slot, held, pieces)
         count = 0 if pieces is None else len(pieces.rows)
-        key = (generation, place_version, skin_version, shape, material, first, count, 0)
+        key = (generation, pose_version, surface_version, shape, material, first, count, 0)
         _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
         self._changed.add(slot)
 
@@ -1009,7 +1009,7 @@ class Compiler:
         sought = set(materials)
         for slot, pieces in self._patched.items():
             touched[slot] |= not sought.isdisjoint(pieces.materials)
-        array["skin_version"][touched] = self._stamp
+        array["surface_version"][touched] = self._stamp
         self._changed.update(np.flatnonzero(touched).tolist())
 
     def _write_parts(self) -> None:
