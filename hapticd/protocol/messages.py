@@ -35,6 +35,10 @@ MAX_MEMBERS: Final = 65_536
 LARGE_PART: Final = 16 * 1024
 """Bytes; a part of an answer that is as large, and encoded already, is sent from where it stands."""
 
+_PACKED: Final = 4096
+"""Bytes that a packer begins with. By default it takes 256 KiB, which the kernel maps and unmaps for each message
+(docs/adr/0022)."""
+
 _OFTEN: Final = 64
 """Strings of so many characters at most, names of materials above all, are kept once in a body."""
 
@@ -213,7 +217,7 @@ def encode(value: object) -> bytes:
     Raises WireError(-32603) for anything else.
     """
     try:
-        return cast(bytes, msgpack.packb(value, default=_plain))
+        return cast(bytes, msgpack.packb(value, default=_plain, buf_size=_PACKED))
     except (TypeError, ValueError, OverflowError) as error:
         raise WireError(Code.INTERNAL, f"cannot be encoded: {error}") from None
 
@@ -239,7 +243,7 @@ def encoded(value: object) -> Encoded:
 def encoded_map(members: Mapping[str, object]) -> Encoded:
     """A map of these members, of which some may be encoded already. Raises as encode does."""
     found: list[bytes] = []
-    small = bytearray(msgpack.Packer().pack_map_header(len(members)))
+    small = bytearray(msgpack.Packer(buf_size=_PACKED).pack_map_header(len(members)))
     for key, value in members.items():
         small += encode(key)
         for part in value.parts if isinstance(value, Encoded) else (encode(value),):
@@ -253,7 +257,7 @@ def encoded_map(members: Mapping[str, object]) -> Encoded:
 
 def encoded_list(count: int, items: Iterable[object]) -> Encoded:
     """A list of so many items, encoded one by one: nobody waits for all of them."""
-    packer = msgpack.Packer()
+    packer = msgpack.Packer(buf_size=_PACKED)
     data = bytearray(packer.pack_array_header(count))
     for item in items:
         data += packer.pack(item)
