@@ -32,17 +32,17 @@
 
 #include "base/hd_atomic.h"
 #include "base/hd_clock.h"
-#include "device/hd_device.h"
-#include "device/hd_gesture.h"
 #include "base/hd_histogram.h"
 #include "base/hd_memory.h"
 #include "base/hd_ring.h"
-#include "device/hd_signs.h"
-#include "tick/hd_tick.h"
 #include "base/hd_triple.h"
 #include "base/hd_vector.h"
-#include "tick/hd_mode.h"
+#include "device/hd_device.h"
+#include "device/hd_gesture.h"
+#include "device/hd_signs.h"
 #include "scene/hd_world.h"
+#include "tick/hd_mode.h"
+#include "tick/hd_tick.h"
 
 #define HD_COMMAND_CAPACITY 1024u
 #define HD_EVENT_RING_CAPACITY 8192u

@@ -12,12 +12,12 @@
 #include "tick/hd_contact.h"
 
 #include "tick/hd_aim.h"
+#include "tick/hd_mode.h"
 #include "tick/hd_offload.h"
 #include "tick/hd_press.h"
 #include "tick/hd_seam.h"
 #include "tick/hd_surface.h"
 #include "tick/hd_tune.h"
-#include "tick/hd_mode.h"
 #include "tick/hd_waveform.h"
 
 HD_RT static double at_least_0(double value) {

@@ -2,10 +2,10 @@
 
 #include <math.h>
 
+#include "base/hd_vector.h"
 #include "tick/hd_contact.h"
 #include "tick/hd_surface.h"
 #include "tick/hd_tune.h"
-#include "base/hd_vector.h"
 
 #define HD_PI 3.14159265358979323846
 /* Grooves as near to each other as this, in spacings, are one. */

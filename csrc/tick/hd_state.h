@@ -24,8 +24,8 @@
 #define HD_STATE_H
 
 #include "api/hd_core.h"
-#include "scene/hd_index.h"
 #include "base/hd_memory.h"
+#include "scene/hd_index.h"
 #include "tick/hd_noise.h"
 #include "tick/hd_passivity.h"
 #include "tick/hd_velocity.h"

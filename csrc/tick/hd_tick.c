@@ -7,9 +7,9 @@
 
 #include "tick/hd_contact.h"
 #include "tick/hd_limit.h"
+#include "tick/hd_mode.h"
 #include "tick/hd_offload.h"
 #include "tick/hd_ramp.h"
-#include "tick/hd_mode.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
 #define HD_SPEED_ROUNDING 1e-9
