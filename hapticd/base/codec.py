@@ -79,6 +79,31 @@ def encoded_map(members: Mapping[str, object]) -> Encoded:
     return Encoded((*found, bytes(small)))
 
 
+@dataclass(frozen=True, slots=True)
+class Members:
+    """Members of a map that are encoded already, without the map's header."""
+
+    count: int
+    data: bytes
+
+    @classmethod
+    def of(cls, members: Mapping[str, object]) -> Members:
+        """Raises as encode does."""
+        data = encode(members)
+        return cls(len(members), data[_header_size(len(members)) :])
+
+    def joined(self, members: Mapping[str, object]) -> bytes:
+        """The map of these, and of others that are not encoded yet. Raises as encode does."""
+        count = self.count + len(members)
+        header = bytes((0x80 | count,)) if count < 16 else b"\xde" + count.to_bytes(2, "big")
+        return header + self.data + encode(members)[_header_size(len(members)) :]
+
+
+def _header_size(count: int) -> int:
+    """Bytes of the header of a map of so many members; of at most 65,535."""
+    return 1 if count < 16 else 3
+
+
 def encoded_list(count: int, items: Iterable[object]) -> Encoded:
     """A list of so many items, encoded one by one: nobody waits for all of them."""
     packer = msgpack.Packer(buf_size=_PACKED)
