@@ -211,10 +211,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     if (jumped) {
         flags |= HD_FLAG_GLITCH;
         state->glitches_total++;
-        const uint32_t event = hd_state_event(state, HD_EVENT_GLITCH, input->time_ns);
-        if (event < HD_EVENT_CAPACITY) {
-            state->events[event].value = input->glitch_m_per_s;
-        }
+        hd_event_add(state, HD_EVENT_GLITCH, input->time_ns, 0, input->glitch_m_per_s);
     }
 
     state->ended_count = 0;
