@@ -397,7 +397,7 @@ class _Scenes:
 
     def _beside(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """What else a scene is rendered with: the materials, and the status, which has the rate."""
-        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status())
+        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status(detail=True))
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:
