@@ -25,14 +25,14 @@ from typing import Final, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.recordings.impossible import Kept, without_impossible
-from hapticd.analysis.recordings.lines import Line, lines_beside, tell_lines
 from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.recordings.stretches import stretches_of
 from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares
 from hapticd.config.modes import Mode
+from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
+from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     Ints,
     Motion,
