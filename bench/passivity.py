@@ -18,7 +18,7 @@ from bench.report import Advance, Floats, Options, Section, Table, spread
 from bench.tick import MATERIALS, RATE_HZ, STRETCH, Stretch, walls
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import load_config
-from hapticd.daemon.engine import Energy, energy_of
+from hapticd.daemon.counters import Energy, energy_of
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world

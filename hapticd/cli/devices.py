@@ -344,7 +344,7 @@ def _lines(verdict: Verdict) -> list[str]:
         lines.append(f"direction: {_direction(effect)}; Axes Enable: {', '.join(effect.axes_enable) or 'none'}")
     if layout.device_control is not None:
         lines.append(
-            f"device control: output report {layout.device_control.report_id} ({layout.device_control.kind}): "
+            f"device control: output report {layout.device_control.report_id} ({layout.device_control.command.kind}): "
             f"{', '.join(layout.device_control.command.entries)}"
         )
     optional = {

@@ -109,8 +109,8 @@ def replay_command(file: str, output: str | None, overwrite: bool, max_memory: i
 
     Ends with 1 where they are not the recorded ones, bit for bit.
     """
+    from hapticd.recording.formats import check_target
     from hapticd.recording.replay import replay
-    from hapticd.recording.writer import check_target
 
     if output is not None:
         check_target(output, overwrite)

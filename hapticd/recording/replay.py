@@ -36,9 +36,9 @@ from hapticd.config.scene import Scene, materials_of, validate_object, validate_
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES
 from hapticd.protocol.events import event_map
+from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded, memory_for
 from hapticd.recording.reading_limits import Memory, Recorded, Samples, TooMuchMemoryError
-from hapticd.recording.writer import open_sink
 from hapticd.rendering.offline import Rerun
 from hapticd.rendering.output import output_of
 
@@ -123,17 +123,17 @@ class Replay:
     def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it, or
         the target is there already."""
-        with open_sink(target, overwrite) as sink:
+        with open_writer(target, overwrite) as writer:
             last = ("changes", "recording", "flight")
-            sink.begin({name: text for name, text in self.texts.items() if name not in last})
+            writer.begin({name: text for name, text in self.texts.items() if name not in last})
             for change in self.texts["changes"]:
-                sink.write_change(change)
-            sink.write(self.samples)
+                writer.write_change(change)
+            writer.write(self.samples)
             for event in self.events:
-                sink.write_event(event)
-            sink.finish()
-            if sink.displaced:
-                raise HapticdError(displaced(target, sink.target))
+                writer.write_event(event)
+            writer.finish()
+            if writer.displaced:
+                raise HapticdError(displaced(target, writer.target))
 
     def to_dict(self) -> dict[str, object]:
         """As plain data, without samples and events."""

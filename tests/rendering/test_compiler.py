@@ -186,7 +186,7 @@ def test_where_nobody_reads_the_events_the_newest_names_are_kept(monkeypatch: py
 
 
 def versions(record: Any) -> tuple[int, int, int]:
-    return record.generation, record.place_version, record.skin_version
+    return record.generation, record.pose_version, record.surface_version
 
 
 @pytest.mark.parametrize(

@@ -238,7 +238,7 @@ class Compiler:
         held = None if slot is None else self._walls.of(slot)
         pieces = self._walls.use(item, held) if item.kind == "wall" and item.patches else None
         generation = stamp if former is None else former[1]
-        place_version = skin_version = stamp
+        pose_version = surface_version = stamp
         first = 0
         if slot is None:
             slot = self._slots[id] = self._places.take(None if former is None else former[0])
@@ -251,9 +251,9 @@ class Compiler:
             if before[3] == shape:
                 generation = before[0]
                 if before[8:] == place:
-                    place_version = before[1]
+                    pose_version = before[1]
                 if before[4] == material and same(held, pieces):
-                    skin_version, first = before[2], before[5]
+                    surface_version, first = before[2], before[5]
             else:
                 self._retire(slot)
                 self._owners[slot] = (generation, id)
@@ -261,7 +261,7 @@ class Compiler:
         if held is not pieces:
             self._walls.put(slot, pieces)
         count = 0 if pieces is None else len(pieces.rows)
-        key = (generation, place_version, skin_version, shape, material, first, count, 0)
+        key = (generation, pose_version, surface_version, shape, material, first, count, 0)
         _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
         self._changed.add(slot)
 
@@ -289,5 +289,5 @@ class Compiler:
         array = self._objects.array[: self._places.count]
         touched = np.isin(array["material"], materials) & (array["shape"] != _NONE)
         touched[self._walls.made_of(materials)] = True
-        array["skin_version"][touched] = self._stamp
+        array["surface_version"][touched] = self._stamp
         self._changed.update(np.flatnonzero(touched).tolist())
