@@ -148,7 +148,7 @@ def draw(random: np.random.Generator) -> Trial:
     echo = _loop(first).damping_echo
     for material in materials.values():
         material["damping_n_s_per_m"] = damped / echo / len(normals)
-    sets = judged(load_config(source))
+    sets = evaluated(load_config(source))
     # The hard ones are those at the limit.
     part = float(random.choice((0.5, 0.999, 2.0))) if random.random() < 0.4 else _log(random, 0.05, 4.0)
     scale = part * float(sets.factor.min())
@@ -161,7 +161,7 @@ def draw(random: np.random.Generator) -> Trial:
             stiffness = material["friction"]["stiffness_n_per_m"] * scale
             material["friction"]["stiffness_n_per_m"] = min(1e5, max(1e-3, stiffness))
     config = load_config(source)
-    sets = judged(config)
+    sets = evaluated(config)
     worst = int(sets.factor.argmin())
     matrices = sets.matrices(worst)
     return Trial(
@@ -175,7 +175,7 @@ def _loop(config: Config) -> Loop:
     return loop
 
 
-def judged(config: Config) -> ContactSets:
+def evaluated(config: Config) -> ContactSets:
     """What the margins of a configuration's scene are."""
     compiler = Compiler(output_of(config, config.servo.rate_hz))
     compiler.update(config.scene, config.scene.objects, config.materials, 1)
@@ -479,7 +479,7 @@ def mapped(axis: str, at: float) -> Point:
     """One place of a map."""
     stiffness = 100.0
     config = _configuration(axis, at, HELD, stiffness)
-    factors = judged(config).factors(0)
+    factors = evaluated(config).factors(0)
     loop = _loop(config)
     passive, quiet = stiffness * factors["passivity"], stiffness * factors["quantisation"]
     free, held = linear_limit(loop.let_go()), linear_limit(loop)

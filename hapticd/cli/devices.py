@@ -53,7 +53,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
     from hapticd.hid.discovery import find
 
     hid = _hid_of(configs)
-    found = [item.judged_by(hid) for item in find()]
+    found = [item.evaluated_with(hid) for item in find()]
     claimed = Claims().names()
     if as_json:
         print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])

@@ -63,10 +63,10 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
-from hapticd.rendering.scene_stability import Stability, judge
+from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable import Undisplayable
-from hapticd.system.idle_states import Awake
+from hapticd.system.idle_states import IdleStateLock
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -81,7 +81,7 @@ CHANGES: Final = 1024
 
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
-JUDGED_AT_ONCE: Final = 512
+EVALUATED_AT_ONCE: Final = 512
 """Larger scenes are judged by a thread: nobody waits for it."""
 
 LOOK_EVERY_NS: Final = 50_000_000
@@ -160,7 +160,7 @@ class Engine:
         self._look_ns = 0
         self._suspends = 0
         self._signs = SignsLog()
-        self._awake = Awake()
+        self._idle_lock = IdleStateLock()
         self._sim: CData | None = None
         self.connection: Connection | None = None
         self._offload: Offload | None = None
@@ -195,14 +195,14 @@ class Engine:
         self.output = self._output_at(servo.rate_hz)
         self._loop = self._loop_at(self.output)
         self._compiling = threading.Lock()
-        self._judged: tuple[int, Stability] | None = None
-        self._judging = threading.Lock()
+        self._evaluated: tuple[int, Stability] | None = None
+        self._evaluating = threading.Lock()
         self._told: dict[str, _Told] = {}
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
         if self._offload is not None:
-            self._offload.judge_by(self.output.carried_hz)
+            self._offload.evaluate_at(self.output.carried_hz)
         self._operators: deque[tuple[int, CData]] = deque()
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
@@ -306,7 +306,7 @@ class Engine:
             missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
         if servo.realtime != "off":
             try:
-                self._awake.hold()
+                self._idle_lock.hold()
             except OSError as error:
                 missing.append(f"processors kept out of deep idle states: {error.strerror} ({error.filename})")
         if self.connection is not None and self.connection.denied:
@@ -325,14 +325,14 @@ class Engine:
             priority=grant.priority,
             cpu=None if grant.affinity else servo.cpu,
             memory=_MEMORY_KINDS[grant.memory_kind],
-            awake=self._awake.held,
+            awake=self._idle_lock.held,
             missing=tuple(missing),
         )
         return self.granted
 
     def stop(self) -> None:
         """Fades the force out over the ramp, puts zero, ends the thread and lets the device go."""
-        self._awake.release()
+        self._idle_lock.release()
         ended = lib.hd_servo_stop(self._servo)
         self._disconnect()
         if ended != Status.OK:
@@ -413,7 +413,7 @@ class Engine:
             set_rate(self._sim, self.config.device.sim, rate_hz)
         self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
         if self._offload is not None:
-            self._offload.judge_by(output.carried_hz)
+            self._offload.evaluate_at(output.carried_hz)
         self._compiler.turn_to(output)
         self._plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
@@ -497,11 +497,11 @@ class Engine:
         """Which sets of objects that act together are not safe, of the scene in force. For any thread.
 
         Found anew only where the scene changed. While another thread changes it, that of the scene before; of a scene
-        of more than JUDGED_AT_ONCE objects and patches, until a thread has found it, which takes seconds at most.
+        of more than EVALUATED_AT_ONCE objects and patches, until a thread has found it, which takes seconds at most.
         """
         if self._loop is None:
             return Stability(UNKNOWN_HANDLE, None)
-        known = self._judged
+        known = self._evaluated
         # Nobody waits here for the filters of many textures; but the first one is always told.
         if not self._compiling.acquire(blocking=known is None):
             assert known is not None
@@ -516,24 +516,24 @@ class Engine:
         loop = self._loop
 
         def find() -> Stability:
-            found = judge(parts, names.__getitem__, lambda: field_ids(scene.objects), loop)
-            self._judged = revision, found
+            found = evaluate(parts, names.__getitem__, lambda: field_ids(scene.objects), loop)
+            self._evaluated = revision, found
             return found
 
-        if known is None or np.count_nonzero(parts.objects["shape"]) + len(parts.pieces) <= JUDGED_AT_ONCE:
+        if known is None or np.count_nonzero(parts.objects["shape"]) + len(parts.pieces) <= EVALUATED_AT_ONCE:
             return find()
-        if self._judging.acquire(blocking=False):
+        if self._evaluating.acquire(blocking=False):
 
             def run() -> None:
                 try:
                     find()
                 finally:
-                    self._judging.release()
+                    self._evaluating.release()
 
             try:
                 threading.Thread(target=run, name="stability", daemon=True).start()
             except RuntimeError:  # there may be no more threads: whoever asks finds it
-                self._judging.release()
+                self._evaluating.release()
                 return find()
         return known[1]
 

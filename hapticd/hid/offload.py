@@ -308,7 +308,7 @@ class Offload:
 
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
-    def judge_by(self, carried_hz: float) -> None:
+    def evaluate_at(self, carried_hz: float) -> None:
         """How many forces a second are streamed otherwise."""
         self._carried_hz = carried_hz
 

@@ -60,7 +60,7 @@ def place_of(objects: Sequence[str]) -> str:
     return f"{place} with {', '.join(others[: 2 if more else 3])}{more}"
 
 
-def judge(
+def evaluate(
     surfaces: SurfaceTable,
     name_of: Callable[[int], str],
     fields: Callable[[], Sequence[str]],
