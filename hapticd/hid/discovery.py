@@ -154,9 +154,7 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
     usable = [item for item in evaluated if item.usable]
     if not usable:
         # What lacks nothing by itself does not suit the configuration: whoever opens it says why.
-        near = (
-            evaluated if hid.report is not None else [item for item in evaluated if item.layout and item.layout.usable]
-        )
+        near = [item for item in evaluated if hid.report is not None or (item.layout and item.layout.usable)]
         usable = near if len(near) == 1 else []
     if not usable:
         if len(evaluated) == 1:
