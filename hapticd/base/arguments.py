@@ -1,4 +1,4 @@
-"""What a program passes to a client, looked at before anything is sent: a mistake is one line, not a traceback.
+"""What a program passes to a client, checked before anything is sent: a mistake is one line, not a traceback.
 
 What the daemon validates itself is left to it. Here is what would not get so far, or would wait for ever.
 """

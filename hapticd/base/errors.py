@@ -1,4 +1,4 @@
-"""Errors that a user can cause, and the words in which they are told.
+"""Errors that a user can cause, and the words that report them.
 
 Every message is one line: what, where and what would be right. A traceback that a user sees is a defect.
 """
@@ -115,8 +115,8 @@ def known_names(name: str, known: Iterable[str]) -> str:
 
 
 def near_names(name: str, known: Sequence[str], most: int) -> list[str]:
-    """The names that somebody may have meant who wrote `name`, the nearest first; upper and lower case are one."""
-    # Looking for what was meant costs a comparison for each name; in a long list a person would look there.
+    """The names that `name` may stand for, the nearest first; upper and lower case are one."""
+    # Each name costs a comparison for each name; in a long list a person would look there.
     if len(name) > 2 * _SHOWN_CHARACTERS or len(known) > _COMPARED_NAMES:
         return []
     folded = {each.casefold(): each for each in known}

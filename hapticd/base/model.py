@@ -1,4 +1,4 @@
-"""What every validated model shares: strict numbers, limits, and faults told in the user's words.
+"""What every validated model shares: strict numbers, limits, and faults in the user's words.
 
 Models are immutable and strict: a number is a number (neither "1" nor true), finite and inside its limits; an
 unknown key is an error. The limits are there so that no product of them overflows or makes the tick work on
@@ -23,12 +23,12 @@ NAME_MAX_CHARACTERS = 64
 AT_ONCE: Final = 256
 """Larger mappings are validated so many entries at a time: each call of pydantic's holds the interpreter's lock."""
 MOST_MEMBERS: Final = 2048
-"""So many members of mappings and lists, at any depth, end such a part: each may be a fault, and to tell them is one
+"""So many members of mappings and lists, at any depth, end such a part: each may be a fault, and to report them is one
 call, too."""
 MOST_KEYS: Final = 1000
 """No mapping of known keys has more."""
 MAX_FAULTS = 200
-"""So many are told one by one; nobody reads more, and telling thousands takes seconds."""
+"""So many are reported one by one; nobody reads more, and reporting thousands takes seconds."""
 NAME_PATTERN = r"^[^.\u0000-\u001f\u007f-\u009f\u2028\u2029]+$"
 
 Name: TypeAlias = Annotated[str, StringConstraints(min_length=1, max_length=NAME_MAX_CHARACTERS, pattern=NAME_PATTERN)]
@@ -75,7 +75,7 @@ class Model(BaseModel):
 
     @classmethod
     def parsed(cls, data: object, context: Mapping[str, object] | None = None) -> Self:
-        """For readers of documents, which tell faults where they stand: raises ValidationError."""
+        """For readers of documents, which report faults where they stand: raises ValidationError."""
         return super().model_validate(data, context=context)
 
     def __setattr__(self, name: str, value: object) -> None:
@@ -133,13 +133,13 @@ def problems_of(error: ValidationError, root: Path = ()) -> list[Problem]:
 def faults_of(error: ValidationError) -> list[tuple[Path, str]]:
     """As problems_of, with paths relative to the validated data."""
     faults: dict[tuple[Path, str], None] = {}
-    told = error.errors(include_url=False)
-    for details in told[:MAX_FAULTS]:
+    found_here = error.errors(include_url=False)
+    for details in found_here[:MAX_FAULTS]:
         if not _follows_from_another(details):
             faults[_fault(Model.by_name.get(error.title), details)] = None
     found = list(faults)
-    if len(told) > MAX_FAULTS:
-        found.append(((), f"has {len(told) - MAX_FAULTS} more faults"))
+    if len(found_here) > MAX_FAULTS:
+        found.append(((), f"has {len(found_here) - MAX_FAULTS} more faults"))
     return found
 
 
@@ -153,7 +153,7 @@ def in_parts(
     """What `parse` makes of a large mapping, which stands below `root` as `name`: AT_ONCE entries at a time, or fewer
     with MOST_MEMBERS, so that others can go on between them.
 
-    Raises InvalidError; after MAX_FAULTS the rest is not looked at.
+    Raises InvalidError; after MAX_FAULTS the rest is not read.
     """
     found: dict[str, T] = {}
     problems: list[Problem] = []
@@ -228,7 +228,7 @@ class _NotPlainError(Exception):
 
 
 def _follows_from_another(details: ErrorDetails) -> bool:
-    """Whether a fault is told only because of another: a list is not too short for its faulty entries."""
+    """Whether a fault is reported only because of another: a list is not too short for its faulty entries."""
     kind, value = details["type"], details["input"]
     too_short = kind == "too_short" and len(value) >= details["ctx"]["min_length"]
     return too_short or kind == "default_factory_not_called"
@@ -295,9 +295,9 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
         case "too_long" if context["field_type"] == "Tuple" and not _is_list(expected):
             return path, f"must be {_pair(path)}, has {len(value)}"
         case "tuple_type" if not _is_list(expected):
-            return path, f"must be {_pair(path)}, is {_told(value)}"
+            return path, f"must be {_pair(path)}, is {_shown_with_hint(value)}"
         case "tuple_type":
-            return path, f"must be a list, is {_told(value)}"
+            return path, f"must be a list, is {_shown_with_hint(value)}"
         case "too_long":
             return path, f"must hold at most {context['max_length']} entries, holds {len(value)}"
         case "too_short":
@@ -339,9 +339,9 @@ def _fault(model: type[Model] | None, details: ErrorDetails) -> tuple[Path, str]
         case "value_error":
             return path, str(context["error"])
         case "string_type" if path and path[-1] == "material":
-            return path, f"must be the name of a material, is {_told(value)}"
+            return path, f"must be the name of a material, is {_shown_with_hint(value)}"
         case _ if kind in _EXPECTED:
-            return path, f"must be {_EXPECTED[kind]}, is {_told(value)}"
+            return path, f"must be {_EXPECTED[kind]}, is {_shown_with_hint(value)}"
         case _:
             return path, f"{details['msg']}: {shown(value)}"
 
@@ -359,7 +359,7 @@ _EXPECTED = {
 }
 
 
-def _told(value: object) -> str:
+def _shown_with_hint(value: object) -> str:
     """A value of the wrong type, and what was probably meant by it."""
     return shown(value) + (hint(value) if isinstance(value, str) else "")
 

@@ -99,8 +99,8 @@ class Apart:
                 )
         except OSError as error:
             self.end()
-            told = threads.refused() if isinstance(error, BlockingIOError) else os.strerror(error.errno or 0)
-            raise ApartError(f"no process that designs filters: {told}") from None
+            reason = threads.refused() if isinstance(error, BlockingIOError) else os.strerror(error.errno or 0)
+            raise ApartError(f"no process that designs filters: {reason}") from None
 
 
 class _Thread(threading.local):

@@ -2,7 +2,7 @@
 
 `diagnose` turns a parser's complaint into the place and the words of the slip: a parser gives up where it can go on no
 longer, which is often lines below the colon, quote or bracket that is missing. `hint` is for text that YAML takes as a
-plain string although somebody meant a number, a list or a mapping. Both only look at text; nothing is repaired.
+plain string although somebody meant a number, a list or a mapping. Both only read text; nothing is repaired.
 """
 
 import re
@@ -273,5 +273,5 @@ def _indentation(lines: Sequence[str], at: Place) -> Slip | None:
             levels = [*(each for each in levels if each < level), level]
     if not levels or own in levels:
         return None
-    told = " or ".join(map(str, levels[-_MOST_LEVELS:]))
-    return Slip(row, own, f"indented by {own}, but the lines above that it could belong to by {told}")
+    widths = " or ".join(map(str, levels[-_MOST_LEVELS:]))
+    return Slip(row, own, f"indented by {own}, but the lines above that it could belong to by {widths}")

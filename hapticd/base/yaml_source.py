@@ -62,7 +62,7 @@ class Document:
     _above: tuple[str, ...] = ()
 
     def below(self, key: str) -> "Document":
-        """The same document as what stands below `key` in a larger one; places are told as they are in the file."""
+        """The same document as what stands below `key` in a larger one; places are they are in the file."""
         return replace(self, data={key: self.data}, _above=(key, *self._above))
 
     def problem(self, path: Sequence[str | int], text: str) -> Problem:
@@ -86,10 +86,10 @@ class Document:
 
     def where(self, path: Sequence[str | int]) -> str:
         """`FILE:LINE:COLUMN: servo.rate_hz`; without a file the path alone."""
-        told = path_text(self.own(path))
+        text = path_text(self.own(path))
         if self.name is None:
-            return told
-        return f"{self.place(path)}: {told}" if told else self.place(path)
+            return text
+        return f"{self.place(path)}: {text}" if text else self.place(path)
 
 
 @dataclass(slots=True)
@@ -132,8 +132,8 @@ def load_bytes(content: bytes, name: str) -> Document:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         before = error.object[: error.start].decode("utf-8-sig")
-        told = "not UTF-8, but UTF-16: save it as UTF-8" if content.startswith(_UTF_16) else "not UTF-8"
-        raise _refusal(name, *_line_column(before), told) from None
+        reason = "not UTF-8, but UTF-16: save it as UTF-8" if content.startswith(_UTF_16) else "not UTF-8"
+        raise _refusal(name, *_line_column(before), reason) from None
     return _parse(text, name, _LOADER)
 
 
@@ -141,8 +141,8 @@ def refuse_recording(content: bytes, name: str) -> None:
     """Raises InvalidError for a recording where somebody's text is to be read."""
     if content.startswith(_ARCHIVES):
         ours = b"samples.npy" in content or not content.startswith(_ARCHIVES[0])
-        told = f"holds a recording; use: hapticd replay {one_line(name)}" if ours else "is an archive, no YAML"
-        raise InvalidError([Problem(one_line(name), told)])
+        text = f"holds a recording; use: hapticd replay {one_line(name)}" if ours else "is an archive, no YAML"
+        raise InvalidError([Problem(one_line(name), text)])
 
 
 def load_text(text: str, name: str) -> Document:
@@ -222,11 +222,11 @@ def _build(parser: "yaml.CBaseLoader | yaml.BaseLoader", name: str) -> Document:
 def _key(value: Json, mapping: dict[str, Json], refuse: Callable[[str], InvalidError], near: bool) -> str:
     """The key; `near` says that one character alone, a comma, stands between it and the value before it."""
     if not isinstance(value, str):
-        told = "" if isinstance(value, dict | list) else "; in quotes it is one"
+        hint = "" if isinstance(value, dict | list) else "; in quotes it is one"
         before = next(reversed(mapping.values()), None)
         if near and type(before) is int and type(value) is int:
-            told = f"; if the number {before}.{value} is meant: it is written with a point"
-        raise refuse(f"keys are strings, this one is {shown(value)}{told}")
+            hint = f"; if the number {before}.{value} is meant: it is written with a point"
+        raise refuse(f"keys are strings, this one is {shown(value)}{hint}")
     if value in mapping:
         raise refuse(f"duplicate key {quoted(value)}")
     return value

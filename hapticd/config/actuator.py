@@ -1,4 +1,4 @@
-"""The actuator as a lag between the force that it is told and the force that it exerts.
+"""The actuator as a lag between the force of its command and the force that it exerts.
 
     order 1:  F' = a (u - F)                       order 2:  F'' = a^2 (u - F) - 2 zeta a F'
 
@@ -42,7 +42,7 @@ class Actuator(Model):
         return angular / math.sqrt(ratio)
 
     def response(self, s: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
-        """Force exerted over force told, at these complex frequencies in 1/s, of the same shape."""
+        """Force exerted over force commanded, at these complex frequencies in 1/s, of the same shape."""
         x = np.asarray(s, np.complex128) / self.rate_per_s
         lag = 1 + x if self.order == 1 else 1 + (2 * self.damping_ratio + x) * x
         return np.asarray(1 / lag, np.complex128)
@@ -54,7 +54,7 @@ class Actuator(Model):
     def shares(self) -> tuple[float, float, float]:
         """What stability needs of the force h(t) after an impulse: the integrals of |h|, of t |h| and of t h, in s.
 
-        A force is the one that was told, spread over later times with the weights h; they sum up to 1.
+        A force is the one that was commanded, spread over later times with the weights h; they sum up to 1.
         """
         if self.order == 1:
             return 1.0, 1.0 / self.rate_per_s, 1.0 / self.rate_per_s

@@ -30,7 +30,7 @@ class _ChangeParts(Model):
 
 @dataclass(frozen=True, slots=True)
 class ChangeFiles:
-    """What the files hold, validated; None for what they do not. The daemon's faults are told by file and line."""
+    """What the files hold, validated; None for what they do not. The daemon's faults are reported by file and line."""
 
     materials: FromFile | None
     scene: FromFile | None

@@ -341,8 +341,8 @@ def _load(documents: Sequence[Document]) -> Config:
     for given in documents:
         document = _whole(given)
         if not isinstance(document.data, dict):
-            told = "is empty" if document.data is None else "must be a mapping"
-            raise InvalidError([Problem(document.where(()), f"{told}; known keys: {', '.join(Config.model_fields)}")])
+            text = "is empty" if document.data is None else "must be a mapping"
+            raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(Config.model_fields)}")])
         merged.add(document, document.data)
     try:
         config = Config.parsed(merged.data)

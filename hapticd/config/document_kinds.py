@@ -1,6 +1,6 @@
 """What a document is, by its keys: a scene, materials, a configuration, what a hand does; and which command takes it.
 
-Every reader asks `refuse_other_kinds` before it looks at single keys, so that a file that is sound but meant for
+Every reader asks `refuse_other_kinds` before it reads single keys, so that a file that is sound but meant for
 another command is answered with that command, not with a list of unknown keys.
 """
 
@@ -117,20 +117,20 @@ def refuse_other_kinds(document: Document, *taken: Kind, takers: Mapping[Kind, s
     """Raises InvalidError for a document that is none of these and that another command takes, or another option:
     `takers` are those that a command has itself.
 
-    What cannot be told is left to the reader, which knows its own keys.
+    What is not known is left to the reader, which knows its own keys.
     """
     kind = kind_of(document.data)
     if kind is not None and kind not in taken:
-        told = _other(kind, document.name, takers)
+        text = _other(kind, document.name, takers)
         key, whole = _KEY_ABOVE.get(kind, ("", kind))
-        told += f"; or put them below `{key}:`" if whole in taken else ""
-        raise InvalidError([Problem(_name(document), told)])
+        text += f"; or put them below `{key}:`" if whole in taken else ""
+        raise InvalidError([Problem(_name(document), text)])
 
 
 def refuse_documents(path: str | os.PathLike[str]) -> None:
     """Raises InvalidError for a YAML or JSON file where a recording is to be read: it names the command that takes it.
 
-    HapticdError for one that cannot be read. Other files are not looked at.
+    HapticdError for one that cannot be read. Other files are not read.
     """
     if os.path.splitext(os.fspath(path))[1].lower() not in (".yaml", ".yml", ".json"):
         return

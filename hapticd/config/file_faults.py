@@ -1,4 +1,4 @@
-"""What was sent from a file: what the daemon finds fault with in it is told with file, line and column."""
+"""What was sent from a file: what the daemon finds fault with in it is reported with file, line and column."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class FromFile(dict[str, object]):
             rest = rest[len(path_text((key,))) :].removeprefix(".")
             path.append(key)
             node = _below(node, key)
-        told = path_text(self._document.own(path))
+        text = path_text(self._document.own(path))
         if rest:
-            told += rest if rest.startswith("[") or not told else f".{rest}"
+            text += rest if rest.startswith("[") or not text else f".{rest}"
         place = self._document.place(path)
-        return f"{place}: {told}" if told else place
+        return f"{place}: {text}" if text else place
 
 
 def _below(node: Json, key: str | int) -> Json:

@@ -153,7 +153,7 @@ Gesture: TypeAlias = Annotated[TapGesture | StrokeGesture | PunctureGesture, Fie
 
 
 class OperatorParams(Model):
-    """What a message or a file says of the operator; the waypoints are looked at by `_check_waypoints`."""
+    """What a message or a file says of the operator; the waypoints are checked by `_check_waypoints`."""
 
     waypoints: list[object] | None = None
     interpolation: Interpolation | None = None

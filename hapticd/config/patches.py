@@ -65,7 +65,7 @@ class Patches(Sequence[Patch]):
         self.narrow: tuple[float, list[tuple[int, str]]] | None = None
         """A ramp, and what is too narrow for it (displayable.patch_warnings)."""
         self.encoded: Encoded | None = None
-        """As they are told (told.py)."""
+        """msgpack of all of them, once it was asked for (protocol/encoded_scene.py)."""
         numbers: dict[str, int] = {}
         first: dict[str, int] = {}
         for index, patch in enumerate(patches):
@@ -142,7 +142,7 @@ def _validated(given: object, handler: ValidatorFunctionWrapHandler) -> Patches:
 
 
 def _faulty(given: list[object]) -> Iterator[object]:
-    """Those that are validated, and the first MAX_FAULTS that cannot be, for their faults to be told."""
+    """Those that are validated, and the first MAX_FAULTS that cannot be, for their faults to be reported."""
     faulty = 0
     for patch in given:
         try:

@@ -320,7 +320,7 @@ def validate_object(name: str, data: object, root: Path = ()) -> SceneObject:
 
 
 def reference_faults(objects: Mapping[str, SceneObject], materials: Collection[str]) -> list[tuple[Path, str]]:
-    """Materials that objects name and nobody defines, with paths relative to the scene; MAX_FAULTS of them are told."""
+    """Materials that objects name and nobody defines, with paths relative to the scene; at most MAX_FAULTS."""
     named = (
         (("objects", id, *(("patches", index - 1) if index else ()), "material"), name)
         for id, item in objects.items()

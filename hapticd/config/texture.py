@@ -252,7 +252,7 @@ class AutoregressiveModel(Model):
         return math.sqrt(self.variance_m2_per_s4 / power) if power > 0 else math.inf
 
     def _cross_faults(self) -> list[str]:
-        # The analysis needs numpy, which most of what reads a material does not.
+        # The analysis may run in a process of its own: most of what reads a material does without those modules.
         from hapticd.base.lattice import pole_radius, reflection_of
 
         faults = []
@@ -283,15 +283,15 @@ class AutoregressiveModel(Model):
 
 
 def _not_too_many(models: object) -> object:
-    """Told before thousands of models are analysed one by one."""
+    """Reported before thousands of models are analysed one by one."""
     if isinstance(models, list | tuple) and len(models) > MAX_MODELS:
         raise ValueError(f"must hold at most {MAX_MODELS} entries, holds {len(models)}")
     return models
 
 
 def _one_by_one(models: object, info: ValidationInfo) -> object:
-    """Many models, each validated by itself: the faults of all are told in one call, in which nobody else goes on.
-    After MAX_FAULTS the rest is not looked at."""
+    """Many models, each validated by itself: the faults of all are reported in one call, in which nobody else goes on.
+    After MAX_FAULTS the rest is not read."""
     if not isinstance(models, list) or len(models) <= _FEW_MODELS:
         return models
     found: list[object] = []

@@ -10,7 +10,7 @@ right amplitude and phase where F_k = Im(C exp(p k T)),
     C = ((m + m_h) + (b + b_h)/p + k/p^2) * p T / (1 - exp(-p T)),
 
 but a device that was at rest answers with a motion of its own. `full` adds a tail, a second decaying pole, and chooses
-both complex amplitudes by least squares over the band in which the error is told.
+both complex amplitudes by least squares over the band in which the error is reported.
 
 A surface that is touched meanwhile acts on the handle, too: what it does to a motion, held and lagging as every force,
 is part of the device. So is the lag of the actuator, by which every force goes.
@@ -34,9 +34,9 @@ from hapticd.config.dynamics import Dynamics
 from hapticd.config.modes import Mode
 
 LOW_HZ: Final = 30.0
-"""The error is told from here on; below, the hand's own motion is."""
+"""The error is reported from here on; below, the hand's own motion is."""
 HIGH: Final = 0.4
-"""It is told up to this fraction of the rate."""
+"""It is reported up to this fraction of the rate."""
 LARGEST: Final = 2.0
 """No strike is given a force of more than this times (m + m_h) A."""
 TAIL_S: Final = 0.05
@@ -212,7 +212,7 @@ class _Grid:
 
 @lru_cache(maxsize=4)
 def _grid(mode: Mode, rate_hz: float) -> _Grid:
-    """A mode is looked at on several loads, one after the other."""
+    """A mode is designed for several loads, one after the other."""
     return _Grid(mode, rate_hz)
 
 
@@ -233,7 +233,7 @@ class _Band:
         poles: Sequence[complex],
         attacked: bool = False,
     ) -> None:
-        """`attacked`: onsets are looked at anywhere between two ticks, and kicks too."""
+        """`attacked`: onsets are anywhere between two ticks, and kicks too."""
         grid = self._grid = _grid(mode, rate_hz)
         self.wanted_norm = grid.wanted_norm
         response = grid.response(dynamics, load)
@@ -341,8 +341,8 @@ def _attacked(band: _Band, mode: Mode, tail: complex, kicks: _Floats | None = No
     columns = [list(np.hstack(pair).T) for pair in zip(rung, kicked, strict=True)]
     errors = [band.error(each, found, part) for each, part in zip(columns, _ONSETS, strict=True)]
     anywhere = math.sqrt(sum(error**2 for error in errors) / len(errors))
-    told = tuple((float(c), float(d)) for c, d in pairs)
-    return replace(shape, peak=peak, error=errors[0], limited=peak > LARGEST, kicks=told), anywhere
+    kicked_pairs = tuple((float(c), float(d)) for c, d in pairs)
+    return replace(shape, peak=peak, error=errors[0], limited=peak > LARGEST, kicks=kicked_pairs), anywhere
 
 
 def _anywhere(band: _Band, shape: Shape) -> float:

@@ -3,7 +3,7 @@
 It reads the compiled table, whole arrays at a time. A surface is the region in which a probe can touch it: a wall is a
 strip below its surface, as deep as the force limit presses, a membrane a strip about it, a box or a disc all of it.
 Two surfaces act together where their regions meet. A set is a pair that meets and whatever meets both, or a surface
-that meets none: whatever a probe touches at once lies within one of the sets. Where too many meet to look at them pair
+that meets none: whatever a probe touches at once lies within one of the sets. Where too many meet to compare them pair
 by pair, a set is all that may lie over one cell of a grid. Either way a set may be too large, but never too small.
 """
 
@@ -34,15 +34,15 @@ from hapticd.rendering.stability import (
 from hapticd.rendering.surface_table import Ints, SurfaceTable
 
 MOST_PAIRS: Final = 40_000
-"""So many pairs are looked at, or a set is what lies over a cell of a grid."""
-MOST_LOOKS: Final = 200_000
+"""So many pairs are compared, or a set is what lies over a cell of a grid."""
+MOST_TRIPLES: Final = 200_000
 """The same for triples."""
 MOST_TRIES: Final = 400
-"""So many of the worst sets are looked at for different ones."""
-MOST_TOLD: Final = 20
-"""Sets that are told one by one."""
+"""So many of the worst sets are searched for different ones."""
+MOST_REPORTED: Final = 20
+"""Sets that are reported one by one."""
 MOST_LINES: Final = 5
-"""Sets that are told as lines."""
+"""Sets that are reported as lines."""
 _CELLS: Final = 4
 """A region that is wider than so many cells of the grid is compared with all others."""
 
@@ -209,7 +209,7 @@ class _Grid:
     """Upright boxes about regions, over the cells of a grid; those that are wider than a few cells stand apart."""
 
     def __init__(self, regions: _Regions, which: Ints) -> None:
-        """`which` regions are looked at; places below count in it. There is at least one."""
+        """`which` regions are in it; places below count in it. There is at least one."""
         normal, half = np.abs(regions.normal[which]), regions.half[which]
         across = np.stack((normal[:, 1], normal[:, 0]), axis=1)
         extent = half[:, :1] * across + half[:, 1:] * normal
@@ -335,12 +335,12 @@ def _sets(rows: Floats, regions: _Regions, which: Ints) -> tuple[Floats, _Member
 
 
 def _pair_sets(rows: Floats, a: Ints, b: Ints, which: Ints) -> tuple[Floats, _Members] | None:
-    """A pair that meets with what meets both of it, or a surface that meets none; None: more than MOST_LOOKS."""
+    """A pair that meets with what meets both of it, or a surface that meets none; None: more than MOST_TRIPLES."""
     starts, others = _joined(len(rows), a, b)
     degree = np.diff(starts)
     fewer, more = np.where(degree[a] <= degree[b], (a, b), (b, a))
     count = degree[fewer]
-    if count.sum() > MOST_LOOKS:
+    if count.sum() > MOST_TRIPLES:
         return None
     alone = which[degree[which] == 0]
     sums = rows[a] + rows[b]
@@ -505,7 +505,7 @@ def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> boo
         return bool(ContactSets(surfaces.of(np.zeros(0, np.int64)), loop).safe.all())
     own = np.array(slots)
     every = np.flatnonzero(surfaces.objects["shape"] != Shape.NONE)
-    if len(own) * len(every) <= MOST_LOOKS:
+    if len(own) * len(every) <= MOST_TRIPLES:
         a, b = np.repeat(own, len(every)), np.tile(every, len(own))
         every = np.union1d(own, b[_meet(_regions(surfaces, _skins(surfaces), loop), a, b)])
     sets = ContactSets(surfaces.of(every), loop)

@@ -275,7 +275,7 @@ def _groove_warnings(name: str, texture: Grooves, output: Output) -> Iterator[Pr
 def _stochastic_warnings(name: str, texture: Stochastic, output: Output) -> Iterator[Problem]:
     pair = displayed_pair(texture, output)
     if pair is None or max(texture.peak_hz, texture.mean_hz) >= output.rate_hz / 2:
-        return  # muted or refused, and told as such
+        return  # muted or refused, and reported as such
     shown = stochastic_filter(*pair, output.rate_hz)
     if not shown.met(*pair):
         problem = (
@@ -333,7 +333,7 @@ def _autoregressive_warnings(name: str, texture: Autoregressive, output: Output)
 
 
 def patch_warnings(wall: Wall, root: Path) -> list[Problem]:
-    """As warnings, of a wall's patches; `where` begins with `root`, the wall's own place. MAX_FAULTS are told."""
+    """As warnings, of a wall's patches; `where` begins with `root`, the wall's own place. MAX_FAULTS are reported."""
     patches = patches_of(wall.patches)
     known = patches.narrow
     if known is None or known[0] != wall.patch_ramp_m:

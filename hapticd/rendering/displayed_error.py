@@ -30,7 +30,7 @@ Floats = npt.NDArray[np.float64]
 FINER: Final = 16
 """A period is cut into so many parts, to see what a held force does within it."""
 _SETTLED_S: Final = 0.05
-"""So long the handle is looked at after a waveform has ended."""
+"""So long the handle is observed after a waveform has ended."""
 
 
 def handle_acceleration(force_n: npt.ArrayLike, dynamics: Dynamics, rate_hz: float, finer: int = FINER) -> Floats:

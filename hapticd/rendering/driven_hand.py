@@ -24,7 +24,7 @@ from hapticd.rendering.stability import Loop
 SPEEDS_M_PER_S: Final = (0.05, 0.1, 0.2, 0.5)
 PRESSES_N: Final = (0.3, 1.0)
 LIGHTER: Final = 0.8
-"""A hand is looked at with this part of its damping: where it just stands another way of moving may set it off."""
+"""A hand is checked with this part of its damping: where it just stands another way of moving may set it off."""
 _WAY_M: Final = 0.02
 _DEEPEST_M: Final = 0.4
 """What gives way further than this is pressed with less."""
@@ -37,7 +37,7 @@ _STILL: Final = 0.05
 def driven(config: Config, loop: Loop, shown: Mapping[str, Material]) -> list[Problem]:
     """A line for each of the materials whose texture drives the hand of `loop`, pressed and moved as people do.
 
-    A handle without a hand has nothing that presses it, and is not looked at; nor is anything where vibrations are off.
+    A handle without a hand has nothing that presses it, and is not checked; nor is anything where vibrations are off.
     """
     hand = loop.dynamics
     if hand.grip_stiffness_n_per_m <= 0.0 or not config.scene.display.vibration:

@@ -415,7 +415,7 @@ def _resampled(model: Reflection, ratio: float, order: int) -> Resampled:
             break
     assert best is not None
     shown, error_db = best.realised(), best.error_db
-    if error_db > CLOSE_DB:  # it is told, so it is looked for between the nodes of the fit, too
+    if error_db > CLOSE_DB:  # it is reported, so it is sought between the nodes of the fit, too
         error_db = max(
             error_db, _error_between(model, shown, poles, band, ratio, power, best.power[: len(power)], angle)
         )

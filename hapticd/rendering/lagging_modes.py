@@ -2,7 +2,7 @@
 
 What is shown of a mode is the part of the waveform that the handle's acceleration contains (its projection on the
 waveform, 30 Hz to 0.4 of the rate), over the same of an actuator that follows at once. Amplitude and phase of that
-complex number are told.
+complex number are reported.
 """
 
 from __future__ import annotations

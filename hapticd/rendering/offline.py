@@ -153,7 +153,7 @@ class _Recorder:
 
 
 class Rerun:
-    """Renders ticks of a servo again, from what their samples say that each was told; the scene may change between.
+    """Renders ticks of a servo again, from what their samples say that each was given; the scene may change between.
 
     As the servo's own tick they go on from what was before: contacts, modes, punctures. `restart` forgets it.
     """
@@ -389,8 +389,8 @@ def simulate_run(
             found,
         ),
     )
-    told = (*scene.warnings, *stability.problems())
-    return Run(samples, events, scene.objects, truth, scene.undisplayable, told, scene.rate_hz)
+    reported = (*scene.warnings, *stability.problems())
+    return Run(samples, events, scene.objects, truth, scene.undisplayable, reported, scene.rate_hz)
 
 
 def _operator(

@@ -1,4 +1,4 @@
-"""How the sets of objects of a scene stand, as it is reported: by `hapticd check`, in get_status and by a run."""
+"""How the contact sets of a scene stand, as it is reported: by `hapticd check`, in get_status and by a run."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hapticd.base.errors import Problem, path_text
-from hapticd.rendering.contact_sets import MOST_LINES, MOST_TOLD, ContactSets
+from hapticd.rendering.contact_sets import MOST_LINES, MOST_REPORTED, ContactSets
 from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.stability_remedy import with_remedy
 from hapticd.rendering.surface_table import SurfaceTable
@@ -23,7 +23,7 @@ class Stability:
     unsafe: int = 0
     """How many are not safe."""
     worst: tuple[Margin, ...] = ()
-    """Up to MOST_TOLD, the least margin first: those that are not safe, or any where that was asked for."""
+    """Up to MOST_REPORTED, the least margin first: those that are not safe, or any where that was asked for."""
 
     @property
     def harmful(self) -> tuple[Margin, ...]:
@@ -41,7 +41,7 @@ class Stability:
         }
 
     def problems(self) -> list[Problem]:
-        """A line for each set that is unsafe, and one for the rest of those that are told."""
+        """A line for each set that is unsafe, and one for the rest of those that are reported."""
         harmful = self.harmful
         found = [Problem(place_of(margin.objects), str(margin)) for margin in harmful[:MOST_LINES]]
         if len(harmful) > MOST_LINES:
@@ -69,10 +69,10 @@ def evaluate(
 ) -> Stability:
     """The sets of a scene; `name_of` a slot is an object's id, `fields` are the ids of those that push everywhere.
 
-    `unsafe`: tell only of sets that are not safe.
+    `unsafe`: report only sets that are not safe.
     """
     sets = ContactSets(surfaces, loop)
-    found = sets.worst(MOST_TOLD, unsafe=unsafe)
+    found = sets.worst(MOST_REPORTED, unsafe=unsafe)
     everywhere = tuple(fields()) if found and sets.fields else ()
     named = [((*map(name_of, slots), *everywhere), place) for slots, place in found]
     worst = (

@@ -43,7 +43,7 @@ CORNER: Final = (1.0 + math.sqrt(2.0)) / 2.0
 """The largest of |n_x| (|n_x| + |n_y|) over all unit vectors n."""
 
 _LONGEST_PATTERN: Final = 128
-_LOOKED_AT: Final = 1000
+_TICKS: Final = 1000
 _MOST_DELAYS: Final = 40
 _LEAST_N_PER_M: Final = 0.1
 _TOP_N_PER_M: Final = 1e7
@@ -103,13 +103,13 @@ def timing(
     frame = _ratio(frame_s * rate_hz)
     pattern = math.lcm(report.numerator, frame.numerator or 1)
     known = pattern <= _LONGEST_PATTERN
-    looked = 2 * pattern + 4 if known else _LOOKED_AT
+    ticks = 2 * pattern + 4 if known else _TICKS
     settled = math.ceil(age) + math.ceil(frames * frame) + 2 * math.ceil(max(report, frame, tick))
     acts: dict[Fraction, Fraction] = {}
     read: dict[Fraction, Fraction] = {}
     """Measurements by the time at which they act, and windows of speed by measurement."""
     newest = None
-    for k in range(settled, 3 * settled + looked):
+    for k in range(settled, 3 * settled + ticks):
         measured = math.floor((k - age) / report) * report
         if newest is not None and measured != newest:
             read[measured] = measured - newest
@@ -281,23 +281,23 @@ class Margin:
         }
 
     def __str__(self) -> str:
-        told = f"{self.stiffness_n_per_m:.4g} N/m"
+        text = f"{self.stiffness_n_per_m:.4g} N/m"
         if self.damping_n_s_per_m > 0.0:
-            told += f" and {self.damping_n_s_per_m:.3g} N s/m"
+            text += f" and {self.damping_n_s_per_m:.3g} N s/m"
         most = f"up to {self.limit_n_per_m:.4g} N/m would be safe" if self.limit_n_per_m > 0.0 else ""
         if self.remedy:
             most = f"safe with {self.remedy}"
         if not self.safe and not most:
             most = "no stiffness would be safe" + (" with that damping" if self.damping_n_s_per_m > 0.0 else "")
         if self.safe:
-            return f"{told} is safe in any hand; {most}" if most else f"{told} is safe in any hand"
+            return f"{text} is safe in any hand; {most}" if most else f"{text} is safe in any hand"
         if self.limited_by == "eigenvalues":
-            return f"{told} oscillates in the hand that is assumed; {most}"
+            return f"{text} oscillates in the hand that is assumed; {most}"
         if self.free_radius > GROWS:
-            return f"{told} is stable in the hand that is assumed, but not with the handle let go; {most}"
+            return f"{text} is stable in the hand that is assumed, but not with the handle let go; {most}"
         if self.verdict == "unproved":
-            return f"{told} is stable in the hand that is assumed and without one, but not surely in every hand; {most}"
-        return f"{told} may buzz by the steps of encoder and actuator, which dry friction does not hold; {most}"
+            return f"{text} is stable in the hand that is assumed and without one, but not surely in every hand; {most}"
+        return f"{text} may buzz by the steps of encoder and actuator, which dry friction does not hold; {most}"
 
 
 def limits(

@@ -11,27 +11,27 @@ MOST_EXPLAINED: Final = 5
 _SHOWN_OBJECTS: Final = 4
 
 
-def stability_words(told: Mapping[str, Any]) -> list[tuple[str, str]]:
+def stability_words(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     """A line on the whole scene, then one for each of the worst sets: what it is about, and the words."""
-    if told["unknown"] is not None:
-        return [("stability", f"not known: {told['unknown']}")]
-    return [("stability", _whole(told)), *((margin["verdict"], _one(margin, told)) for margin in _worst(told))]
+    if found["unknown"] is not None:
+        return [("stability", f"not known: {found['unknown']}")]
+    return [("stability", _whole(found)), *((margin["verdict"], _one(margin, found)) for margin in _worst(found))]
 
 
-def _worst(told: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
-    worst: Sequence[Mapping[str, Any]] = told["worst"]
+def _worst(found: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
+    worst: Sequence[Mapping[str, Any]] = found["worst"]
     return [margin for margin in worst if not margin["safe"]][:MOST_EXPLAINED]
 
 
-def _whole(told: Mapping[str, Any]) -> str:
-    sets, unproved = told["sets"], told["unsafe"]
+def _whole(found: Mapping[str, Any]) -> str:
+    sets, unproved = found["sets"], found["unsafe"]
     if not sets:
         return "the scene has nothing that can be touched"
     if not unproved:
         return "all that can be touched is stable in any hand"
-    harmful = sum(margin["verdict"] == "unsafe" for margin in told["worst"])
+    harmful = sum(margin["verdict"] == "unsafe" for margin in found["worst"])
     if harmful:
-        more = "at least " if unproved > len(told["worst"]) else ""
+        more = "at least " if unproved > len(found["worst"]) else ""
         of = "what can be touched" if sets == 1 else f"{more}{harmful} of {sets} sets of objects"
         return f"{of} may oscillate: lower the stiffness or raise servo.rate_hz, see docs/stability.md"
     of = "" if sets == 1 else f" for {unproved} of {sets} sets of objects"
@@ -41,7 +41,7 @@ def _whole(told: Mapping[str, Any]) -> str:
     )
 
 
-def _one(margin: Mapping[str, Any], told: Mapping[str, Any]) -> str:
+def _one(margin: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     names, limit, damping = margin["objects"], margin["limit_n_per_m"], margin["damping_n_s_per_m"]
     more = f" and {len(names) - _SHOWN_OBJECTS} more" if len(names) > _SHOWN_OBJECTS else ""
     which = ", ".join(names[:_SHOWN_OBJECTS]) + more
@@ -57,7 +57,7 @@ def _one(margin: Mapping[str, Any], told: Mapping[str, Any]) -> str:
         by = "a finer encoder" if margin["limited_by"] == "quantisation" else "a higher servo.rate_hz"
         remedy = f"a lower stiffness or {by}"
     elif damping > 0.0:
-        own = f"{told['assumed']['handle_damping_n_s_per_m']:.3g} N s/m"
+        own = f"{found['assumed']['handle_damping_n_s_per_m']:.3g} N s/m"
         text = (
             f"{which}: with a damping of {damping:.3g} N s/m no stiffness is proved to be stable in any hand, "
             f"as the handle itself damps by {own}"

@@ -23,8 +23,8 @@ class Undisplayable:
         return undisplayable_text(asdict(self))
 
 
-def undisplayable_text(told: Mapping[str, object]) -> str:
+def undisplayable_text(entry: Mapping[str, object]) -> str:
     """What a person reads of a mode, or the peak of a texture, that the rate cannot carry: an `undisplayable` of the
     protocol."""
-    shown = "silent" if told["shown_hz"] is None else f"shown at {told['shown_hz']:g} Hz"
-    return f"{told['mode']} of {told['material']}, {told['frequency_hz']:g} Hz: {shown}"
+    shown = "silent" if entry["shown_hz"] is None else f"shown at {entry['shown_hz']:g} Hz"
+    return f"{entry['mode']} of {entry['material']}, {entry['frequency_hz']:g} Hz: {shown}"

@@ -96,8 +96,8 @@ def datagram(fields: Mapping[str, object]) -> bytes:
 
 
 class JournalHandler(logging.Handler):
-    """Sends records to the journal. It never waits: what the journal does not take is counted and told with the next
-    line that it does take."""
+    """Sends records to the journal. It never waits: what the journal does not take is counted, and reported with the
+    next line that it does take."""
 
     def __init__(self, address: str = SOCKET) -> None:
         super().__init__()
@@ -115,7 +115,7 @@ class JournalHandler(logging.Handler):
         try:
             self._socket.sendto(data, self._address)
         except OSError:
-            self._lost += 1  # told with the next line that gets through
+            self._lost += 1  # reported with the next line that gets through
         else:
             self._lost = 0
 
@@ -129,8 +129,8 @@ class JournalHandler(logging.Handler):
             "CODE_LINE": record.lineno,
             "CODE_FUNC": record.funcName,
         }
-        told: Mapping[str, object] = getattr(record, "fields", {})
-        fields |= {PREFIX + name.upper(): value for name, value in told.items() if value is not None}
+        extra: Mapping[str, object] = getattr(record, "fields", {})
+        fields |= {PREFIX + name.upper(): value for name, value in extra.items() if value is not None}
         if self._lost:
             fields[PREFIX + "LINES_LOST"] = self._lost
         return fields
@@ -146,19 +146,19 @@ class JournalHandler(logging.Handler):
 def _fault(event: Mapping[str, object], since: Since) -> str:
     faults = event["faults"]
     names = wording.listed(list(map(str, faults))) if isinstance(faults, list) else ""
-    told = f"fault: {names}; forces are off until somebody turns them on (hapticd force on)" if names else ""
-    return (told or "faults cleared") + since.more
+    text = f"fault: {names}; forces are off until somebody turns them on (hapticd force on)" if names else ""
+    return (text or "faults cleared") + since.more
 
 
 def _overrun(event: Mapping[str, object], since: Since) -> str:
     """With the part of all periods that it is, in a line that sums up; `rate_hz` stands in the event for it."""
     missed, times = since.amounts["missed"], since.amounts["count"]
-    told = f"{wording.count(missed, 'period')} missed"
+    text = f"{wording.count(missed, 'period')} missed"
     if since.seconds and "rate_hz" in event:
-        told += f" ({wording.percent(missed / (since.seconds * _number(event, 'rate_hz')))})"
+        text += f" ({wording.percent(missed / (since.seconds * _number(event, 'rate_hz')))})"
     if times > 1:
-        told += f", {times:,} times"
-    return f"{told}, {since.window}" if since.window else told
+        text += f", {times:,} times"
+    return f"{text}, {since.window}" if since.window else text
 
 
 def _plain(text: Callable[[Mapping[str, object]], str]) -> Callable[[Mapping[str, object], Since], str]:
@@ -221,7 +221,7 @@ def _short(value: object) -> object:
 class EventLog:
     """Tells events of consequence in the log: the first of a kind at once, those that follow as `repeats` says.
 
-    With level DEBUG every event is told, each as it comes.
+    With level DEBUG every event is logged, each as it comes.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""What systemd is told of the daemon and of the bridge: ready, alive, reloading, stopping, and a line of state.
+"""What systemd hears of the daemon and of the bridge: ready, alive, reloading, stopping, and a line of state.
 
 The protocol is that of sd_notify(3): a datagram to the socket that `$NOTIFY_SOCKET` names. Where nothing is named,
-nothing is told, and every function says so by False. A message that cannot be sent is logged and changes nothing.
+nothing is sent, and every function says so by False. A message that cannot be sent is logged and changes nothing.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def status(line: str) -> bool:
 
 
 def alive() -> bool:
-    """Feeds the watchdog. Never waits: a manager that is busy is told the next time."""
+    """Feeds the watchdog. Never waits: a manager that is busy gets it the next time."""
     return _tell("WATCHDOG=1", wait_s=0.0)
 
 
@@ -56,7 +56,7 @@ def watchdog_s() -> float | None:
 
 class Watch:
     """Feeds the watchdog, but only while the servo ticks, and keeps the line of state. For the thread whose life the
-    watchdog is to tell of, which calls it often."""
+    watchdog is to report, which calls it often."""
 
     def __init__(self, look: Callable[[], tuple[int, str]], now: Callable[[], float] = time.monotonic) -> None:
         """`look`: ticks rendered so far, and the line of state; called once in a while."""
@@ -74,7 +74,7 @@ class Watch:
             return
         self._due_s = self._now() + self._every_s
         ticks, line = self._look()
-        # The ticks that were told of are remembered only once they were: a message that was lost is made up for.
+        # The ticks that were reported are remembered only once they were sent: a message that was lost is made up for.
         if self._fed and ticks != self._ticks and alive():
             self._ticks = ticks
         if line != self._line and status(line):

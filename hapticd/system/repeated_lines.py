@@ -24,7 +24,7 @@ LONGEST_S: Final = 3600.0
 STATE_S: Final = 60.0
 """The longest interval for changes of a state that somebody has to know of: a fault, a lost device."""
 QUIET_S: Final = 300.0
-"""After so long without one, what is held back is told, and the next is a first one again."""
+"""After so long without one, what is held back is logged, and the next is a first one again."""
 MOST_KINDS: Final = 256
 """What is remembered; of more, the one that was noted the longest ago is forgotten."""
 
@@ -37,71 +37,69 @@ class Since:
 
     times: int = 1
     seconds: float = 0.0
-    """Since the line before; 0 for a line that is told at once."""
+    """Since the line before; 0 for a line that is logged at once."""
     amounts: Mapping[str, int] = field(default_factory=dict)
     """Numbers that were added up."""
 
     @property
     def window(self) -> str:
-        """`in the last 64 s`; empty for a line that is told at once."""
+        """`in the last 64 s`; empty for a line that is logged at once."""
         return f"in the last {wording.duration(round(self.seconds) or self.seconds)}" if self.seconds else ""
 
     @property
     def more(self) -> str:
         """What follows a line that shows the newest of several: ` (and 12 more in the last 64 s)`, ` (once in the last
         64 s)`."""
-        told = [f"and {self.times - 1:,} more"] if self.times > 1 else ["once"] if self.seconds else []
-        told += [self.window] if self.seconds else []
-        return f" ({' '.join(told)})" if told else ""
+        parts = [f"and {self.times - 1:,} more"] if self.times > 1 else ["once"] if self.seconds else []
+        parts += [self.window] if self.seconds else []
+        return f" ({' '.join(parts)})" if parts else ""
 
 
-Tell: TypeAlias = Callable[[Since], None]
+Log: TypeAlias = Callable[[Since], None]
 
 
 @dataclass(slots=True)
 class _Kind:
-    """A kind of line that was told, and what came since."""
+    """A kind of line that was logged, and what came since."""
 
-    told_s: float
+    logged_s: float
     interval_s: float
     longest_s: float
     newest_s: float
-    held: Tell | None = None
+    waiting: Log | None = None
     times: int = 0
     amounts: dict[str, int] = field(default_factory=dict)
 
     def over(self, now_s: float) -> bool:
         """Whether the next is a first one again."""
         quiet_s = now_s - self.newest_s
-        return self.held is None and quiet_s >= QUIET_S and now_s - self.told_s >= SHORTEST_S
+        return self.waiting is None and quiet_s >= QUIET_S and now_s - self.logged_s >= SHORTEST_S
 
     def due(self, now_s: float) -> bool:
-        return now_s - self.told_s >= self.interval_s or now_s - self.newest_s >= QUIET_S
+        return now_s - self.logged_s >= self.interval_s or now_s - self.newest_s >= QUIET_S
 
 
 class Repeats:
-    """Says which lines are told. For any thread; one calls `flush` now and then, ten times a second say."""
+    """Says which lines are logged. For any thread; one calls `flush` now and then, ten times a second say."""
 
-    def __init__(
-        self, now_s: Callable[[], float] = time.monotonic, may_tell: Callable[[], bool] = lambda: True
-    ) -> None:
-        """`may_tell`: asked before each line; a line for which there is no room now is held back as others are."""
-        self._now_s, self._may_tell = now_s, may_tell
+    def __init__(self, now_s: Callable[[], float] = time.monotonic, may_log: Callable[[], bool] = lambda: True) -> None:
+        """`may_log`: asked before each line; a line for which there is no room now is held back as others are."""
+        self._now_s, self._may_log = now_s, may_log
         self._lock = threading.RLock()
         self._kinds: OrderedDict[str, _Kind] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._kinds)
 
-    def note(self, kind: str, tell: Tell, amounts: Mapping[str, int] = _NOTHING, longest_s: float = LONGEST_S) -> None:
-        """Has `tell` called now, or later with the sum of those that came until then. Of several the newest is called.
+    def note(self, kind: str, log: Log, amounts: Mapping[str, int] = _NOTHING, longest_s: float = LONGEST_S) -> None:
+        """Has `log` called now, or later with the sum of those that came until then. Of several the newest is called.
 
         Lines of one kind repeat each other.
         """
         with self._lock:
-            self._note(kind, tell, amounts, longest_s)
+            self._note(kind, log, amounts, longest_s)
 
-    def _note(self, kind: str, tell: Tell, amounts: Mapping[str, int], longest_s: float) -> None:
+    def _note(self, kind: str, log: Log, amounts: Mapping[str, int], longest_s: float) -> None:
         now_s = self._now_s()
         known = self._kinds.pop(kind, None)
         if known is not None and known.over(now_s):
@@ -109,38 +107,38 @@ class Repeats:
         if known is None:
             known = _Kind(now_s, 0.0, longest_s, now_s)
         self._kinds[kind] = known
-        known.held, known.newest_s = tell, now_s
+        known.waiting, known.newest_s = log, now_s
         known.times += 1
         for name, amount in amounts.items():
             known.amounts[name] = known.amounts.get(name, 0) + amount
-        if now_s - known.told_s >= known.interval_s:
-            self._tell(known, now_s, at_once=known.times == 1)
+        if now_s - known.logged_s >= known.interval_s:
+            self._log(known, now_s, at_once=known.times == 1)
         while len(self._kinds) > MOST_KINDS:
             self._kinds.popitem(last=False)
 
     def flush(self) -> None:
-        """Tells the sums that are due, and forgets who was quiet."""
+        """Logs the sums that are due, and forgets who was quiet."""
         with self._lock:
             now_s = self._now_s()
             for kind, known in list(self._kinds.items()):
                 if not known.due(now_s):
                     continue
-                if known.held is not None:
-                    self._tell(known, now_s)
+                if known.waiting is not None:
+                    self._log(known, now_s)
                 elif known.over(now_s):
                     del self._kinds[kind]
 
     def finish(self) -> None:
-        """Tells all that is held back, at the end."""
+        """Logs all that is held back, at the end."""
         with self._lock:
             now_s = self._now_s()
             for known in self._kinds.values():
-                self._tell(known, now_s)
+                self._log(known, now_s)
 
-    def _tell(self, known: _Kind, now_s: float, at_once: bool = False) -> None:
-        if known.held is None or not self._may_tell():
+    def _log(self, known: _Kind, now_s: float, at_once: bool = False) -> None:
+        if known.waiting is None or not self._may_log():
             return
-        since = Since(known.times, 0.0 if at_once else now_s - known.told_s, known.amounts)
-        tell, known.held, known.times, known.amounts = known.held, None, 0, {}
-        known.told_s, known.interval_s = now_s, min(max(2 * known.interval_s, SHORTEST_S), known.longest_s)
-        tell(since)
+        since = Since(known.times, 0.0 if at_once else now_s - known.logged_s, known.amounts)
+        log, known.waiting, known.times, known.amounts = known.waiting, None, 0, {}
+        known.logged_s, known.interval_s = now_s, min(max(2 * known.interval_s, SHORTEST_S), known.longest_s)
+        log(since)

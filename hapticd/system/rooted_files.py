@@ -34,7 +34,7 @@ class Rooted:
         self.exists(path)
 
     def exists(self, path: Path) -> bool:
-        """Whether something has this name, a link too. Raises HapticdError where that cannot be told."""
+        """Whether something has this name, a link too. Raises HapticdError where that is not known."""
         try:
             with self._parent(path, make=False) as folder:
                 os.stat(path.name, dir_fd=folder, follow_symlinks=False)

@@ -1,7 +1,7 @@
 """`hapticd install-service`: units, users, folders, udev rules and a first configuration in their places.
 
 What is written carries its own checksum in its last line, so that the next call knows what somebody has changed since:
-that is never overwritten, the new one is put beside it as `.new`. Every step is told.
+that is never overwritten, the new one is put beside it as `.new`. Every step is reported.
 """
 
 from __future__ import annotations

@@ -492,7 +492,7 @@ def test_many_sets_are_counted_and_few_told() -> None:
         load_config({**LINKED, "materials": {"m": {"stiffness_n_per_m": 800}}, "scene": {"objects": objects}})
     )
     stability = engine.stability()
-    assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MOST_TOLD)
+    assert (stability.sets, stability.unsafe, len(stability.worst)) == (60, 60, contact_sets.MOST_REPORTED)
     lines = [str(problem) for problem in stability.problems()]
     assert len(lines) == contact_sets.MOST_LINES + 1
     assert (

@@ -26,7 +26,7 @@ _NO_MATERIAL: Final = Material(stiffness_n_per_m=0.0)
 
 
 class Progress(Protocol):
-    """Who is told how many filters are designed."""
+    """Counts how many filters are designed."""
 
     done: int
     of: int
