@@ -112,6 +112,13 @@ class CheckedTogether(Model):
         return self
 
 
+def one_of_two(model: Model, one: str, other: str) -> list[str]:
+    """What is wrong unless exactly one of two keys is given."""
+    given = [key for key in (one, other) if getattr(model, key) is not None]
+    has = "both" if given else "neither"
+    return [] if len(given) == 1 else [f"needs exactly one of {one} and {other}, has {has}"]
+
+
 @contextmanager
 def _invalid() -> Iterator[None]:
     """pydantic's errors as ours."""

@@ -35,6 +35,7 @@ from hapticd.base.model import (
     faults_of,
     in_parts,
     members,
+    one_of_two,
     problems_of,
     refuse_many_keys,
 )
@@ -184,10 +185,7 @@ class Tap(AimedKeys):
         return (self.waveform or self.mode).coefficient(amplitude, self.attack)
 
     def cross_faults(self) -> list[str]:
-        faults = super().cross_faults()
-        if (self.attack_slope_per_s is None) == (self.amplitudes is None):
-            has = "neither" if self.amplitudes is None else "both"
-            faults.append(f"needs exactly one of attack_slope_per_s and amplitudes, has {has}")
+        faults = [*super().cross_faults(), *one_of_two(self, "attack_slope_per_s", "amplitudes")]
         for index, ((before, _), (speed, _)) in enumerate(pairwise(self.amplitudes or ())):
             if speed < before + MIN_TAP_STEP_M_PER_S:
                 faults.append(

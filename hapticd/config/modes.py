@@ -11,7 +11,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import ConfigDict, Field
 from pydantic.config import JsonDict
 
-from hapticd.base.model import CheckedTogether
+from hapticd.base.model import CheckedTogether, one_of_two
 
 Attack: TypeAlias = Literal["coefficient", "first_peak"]
 
@@ -86,15 +86,10 @@ class ModeKeys(CheckedTogether):
 
     def mode_faults(self) -> list[str]:
         """Those of the keys of the mode."""
-        faults = []
-        for one, other in (
-            ("frequency_hz", "angular_frequency_rad_per_s"),
-            ("decay_time_s", "decay_rate_per_s"),
-        ):
-            given = [name for name in (one, other) if getattr(self, name) is not None]
-            if len(given) != 1:
-                faults.append(f"needs exactly one of {one} and {other}, has {'both' if given else 'neither'}")
-        return faults
+        return [
+            *one_of_two(self, "frequency_hz", "angular_frequency_rad_per_s"),
+            *one_of_two(self, "decay_time_s", "decay_rate_per_s"),
+        ]
 
     @property
     def mode(self) -> Mode:

@@ -23,7 +23,7 @@ from pydantic import (
 )
 from pydantic.config import JsonDict
 
-from hapticd.base.model import MAX_FAULTS, CheckedTogether, Damping, Model
+from hapticd.base.model import MAX_FAULTS, CheckedTogether, Damping, Model, one_of_two
 from hapticd.config.modes import AngularFrequency, DecayRate, DecayTime, Frequency, Mode, ModeKeys, one_of
 from hapticd.config.rising_points import MAX_POINTS, around, rising_faults
 from hapticd.config.vibration_direction import Direction
@@ -255,18 +255,15 @@ class AutoregressiveModel(Model):
         # The analysis may run in a process of its own: most of what reads a material does without those modules.
         from hapticd.base.lattice import pole_radius, reflection_of
 
-        faults = []
-        given = [key for key in ("rms_m_per_s2", "variance_m2_per_s4") if getattr(self, key) is not None]
-        if len(given) != 1:
-            has = "both" if given else "neither"
-            faults.append(f"needs exactly one of rms_m_per_s2 and variance_m2_per_s4, has {has}")
+        faults = one_of_two(self, "rms_m_per_s2", "variance_m2_per_s4")
+        one_level = not faults
         try:
             reflection = reflection_of(self.coefficients)
         except ValueError:
             radius = pole_radius(self.coefficients)
             faults.append(f"is unstable: its largest pole has a radius of {radius:.6g}, which must be less than 1")
             return faults
-        if len(given) == 1 and not self.level(reflection) <= MAX_RMS_M_PER_S2:
+        if one_level and not self.level(reflection) <= MAX_RMS_M_PER_S2:
             rms = self.level(reflection)
             faults.append(f"has an RMS of {rms:.6g} m/s^2 with these coefficients, at most {MAX_RMS_M_PER_S2:g}")
         return faults

@@ -64,6 +64,15 @@ class Touched:
     """What of them acts along the strike: (n . d)^2 of the surface's normal n and the strike's direction d."""
 
     @property
+    def met_n_per_m(self) -> float:
+        """The stiffness that a mode is designed for: the surface's, or TOUCHED_N_PER_M where there is none."""
+        return self.stiffness_n_per_m or TOUCHED_N_PER_M
+
+    def load(self, output: Output) -> Load:
+        """What a strike against it meets."""
+        return Load(self.met_n_per_m, self.damping_n_s_per_m, output.age_s, output.actuator)
+
+    @property
     def own(self) -> bool:
         """Whether a mode is compensated best where it is touched; else where nothing is."""
         return self.stiffness_n_per_m > 0.0 and self.across >= MOSTLY_ACROSS
@@ -88,9 +97,8 @@ def struck_shapes(mode: Mode, output: Output, touched: Touched = UNTOUCHED) -> t
     if output.compensation == "off":
         return None
     assert output.dynamics is not None
-    met = (touched.stiffness_n_per_m or TOUCHED_N_PER_M, touched.damping_n_s_per_m)
-    load = Load(*met, output.age_s, output.actuator)
-    return shapes_of(mode, output.dynamics, output.carried_hz, output.compensation, load, touched.own)
+    load, rate_hz = touched.load(output), output.carried_hz
+    return shapes_of(mode, output.dynamics, rate_hz, output.compensation, load, touched.own)
 
 
 def waveform_of(material: Material) -> Waveform | None:

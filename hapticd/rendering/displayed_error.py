@@ -1,9 +1,8 @@
 """What the handle's acceleration is, of a force that is held from tick to tick, and how far it is from what was wanted.
 
 The device is linear (hapticd.config.dynamics): (m + m_h) x'' + (b + b_h) x' + k x = F. Accelerations are means over
-the time
-between two samples: of a device, the difference of its velocities, which is exact; of a mode, the integral of its
-closed form.
+the time between two samples: of a device, the difference of its velocities, which is exact; of a mode, the integral of
+its closed form.
 
 The displayed error is the RMS of the difference over the RMS of what was wanted, both limited to a band, 30 Hz to 0.4
 of the rate. It begins at the onset. A link or a report that comes late delays the force and changes none of its shape:
@@ -122,11 +121,10 @@ def displayed_error(
 ) -> float:
     """Displayed error of a strike that begins at a tick; 0.1 is 10 %.
 
-    `mode` is one that the rate carries, as it is displayed (hapticd.rendering.displayability.displayed_mode). `rate_hz`
-    is how often
-    the force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` counts where
+    `mode` is one that the rate carries, as it is displayed (displayability.displayed_mode). `rate_hz` is how often the
+    force changes at the device: the servo's rate, or the link's if that is lower. `effective_mass_kg` counts where
     compensation is off; by default it is that of handle and hand. `actuator` is what every force goes by. The spectra
-    are closed forms (hapticd.rendering.compensation).
+    are closed forms (compensation.py).
     """
     load = Load(actuator=actuator)
     if compensation != "off":

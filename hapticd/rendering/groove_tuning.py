@@ -22,8 +22,8 @@ from hapticd.base.core import KICKS, TUNE_NODE, CData
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import FrequencyTable, Grooves
-from hapticd.rendering.compensation import Load, Ringing, Shape, peak_between, tuned_shapes
-from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M
+from hapticd.rendering.compensation import Ringing, Shape, peak_between, tuned_shapes
+from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M, UNTOUCHED
 from hapticd.rendering.output import Output
 
 NODES: Final = 17
@@ -50,9 +50,8 @@ class Tuning:
         record.tune_speeds, record.tune_forces = len(self.table.speeds_m_per_s), len(self.table.forces_n)
         record.tune_nodes = len(self.nodes)
         record.tune_highest_rad_per_s, record.tune_mutes = self.highest_rad_per_s, self.mutes
-        if len(self.nodes) == 0:
-            return
-        complete_tail(record.groove, self.tail, period_s)
+        if len(self.nodes) > 0:
+            complete_tail(record.groove, self.tail, period_s)
 
     def numbers(self) -> npt.NDArray[np.float64]:
         """As the core's table holds them."""
@@ -109,8 +108,7 @@ def _nodes(
     assert output.dynamics is not None and output.compensation != "off"
     count = NODES if high_rad_per_s > low_rad_per_s else 1
     modes = tuple(Mode(decay_rate_per_s, float(w)) for w in np.geomspace(low_rad_per_s, high_rad_per_s, count))
-    load = Load(TOUCHED_N_PER_M, 0.0, output.age_s, output.actuator)
-    pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load)
+    pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, UNTOUCHED.load(output))
     return pairs[0][0].tail, node_rows([mode.angular_frequency_rad_per_s for mode in modes], pairs)
 
 

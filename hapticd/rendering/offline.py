@@ -97,11 +97,16 @@ class _Scene:
         return evaluate(self._compiler.surfaces(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
 
     def new_state(self, resolution_m: float) -> CData:
-        state = lib.hd_state_new(max(1, len(self.objects)))
-        if state == ffi.NULL:
-            raise MemoryError("no memory for the state of a run")
+        state = _new_state(len(self.objects))
         lib.hd_state_set_resolution(state, resolution_m)
-        return ffi.gc(state, lib.hd_state_free)
+        return state
+
+
+def _new_state(slots: int) -> CData:
+    state = lib.hd_state_new(max(1, slots))
+    if state == ffi.NULL:
+        raise MemoryError("no memory for the state of a run")
+    return ffi.gc(state, lib.hd_state_free)
 
 
 def new_world(table: CData) -> CData:
@@ -162,17 +167,14 @@ class Rerun:
         """`slots`: room for so many objects at once."""
         self._output = output
         self._compiler = Compiler(output)
-        self._slots = max(1, slots)
+        self._slots = slots
         self._recorder = _Recorder()
         self._world: CData | None = None
         self.restart(False)
 
     def restart(self, muted: bool) -> None:
         """From here on as if nothing had been before; `muted`: the command comes in over the ramp."""
-        state = lib.hd_state_new(self._slots)
-        if state == ffi.NULL:
-            raise MemoryError("no memory for the state of a run")
-        self._state = ffi.gc(state, lib.hd_state_free)
+        self._state = _new_state(self._slots)
         if muted:
             lib.hd_state_mute(self._state)
 

@@ -19,8 +19,8 @@ from hapticd.base.core import TUNE_NODE, CData
 from hapticd.config.materials import Material
 from hapticd.config.mode_table import ModeTable
 from hapticd.config.modes import Mode
-from hapticd.rendering.compensation import Load, Ringing, tuned_shapes
-from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M, Touched, touched_by
+from hapticd.rendering.compensation import Ringing, tuned_shapes
+from hapticd.rendering.displayability import DISPLAYABLE, Touched, touched_by
 from hapticd.rendering.groove_tuning import complete_tail, node_rows
 from hapticd.rendering.output import Output
 
@@ -98,7 +98,6 @@ def _nodes(
     speeds = _speeds(table)
     found = [table.at(speed) for speed in speeds]
     modes = [Mode(mode.decay_rate_per_s, min(mode.angular_frequency_rad_per_s, highest)) for mode in found]
-    met = touched.stiffness_n_per_m or TOUCHED_N_PER_M
-    load = Load(met, touched.damping_n_s_per_m, output.age_s, output.actuator)
-    pairs = tuned_shapes(modes, output.dynamics, output.carried_hz, output.compensation, load, touched.own)
+    load, rate_hz = touched.load(output), output.carried_hz
+    pairs = tuned_shapes(modes, output.dynamics, rate_hz, output.compensation, load, touched.own)
     return pairs[0][0].tail, node_rows(speeds, pairs)

@@ -8,7 +8,7 @@ from typing import Final, TypeAlias
 from hapticd.base.core import KICKS
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Ringing, Shape
-from hapticd.rendering.displayability import TOUCHED_N_PER_M, UNTOUCHED, Touched, displayed_mode, struck_shapes
+from hapticd.rendering.displayability import UNTOUCHED, Touched, displayed_mode, struck_shapes
 from hapticd.rendering.output import Output
 
 Effect: TypeAlias = tuple[int, float, float]
@@ -55,8 +55,7 @@ def mode_record(
         other, its_tail = untouched.mode.gain, 0j if untouched.tail is None else untouched.tail.gain
         if shape.kicks:
             kicks = ([number for pair in shape.kicks for number in pair], len(shape.kicks), 0)
-        met_n_per_m = touched.stiffness_n_per_m or TOUCHED_N_PER_M
-        free = (met_n_per_m, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
+        free = (touched.met_n_per_m, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
     return (
         rotor.real,
         rotor.imag,
