@@ -6,10 +6,15 @@
 #include "tick/hd_tick.h"
 
 #include "tick/hd_contact.h"
+#include "tick/hd_context.h"
+#include "tick/hd_field.h"
 #include "tick/hd_limit.h"
 #include "tick/hd_mode.h"
+#include "tick/hd_narrow_phase.h"
 #include "tick/hd_offload.h"
+#include "tick/hd_passivity.h"
 #include "tick/hd_ramp.h"
+#include "tick/hd_strike.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
 #define HD_SPEED_ROUNDING 1e-9
@@ -207,8 +212,10 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         state->resync = 0;
     }
     const double *from = context.resync ? input->position_m : state->position_m;
-    context.from_m[0] = from[0];
-    context.from_m[1] = from[1];
+    for (int axis = 0; axis < 2; axis++) {
+        context.proxy.from_m[axis] = from[axis];
+        context.proxy.to_m[axis] = input->position_m[axis];
+    }
     if (jumped) {
         flags |= HD_FLAG_GLITCH;
         state->glitches_total++;
@@ -222,10 +229,10 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     if (state->reserve_count > 0) {
         hd_offload_advance(state, input->periods);
     }
-    hd_walk_objects(&context);
+    hd_narrow_phase(&context);
     context.object_n[0] = context.force_n[0];
     context.object_n[1] = context.force_n[1];
-    hd_field_walk(&context);
+    hd_field_add(&context);
 
     const double shows = (double)table->display_force;
     const double shown = state->show_vibration;
