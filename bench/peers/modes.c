@@ -5,6 +5,8 @@
  * (libm, tables), a strike turns what rings into one new coefficient and starts its time anew, so that a tick costs the
  * same however often it was struck; that turn is made with libm. */
 #include <math.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
