@@ -38,6 +38,7 @@
 #define HD_PLAYED_CAPACITY 64u        /* modes played by hand within one tick */
 #define HD_NOISE_CAPACITY 256u        /* surfaces with noise that are touched at once; further ones are silent */
 #define HD_OFFLOAD_CAPACITY 8u        /* strikes of one tick that the device plays by itself */
+#define HD_OFFLOAD_LATE_S 0.07        /* so late an effect may begin after its strike: hd_effects.h */
 #define HD_RESERVE_CAPACITY 16u       /* effects that may play at once */
 #define HD_WAVE_CAPACITY 32u /* waveforms that play at once; beyond that, the one nearest its end is given up */
 #define HD_STATE_REGIONS 16u

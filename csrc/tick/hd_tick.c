@@ -374,6 +374,10 @@ HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const
     return HD_OK;
 }
 
+HD_RT void hd_tick_silence(struct hd_state *state) {
+    hd_modes_silence(state);
+}
+
 HD_RT void hd_tick_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns) {
     if (slot == HD_NO_SLOT) {
         while (state->active_count > 0) {
