@@ -222,8 +222,8 @@ def run(options: Options, advance: Advance) -> Section:
         [
             f"{LASTING_S:g} s of a handle of 0.1 kg (light: 0.02 kg) in a hand of 300 N/m and 3 N s/m (firm: 1000 "
             "N/m, 1 N s/m), whose reference is drawn to and fro, under a force that the actuator holds from tick to "
-            "tick. The other ways take one step a period and know of dry friction what a step can: a handle that would turn "
-            "within it stops. References: closed forms from event to event in 40 digits.",
+            "tick. The other ways take one step a period and know of dry friction what a step can: a handle that would "
+            "turn within it stops. References: closed forms from event to event in 40 digits.",
             Table(
                 f"Worst error at ticks, of the largest excursion; ns a period at 10 kHz, both axes, {rounds} rounds in "
                 "turns: median (10 to 90 %)",

@@ -214,7 +214,7 @@ int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *g
         return hd_invalid("servo: restart it after an overload");
     }
     struct hd_state *state = servo->state;
-    hd_voices_silence(state); /* they turn by the old period */
+    hd_modes_silence(state); /* they turn by the old period */
     hd_state_want_forces(state, servo->wanted);
     if (faults != 0) {
         hd_state_latch(state, faults, 0, hd_clock_now_ns());
