@@ -220,7 +220,7 @@ class Simulation:
 
 
 def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> EndState:
-    """What becomes of the handle once the hand's wish rests."""
+    """What becomes of the handle once the hand's reference rests."""
     simulation = Simulation(config, waypoints)
     simulation.go_on(waypoints[-1][0] + 0.2)
     return end_state(simulation.go_on, longest_s)

@@ -18,7 +18,7 @@ def peers() -> Peers:
     return compiled()
 
 
-def wish(time_s: float) -> tuple[float, float]:
+def reference(time_s: float) -> tuple[float, float]:
     points = joystick.WAYPOINTS
     inside = np.searchsorted(points[:, 0], time_s, side="right") - 1
     if inside >= len(points) - 1:
@@ -37,7 +37,7 @@ def integrated(handle: joystick.Handle) -> Floats:
         push = joystick.PULSE_N if joystick.PULSE_S[0] <= begin < joystick.PULSE_S[1] else 0.0
 
         def slope(time_s: float, y: Floats, begin: float = begin, push: float = push) -> list[float]:
-            w, rate = wish(begin + 1e-9)
+            w, rate = reference(begin + 1e-9)
             w += rate * (time_s - begin - 1e-9)
             pull = handle.hand_stiffness_n_per_m * (w - y[0]) + handle.hand_damping_n_s_per_m * (rate - y[1])
             return [y[1], (push + pull - handle.damping_n_s_per_m * y[1]) / handle.mass_kg]

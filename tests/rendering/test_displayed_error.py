@@ -468,7 +468,7 @@ def simulated_error(name: str, compensation: Compensation, grip: str) -> float:
         "scene": {"objects": {"wall": {**FLOOR, "material": "m"}}},
     }
     speed, onset = 0.02, 0.8
-    # Once it goes steadily the handle's own damping keeps it b v/k behind the wish. A hair before the tick.
+    # Once it goes steadily the handle's own damping keeps it b v/k behind the reference. A hair before the tick.
     start = speed * (onset - 1e-9) - 0.2 * speed / stiffness
     run = simulate_run(config, [[0, 0, start], [1.2, 0, start - 1.2 * speed]], 1.2, RATE)
     (event,) = run.events[run.events["kind"] == EventKind.CONTACT]
