@@ -38,7 +38,7 @@ from hapticd.base.core import (
     pointer,
 )
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.config.configuration import Config, Device
+from hapticd.config.configuration import Config
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
@@ -53,18 +53,18 @@ from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.displayability_warnings import MaterialReport
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
-    Output,
-    Undisplayable,
     displayed_mode,
     materials_in,
     rate_faults,
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
+from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge
-from hapticd.rendering.stability import Loop, Timing, timing
+from hapticd.rendering.stability import Loop
+from hapticd.rendering.undisplayable import Undisplayable
 from hapticd.system.idle_states import Awake
 
 SAMPLE_CAPACITY: Final = 16384
@@ -132,78 +132,6 @@ class Progress(Protocol):
     of: int
 
     def step(self) -> None: ...
-
-
-def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
-    """What a configuration's device makes of a scene at a rate.
-
-    `link_rate_hz`: forces a second that the device takes; None: what the simulated joystick's link carries.
-    """
-    device = config.device
-    if device.kind == "sim" and device.sim.link is not None:
-        link_rate_hz = device.sim.link.rate_hz
-    return Output(
-        rate_hz=rate_hz,
-        effective_mass_kg=device.effective_mass_kg,
-        max_force_n=device.max_force_n,
-        max_speed_m_per_s=device.max_speed_m_per_s,
-        undisplayable=device.undisplayable,
-        link_rate_hz=link_rate_hz,
-        compensation=device.compensation,
-        dynamics=device.dynamics,
-        rearm_m=device.rearm_m,
-        age_s=device.sim.age_s if device.kind == "sim" else 0.0,
-        actuator=device.lag,
-    )
-
-
-def loop_of(
-    config: Config,
-    rate_hz: float,
-    *,
-    resolution_m: float = 0.0,
-    force_step_n: float = 0.0,
-    link_rate_hz: float | None = None,
-) -> Loop | None:
-    """What closes the loop of a configuration's device at a rate; None where `device.handle` is needed and missing.
-
-    Resolution, force step and link are those of a real device (0 and None: not known); the simulated one has its own.
-    Of a real link it is assumed, as of the simulated one, that positions are a frame old and forces act a frame later.
-    """
-    device, sim = config.device, config.device.sim
-    dynamics = device.dynamics
-    if dynamics is None:
-        return None
-    if device.kind == "sim":
-        interval_s, age_s = sim.reports_s
-        frame_s, frames = (0.0, 1) if sim.link is None else (1.0 / sim.link.rate_hz, sim.link.delay_frames)
-        return Loop(
-            _lagging(device, timing(rate_hz, interval_s, age_s, frame_s, frames)),
-            dynamics,
-            sim.encoder_step_m,
-            sim.force_step_n,
-            min(device.max_force_n, sim.max_force_n),
-            sim.workspace_m,
-        )
-    frame_s = 1.0 / min(rate_hz, rate_hz if link_rate_hz is None else link_rate_hz)
-    return Loop(
-        _lagging(device, timing(rate_hz, frame_s, frame_s, frame_s, 1)),
-        dynamics,
-        resolution_m,
-        force_step_n,
-        device.max_force_n,
-        device.hid.travel_m,
-    )
-
-
-def _lagging(device: Device, timing: Timing) -> Timing:
-    """The timing behind the actuator, where its lag is known."""
-    known = device.lag
-    return timing if known is None else timing.behind(*known.shares())
-
-
-UNKNOWN_HANDLE: Final = "device.handle is not given: mass_kg, damping_n_s_per_m and friction_n of the handle decide it"
-"""Why the stability of a real joystick is not known."""
 
 
 class Engine:

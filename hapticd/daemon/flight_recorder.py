@@ -263,24 +263,24 @@ class Flight:
         self._jobs.put(None)
 
     def _write(self, job: _Job) -> None:
-        from hapticd.client.record import open_sink
+        from hapticd.recording.formats import open_writer
 
         if not self._directory.is_dir():
             os.makedirs(self._directory)
             os.chmod(self._directory, 0o750)
         stretch, about = job.stretch, {"reason": job.asked.reason, "tick": job.asked.tick}
         changes = stretch.change_maps()
-        with open_sink(job.asked.path) as sink:
-            sink.begin({**self._texts(), **stretch.texts()})
+        with open_writer(job.asked.path) as writer:
+            writer.begin({**self._texts(), **stretch.texts()})
             for change in changes:
-                sink.write_change(change)
+                writer.write_change(change)
             # Not in small pieces: each write is a chance to wait for the interpreter, and has others wait for it.
             for first in range(0, len(job.samples), CHUNK):
-                sink.write(job.samples[first : first + CHUNK])
+                writer.write(job.samples[first : first + CHUNK])
             for event in job.events:
-                sink.write_event(event)
+                writer.write_event(event)
             recording = _account(job, changes)
-            sink.finish({"recording": recording, "flight": {**about, "complete_from": stretch.complete_from}})
+            writer.finish({"recording": recording, "flight": {**about, "complete_from": stretch.complete_from}})
         self._remove_old()
 
     def _remove_old(self) -> None:
