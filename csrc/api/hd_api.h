@@ -332,6 +332,13 @@ enum hd_fault {
  * A C library without such a limit is left as it is. HD_ERR_INVALID: more than malloc takes. */
 int hd_memory_large_from(size_t bytes);
 
+/* ---- Sockets ------------------------------------------------------------------------------------------------- */
+
+/* Sends `head` and `data` behind it to each of `count` connected stream sockets, without waiting. taken[i]: how many
+ * bytes socket i took, or a negative errno. */
+void hd_send_each(const int32_t *sockets, size_t count, const void *head, size_t head_size, const void *data,
+                  size_t data_size, int64_t *taken);
+
 /* ---- The end by a fault -------------------------------------------------------------------------------------- */
 
 /* From now on SIGABRT, SIGSEGV, SIGBUS, SIGILL and SIGFPE first have what hd_last_report_keep was told written to the
