@@ -8,8 +8,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "tick/hd_mode.h"
 #include "peers.h"
+#include "tick/hd_mode.h"
 
 #define PI 3.14159265358979323846
 #define TURN 18446744073709551616.0 /* 2^64: a phase is a whole number of this part of a turn, so it never drifts */

@@ -2,9 +2,9 @@
  * of unit power, from splitmix64. */
 #include <string.h>
 
-#include "tick/hd_noise.h"
 #include "base/hd_normal.h"
 #include "peers.h"
+#include "tick/hd_noise.h"
 
 static inline double white(uint64_t *random) {
     *random += 0x9e3779b97f4a7c15u;

@@ -11,9 +11,9 @@
  *                ^                           |
  *     read()     +---- fd, a hidraw node ----+  write(), which blocks until the transfer is done
  *
- * Nothing queues but what the device is to play by itself (hd_effects.h): what was overtaken in a mailbox is never seen.
- * The servo makes no system call that could wake the writer, so the writer looks for a new force: every 50 us from when
- * the next tick may be on.
+ * Nothing queues but what the device is to play by itself (hd_effects.h): what was overtaken in a mailbox is never
+ * seen. The servo makes no system call that could wake the writer, so the writer looks for a new force: every 50 us
+ * from when the next tick may be on.
  *
  * A connection owns a copy of the plan and a duplicate of the descriptor. Whichever thread meets an error ends it for
  * both. Control joins both, within a bound: a writer that does not come back from write() is given up. It is detached,
@@ -52,11 +52,11 @@
 #include <unistd.h>
 
 #include "base/hd_atomic.h"
-#include "base/hd_clock.h"
-#include "device/hd_last_report.h"
-#include "device/hd_effects.h"
 #include "base/hd_bits.h"
+#include "base/hd_clock.h"
 #include "base/hd_triple.h"
+#include "device/hd_effects.h"
+#include "device/hd_last_report.h"
 
 #define HD_DRAIN_MAX 256          /* reports read before the newest is published; hidraw keeps 64 */
 #define HD_FRESH_NS 4000000       /* so long at most a newer force is waited for */

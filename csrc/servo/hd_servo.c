@@ -32,17 +32,17 @@
 
 #include "base/hd_atomic.h"
 #include "base/hd_clock.h"
-#include "device/hd_device.h"
-#include "device/hd_gesture.h"
 #include "base/hd_histogram.h"
 #include "base/hd_memory.h"
 #include "base/hd_ring.h"
-#include "device/hd_signs.h"
-#include "tick/hd_tick.h"
 #include "base/hd_triple.h"
 #include "base/hd_vector.h"
-#include "tick/hd_mode.h"
+#include "device/hd_device.h"
+#include "device/hd_gesture.h"
+#include "device/hd_signs.h"
 #include "scene/hd_world.h"
+#include "tick/hd_mode.h"
+#include "tick/hd_tick.h"
 
 #define HD_COMMAND_CAPACITY 1024u
 #define HD_EVENT_RING_CAPACITY 8192u
@@ -169,15 +169,6 @@ HD_RT static int32_t saturate(int64_t value) {
     return value > INT32_MAX ? INT32_MAX : value < INT32_MIN ? INT32_MIN : (int32_t)value;
 }
 
-HD_RT static void report(struct hd_servo *servo, uint32_t kind, int64_t time_ns, uint32_t code, double value) {
-    struct hd_state *state = servo->state;
-    const uint32_t event = hd_state_event(state, kind, time_ns);
-    if (event < HD_EVENT_CAPACITY) {
-        state->events[event].code = code;
-        state->events[event].value = value;
-    }
-}
-
 /* Waits for the deadline; returns the time that it is then. */
 HD_RT static int64_t wait_until(int64_t deadline_ns, int64_t spin_ns) {
     if (spin_ns > 0) {
@@ -210,11 +201,11 @@ HD_RT static void take_table(struct hd_servo *servo, int64_t time_ns) {
     hd_atomic_u64_store_relaxed(&servo->adopted_tick[at], servo->state->tick);
     hd_atomic_u64_store_release(&servo->adopted, count + 1);
     hd_atomic_u32_store_relaxed(&servo->revision, revision);
-    report(servo, HD_EVENT_REVISION, time_ns, revision, 0.0);
+    hd_event_add(servo->state, HD_EVENT_REVISION, time_ns, revision, 0.0);
     const uint32_t refused = hd_atomic_u32_load_relaxed(&servo->memory_refused);
     if (refused != servo->refused) {
         servo->refused = refused;
-        report(servo, HD_EVENT_MEMORY_REFUSED, time_ns, refused, 0.0);
+        hd_event_add(servo->state, HD_EVENT_MEMORY_REFUSED, time_ns, refused, 0.0);
     }
 }
 
@@ -243,7 +234,7 @@ HD_RT static int apply(struct hd_servo *servo, const struct hd_command *command,
         hd_gesture_begin(state, servo->device.sim, command->path, time_ns);
         return HD_OK;
     case HD_COMMAND_MARK:
-        report(servo, HD_EVENT_MARK, time_ns, command->value, 0.0);
+        hd_event_add(servo->state, HD_EVENT_MARK, time_ns, command->value, 0.0);
         return HD_OK;
     default:
         return HD_OK; /* refused by hd_servo_send */
@@ -270,7 +261,7 @@ HD_RT static void take_commands(struct hd_servo *servo, int64_t time_ns) {
 HD_RT static void lose_device(struct hd_servo *servo, int64_t time_ns) {
     if (!servo->device_lost) {
         servo->device_lost = 1;
-        report(servo, HD_EVENT_DEVICE_LOST, time_ns, 0, servo->since_report_s);
+        hd_event_add(servo->state, HD_EVENT_DEVICE_LOST, time_ns, 0, servo->since_report_s);
         hd_state_latch(servo->state, HD_FAULT_DEVICE, 1, time_ns);
     }
 }
@@ -307,7 +298,7 @@ HD_RT static void watch_device(struct hd_servo *servo, const struct hd_look *loo
         servo->since_report_s = 0.0;
         if (servo->device_lost) {
             servo->device_lost = 0;
-            report(servo, HD_EVENT_DEVICE_FOUND, time_ns, 0, 0.0);
+            hd_event_add(servo->state, HD_EVENT_DEVICE_FOUND, time_ns, 0, 0.0);
         }
         if (servo->config.frozen_s > 0.0) {
             watch_frozen(servo, look, time_ns);
@@ -330,7 +321,7 @@ HD_RT static uint64_t bits_of(double value) {
 
 HD_RT static void overload(struct hd_servo *servo, double share, int64_t time_ns) {
     hd_atomic_u64_add_relaxed(&servo->overloads, 1);
-    report(servo, HD_EVENT_OVERLOAD, time_ns, 0, share);
+    hd_event_add(servo->state, HD_EVENT_OVERLOAD, time_ns, 0, share);
     if (servo->config.overrun_action == HD_OVERRUN_FAULT) {
         hd_state_latch(servo->state, HD_FAULT_OVERRUN, 0, time_ns);
     } else if (servo->config.overrun_action == HD_OVERRUN_STEP_DOWN && !servo->ending) {
@@ -380,7 +371,7 @@ HD_RT static void watch_suspends(struct hd_servo *servo, int64_t time_ns) {
     if (least_ns > servo->suspended_ns + HD_SUSPEND_NS) {
         struct hd_state *state = servo->state;
         hd_atomic_u64_add_relaxed(&servo->suspends, 1);
-        report(servo, HD_EVENT_RESUMED, time_ns, 0, (double)(least_ns - servo->suspended_ns) * 1e-9);
+        hd_event_add(servo->state, HD_EVENT_RESUMED, time_ns, 0, (double)(least_ns - servo->suspended_ns) * 1e-9);
         hd_velocity_reset(&state->velocity);
         state->located = 0;
         state->gain = 0.0;
@@ -571,7 +562,7 @@ HD_RT static void skip_missed(struct hd_servo *servo, struct hd_pace *pace, stru
         servo->missed = skip;
         hd_atomic_u64_add_relaxed(&servo->skipped, skip);
         hd_atomic_u64_add_relaxed(&servo->overruns, 1);
-        report(servo, HD_EVENT_OVERRUN, due->time_ns, 0, (double)skip);
+        hd_event_add(servo->state, HD_EVENT_OVERRUN, due->time_ns, 0, (double)skip);
     }
 }
 
@@ -648,7 +639,7 @@ HD_RT static void loop(struct hd_servo *servo) {
             servo->ending = 1;
         }
         if (servo->rate_told_hz > 0.0) {
-            report(servo, HD_EVENT_RATE, due.time_ns, 0, servo->rate_told_hz);
+            hd_event_add(servo->state, HD_EVENT_RATE, due.time_ns, 0, servo->rate_told_hz);
             servo->rate_told_hz = 0.0;
         }
         one_tick(servo, due.time_ns, due.now_ns, due.periods + (uint32_t)pause);

@@ -2,10 +2,10 @@
 #ifndef HD_BROAD_PHASE_H
 #define HD_BROAD_PHASE_H
 
-#include "tick/hd_proxy.h"
 #include "base/hd_rt.h"
-#include "tick/hd_state.h"
 #include "scene/hd_world.h"
+#include "tick/hd_proxy.h"
+#include "tick/hd_state.h"
 
 #define HD_WALK_MET 16u /* beyond so many, contacts begin in the order of looking */
 

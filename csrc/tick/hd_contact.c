@@ -12,12 +12,12 @@
 #include "tick/hd_contact.h"
 
 #include "tick/hd_aim.h"
+#include "tick/hd_mode.h"
 #include "tick/hd_offload.h"
 #include "tick/hd_press.h"
 #include "tick/hd_seam.h"
 #include "tick/hd_surface.h"
 #include "tick/hd_tune.h"
-#include "tick/hd_mode.h"
 #include "tick/hd_waveform.h"
 
 HD_RT static double at_least_0(double value) {
@@ -117,24 +117,17 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     const double *normal = onset->place.normal;
     const double before = onset->silent ? 0.0 : hd_before_tick(walk, onset->fraction);
     const double approach = -hd_dot(walk->input->velocity_m_per_s, normal);
-    const uint32_t event = hd_state_event(state, HD_EVENT_CONTACT, walk->input->time_ns);
-    struct hd_event *report = event < HD_EVENT_CAPACITY ? &state->events[event] : NULL;
-    if (report != NULL) {
-        report->slot = index;
-        report->generation = slot->generation;
-        report->code = onset->silent ? HD_CONTACT_SILENT : 0;
-        report->before_tick_s = before;
-        report->speed_m_per_s = approach;
-        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, normal);
-    }
+    struct hd_event *event = hd_event_add_at(state, HD_EVENT_CONTACT, walk->input->time_ns, index);
+    event->code = onset->silent ? HD_CONTACT_SILENT : 0;
+    event->before_tick_s = before;
+    event->speed_m_per_s = approach;
+    event->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, normal);
     if (onset->silent || onset->slid || !(approach > 0.0) || (slot->disarmed && walk->table->rearm_m > 0.0)) {
         return;
     }
     const struct hd_material *material = material_at(walk, object, onset->place.along_m);
     double units = tap_units(walk->table, material, approach);
-    if (report != NULL) {
-        report->amplitude_m_per_s2 = material->tap.amplitude_per_unit * units;
-    }
+    event->amplitude_m_per_s2 = material->tap.amplitude_per_unit * units;
     if (!(units > 0.0)) {
         return; /* nothing; not even an effect of the device, which would end the one that plays */
     }
@@ -145,7 +138,7 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         .slot = index,
         .generation = slot->generation,
         .use = HD_MODE_TAP,
-        .event = event,
+        .event = hd_event_index(state, event),
         .units = units,
         .before_s = before,
         .wave = material->wave_count > 0 ? material : NULL,
@@ -182,11 +175,7 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;
     hd_contact_silence(state, slot);
-    const uint32_t event = hd_state_event(state, HD_EVENT_RELEASE, time_ns);
-    if (event < HD_EVENT_CAPACITY) {
-        state->events[event].slot = index;
-        state->events[event].generation = slot->generation;
-    }
+    hd_event_add_at(state, HD_EVENT_RELEASE, time_ns, index);
 }
 
 HD_RT void hd_contact_change(struct hd_state *state, const double force_n[2]) {

@@ -201,27 +201,22 @@ HD_RT static int ruptures(struct hd_walk *walk, uint32_t index, const struct hd_
     /* One that is beyond it by a command ruptures at the end of the tick, so that nothing is heard of it before. */
     const double part = from < limit ? (limit - from) / (place->depth_m - from) : slot->changed ? 1.0 : 0.0;
     const double *normal = place->normal;
-    const uint32_t event = hd_state_event(state, HD_EVENT_PUNCTURE, walk->input->time_ns);
+    struct hd_event *event = hd_event_add_at(state, HD_EVENT_PUNCTURE, walk->input->time_ns, index);
     struct hd_strike strike = {
         .mode = &material->rupture,
         .slot = index,
         .generation = slot->generation,
         .use = HD_MODE_RUPTURE,
-        .event = event,
+        .event = hd_event_index(state, event),
         .units = 1.0,
         .before_s = hd_before_tick(walk, fraction + (1.0 - fraction) * part),
         .bare = slot->changed,
     };
-    if (event < HD_EVENT_CAPACITY) {
-        struct hd_event *report = &state->events[event];
-        report->slot = index;
-        report->generation = slot->generation;
-        report->before_tick_s = strike.before_s;
-        report->speed_m_per_s = -hd_dot(walk->input->velocity_m_per_s, normal);
-        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, normal);
-        report->amplitude_m_per_s2 = material->rupture.amplitude_per_unit;
-        report->value = limit;
-    }
+    event->before_tick_s = strike.before_s;
+    event->speed_m_per_s = -hd_dot(walk->input->velocity_m_per_s, normal);
+    event->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, normal);
+    event->amplitude_m_per_s2 = material->rupture.amplitude_per_unit;
+    event->value = limit;
     hd_aim_strike(state, slot, material->rupture_aim, normal, &strike);
     if (slot->changed) {
         hd_contact_hush(state, slot);

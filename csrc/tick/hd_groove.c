@@ -2,10 +2,10 @@
 
 #include <math.h>
 
+#include "base/hd_vector.h"
 #include "tick/hd_contact.h"
 #include "tick/hd_surface.h"
 #include "tick/hd_tune.h"
-#include "base/hd_vector.h"
 
 #define HD_PI 3.14159265358979323846
 /* Grooves as near to each other as this, in spacings, are one. */
@@ -82,27 +82,22 @@ HD_RT static void strike(struct hd_walk *walk, uint32_t index, const struct hd_m
     const double sign = stretch->to_m > stretch->from_m ? 1.0 : -1.0;
     const double amplitude = material->velocity_gain_per_s * hd_magnitude(stretch->speed_m_per_s) +
                              material->force_gain_m_per_s2_per_n * force;
-    const uint32_t event = hd_state_event(state, HD_EVENT_GROOVE, walk->input->time_ns);
+    struct hd_event *event = hd_event_add_at(state, HD_EVENT_GROOVE, walk->input->time_ns, index);
     struct hd_strike struck = {
         .mode = &material->groove,
         .slot = index,
         .generation = slot->generation,
         .use = HD_MODE_GROOVE,
-        .event = event,
+        .event = hd_event_index(state, event),
         .units = amplitude,
         .before_s = hd_before_tick(walk, fraction),
         .direction = {sign * stretch->tangent[0], sign * stretch->tangent[1]},
     };
-    if (event < HD_EVENT_CAPACITY) {
-        struct hd_event *report = &state->events[event];
-        report->slot = index;
-        report->generation = slot->generation;
-        report->before_tick_s = struck.before_s;
-        report->speed_m_per_s = stretch->speed_m_per_s;
-        report->true_speed_m_per_s = stretch->true_speed_m_per_s;
-        report->amplitude_m_per_s2 = amplitude;
-        report->value = (double)slot->grooves;
-    }
+    event->before_tick_s = struck.before_s;
+    event->speed_m_per_s = stretch->speed_m_per_s;
+    event->true_speed_m_per_s = stretch->true_speed_m_per_s;
+    event->amplitude_m_per_s2 = amplitude;
+    event->value = (double)slot->grooves;
     if (material->tune_speeds == 0 || hd_tune_strike(walk->table, material, stretch->speed_m_per_s, force, &struck)) {
         hd_strike_add(state, &struck);
     }

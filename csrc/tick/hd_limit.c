@@ -84,10 +84,7 @@ HD_RT void hd_limit_report(struct hd_state *state, double wanted_n, int64_t time
     if (!state->saturated) {
         state->saturated = 1;
         state->saturations_total++;
-        const uint32_t event = hd_state_event(state, HD_EVENT_SATURATION, time_ns);
-        if (event < HD_EVENT_CAPACITY) {
-            state->events[event].value = wanted_n;
-        }
+        hd_event_add(state, HD_EVENT_SATURATION, time_ns, 0, wanted_n);
     }
 }
 

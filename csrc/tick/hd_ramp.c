@@ -1,7 +1,7 @@
 #include "tick/hd_ramp.h"
 
-#include "tick/hd_limit.h"
 #include "base/hd_vector.h"
+#include "tick/hd_limit.h"
 
 #define HD_RAMP_LONGEST 4e9 /* ticks */
 /* Below that a ramp is over a tick later than its length says, because it is rounded. */

@@ -38,7 +38,7 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
     state->noises = calloc(HD_NOISE_CAPACITY, sizeof *state->noises);
     state->free_noises = calloc(HD_NOISE_CAPACITY, sizeof *state->free_noises);
     state->strikes = calloc(HD_STRIKE_CAPACITY, sizeof *state->strikes);
-    state->events = calloc(HD_EVENT_CAPACITY, sizeof *state->events);
+    state->events = calloc(HD_EVENT_CAPACITY + 1u, sizeof *state->events);
     if (state->slots == NULL || state->active == NULL || state->resumed == NULL || state->healing == NULL ||
         state->near == NULL || state->voices == NULL || state->voice_ends == NULL || state->waves == NULL ||
         state->wave_blocks == NULL || state->noises == NULL || state->free_noises == NULL || state->strikes == NULL ||
@@ -109,7 +109,7 @@ size_t hd_state_regions(const struct hd_state *state, uint32_t from_slot, uint32
         regions[count++] = (struct hd_region){state->noises, HD_NOISE_CAPACITY * sizeof *state->noises};
         regions[count++] = (struct hd_region){state->free_noises, HD_NOISE_CAPACITY * sizeof *state->free_noises};
         regions[count++] = (struct hd_region){state->strikes, HD_STRIKE_CAPACITY * sizeof *state->strikes};
-        regions[count++] = (struct hd_region){state->events, HD_EVENT_CAPACITY * sizeof *state->events};
+        regions[count++] = (struct hd_region){state->events, (HD_EVENT_CAPACITY + 1u) * sizeof *state->events};
     }
     return count;
 }
@@ -204,26 +204,31 @@ HD_RT void hd_state_want_forces(struct hd_state *state, int enabled) {
     state->enabled = enabled && state->faults == 0;
 }
 
-HD_RT uint32_t hd_state_event(struct hd_state *state, uint32_t kind, int64_t time_ns) {
-    if (state->event_count >= HD_EVENT_CAPACITY) {
+HD_RT struct hd_event *hd_event_add(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t code,
+                                    double value) {
+    struct hd_event *event = &state->events[state->event_count];
+    if (state->event_count < HD_EVENT_CAPACITY) {
+        state->event_count++;
+    } else {
         state->events_dropped++;
-        return HD_EVENT_CAPACITY;
     }
-    state->events[state->event_count] = (struct hd_event){
+    *event = (struct hd_event){
         .tick = state->tick,
         .time_ns = time_ns,
         .kind = kind,
+        .code = code,
         .slot = HD_NO_SLOT,
         .true_speed_m_per_s = (double)NAN,
+        .value = value,
     };
-    return state->event_count++;
+    return event;
 }
 
-static HD_RT void report_faults(struct hd_state *state, int64_t time_ns) {
-    const uint32_t event = hd_state_event(state, HD_EVENT_FAULT, time_ns);
-    if (event < HD_EVENT_CAPACITY) {
-        state->events[event].code = state->faults;
-    }
+HD_RT struct hd_event *hd_event_add_at(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t slot) {
+    struct hd_event *event = hd_event_add(state, kind, time_ns, 0, 0.0);
+    event->slot = slot;
+    event->generation = state->slots[slot].generation;
+    return event;
 }
 
 HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, int64_t time_ns) {
@@ -233,7 +238,7 @@ HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, 
     }
     if ((state->faults | faults) != state->faults) {
         state->faults |= faults;
-        report_faults(state, time_ns);
+        hd_event_add(state, HD_EVENT_FAULT, time_ns, state->faults, 0.0);
     }
 }
 
@@ -241,7 +246,7 @@ HD_RT void hd_state_clear_faults(struct hd_state *state, uint32_t remaining, int
     const uint32_t left = state->faults & remaining;
     if (left != state->faults) {
         state->faults = left;
-        report_faults(state, time_ns);
+        hd_event_add(state, HD_EVENT_FAULT, time_ns, state->faults, 0.0);
     }
     hd_state_want_forces(state, 1);
 }

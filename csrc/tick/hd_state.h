@@ -15,7 +15,7 @@
  *   reserves[] what those that were struck may still add to the command
  *   strikes[] filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit
  *             leaves for vibration) is known
- *   events[]  filled by a tick, taken by whoever called it
+ *   events[]  filled by a tick, taken by whoever called it; the last record takes what has no room
  *
  * Owned by one thread: the servo's, or the caller's of an offline run. hd_state_new reserves address space for every
  * slot there can be; hd_state_reserve touches the pages of those that a table is about to use, so that the servo never
@@ -24,8 +24,8 @@
 #define HD_STATE_H
 
 #include "api/hd_core.h"
-#include "scene/hd_index.h"
 #include "base/hd_memory.h"
+#include "scene/hd_index.h"
 #include "tick/hd_noise.h"
 #include "tick/hd_passivity.h"
 #include "tick/hd_velocity.h"
@@ -289,8 +289,15 @@ HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, 
 /* Clears every latched fault but `remaining`, and enables the forces if none is left. */
 HD_RT void hd_state_clear_faults(struct hd_state *state, uint32_t remaining, int64_t time_ns);
 HD_RT void hd_state_want_forces(struct hd_state *state, int enabled);
-/* A place for one more event of this tick, filled with the tick, its time and defaults; its index, or
- * HD_EVENT_CAPACITY when there is no more room (counted). */
-HD_RT uint32_t hd_state_event(struct hd_state *state, uint32_t kind, int64_t time_ns);
+/* One more event of this tick, of no object, for the caller to fill in what else it tells. Never NULL: when there is no
+ * more room (counted) it is a record behind the last one, which nobody reads. */
+HD_RT struct hd_event *hd_event_add(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t code,
+                                    double value);
+/* The same of an object, at a strike or without one. */
+HD_RT struct hd_event *hd_event_add_at(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t slot);
+/* Which event it is, for struct hd_strike. */
+HD_RT static inline uint32_t hd_event_index(const struct hd_state *state, const struct hd_event *event) {
+    return (uint32_t)(event - state->events);
+}
 
 #endif

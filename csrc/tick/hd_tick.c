@@ -7,9 +7,9 @@
 
 #include "tick/hd_contact.h"
 #include "tick/hd_limit.h"
+#include "tick/hd_mode.h"
 #include "tick/hd_offload.h"
 #include "tick/hd_ramp.h"
-#include "tick/hd_mode.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
 #define HD_SPEED_ROUNDING 1e-9
@@ -211,10 +211,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     if (jumped) {
         flags |= HD_FLAG_GLITCH;
         state->glitches_total++;
-        const uint32_t event = hd_state_event(state, HD_EVENT_GLITCH, input->time_ns);
-        if (event < HD_EVENT_CAPACITY) {
-            state->events[event].value = input->glitch_m_per_s;
-        }
+        hd_event_add(state, HD_EVENT_GLITCH, input->time_ns, 0, input->glitch_m_per_s);
     }
 
     state->ended_count = 0;

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from time import monotonic_ns
 from typing import Final
 
+from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.daemon.control import CHANGES, Changed, Control, Done, MethodError, TakesLongError
 from hapticd.daemon.intake import GivenUpError, Work
@@ -34,7 +35,7 @@ BRIEF_BODY: Final = 16 * 1024
 
 _log = logging.getLogger("hapticd.server")
 
-Reply = Callable[[bytes | messages.Encoded], None]
+Reply = Callable[[bytes | codec.Encoded], None]
 """Sends the body of an answer to who asked."""
 
 

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
+from hapticd.base import codec
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.router import Request, Router
@@ -39,7 +40,7 @@ def serve(
         if stop.is_set():
             break
 
-        def reply(answer: bytes | messages.Encoded, request: Request = request) -> None:
+        def reply(answer: bytes | codec.Encoded, request: Request = request) -> None:
             router.send(request.peer, request.delimited, answer)
 
         if request.too_long:

@@ -22,13 +22,13 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.recordings.impossible import without_impossible
-from hapticd.analysis.recordings.lines import tell_lines
-from hapticd.analysis.recordings.stretches import stretches_of
 from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares
 from hapticd.config.modes import Mode
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import tell_lines
 from hapticd.fit.recording import Recording
+from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strikes.spacing import slope_of_row
 from hapticd.fit.strikes.stroke import GROUP, Group, Strike, Stroke, StrokeFit
 from hapticd.fit.strokes import (

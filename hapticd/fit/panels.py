@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.recordings.impossible import without_impossible
 from hapticd.analysis.statistics import Estimate, FitError
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import RECORDING, Left
 from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording

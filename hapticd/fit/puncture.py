@@ -15,12 +15,12 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
-from hapticd.analysis.recordings.impossible import Kept, without_impossible
-from hapticd.analysis.recordings.lines import Line, lines_beside, tell_lines
-from hapticd.analysis.recordings.stretches import gaps_told, in_gap
 from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, common, with_offset
+from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
+from hapticd.fit.stretches import gaps_told, in_gap
 from hapticd.fit.strokes import (
     acceleration_of,
     excludes_zero,

@@ -15,15 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.recordings.impossible import without_impossible
-from hapticd.analysis.recordings.lines import lines_of, tell_lines
-from hapticd.analysis.recordings.stretches import stretches_of
 from hapticd.analysis.statistics import Estimate, FitError, Floats, least_squares, student_t
 from hapticd.fit.autoregressive import ArModel, model_rate, models_of
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import lines_of, tell_lines
 from hapticd.fit.recording import Recording
 from hapticd.fit.spectrum_apart import apart_db
 from hapticd.fit.spectrum_peak import LOW_HZ, Peak, jackknifed, peak_of
+from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
     LEAST_RATE,
     Ints,

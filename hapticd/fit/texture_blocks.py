@@ -13,8 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.recordings.impossible import Kept
 from hapticd.analysis.statistics import FitError, Floats
+from hapticd.fit.impossible import Kept
 from hapticd.fit.spectrum_peak import LOW_HZ, smoothed
 from hapticd.fit.strokes import acceleration_of, motion_of, pressed
 from hapticd.fit.verdict import Doubts

@@ -3,8 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "scene/hd_index.h"
 #include "hd_test.h"
+#include "scene/hd_index.h"
 
 enum { SLOTS = 10000 };
 

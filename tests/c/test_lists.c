@@ -8,9 +8,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/hd_vector.h"
 #include "hd_test.h"
 #include "tick/hd_tick.h"
-#include "base/hd_vector.h"
 
 #define OBJECTS 24u
 #define MATERIALS 6u

@@ -3,10 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "tick/hd_noise.h"
 #include "base/hd_normal.h"
 #include "hd_test.h"
 #include "scene/hd_world.h"
+#include "tick/hd_noise.h"
 
 enum { ORDER = HD_NOISE_ORDER, NODE = 2 * ORDER + 2, NUMBERS = 64 * NODE };
 

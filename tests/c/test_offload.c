@@ -12,10 +12,10 @@
 #include <unistd.h>
 
 #include "base/hd_clock.h"
-#include "device/hd_hid.h"
-#include "tick/hd_limit.h"
 #include "device/hd_effects.h"
+#include "device/hd_hid.h"
 #include "hd_test.h"
+#include "tick/hd_limit.h"
 #include "tick/hd_tick.h"
 
 #define PATIENCE_S 300

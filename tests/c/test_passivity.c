@@ -3,11 +3,11 @@
 #include <math.h>
 #include <string.h>
 
+#include "hd_test.h"
+#include "scene/hd_world.h"
 #include "tick/hd_passivity.h"
 #include "tick/hd_state.h"
-#include "hd_test.h"
 #include "tick/hd_tick.h"
-#include "scene/hd_world.h"
 
 #define PERIOD_S 1e-3
 #define MAX_FORCE_N 8.9

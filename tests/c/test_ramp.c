@@ -9,11 +9,11 @@
 #include <string.h>
 
 #include "api/hd_core.h"
-#include "tick/hd_state.h"
-#include "hd_test.h"
-#include "tick/hd_tick.h"
 #include "base/hd_vector.h"
+#include "hd_test.h"
 #include "scene/hd_world.h"
+#include "tick/hd_state.h"
+#include "tick/hd_tick.h"
 
 #define OBJECTS 8u
 #define MATERIALS 6u

@@ -7,8 +7,8 @@
 #include <sched.h>
 #include <string.h>
 
-#include "base/hd_atomic.h"
 #include "api/hd_core.h"
+#include "base/hd_atomic.h"
 #include "hd_test.h"
 
 #define RATE_HZ 10000.0

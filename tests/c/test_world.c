@@ -7,8 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "scene/hd_index.h"
 #include "hd_test.h"
+#include "scene/hd_index.h"
 
 static size_t allowance = SIZE_MAX; /* so many more calls find memory */
 
@@ -71,7 +71,7 @@ void hd_world_still(struct hd_world *world);
 int hd_world_load(struct hd_world *world, const struct hd_table *table);
 size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
                      size_t capacity);
-#include "hd_world.c"
+#include "scene/hd_world.c"
 #undef realloc
 
 #define OBJECTS 40u

@@ -12,6 +12,7 @@ import msgpack
 import numpy as np
 import pytest
 
+from hapticd.base import codec
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.scene import Scene
@@ -72,7 +73,7 @@ class Daemon:
         message: dict[str, Any] = {"jsonrpc": "2.0", "method": method, "params": params or {}}
         if not notification:
             message["id"] = self._next
-        self.dispatch.take(messages.encode(message), self._reply)
+        self.dispatch.take(codec.encode(message), self._reply)
         return self._next
 
     def _reply(self, body: bytes) -> None:
@@ -329,7 +330,7 @@ def test_large_bodies_are_answered_whatever_they_are(daemon: Daemon) -> None:
     assert daemon.code(unknown) == messages.Code.INVALID_PARAMS
     daemon.dispatch.take(b"\xc1" * len(long), daemon._reply)
     assert daemon.answers[None]["error"]["code"] == messages.Code.PARSE
-    body = messages.encode({"jsonrpc": "1.0", "id": "old", "method": "set_scene", "params": {"scene": long}})
+    body = codec.encode({"jsonrpc": "1.0", "id": "old", "method": "set_scene", "params": {"scene": long}})
     daemon.dispatch.take(body, daemon._reply)
     daemon.over()
     assert daemon.answers["old"]["error"]["code"] == messages.Code.INVALID_REQUEST

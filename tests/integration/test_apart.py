@@ -10,8 +10,8 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from bench import attackers
 from hapticd.protocol.messages import Code
+from tests.soak import attackers
 from tests.support.daemon_process import PATIENCE_S, Daemon, Wire, running_daemon, until, wired
 
 pytestmark = pytest.mark.slow

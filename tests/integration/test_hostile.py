@@ -1,4 +1,4 @@
-"""A short run of `python -m bench.hostile`: whatever members of the group do, nothing fails and nobody loses anything.
+"""A short run of `tests.soak.hostile`: whatever members of the group do, nothing fails and nobody loses anything.
 
 How long answers take is not judged: that is for a quiet machine.
 """
@@ -16,9 +16,9 @@ from pathlib import Path
 
 import pytest
 
-from bench import attackers, bridged, hostile
 from hapticd.config.materials import validate_materials
 from hapticd.config.scene import validate_object
+from tests.soak import attackers, bridged, hostile
 
 
 @pytest.mark.slow

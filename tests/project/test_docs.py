@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from hapticd.base import codec
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
 from hapticd.base.yaml_source import load_text
 from hapticd.cli import cli
@@ -120,7 +121,7 @@ def test_error_codes() -> None:
 def test_limits_of_a_body() -> None:
     body = section(PROTOCOL, "## Body")
     assert f"at most {messages.MAX_BODY // 2**20} MiB" in body
-    assert f"at most {messages.MAX_DEPTH} deep" in body
+    assert f"at most {codec.MAX_DEPTH} deep" in body
     assert f"Version {messages.PROTOCOL}." in PROTOCOL
 
 

@@ -1,8 +1,8 @@
 """A daemon under attack by members of its group, everything at once: what do a subscriber and `force off` notice of it?
 
-python -m bench.hostile [--for 3600] [--rate 10000] [--connections 2000] [--bridge] [--out build/hostile.md]
+python -m tests.soak.hostile [--for 3600] [--rate 10000] [--connections 2000] [--bridge] [--out build/hostile.md]
 
-Attackers in processes of their own (`bench.attackers`)
+Attackers in processes of their own (`tests.soak.attackers`)
 
 - hold 2,000 connections, a quarter of them subscribers that never read, a half without a handshake, and open them anew
   when they are ended;
@@ -15,7 +15,7 @@ Beside them one client reads every sample and event, and another one turns the f
 yield the processors to whoever else wants them (nice 10), and daemon and clients come first if we have the right: what
 is measured is what the daemon makes of it, not how the kernel shares the processors.
 
-With `--bridge` it is a bridge that is attacked, from its network (`bench.bridged`).
+With `--bridge` it is a bridge that is attacked, from its network (`tests.soak.bridged`).
 
 Asked: no fault, no sample lost, `force off` answered within 50 ms (p99.9), and memory afterwards within 32 MiB of its
 start, once scene and materials are as they were. Exit code 1 if one of them is missed. Says every ten seconds how it
@@ -41,12 +41,12 @@ from typing import IO
 
 import numpy as np
 
-from bench import attackers
 from bench.daemon import daemon
 from bench.report import ROOT, Table
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client, RemoteError, connect
 from hapticd.protocol import messages
+from tests.soak import attackers
 
 OFF_EVERY_S = 0.02
 TELL_EVERY_S = 10.0
@@ -170,7 +170,7 @@ def attacked(those: Iterable[tuple[str, Sequence[str]]], nice: int) -> Iterator[
 def members(directory: Path, connections: int) -> list[tuple[str, Sequence[str]]]:
     """The attackers of a daemon's sockets."""
     kinds = ["connections"] * -(-connections // attackers.CONNECTIONS) + ["fuzz", "long", *attackers.ATTACKS]
-    return [(kind, ("bench.attackers", kind, str(directory))) for kind in kinds]
+    return [(kind, ("tests.soak.attackers", kind, str(directory))) for kind in kinds]
 
 
 @dataclass(slots=True)
@@ -378,7 +378,7 @@ def attack(
 
 def main(seconds: float, rate_hz: float, connections: int, out: Path, bridge: bool = False) -> int:
     """Attacks, prints and writes; the exit code."""
-    from bench import bridged
+    from tests.soak import bridged
 
     with contextlib.suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, PRIORITY)

@@ -1,6 +1,6 @@
-"""What members of the daemon's group may do to it: one attacker, until it is killed; for `bench.hostile`.
+"""What members of the daemon's group may do to it: one attacker, until it is killed; for `tests.soak.hostile`.
 
-python -m bench.attackers KIND DIRECTORY      prints once a second what it has done so far
+python -m tests.soak.attackers KIND DIRECTORY      prints once a second what it has done so far
 
 Each attack yields whenever it has done something; only that counts.
 """

@@ -1,6 +1,6 @@
-"""What others in the network may do to a bridge: one attacker, until it is killed; for `bench.bridged`.
+"""What others in the network may do to a bridge: one attacker, until it is killed; for `tests.soak.bridged`.
 
-python -m bench.strangers KIND NUMBER ADDRESS KEY SERVER_KEY      prints once a second what it has done so far
+python -m tests.soak.strangers KIND NUMBER ADDRESS KEY SERVER_KEY      prints once a second what it has done so far
 
 `NUMBER`: of the process; those with an odd one come from one address, the others from hundreds of 127.0.0.0/8.
 """
@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import zmq
 
-from bench.attackers import Tally, keep
 from hapticd.protocol import messages
 from hapticd.protocol.remote import Named, Remote, remote
+from tests.soak.attackers import Tally, keep
 
 CONNECTIONS = 250
 """Of one attacker that holds connections; half of them to each port."""

@@ -1,8 +1,9 @@
-"""A bridge under attack from its network, for `python -m bench.hostile --bridge`: what do its clients notice of it?
+"""A bridge under attack from its network, for `tests.soak.hostile --bridge`: what do its clients notice of it?
 
-Attackers in processes of their own (`bench.strangers`) hold 2,000 connections that never show a key, silent, with half
-a greeting, a whole one or garbage, and open them anew when they are ended: half of the processes from one address, the
-others from hundreds. Clients with a key of their own subscribe and never read, and ask and never read the answers.
+Attackers in processes of their own (`tests.soak.strangers`) hold 2,000 connections that never show a key, silent, with
+half a greeting, a whole one or garbage, and open them again when they are ended: half of the processes from one
+address, the others from hundreds. Clients with a key of their own subscribe and never read, and ask and never read the
+answers.
 
 Beside them one client of the bridge reads every sample and event, another one turns the forces off, again and again,
 and a third comes in, asks for the status and leaves. Memory, descriptors and processor time are the bridge's.
@@ -21,11 +22,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from bench import hostile, strangers
 from bench.daemon import daemon
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client, connect
 from hapticd.protocol.keys import new_certificate, write_certificate
+from tests.soak import hostile, strangers
 
 CLIENTS = {"ours": "command", "theirs": "command"}
 READY = "ready: commands at "
@@ -49,7 +50,7 @@ class Bridge:
         """All of them, by kind and command."""
         kinds = ["handshakes"] * -(-connections // strangers.CONNECTIONS) + ["forgotten", "unread"]
         rest = (self.address, str(self.keys / "theirs.key_secret"), str(self.keys / "server.key"))
-        return [(kind, ("bench.strangers", kind, str(number), *rest)) for number, kind in enumerate(kinds)]
+        return [(kind, ("tests.soak.strangers", kind, str(number), *rest)) for number, kind in enumerate(kinds)]
 
 
 @contextlib.contextmanager

@@ -1,6 +1,6 @@
 """A client that comes, asks a few things, subscribes to something for a while and leaves; for the soak.
 
-python -m bench.visitor JSON      what it is to do (`Visit`); prints what it did as JSON, fails where an answer is wrong
+python -m tests.soak.visitor JSON    what it is to do (`Visit`); prints what it did as JSON, fails on a wrong answer
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A daemon and a bridge under everything at once, for as long as one likes: does anything get lost, or grow?
 
-python -m bench.soak [--for 3600s] [--rate 10000] [--warm-up 300s] [--seed 1] [--out build/soak]
+python -m tests.soak.soak [--for 3600s] [--rate 10000] [--warm-up 300s] [--seed 1] [--out build/soak]
 
 One daemon on the simulated joystick, in front of it a bridge. The hand taps, strokes over grooves and sandpaper and
 punctures a membrane; some twenty times a second an object or a material changes, each change at the revision that is
@@ -13,7 +13,7 @@ Each ten seconds memory, threads and descriptors of both processes are looked at
 not grow by a mebibyte or more: medians of the last tenth and of the first. What was found goes into soak.json and
 soak.png. Exit code 1 if anything was lost, wrong, or grew.
 
-python -m bench.soak --samples FILE      says of a recording, read without hapticd, which ticks it has; JSON
+python -m tests.soak.soak --samples FILE      says of a recording, read without hapticd, which ticks it has; JSON
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ import numpy as np
 import numpy.typing as npt
 
 from bench.report import machine
-from bench.visitor import Visit
 from hapticd.base.errors import HapticdError
 from hapticd.base.merge_patch import merge_patch
 from hapticd.client.blocking import Client, connect
 from hapticd.client.samples import SampleStream
 from hapticd.protocol.keys import new_certificate, write_certificate
+from tests.soak.visitor import Visit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -568,7 +568,7 @@ class Soak:
 
     def _compare(self, file: Path, ticks: int | None) -> None:
         """That a file holds what was sent, bit for bit."""
-        found = json.loads(self._run([*LATER, sys.executable, "-m", "bench.soak", "--samples", str(file)]))
+        found = json.loads(self._run([*LATER, sys.executable, "-m", "tests.soak.soak", "--samples", str(file)]))
         with self._lock:
             sent = {number: self._blocks.get(number) for number in map(int, found["blocks"])}
         wrong = [number for number, told in found["blocks"].items() if sent[int(number)] not in (None, told)]
@@ -621,7 +621,7 @@ class Soak:
                 visit = Visit(self.address, visit.seed, visit.seconds, visit.reads, key, server)
             killed = slot not in DEAF and number % KILLED_EVERY == 0
             process = subprocess.Popen(
-                [*LATER, sys.executable, "-m", "bench.visitor", json.dumps(asdict(visit))],
+                [*LATER, sys.executable, "-m", "tests.soak.visitor", json.dumps(asdict(visit))],
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
@@ -890,7 +890,7 @@ def _seconds(text: str) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line."""
-    parser = argparse.ArgumentParser(prog="python -m bench.soak", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m tests.soak.soak", description=__doc__.splitlines()[0])
     parser.add_argument("--for", dest="total_s", type=_seconds, default=3600.0, help="how long: 3600s, 15min, 1h")
     parser.add_argument("--rate", type=float, default=10_000.0, help="ticks a second")
     parser.add_argument("--warm-up", type=_seconds, help="before memory is judged [default: 300s, a third at most]")

@@ -1,0 +1,84 @@
+"""msgpack of plain data, and values that are encoded once and sent often."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, cast
+
+import msgpack
+
+from hapticd.base.errors import HapticdError
+
+MAX_DEPTH: Final = 32
+"""Deepest nesting of a message; a request whose params hold only scalars has depth 2."""
+
+LARGE_PART: Final = 16 * 1024
+"""Bytes; a part that is as large, and encoded already, is sent without being copied."""
+
+
+class NotEncodableError(HapticdError):
+    """A value that is not plain data."""
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return dict(value)
+    tolist = getattr(value, "tolist", None)  # numpy's scalars and arrays
+    if tolist is None:
+        raise TypeError(f"a {type(value).__name__} is not plain data")
+    return tolist()
+
+
+def encode(value: object) -> bytes:
+    """msgpack of a tree of mappings, lists, tuples, str, bytes, bool, numbers (numpy's and arrays too) and
+    None.
+
+    Raises NotEncodableError for anything else.
+    """
+    try:
+        return cast(bytes, msgpack.packb(value, default=_plain))
+    except (TypeError, ValueError, OverflowError) as error:
+        raise NotEncodableError(f"cannot be encoded: {error}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class Encoded:
+    """A value that is encoded already, in parts that follow each other. Large parts are shared, never copied."""
+
+    parts: tuple[bytes, ...]
+
+    def __len__(self) -> int:
+        return sum(map(len, self.parts))
+
+    def __bytes__(self) -> bytes:
+        return b"".join(self.parts)
+
+
+def encoded(value: object) -> Encoded:
+    """Any value. Raises as encode does."""
+    return Encoded((encode(value),))
+
+
+def encoded_map(members: Mapping[str, object]) -> Encoded:
+    """A map of these members, of which some may be encoded already. Raises as encode does."""
+    found: list[bytes] = []
+    small = bytearray(msgpack.Packer().pack_map_header(len(members)))
+    for key, value in members.items():
+        small += encode(key)
+        for part in value.parts if isinstance(value, Encoded) else (encode(value),):
+            if len(part) < LARGE_PART:
+                small += part
+            else:
+                found += bytes(small), part
+                small.clear()
+    return Encoded((*found, bytes(small)))
+
+
+def encoded_list(count: int, items: Iterable[object]) -> Encoded:
+    """A list of so many items, encoded one by one: nobody waits for all of them."""
+    packer = msgpack.Packer()
+    data = bytearray(packer.pack_array_header(count))
+    for item in items:
+        data += packer.pack(item)
+    return Encoded((bytes(data),))
