@@ -14,8 +14,9 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import FitError, Floats
+from hapticd.base.lattice import coefficients_of
 from hapticd.fit.spectrum_apart import apart_db
-from hapticd.rendering.filter_design import coefficients_of, power_spectrum
+from hapticd.rendering.filter_design import power_spectrum
 
 SAME_PLACE: Final = 0.1
 """Strokes whose speeds and forces differ by less than this part are at one place of the autoregressive models."""
