@@ -32,7 +32,7 @@ from hapticd.cli.synthesize import synthesize_command
 if TYPE_CHECKING:
     from hapticd.config.materials import Material
     from hapticd.config.modes import Attack
-    from hapticd.fit.left_out import LeftOut
+    from hapticd.fit.exclusions import LeftOut
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
     from hapticd.fit.tap_kind import TapKind
@@ -356,7 +356,7 @@ def _fit(
     files: Sequence[str], fit: _Fitting, per_file: int, strict: bool
 ) -> tuple[list[Recording], list[Recording], _Fitted]:
     """The recordings that were used, those that were left out, and what was made of them."""
-    from hapticd.fit.left_out import LeftOut
+    from hapticd.fit.exclusions import LeftOut
     from hapticd.fit.recording import NoRecordingError, RecordingError, load
 
     left = LeftOut(strict)
