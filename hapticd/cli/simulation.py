@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
-from typing import TypedDict
+from typing import Final, TypedDict
 
 import numpy as np
 
@@ -15,11 +15,13 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
 from hapticd.base.yaml_source import load_path
 from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import SIMULATION_TAKER, refuse_other_kinds
+from hapticd.config.document_kinds import Kind, refuse_other_kinds
 from hapticd.protocol.events import event_map
 from hapticd.recording.formats import open_writer
 from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import Run, simulate_run
+
+_TAKERS: Final[dict[Kind, str]] = dict.fromkeys(("waypoints", "gesture"), "simulate SCENE --operator")
 
 
 class SimulationResult(TypedDict):
@@ -101,5 +103,5 @@ def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str
 
 def configuration(path: str) -> Config:
     """That of a file which holds a scene or a whole one. Raises HapticdError or InvalidError."""
-    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene", takers=SIMULATION_TAKER)
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene", takers=_TAKERS)
     return load_config(path)

@@ -90,9 +90,10 @@ def documented(method: Any, described: Callable[..., object], result: str) -> An
 # ---- Calls ---------------------------------------------------------------------------------------------------------
 
 
-def get_status() -> Call[Status]:
-    """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
-    return Call("get_status")
+def get_status(detail: bool = False) -> Call[Status]:
+    """Version, device, rate, real-time rights, revision, tick, forces, faults and counters; `detail`: histograms,
+    too."""
+    return Call("get_status", {"detail": True} if detail else {})
 
 
 def get_state() -> Call[State]:

@@ -111,7 +111,7 @@ class Daemon(Protocol):
     paths: Place
     timeout_s: float
 
-    def get_status(self) -> Status: ...
+    def get_status(self, detail: bool = False) -> Status: ...
     def get_config(self) -> ConfigResult: ...
     def get_scene(self) -> SceneResult: ...
     def get_materials(self) -> MaterialsResult: ...
@@ -415,7 +415,7 @@ class _Scenes:
 
     def _materials_and_status(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """What else a scene is rendered with: the materials, and the status, which has the rate."""
-        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status())
+        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status(detail=True))
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:

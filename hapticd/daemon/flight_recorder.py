@@ -101,6 +101,8 @@ class Flight:
         self._quiet_until_ns = 0
         self._repeats = Repeats()
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self.version = 0
+        """Raised when `status` is another."""
         self._under_way = 0
         self._written = 0
         self._skipped = 0
@@ -140,6 +142,7 @@ class Flight:
         with self._lock:
             if now_ns < self._quiet_until_ns:
                 self._skipped += 1
+                self.version += 1
                 return
             self._quiet_until_ns = now_ns + round((self._seconds + AFTER_S) * 1e9)
             self._ask("fault", tick, now_ns + round(AFTER_S * 1e9))
@@ -197,6 +200,7 @@ class Flight:
             path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
         self._asked.append(_Asked(path, reason, tick, due_ns))
         self._under_way += 1
+        self.version += 1
         return path
 
     def status(self) -> dict[str, object]:
@@ -240,6 +244,7 @@ class Flight:
             if job.asked.reason == "asked":
                 self._dumping = False
             self._problem = problem
+            self.version += 1
             if problem is None:
                 self._written += 1
                 self._last = job.asked.path

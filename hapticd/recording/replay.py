@@ -34,13 +34,13 @@ from hapticd.config.materials import Material, validate_materials
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, materials_of, validate_object, validate_scene
 from hapticd.config.texture import Autoregressive, Stochastic
-from hapticd.daemon.engine import output_of
-from hapticd.daemon.flight_scene import MOST_OBJECTS, MOST_PIECES
+from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES
 from hapticd.protocol.events import event_map
 from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded, memory_for
 from hapticd.recording.reading_limits import Memory, Recorded, Samples, TooMuchMemoryError
 from hapticd.rendering.offline import Rerun
+from hapticd.rendering.output import output_of
 
 FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
 """What is compared."""
@@ -169,7 +169,7 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
             f"{os.fspath(path)}: cannot be rendered again: its scene is not in it, as of all scenes of more than "
-            f"{MOST_OBJECTS:,} objects, or {MOST_PIECES:,} patches and models, in files of the flight recorder"
+            f"{FLIGHT_OBJECTS:,} objects, or {FLIGHT_PIECES:,} patches and models, in files of the flight recorder"
         )
     if missing:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")

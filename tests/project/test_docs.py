@@ -25,7 +25,8 @@ from hapticd.config.hid import Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.daemon.control import _METHODS, Control
-from hapticd.daemon.engine import Engine, Granted
+from hapticd.daemon.counters import Granted
+from hapticd.daemon.engine import Engine
 from hapticd.doctor import diagnose
 from hapticd.doctor.machine import Machine, Needs
 from hapticd.protocol import messages

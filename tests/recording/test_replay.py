@@ -20,11 +20,11 @@ from hapticd.cli.simulation import simulate_files
 from hapticd.config.configuration import default_config, load_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import validate_scene
-from hapticd.daemon.engine import output_of
 from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.replay import FORCES, _Revision, _turn, replay
 from hapticd.rendering.offline import Rerun, render_run, simulate_run
+from hapticd.rendering.output import output_of
 
 CONFIG = Path(shipped.__path__[0])
 SCENES = sorted(CONFIG.glob("scenes/*.yaml"))
