@@ -103,7 +103,7 @@ double peer_noise_lattice(const void *noise, const double *numbers, size_t count
  */
 
 enum peer_joystick_kind {
-    PEER_JOYSTICK_EXACT = 0, /* csrc/device/hd_sim.c */
+    PEER_JOYSTICK_EXACT = 0, /* csrc/device/hd_sim_solver.c */
     PEER_JOYSTICK_EULER = 1,
     PEER_JOYSTICK_SEMI_IMPLICIT = 2,
     PEER_JOYSTICK_RK4 = 3

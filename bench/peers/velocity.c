@@ -11,6 +11,8 @@
  * as if it were white (Belanger, "Estimation of angular velocity and acceleration from shaft encoder measurements",
  * ICRA 1992). */
 #include <math.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
 #include "peers.h"

@@ -26,7 +26,7 @@ HD_RT void hd_gesture_watch(struct hd_state *state, struct hd_sim *sim, int64_t 
         state->gesture_tick = state->tick;
     }
     if (progress == HD_PROGRESS_THROUGH) {
-        hd_sim_step_told(sim);
+        hd_sim_step_announced(sim);
         add_end(state, 1, time_ns);
     }
 }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from hapticd.base import wording
-from hapticd.base.errors import HapticdError, quoted, unseen_text
+from hapticd.base.errors import HapticdError, quoted
 from hapticd.cli.common import (
     Finite,
     check_new,
@@ -24,6 +24,7 @@ from hapticd.cli.common import (
     write_whole,
     yaml_text,
 )
+from hapticd.hid.texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid

@@ -103,6 +103,8 @@ class Dispatch:
         """Answers what is over, and does what has waited for it. To be called when intake's `wake` was, and often."""
         intake = self._control.intake
         intake.finished()
+        if not (self._waiting or self._asked or self._reload.is_set()):
+            return
         while self._waiting and intake.work is None:
             waited = self._waiting.popleft()
             self._change(waited.request, waited.size, waited.reply)

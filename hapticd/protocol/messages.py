@@ -44,6 +44,10 @@ _MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
 
 Id: TypeAlias = int | float | str | None
 
+_TO_ID: Final = b"\x83" + encode("jsonrpc") + encode("2.0") + encode("id")
+"""How an answer begins, up to its id, and what follows that."""
+_TO_RESULT: Final = encode("result")
+
 
 class Code(enum.IntEnum):
     """The error codes of the protocol: those of JSON-RPC 2.0, and from -32000 down the daemon's own."""
@@ -264,7 +268,9 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
 
 
 def result_reply(id: Id, result: object) -> bytes | Encoded:
-    """The body that answers call `id` with its result, a map's members encoded already or not."""
+    """The body that answers call `id` with its result; it may be encoded already, and so may a map's members."""
+    if isinstance(result, Encoded) and len(result.parts) == 1:
+        return _TO_ID + encode(id) + _TO_RESULT + result.parts[0]
     if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
         reply = encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
         return reply if len(reply.parts) > 1 else reply.parts[0]
