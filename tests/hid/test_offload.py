@@ -21,10 +21,10 @@ from hapticd.config.hid import Hid
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.daemon.control import Control
-from hapticd.hid.descriptor import parse
-from hapticd.hid.drivers.periodic import periodic_of
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.layout import layout_of
+from hapticd.hid.drivers.pid_periodic import periodic_of
 from hapticd.hid.offload import LONGEST_S, Fit, Offload, effect_messages, fit, streamed_error
 from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan, fill_message
 from hapticd.protocol.changes import Played

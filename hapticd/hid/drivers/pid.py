@@ -23,11 +23,12 @@ from typing import Final, Literal
 
 from hapticd.base.core import HidMeaning, HidQuantity, lib
 from hapticd.config.hid import HandleAxis, Hid
+from hapticd.hid.descriptor.layout import Axis, BlockLoad, Layout
 from hapticd.hid.device import Device
-from hapticd.hid.drivers.directions import angle_of, has_one_axis, has_vector, leak, parts
-from hapticd.hid.drivers.periodic import periodic_of, periodic_problem
-from hapticd.hid.drivers.pool import Pool, number_in, read_feature
-from hapticd.hid.drivers.reports import (
+from hapticd.hid.drivers.pid_directions import angle_of, has_one_axis, has_vector, leak, parts
+from hapticd.hid.drivers.pid_periodic import periodic_of, periodic_problem
+from hapticd.hid.drivers.pid_pool import Pool, number_in, read_feature
+from hapticd.hid.drivers.pid_reports import (
     Effect,
     Report,
     bits_of,
@@ -43,7 +44,6 @@ from hapticd.hid.drivers.reports import (
     set_effect_report,
 )
 from hapticd.hid.drivers.same_report import shared_report
-from hapticd.hid.layout import Axis, BlockLoad, Layout
 from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, PlayingBits, StateBit
 
 LOAD_TRIES: Final = 30

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hapticd.hid.layout import Layout
+from hapticd.hid.descriptor.layout import Layout
 
 
 def shared_report(layout: Layout, *, with_periodic: bool = False) -> str | None:

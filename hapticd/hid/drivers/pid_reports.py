@@ -8,9 +8,9 @@ from typing import Literal
 
 from hapticd.base.core import HidQuantity
 from hapticd.config.hid import Hid
-from hapticd.hid.drivers.directions import angle_of, counts_of, enabled_for, mirrored
-from hapticd.hid.fields import Choice, Field, duration_fault
-from hapticd.hid.layout import Layout, SetEffect, SetEnvelope
+from hapticd.hid.descriptor.fields import Choice, Field, duration_fault
+from hapticd.hid.descriptor.layout import Layout, SetEffect, SetEnvelope
+from hapticd.hid.drivers.pid_directions import angle_of, counts_of, enabled_for, mirrored
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
 
