@@ -20,7 +20,8 @@ from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.descriptor.usages import AXES
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.offload import effect_messages, fit
+from hapticd.hid.nearest_effect import nearest_effect
+from hapticd.hid.offload import effect_messages
 from hapticd.hid.plan import DeviceError, Plan, fill_message
 from hapticd.hid.sign_calibration import calibrate
 from tests.support import firmware_descriptors as descriptors
@@ -307,7 +308,7 @@ def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
     way = (0.6, -0.8)
     with driven(*FAMILIES[name], offload="auto") as (stick, plan):
         assert plan.periodic is not None, plan.no_periodic
-        shape = fit(mode, plan.periodic.numbers)
+        shape = nearest_effect(mode, plan.periodic.numbers)
         assert shape is not None
         size_n = 0.8 * FULL_N / shape.peak
         stick.now = 1.0

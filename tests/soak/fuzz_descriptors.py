@@ -26,7 +26,7 @@ from typing import Final
 from hapticd.base.core import CData, ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
 from hapticd.config.modes import Mode
-from hapticd.hid import offload
+from hapticd.hid import nearest_effect, offload
 from hapticd.hid import verdict as judged
 from hapticd.hid.descriptor.fields import Field
 from hapticd.hid.descriptor.layout import Layout
@@ -345,7 +345,7 @@ def check_plan(reports: Reports, plan: Plan, *, endless: bool) -> None:
 def check_periodic(reports: Reports, plan: Plan) -> None:
     """Effects that the device plays by itself, of one mode."""
     assert plan.periodic is not None
-    shape = offload.fit(_MODE, plan.periodic.numbers)
+    shape = nearest_effect.nearest_effect(_MODE, plan.periodic.numbers)
     if shape is None:
         return
 

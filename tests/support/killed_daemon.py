@@ -21,7 +21,7 @@ from hapticd.hid.connection import Opened, Source
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.device import Device
-from hapticd.hid.drivers.pid import plan_of
+from hapticd.hid.drivers.pid_plan import plan_of
 from hapticd.hid.plan import Plan
 from tests.support.hid_descriptors import Joystick
 

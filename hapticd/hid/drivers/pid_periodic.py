@@ -13,9 +13,9 @@ from hapticd.hid.drivers.pid_reports import (
     level_scale,
     operation_report,
     polar_effect_report,
+    shared_report,
     time_scale,
 )
-from hapticd.hid.drivers.same_report import shared_report
 from hapticd.hid.plan import Numbers, Periodic, PeriodicBlock
 
 
