@@ -29,8 +29,8 @@ from hapticd.hid.texts import unseen_text
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
     from hapticd.hid.claim import Claims
+    from hapticd.hid.descriptor.layout import SetEffect
     from hapticd.hid.discovery import Found
-    from hapticd.hid.layout import SetEffect
     from hapticd.hid.plan import Plan
     from hapticd.hid.verdict import Verdict
 

@@ -44,7 +44,8 @@ from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
 from hapticd.daemon.counters import Counters, Granted, Histogram, read_counters, read_faults, read_histograms
 from hapticd.daemon.plays import Play, Plays
-from hapticd.hid.connection import Connection, Link
+from hapticd.hid.connection import Connection
+from hapticd.hid.link import Link
 from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.signs import Check, SignsLog
 from hapticd.hid.sources import source_of
