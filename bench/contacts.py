@@ -21,7 +21,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.materials import validate_materials
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import TapFit
-from hapticd.fit.taps.kind import fit_taps
+from hapticd.fit.tap_kind import fit_taps
 from hapticd.fit.waveform import WaveformFit
 
 Kind: TypeAlias = Literal["one mode", "two modes", "pulse", "pulse and mode"]

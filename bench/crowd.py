@@ -21,9 +21,10 @@ from hapticd.base.core import CData, Flag
 from hapticd.base.yaml_source import load_bytes
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.scene import load_scene, validate_object
-from hapticd.daemon.engine import Engine, output_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.daemon.engine import Engine
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.offline import new_world
+from hapticd.rendering.output import output_of
 
 COUNTS = (1, 10, 100, 1000, 10_000)
 TOUCHED = 3

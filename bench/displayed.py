@@ -16,15 +16,15 @@ from bench.report import Advance, Floats, Options, Section, Table, spread, verdi
 from bench.tick import FLOOR, STRETCH, Stretch
 from hapticd.analysis.calibration.walls import AT_TICK, acceleration_on, tap_force
 from hapticd.base.core import Flag
-from hapticd.config.configuration import Hand, Sim, load_config
+from hapticd.config.configuration import Compensation, Hand, Sim, load_config
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import shipped_materials
 from hapticd.config.modes import Mode
-from hapticd.daemon.engine import output_of
-from hapticd.rendering.compensation import Compensation, pole_gain, pole_shape, shape_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compensation import pole_gain, pole_shape, shape_of
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayed_error import FINER, band_error, handle_acceleration, waveform
 from hapticd.rendering.offline import new_world
+from hapticd.rendering.output import output_of
 
 RATE_HZ = 10_000.0
 RATES_HZ = (1000.0, 2000.0, 4000.0, 5000.0, 10_000.0)

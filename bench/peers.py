@@ -22,7 +22,20 @@ from hapticd._build import FLAGS
 from hapticd.base.errors import HapticdError
 
 FOLDER = ROOT / "bench" / "peers"
-CORE = ("velocity", "error", "mode", "waveform", "kicks", "noise", "normal", "sim", "actuator", "operator")
+CORE = (
+    "velocity",
+    "error",
+    "mode",
+    "waveform",
+    "kicks",
+    "noise",
+    "normal",
+    "sim",
+    "sim_solver",
+    "sim_setup",
+    "actuator",
+    "operator",
+)
 _MODULE = "_hapticd_peers"
 
 

@@ -20,11 +20,11 @@ from bench.end_state import EndState, Fate, end_state
 from bench.report import ROOT, Advance, Floats, Options, Section, Table
 from hapticd.base.core import SAMPLE_DTYPE, CData, ffi, lib, pointer
 from hapticd.config.configuration import Config, load_config
-from hapticd.daemon.engine import loop_of, output_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.contact_sets import Sets
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
+from hapticd.rendering.output import loop_of, output_of
 from hapticd.rendering.stability import Loop, spectral_radius
 
 SEED = 20

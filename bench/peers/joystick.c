@@ -4,7 +4,8 @@
  *
  * with the wish w straight between waypoints. The Eulers and Runge and Kutta's method take one step a period, as a
  * simulation at the servo's rate would; friction is held at what it is at the step's beginning, and a handle that would
- * turn within the step, or is pushed with less than the friction, rests. csrc/device/hd_sim.c is called as the servo does. */
+ * turn within the step, or is pushed with less than the friction, rests. csrc/device/hd_sim.h is called as the servo
+ * does. */
 #include <math.h>
 
 #include "device/hd_operator.h"

@@ -5,11 +5,13 @@
  * (libm, tables), a strike turns what rings into one new coefficient and starts its time anew, so that a tick costs the
  * same however often it was struck; that turn is made with libm. */
 #include <math.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "tick/hd_mode.h"
 #include "peers.h"
+#include "tick/hd_mode.h"
 
 #define PI 3.14159265358979323846
 #define TURN 18446744073709551616.0 /* 2^64: a phase is a whole number of this part of a turn, so it never drifts */
@@ -56,8 +58,8 @@ void peer_modes_free(struct peer_modes *modes) {
         return;
     }
     if (modes->state != NULL) {
-        free(modes->state->voices);
-        free(modes->state->voice_ends);
+        free(modes->state->active_modes);
+        free(modes->state->mode_ends);
     }
     free(modes->state);
     free(modes->played);
@@ -84,9 +86,9 @@ struct peer_modes *peer_modes_new(int kind, size_t count, double period_s, const
         peer_modes_free(modes);
         return NULL;
     }
-    modes->state->voices = aligned_alloc(64, HD_VOICE_CAPACITY * sizeof(struct hd_voice));
-    modes->state->voice_ends = calloc(HD_VOICE_CAPACITY, sizeof(struct hd_voice_end));
-    if (modes->state->voices == NULL || modes->state->voice_ends == NULL) {
+    modes->state->active_modes = aligned_alloc(64, HD_ACTIVE_MODE_CAPACITY * sizeof(struct hd_active_mode));
+    modes->state->mode_ends = calloc(HD_ACTIVE_MODE_CAPACITY, sizeof(struct hd_mode_end));
+    if (modes->state->active_modes == NULL || modes->state->mode_ends == NULL) {
         peer_modes_free(modes);
         return NULL;
     }
@@ -146,7 +148,7 @@ void peer_modes_strike(struct peer_modes *modes, size_t index, const double *for
     struct mode *mode = &modes->mode[index];
     if (modes->kind == PEER_MODE_ROTOR) {
         const struct hd_strike strike = {.mode = &modes->played[index], .slot = HD_PLAY_SLOT, .before_s = before_s};
-        hd_voices_strike(modes->state, &strike, force, modes->period_s);
+        hd_modes_strike(modes->state, &strike, force, modes->period_s);
         return;
     }
     const double re = exp(-mode->decay * before_s) * cos(mode->omega * before_s);
@@ -182,7 +184,7 @@ static struct two tick_floor(struct peer_modes *modes) {
 }
 
 static struct two tick_rotor(struct peer_modes *modes) {
-    hd_voices_advance(modes->state, 1);
+    hd_modes_advance(modes->state, 1);
     return (struct two){modes->state->ringing_n[0], modes->state->ringing_n[1]};
 }
 

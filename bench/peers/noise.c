@@ -2,9 +2,9 @@
  * of unit power, from splitmix64. */
 #include <string.h>
 
-#include "tick/hd_noise.h"
 #include "base/hd_normal.h"
 #include "peers.h"
+#include "tick/hd_noise.h"
 
 static inline double white(uint64_t *random) {
     *random += 0x9e3779b97f4a7c15u;
@@ -70,11 +70,11 @@ double peer_noise(int kind, size_t order, const double *coefficients, const doub
 
 double peer_noise_lattice(const void *noise, const double *numbers, size_t count, const double *speed,
                           const double *force, double *out) {
-    static struct hd_noise_voice voice;
-    hd_noise_start(&voice, noise, numbers, 0);
+    static struct hd_active_noise active;
+    hd_noise_start(&active, noise, numbers, 0);
     const double start_ns = peer_clock_ns();
     for (size_t k = 0; k < count; k++) {
-        out[k] = hd_noise_next(&voice, noise, numbers, speed[k], force[k], 1.0);
+        out[k] = hd_noise_next(&active, noise, numbers, speed[k], force[k], 1.0);
     }
     return peer_clock_ns() - start_ns;
 }

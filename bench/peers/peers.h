@@ -51,7 +51,8 @@ enum peer_velocity_kind {
 /* Both axes; `parameter`: of a window, its samples. `position` and `velocity` [count][2]. ns */
 double peer_velocity(int kind, double parameter, double step_m, size_t count, const double *interval_s,
                      const double *position, double *velocity);
-/* Each update of csrc/tick/hd_velocity.c on its own, with the clock's two readings still in it. step_m < 0: only those. */
+/* Each update of csrc/tick/hd_velocity.c on its own, with the clock's two readings still in it. step_m < 0: only those.
+ */
 void peer_velocity_each_ns(double step_m, size_t count, const double *interval_s, const double *position, double *ns);
 
 /* ---- Times of events: bench/timing.py -----------------------------------------------------------------------------
@@ -102,7 +103,7 @@ double peer_noise_lattice(const void *noise, const double *numbers, size_t count
  */
 
 enum peer_joystick_kind {
-    PEER_JOYSTICK_EXACT = 0, /* csrc/device/hd_sim.c */
+    PEER_JOYSTICK_EXACT = 0, /* csrc/device/hd_sim_solver.c */
     PEER_JOYSTICK_EULER = 1,
     PEER_JOYSTICK_SEMI_IMPLICIT = 2,
     PEER_JOYSTICK_RK4 = 3

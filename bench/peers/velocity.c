@@ -1,5 +1,5 @@
-/* Velocity estimators to compare with csrc/tick/hd_velocity.c; for bench/velocity.py. Each takes time-stamped positions of
- * both axes, in order.
+/* Velocity estimators to compare with csrc/tick/hd_velocity.c; for bench/velocity.py. Each takes time-stamped positions
+ * of both axes, in order.
  *
  * FOAW: first-order adaptive windowing (Janabi-Sharifi, Hayward, Chen, "Discrete-time adaptive windowing for velocity
  * estimation", IEEE Trans. Control Systems Technology 8(6), 2000): the longest window, up to a limit, whose line stays
@@ -11,10 +11,12 @@
  * as if it were white (Belanger, "Estimation of angular velocity and acceleration from shaft encoder measurements",
  * ICRA 1992). */
 #include <math.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
-#include "tick/hd_velocity.h"
 #include "peers.h"
+#include "tick/hd_velocity.h"
 
 #define RING 128u
 #define PI 3.14159265358979323846

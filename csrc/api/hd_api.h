@@ -174,12 +174,12 @@ enum hd_shape {
 };
 
 /* An object, at the place in the table's array that is its slot. `generation` is raised whenever the slot gets another
- * object or another kind, `place_version` whenever point, normal or half change, `skin_version` whenever its materials
- * change, in themselves or for others. Numbers are never reused. */
+ * object or another kind, `pose_version` whenever point, normal or half change, `surface_version` whenever its
+ * materials change, in themselves or for others. Numbers are never reused. */
 struct hd_object {
     uint32_t generation;
-    uint32_t place_version;
-    uint32_t skin_version;
+    uint32_t pose_version;
+    uint32_t surface_version;
     uint32_t shape;       /* enum hd_shape */
     uint32_t material;    /* index in the table's materials */
     uint32_t piece_first; /* walls with patches: in the table's pieces */
@@ -385,8 +385,8 @@ int hd_world_load(struct hd_world *world, const struct hd_table *table);
 void hd_world_still(struct hd_world *world);
 /* The slots of what lies within `radius_m` of a point, or may: nothing nearer is missing. Up to `capacity` of them; how
  * many there were, or SIZE_MAX without memory. For tests and benchmarks of the index. */
-size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
-                     size_t capacity);
+size_t hd_world_candidates(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
+                           size_t capacity);
 
 /* Why the last check on this thread failed, as one line. */
 const char *hd_invalid_reason(void);

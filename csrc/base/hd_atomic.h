@@ -48,6 +48,7 @@ static_assert(ATOMIC_INT_LOCK_FREE == 2 && ATOMIC_LLONG_LOCK_FREE == 2, "the ser
 HD_ATOMIC_DEFINE(u32, uint32_t);
 HD_ATOMIC_DEFINE(u64, uint64_t);
 HD_ATOMIC_DEFINE(i64, int64_t);
+HD_ATOMIC_DEFINE(f64, double);
 
 #undef HD_ATOMIC_DEFINE
 

@@ -7,8 +7,8 @@
 #ifndef HD_HISTOGRAM_H
 #define HD_HISTOGRAM_H
 
-#include "base/hd_atomic.h"
 #include "api/hd_core.h"
+#include "base/hd_atomic.h"
 #include "base/hd_rt.h"
 
 #define HD_HISTOGRAM_LEAST_BIT 7

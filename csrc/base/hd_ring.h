@@ -24,8 +24,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "base/hd_atomic.h"
 #include "api/hd_core.h"
+#include "base/hd_atomic.h"
 #include "base/hd_rt.h"
 
 struct hd_ring {

@@ -2,8 +2,8 @@
 #ifndef HD_DEVICE_H
 #define HD_DEVICE_H
 
-#include "device/hd_hid.h"
 #include "base/hd_memory.h"
+#include "device/hd_hid.h"
 #include "device/hd_sim.h"
 
 /* One of the two is NULL. */

@@ -1,4 +1,5 @@
-/* See hd_effects.h. The servo's side makes no system call and waits for nothing; the writer's side may take its time. */
+/* See hd_effects.h. The servo's side makes no system call and waits for nothing; the writer's side may take its time.
+ */
 #include "device/hd_effects.h"
 
 #include <math.h>

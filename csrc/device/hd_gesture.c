@@ -1,20 +1,17 @@
 /* Where a path begins and ends in ticks; hd_sim knows it in time. */
 #include "device/hd_gesture.h"
 
-HD_RT static void report(struct hd_state *state, int completed, int64_t time_ns) {
-    const uint32_t event = hd_state_event(state, HD_EVENT_GESTURE_END, time_ns);
-    if (event < HD_EVENT_CAPACITY) {
-        state->events[event].code = (uint32_t)completed;
-        /* Exact: a servo does not count to 2^53. */
-        state->events[event].value = (double)(state->gesture ? state->gesture_tick : state->tick);
-    }
+HD_RT static void add_end(struct hd_state *state, int completed, int64_t time_ns) {
+    /* Exact: a servo does not count to 2^53. */
+    const double began = (double)(state->gesture ? state->gesture_tick : state->tick);
+    hd_event_add(state, HD_EVENT_GESTURE_END, time_ns, (uint32_t)completed, began);
     state->gesture = 0;
 }
 
 HD_RT void hd_gesture_begin(struct hd_state *state, struct hd_sim *sim, const struct hd_operator *path,
                             int64_t time_ns) {
     if (hd_sim_step_progress(sim) != HD_PROGRESS_NONE) {
-        report(state, 0, time_ns);
+        add_end(state, 0, time_ns);
     }
     hd_sim_step_operate(sim, path);
 }
@@ -29,7 +26,7 @@ HD_RT void hd_gesture_watch(struct hd_state *state, struct hd_sim *sim, int64_t 
         state->gesture_tick = state->tick;
     }
     if (progress == HD_PROGRESS_THROUGH) {
-        hd_sim_step_told(sim);
-        report(state, 1, time_ns);
+        hd_sim_step_announced(sim);
+        add_end(state, 1, time_ns);
     }
 }

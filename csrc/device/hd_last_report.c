@@ -1,9 +1,9 @@
-/* See hd_last_report.h. The handler uses nothing but static memory and calls that are safe in a signal handler. What it sends
- * lies ready in one of two places; control fills the other one and then points to it. */
+/* See hd_last_report.h. The handler uses nothing but static memory and calls that are safe in a signal handler. What it
+ * sends lies ready in one of two places; control fills the other one and then points to it. */
 #include "device/hd_last_report.h"
 
-#include "base/hd_atomic.h"
 #include "api/hd_core.h"
+#include "base/hd_atomic.h"
 
 #include <errno.h>
 #include <fcntl.h>

@@ -51,7 +51,7 @@ struct hd_operator *hd_operator_new(const double *waypoints, size_t count, enum 
         return NULL;
     }
     path->count = count;
-    path->course = interpolation == HD_LINEAR ? HD_COURSE_LINEAR : HD_COURSE_MINIMUM_JERK;
+    path->profile = interpolation == HD_LINEAR ? HD_PROFILE_LINEAR : HD_PROFILE_MINIMUM_JERK;
     memcpy(path->waypoints, waypoints, count * sizeof path->waypoints[0]);
     return path;
 }
@@ -64,12 +64,12 @@ HD_RT size_t hd_operator_first(const struct hd_operator *path) {
     return path->waypoints[0][0] < HD_WAYPOINT_MIN_STEP_S ? 1 : 0;
 }
 
-HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double wish_m[2],
+HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, const double reference_m[2],
                                struct hd_segment *segment) {
     if (index >= path->count) {
         const double *last = path->waypoints[path->count - 1];
         *segment = (struct hd_segment){
-            .course = HD_COURSE_HOLD,
+            .profile = HD_PROFILE_HOLD,
             .start_s = last[0],
             .end_s = (double)INFINITY,
             .duration_s = (double)INFINITY,
@@ -79,11 +79,11 @@ HD_RT void hd_operator_segment(const struct hd_operator *path, size_t index, con
     }
     const double *to = path->waypoints[index];
     const double start_s = index > 0 ? path->waypoints[index - 1][0] : 0.0;
-    const double *from_m = index > 0 ? &path->waypoints[index - 1][1] : wish_m;
+    const double *from_m = index > 0 ? &path->waypoints[index - 1][1] : reference_m;
     const double rate_per_s = 1.0 / (to[0] - start_s);
     const double travel_m[2] = {to[1] - from_m[0], to[2] - from_m[1]};
     *segment = (struct hd_segment){
-        .course = path->course,
+        .profile = path->profile,
         .start_s = start_s,
         .end_s = to[0],
         .duration_s = to[0] - start_s,

@@ -326,7 +326,7 @@ struct query {
     double point_m[2];
     double radius_m;
     double slack_m; /* what rounding can add to a distance */
-    struct hd_near *near;
+    struct hd_candidate *candidates;
     uint32_t count;
 };
 
@@ -337,7 +337,8 @@ HD_RT static double root(double square) {
 }
 
 HD_RT static void add(struct query *query, uint32_t slot, double distance_m) {
-    query->near[query->count++] = (struct hd_near){.distance_m = distance_m > 0.0 ? distance_m : 0.0, .slot = slot};
+    query->candidates[query->count++] =
+        (struct hd_candidate){.distance_m = distance_m > 0.0 ? distance_m : 0.0, .slot = slot};
 }
 
 /* A membrane is a box without thickness. */
@@ -449,14 +450,14 @@ HD_RT double hd_index_radius(const struct hd_index *index) {
 }
 
 HD_RT uint32_t hd_index_query(const struct hd_index *index, const struct hd_object *objects, const double point_m[2],
-                              double radius_m, struct hd_near *near) {
+                              double radius_m, struct hd_candidate *candidates) {
     struct query query = {
         .index = index,
         .objects = objects,
         .point_m = {point_m[0], point_m[1]},
         .radius_m = radius_m,
         .slack_m = ROUNDING * index->span_m + ROUNDING * fabs(point_m[0]) + ROUNDING * fabs(point_m[1]),
-        .near = near,
+        .candidates = candidates,
     };
     for (uint32_t level = 0; level < HD_INDEX_LEVELS; level++) {
         if (index->level_first[level] != index->level_first[level + 1]) {

@@ -22,7 +22,7 @@
 #define HD_INDEX_LEVELS 8
 #define HD_INDEX_SECTORS 64
 
-struct hd_near {
+struct hd_candidate {
     double distance_m; /* from the point to the shape, or less; 0: in it, or behind the wall */
     uint32_t slot;
 };
@@ -92,6 +92,6 @@ HD_RT double hd_index_radius(const struct hd_index *index);
  * how the index was filled. `near` has room for slot_count of them; `objects` are the records that were put. The number
  * is returned. What lies beyond the radius by no more than rounding may be among them. */
 HD_RT uint32_t hd_index_query(const struct hd_index *index, const struct hd_object *objects, const double point_m[2],
-                              double radius_m, struct hd_near *near);
+                              double radius_m, struct hd_candidate *candidates);
 
 #endif

@@ -551,18 +551,18 @@ void hd_world_free(struct hd_world *world) {
     }
 }
 
-size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
-                     size_t capacity) {
+size_t hd_world_candidates(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
+                           size_t capacity) {
     const uint32_t room = world->index.slot_count;
-    struct hd_near *near = malloc((room > 0 ? room : 1u) * sizeof *near);
-    if (near == NULL) {
+    struct hd_candidate *candidates = malloc((room > 0 ? room : 1u) * sizeof *candidates);
+    if (candidates == NULL) {
         return SIZE_MAX; /* more than there can be */
     }
-    const uint32_t count = hd_index_query(&world->index, world->table.objects, point_m, radius_m, near);
+    const uint32_t count = hd_index_query(&world->index, world->table.objects, point_m, radius_m, candidates);
     for (uint32_t i = 0; i < count && i < capacity; i++) {
-        slots[i] = near[i].slot;
+        slots[i] = candidates[i].slot;
     }
-    free(near);
+    free(candidates);
     return count;
 }
 

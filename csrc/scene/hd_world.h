@@ -6,8 +6,8 @@
 #define HD_WORLD_H
 
 #include "api/hd_core.h"
-#include "scene/hd_index.h"
 #include "base/hd_memory.h"
+#include "scene/hd_index.h"
 
 #define HD_WORLD_REGIONS (8u + HD_INDEX_SECTORS)
 

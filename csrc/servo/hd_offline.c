@@ -6,8 +6,8 @@
 
 #include "device/hd_gesture.h"
 #include "device/hd_sim.h"
-#include "tick/hd_tick.h"
 #include "scene/hd_world.h"
+#include "tick/hd_tick.h"
 
 /* Times are nanoseconds in 63 bits. */
 #define HD_LONGEST_RUN_S 9e9

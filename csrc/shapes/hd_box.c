@@ -26,18 +26,18 @@ HD_RT static uint8_t face_of(int axis, int positive) {
 }
 
 HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const double position_m[2],
-                        struct hd_place *place) {
+                        struct hd_contact_point *point) {
     double tangent[2];
     double offset[2];
     hd_tangent(object->normal, tangent);
     const double sign = face < 2 ? 1.0 : -1.0;
     const double *axis = face % 2 == 0 ? object->normal : tangent;
-    place->normal[0] = sign * axis[0];
-    place->normal[1] = sign * axis[1];
-    hd_tangent(place->normal, tangent);
+    point->normal[0] = sign * axis[0];
+    point->normal[1] = sign * axis[1];
+    hd_tangent(point->normal, tangent);
     hd_difference(position_m, object->point_m, offset);
-    place->depth_m = object->half_m[face % 2 == 0 ? 1 : 0] - hd_dot(offset, place->normal);
-    place->along_m = hd_dot(offset, tangent);
+    point->depth_m = object->half_m[face % 2 == 0 ? 1 : 0] - hd_dot(offset, point->normal);
+    point->arc_m = hd_dot(offset, tangent);
 }
 
 /* Where the way from a to b enters, and through which face; 0: it does not. Two faces can do only within the rim of a
@@ -73,32 +73,32 @@ HD_RT static uint8_t nearest_face(const struct hd_object *object, const double l
     return to_top <= to_side ? face_of(1, local[1] >= 0.0) : face_of(0, local[0] >= 0.0);
 }
 
-/* Whether the way from the surface point to where the probe was, in the box's axes, enters through that face, too. */
-HD_RT static int stood(const struct hd_object *object, const double surface_m[2], const double was[2], uint8_t face) {
-    double surface[2];
+/* Whether the way from the proxy to where the probe was, in the box's axes, enters through that face, too. */
+HD_RT static int stood(const struct hd_object *object, const double proxy_m[2], const double was[2], uint8_t face) {
+    double proxy[2];
     double cut;
     uint8_t entered;
-    in_box(object, surface_m, surface);
-    return enters(object, surface, was, &cut, &entered) && entered == face;
+    in_box(object, proxy_m, proxy);
+    return enters(object, proxy, was, &cut, &entered) && entered == face;
 }
 
-/* The onset where the face was hit. 0: it slid there, and lies behind, where the surface point is not on it. */
-HD_RT static int begins(const struct hd_walk *walk, const struct hd_object *object, const double hit[2],
+/* The onset where the face was hit. 0: it slid there, and lies behind, where the proxy is not on it. */
+HD_RT static int begins(const struct hd_context *context, const struct hd_object *object, const double hit[2],
                         struct hd_onset *onset) {
     if (onset->slid) {
-        hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
-        if (hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place)) {
+        hd_box_place(object, onset->face, context->input->position_m, &onset->point);
+        if (hd_box_left(context, object, HD_NO_SLOT, onset->face, context->input->position_m, &onset->point)) {
             return 0;
         }
     }
-    hd_box_place(object, onset->face, hit, &onset->place);
-    onset->place.depth_m = 0.0;
+    hd_box_place(object, onset->face, hit, &onset->point);
+    onset->point.depth_m = 0.0;
     return 1;
 }
 
-/* Where solids overlap, the surface point may be in the box before the probe is. The probe that comes after it is held
+/* Where solids overlap, the proxy may be in the box before the probe is. The probe that comes after it is held
  * at once; what pushes it out does so from where it came in. */
-HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *object, const double from[2],
+HD_RT static int follows(const struct hd_context *context, const struct hd_object *object, const double from[2],
                          const double to[2], struct hd_onset *onset) {
     if (!enters(object, from, to, &onset->fraction, &onset->face)) {
         return 0;
@@ -106,15 +106,15 @@ HD_RT static int follows(const struct hd_walk *walk, const struct hd_object *obj
     double hit[2];
     onset->silent = 0;
     onset->slid = 1;
-    hd_between(walk->from_m, walk->input->position_m, onset->fraction, hit);
-    return begins(walk, object, hit, onset);
+    hd_between(context->from_m, context->input->position_m, onset->fraction, hit);
+    return begins(context, object, hit, onset);
 }
 
-HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+HD_RT int hd_box_meets(struct hd_context *context, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     double from[2];
     double to[2];
-    in_box(object, walk->from_m, from);
-    in_box(object, walk->input->position_m, to);
+    in_box(object, context->from_m, from);
+    in_box(object, context->input->position_m, to);
     onset->side = 1;
     onset->slid = 0;
     onset->stood = 0;
@@ -124,11 +124,11 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
         }
         onset->silent = 1;
         onset->face = nearest_face(object, to);
-        hd_box_place(object, onset->face, walk->input->position_m, &onset->place);
+        hd_box_place(object, onset->face, context->input->position_m, &onset->point);
         /* What lies behind a surface that is pressed is not touched. */
-        return !hd_box_left(walk, object, HD_NO_SLOT, onset->face, walk->input->position_m, &onset->place);
+        return !hd_box_left(context, object, HD_NO_SLOT, onset->face, context->input->position_m, &onset->point);
     }
-    const struct hd_path *path = hd_path_legs(walk);
+    const struct hd_proxy *path = hd_proxy_sweep(context);
     for (uint32_t leg = 0; leg < path->legs; leg++) {
         double a[2];
         double b[2];
@@ -142,7 +142,7 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
             onset->silent = 0;
             if (leg > 0 && enters(object, from, to, &straight, &face) && face == onset->face) {
                 cut = straight; /* it lies behind what is pressed */
-                begin = walk->from_m;
+                begin = context->from_m;
             } else {
                 onset->slid = leg > 0;
                 onset->stood = leg > 0 && stood(object, path->point[0], from, onset->face);
@@ -150,17 +150,17 @@ HD_RT int hd_box_meets(struct hd_walk *walk, const struct hd_object *object, int
             double hit[2];
             hd_between(begin, path->point[leg + 1], cut, hit);
             onset->fraction = onset->slid ? 1.0 : cut;
-            return begins(walk, object, hit, onset);
+            return begins(context, object, hit, onset);
         }
     }
-    return path->legs > 1 && follows(walk, object, from, to, onset);
+    return path->legs > 1 && follows(context, object, from, to, onset);
 }
 
-HD_RT int hd_box_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot, uint8_t face,
-                      const double position_m[2], const struct hd_place *place) {
-    if (!(place->depth_m > 0.0)) {
+HD_RT int hd_box_left(const struct hd_context *context, const struct hd_object *object, uint32_t slot, uint8_t face,
+                      const double position_m[2], const struct hd_contact_point *point) {
+    if (!(point->depth_m > 0.0)) {
         return 1;
     }
-    const double along = place->along_m + hd_path_shift(walk, slot, place->normal, position_m);
+    const double along = point->arc_m + hd_proxy_offset(context, slot, point->normal, position_m);
     return hd_magnitude(along) > object->half_m[face % 2 == 0 ? 0 : 1] + HD_RIM_M;
 }

@@ -20,14 +20,14 @@ HD_RT static void on_membrane(const struct hd_object *object, const double posit
 }
 
 HD_RT void hd_membrane_place(const struct hd_object *object, int8_t side, const double position_m[2],
-                             struct hd_place *place) {
+                             struct hd_contact_point *point) {
     double local[2];
     on_membrane(object, position_m, local);
     const double sign = (double)side;
-    place->depth_m = -sign * local[1];
-    place->along_m = local[0];
-    place->normal[0] = sign * object->normal[0];
-    place->normal[1] = sign * object->normal[1];
+    point->depth_m = -sign * local[1];
+    point->arc_m = local[0];
+    point->normal[0] = sign * object->normal[0];
+    point->normal[1] = sign * object->normal[1];
 }
 
 /* Where the way from a to b crosses, and from which side; 0: it does not. */
@@ -45,11 +45,12 @@ HD_RT static int crosses(const struct hd_object *object, const double a[2], cons
     return hd_magnitude(begin[0] + *fraction * (end[0] - begin[0])) <= object->half_m[0] + HD_RIM_M;
 }
 
-HD_RT int hd_membrane_meets(struct hd_walk *walk, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+HD_RT int hd_membrane_meets(struct hd_context *context, const struct hd_object *object, int fresh,
+                            struct hd_onset *onset) {
     if (fresh) {
         return 0; /* it has no inside */
     }
-    const struct hd_path *path = hd_path_legs(walk);
+    const struct hd_proxy *path = hd_proxy_sweep(context);
     for (uint32_t leg = 0; leg < path->legs; leg++) {
         double cut;
         if (!crosses(object, path->point[leg], path->point[leg + 1], &cut, &onset->side)) {
@@ -61,34 +62,35 @@ HD_RT int hd_membrane_meets(struct hd_walk *walk, const struct hd_object *object
         onset->silent = 0;
         onset->slid = 0;
         onset->stood = 0;
-        if (leg > 0 && crosses(object, walk->from_m, walk->input->position_m, &straight, &side) &&
+        if (leg > 0 && crosses(object, context->from_m, context->input->position_m, &straight, &side) &&
             side == onset->side) {
             cut = straight; /* it lies behind what is pressed */
-            begin = walk->from_m;
+            begin = context->from_m;
         } else {
             onset->slid = leg > 0;
             onset->stood =
-                leg > 0 && crosses(object, path->point[0], walk->from_m, &straight, &side) && side == onset->side;
-            hd_membrane_place(object, onset->side, walk->input->position_m, &onset->place);
-            if (onset->slid && hd_membrane_left(walk, object, HD_NO_SLOT, walk->input->position_m, &onset->place)) {
-                return 0; /* it lies behind, and the surface point is not on it */
+                leg > 0 && crosses(object, path->point[0], context->from_m, &straight, &side) && side == onset->side;
+            hd_membrane_place(object, onset->side, context->input->position_m, &onset->point);
+            if (onset->slid &&
+                hd_membrane_left(context, object, HD_NO_SLOT, context->input->position_m, &onset->point)) {
+                return 0; /* it lies behind, and the proxy is not on it */
             }
         }
         double hit[2];
         hd_between(begin, path->point[leg + 1], cut, hit);
         onset->fraction = onset->slid ? 1.0 : cut;
-        hd_membrane_place(object, onset->side, hit, &onset->place);
-        onset->place.depth_m = 0.0;
+        hd_membrane_place(object, onset->side, hit, &onset->point);
+        onset->point.depth_m = 0.0;
         return 1;
     }
     return 0;
 }
 
-HD_RT int hd_membrane_left(const struct hd_walk *walk, const struct hd_object *object, uint32_t slot,
-                           const double position_m[2], const struct hd_place *place) {
-    if (!(place->depth_m >= 0.0)) {
+HD_RT int hd_membrane_left(const struct hd_context *context, const struct hd_object *object, uint32_t slot,
+                           const double position_m[2], const struct hd_contact_point *point) {
+    if (!(point->depth_m >= 0.0)) {
         return 1;
     }
-    const double along = place->along_m + hd_path_shift(walk, slot, object->normal, position_m);
+    const double along = point->arc_m + hd_proxy_offset(context, slot, object->normal, position_m);
     return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
 }

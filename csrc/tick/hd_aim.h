@@ -2,8 +2,8 @@
 #ifndef HD_AIM_H
 #define HD_AIM_H
 
-#include "tick/hd_state.h"
 #include "base/hd_vector.h"
+#include "tick/hd_state.h"
 
 /* The tangent of a surface; of a membrane that was entered from below it stays that of its own normal. */
 HD_RT static inline void hd_tangent_of(const struct hd_slot *slot, const double normal[2], double tangent[2]) {

@@ -12,12 +12,12 @@
 #include "tick/hd_contact.h"
 
 #include "tick/hd_aim.h"
+#include "tick/hd_mode.h"
 #include "tick/hd_offload.h"
 #include "tick/hd_press.h"
 #include "tick/hd_seam.h"
 #include "tick/hd_surface.h"
 #include "tick/hd_tune.h"
-#include "tick/hd_mode.h"
 #include "tick/hd_waveform.h"
 
 HD_RT static double at_least_0(double value) {
@@ -42,22 +42,22 @@ HD_RT void hd_contact_close(struct hd_state *state, uint32_t index) {
     }
 }
 
-HD_RT void hd_contact_take(struct hd_walk *walk, uint32_t index, uint32_t generation) {
-    struct hd_slot *slot = &walk->state->slots[index];
+HD_RT void hd_contact_take(struct hd_context *context, uint32_t index, uint32_t generation) {
+    struct hd_slot *slot = &context->state->slots[index];
     if (slot->touched) {
-        hd_touch_drop(walk, index);
+        hd_contact_force_drop(context, index);
     }
-    hd_contact_close(walk->state, index);
+    hd_contact_close(context->state, index);
     /* A mode of the former owner goes on ringing on its own. */
-    *slot = (struct hd_slot){.generation = generation, .looked = slot->looked};
+    *slot = (struct hd_slot){.generation = generation, .visited = slot->visited};
 }
 
-HD_RT static const struct hd_material *material_at(const struct hd_walk *walk, const struct hd_object *object,
-                                                   double along_m) {
-    const struct hd_table *table = walk->table;
-    const uint32_t material = object->piece_count == 0
-                                  ? object->material
-                                  : table->pieces[object->piece_first + hd_skin_piece(table, object, along_m)].material;
+HD_RT static const struct hd_material *material_at(const struct hd_context *context, const struct hd_object *object,
+                                                   double arc_m) {
+    const struct hd_table *table = context->table;
+    const uint32_t material =
+        object->piece_count == 0 ? object->material
+                                 : table->pieces[object->piece_first + hd_surface_piece(table, object, arc_m)].material;
     return &table->materials[material];
 }
 
@@ -84,9 +84,9 @@ HD_RT static double tap_units(const struct hd_table *table, const struct hd_mate
     return at_least_0(low + (amplitudes[end] - low) * ((approach - from) / (speeds[end] - from)));
 }
 
-HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+HD_RT void hd_contact_begin(struct hd_context *context, uint32_t index, const struct hd_object *object,
                             const struct hd_onset *onset) {
-    struct hd_state *state = walk->state;
+    struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     slot->touched = 1;
     state->touches++;
@@ -94,47 +94,40 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
     state->active[state->active_count++] = index;
     slot->side = onset->side;
     slot->face = onset->face;
-    slot->last = onset->place;
-    slot->place_version = object->place_version;
-    slot->skin_version = object->skin_version;
-    slot->changed = onset->silent && !walk->resync && hd_walk_is_unsettled(walk);
+    slot->last = onset->point;
+    slot->pose_version = object->pose_version;
+    slot->surface_version = object->surface_version;
+    slot->changed = onset->silent && !context->resync && hd_walk_is_unsettled(context);
     state->change.whole |= slot->changed;
     /* While the whole command is off, the contact needs no ramp of its own: the command's covers it. */
     slot->ramp = onset->silent && !slot->changed && state->gain > 0.0 ? 0.0 : 1.0;
     /* Reached along a surface whose force is still coming in, it goes on from there. */
-    for (uint32_t i = 0; onset->slid && !onset->silent && i < walk->path.plane_count; i++) {
-        const double pressed = state->slots[walk->path.plane[i].slot].ramp;
+    for (uint32_t i = 0; onset->slid && !onset->silent && i < context->path.plane_count; i++) {
+        const double pressed = state->slots[context->path.plane[i].slot].ramp;
         slot->ramp = pressed < slot->ramp ? pressed : slot->ramp;
     }
-    slot->anchor_m = onset->place.along_m;
+    slot->anchor_m = onset->point.arc_m;
     slot->seam = 0;
     if (onset->slid && !onset->silent) {
-        hd_seam_cross(walk, slot, object);
+        hd_seam_cross(context, slot, object);
     }
     slot->normal_n = 0.0;
     slot->grooves = 0;
     slot->contacts++;
-    const double *normal = onset->place.normal;
-    const double before = onset->silent ? 0.0 : hd_before_tick(walk, onset->fraction);
-    const double approach = -hd_dot(walk->input->velocity_m_per_s, normal);
-    const uint32_t event = hd_state_event(state, HD_EVENT_CONTACT, walk->input->time_ns);
-    struct hd_event *report = event < HD_EVENT_CAPACITY ? &state->events[event] : NULL;
-    if (report != NULL) {
-        report->slot = index;
-        report->generation = slot->generation;
-        report->code = onset->silent ? HD_CONTACT_SILENT : 0;
-        report->before_tick_s = before;
-        report->speed_m_per_s = approach;
-        report->true_speed_m_per_s = -hd_dot(walk->input->true_velocity_m_per_s, normal);
-    }
-    if (onset->silent || onset->slid || !(approach > 0.0) || (slot->disarmed && walk->table->rearm_m > 0.0)) {
+    const double *normal = onset->point.normal;
+    const double before = onset->silent ? 0.0 : hd_before_tick(context, onset->fraction);
+    const double approach = -hd_dot(context->input->velocity_m_per_s, normal);
+    struct hd_event *event = hd_event_add_at(state, HD_EVENT_CONTACT, context->input->time_ns, index);
+    event->code = onset->silent ? HD_CONTACT_SILENT : 0;
+    event->before_tick_s = before;
+    event->speed_m_per_s = approach;
+    event->true_speed_m_per_s = -hd_dot(context->input->true_velocity_m_per_s, normal);
+    if (onset->silent || onset->slid || !(approach > 0.0) || (slot->disarmed && context->table->rearm_m > 0.0)) {
         return;
     }
-    const struct hd_material *material = material_at(walk, object, onset->place.along_m);
-    double units = tap_units(walk->table, material, approach);
-    if (report != NULL) {
-        report->amplitude_m_per_s2 = material->tap.amplitude_per_unit * units;
-    }
+    const struct hd_material *material = material_at(context, object, onset->point.arc_m);
+    double units = tap_units(context->table, material, approach);
+    event->amplitude_m_per_s2 = material->tap.amplitude_per_unit * units;
     if (!(units > 0.0)) {
         return; /* nothing; not even an effect of the device, which would end the one that plays */
     }
@@ -145,13 +138,13 @@ HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct h
         .slot = index,
         .generation = slot->generation,
         .use = HD_MODE_TAP,
-        .event = event,
+        .event = hd_event_index(state, event),
         .units = units,
         .before_s = before,
         .wave = material->wave_count > 0 ? material : NULL,
     };
     const int heard =
-        material->mode_count == 0 || hd_tune_tap(walk->table, material, approach, &strike, &units, &peak_time_s);
+        material->mode_count == 0 || hd_tune_tap(context->table, material, approach, &strike, &units, &peak_time_s);
     const double peak_s = at_least_0(peak_time_s - before);
     strike.growth_n = material->stiffness_n_per_m * approach * peak_s;
     if (heard) {
@@ -182,11 +175,7 @@ HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_n
     slot->force_n[0] = 0.0;
     slot->force_n[1] = 0.0;
     hd_contact_silence(state, slot);
-    const uint32_t event = hd_state_event(state, HD_EVENT_RELEASE, time_ns);
-    if (event < HD_EVENT_CAPACITY) {
-        state->events[event].slot = index;
-        state->events[event].generation = slot->generation;
-    }
+    hd_event_add_at(state, HD_EVENT_RELEASE, time_ns, index);
 }
 
 HD_RT void hd_contact_change(struct hd_state *state, const double force_n[2]) {
@@ -197,11 +186,11 @@ HD_RT void hd_contact_change(struct hd_state *state, const double force_n[2]) {
 
 HD_RT void hd_contact_hush(struct hd_state *state, struct hd_slot *slot) {
     if (slot->noise != 0) {
-        struct hd_noise_voice *voice = &state->noises[slot->noise - 1u];
-        const double last_n = hd_noise_last(voice);
-        state->change.noise_rms_n += hd_noise_rms(voice);
-        state->change.noise_n[0] += last_n * voice->direction[0];
-        state->change.noise_n[1] += last_n * voice->direction[1];
+        struct hd_active_noise *active = &state->noises[slot->noise - 1u];
+        const double last_n = hd_noise_last(active);
+        state->change.noise_rms_n += hd_noise_rms(active);
+        state->change.noise_n[0] += last_n * active->direction[0];
+        state->change.noise_n[1] += last_n * active->direction[1];
         state->change.any = 1;
     }
 }
@@ -241,7 +230,7 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
                                                         : mode->force_per_unit * hd_press_peak(state, table, strike));
         growth += state->show_force * strike->growth_n;
     }
-    const double room = table->max_force_n - felt_n - growth - hd_voices_bound(state) - state->reserved_n;
+    const double room = table->max_force_n - felt_n - growth - hd_modes_bound(state) - state->reserved_n;
     const double scale = wanted <= room ? 1.0 : room > 0.0 ? room / wanted : 0.0;
     for (uint32_t i = 0; i < state->strike_count; i++) {
         const struct hd_strike *strike = &state->strikes[i];
@@ -256,7 +245,7 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
             if (strike->wave != NULL) {
                 hd_waves_strike(state, table, strike, vector);
             } else {
-                hd_voices_strike(state, strike, vector, table->period_s);
+                hd_modes_strike(state, strike, vector, table->period_s);
             }
         }
         if (strike->event < state->event_count) {

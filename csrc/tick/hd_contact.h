@@ -6,9 +6,9 @@
 #include "shapes/hd_shape.h"
 
 /* The slot becomes that of another object; the contact of its former owner is let go. */
-HD_RT void hd_contact_take(struct hd_walk *walk, uint32_t index, uint32_t generation);
+HD_RT void hd_contact_take(struct hd_context *context, uint32_t index, uint32_t generation);
 /* Touches: reports it and strikes the tap. */
-HD_RT void hd_contact_begin(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+HD_RT void hd_contact_begin(struct hd_context *context, uint32_t index, const struct hd_object *object,
                             const struct hd_onset *onset);
 HD_RT void hd_contact_end(struct hd_state *state, uint32_t index, int64_t time_ns);
 /* A command took this from the force of the objects. */
@@ -18,11 +18,12 @@ HD_RT void hd_contact_change(struct hd_state *state, const double force_n[2]);
 HD_RT void hd_contact_clear(struct hd_state *state, uint32_t index, int64_t time_ns);
 
 /* The tick of a surface that is touched, from `fraction` of the tick's way on. */
-HD_RT void hd_touch(struct hd_walk *walk, uint32_t index, const struct hd_object *object, double fraction);
+HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                                   double fraction);
 /* A touched surface became another one where the probe was: it is followed, or, where it turned its back, let go. */
-HD_RT void hd_touch_change(struct hd_walk *walk, uint32_t index, const struct hd_object *object);
+HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, const struct hd_object *object);
 /* A touched surface is no more. */
-HD_RT void hd_touch_drop(struct hd_walk *walk, uint32_t index);
+HD_RT void hd_contact_force_drop(struct hd_context *context, uint32_t index);
 
 /* Its noise is no more: what it would have been in this tick counts as taken away. */
 HD_RT void hd_contact_hush(struct hd_state *state, struct hd_slot *slot);

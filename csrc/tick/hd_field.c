@@ -11,10 +11,10 @@ HD_RT static void force_of(const struct hd_field *field, const struct hd_input *
 }
 
 /* What was felt of it before a jump says nothing about now: then it comes in as contacts do. */
-HD_RT static void ramp(struct hd_walk *walk) {
-    struct hd_state *state = walk->state;
-    const struct hd_field *field = &walk->table->field;
-    const double ramp = state->field_ramp + walk->ramp_step;
+HD_RT static void ramp(struct hd_context *context) {
+    struct hd_state *state = context->state;
+    const struct hd_field *field = &context->table->field;
+    const double ramp = state->field_ramp + context->ramp_step;
     state->field_ramp = ramp < 1.0 ? ramp : 1.0;
     state->field = *field;
     if (ramp < 1.0) {
@@ -25,23 +25,23 @@ HD_RT static void ramp(struct hd_walk *walk) {
     }
 }
 
-HD_RT void hd_field_follow(struct hd_walk *walk) {
-    struct hd_state *state = walk->state;
-    const struct hd_field *field = &walk->table->field;
-    const int changed = state->field_known && state->field_version != walk->table->field_version;
+HD_RT void hd_field_follow(struct hd_context *context) {
+    struct hd_state *state = context->state;
+    const struct hd_field *field = &context->table->field;
+    const int changed = state->field_known && state->field_version != context->table->field_version;
     double was[2];
     double is[2];
-    force_of(&state->field, walk->input, was);
+    force_of(&state->field, context->input, was);
     if (!state->field_known) {
         state->field_ramp = state->started ? 0.0 : 1.0;
     }
-    ramp(walk);
+    ramp(context);
     if (changed) {
-        force_of(&state->field, walk->input, is);
+        force_of(&state->field, context->input, is);
         hd_difference(was, is, state->change.field_n);
         state->change.any = 1;
     }
-    state->field_version = walk->table->field_version;
+    state->field_version = context->table->field_version;
     state->field_known = 1;
     state->field_active = field->force_n[0] != 0.0 || field->force_n[1] != 0.0 || field->stiffness_n_per_m != 0.0 ||
                           field->damping_n_s_per_m != 0.0;

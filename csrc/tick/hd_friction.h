@@ -10,19 +10,20 @@
 #include "tick/hd_state.h"
 
 /* The force along the tangent; moves the anchor. */
-HD_RT static inline double hd_friction(const struct hd_skin *skin, double normal_n, double along_m, double *anchor_m) {
-    if (!(skin->friction_coefficient > 0.0)) {
-        *anchor_m = along_m;
+HD_RT static inline double hd_friction(const struct hd_surface *surface, double normal_n, double arc_m,
+                                       double *anchor_m) {
+    if (!(surface->friction_coefficient > 0.0)) {
+        *anchor_m = arc_m;
         return 0.0;
     }
-    const double longest = skin->friction_coefficient * normal_n / skin->friction_stiffness_n_per_m;
-    const double stretch = along_m - *anchor_m;
+    const double longest = surface->friction_coefficient * normal_n / surface->friction_stiffness_n_per_m;
+    const double stretch = arc_m - *anchor_m;
     if (stretch > longest) {
-        *anchor_m = along_m - longest;
+        *anchor_m = arc_m - longest;
     } else if (stretch < -longest) {
-        *anchor_m = along_m + longest;
+        *anchor_m = arc_m + longest;
     }
-    return -skin->friction_stiffness_n_per_m * (along_m - *anchor_m);
+    return -surface->friction_stiffness_n_per_m * (arc_m - *anchor_m);
 }
 
 #endif

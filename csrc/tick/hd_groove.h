@@ -19,7 +19,7 @@
 #define HD_GROOVE_SEAM 1e-12
 
 /* The raised cosine over the nearest groove, 0 to 1, and its slope over s. */
-HD_RT double hd_groove_profile(const struct hd_material *material, double along_m, double half_length_m, double *slope);
+HD_RT double hd_groove_profile(const struct hd_material *material, double arc_m, double half_length_m, double *slope);
 
 /* One straight stretch of a tick's way along a surface. */
 struct hd_stretch {
@@ -36,9 +36,9 @@ struct hd_stretch {
 };
 
 /* Strikes what the stretch passes, and arms. */
-HD_RT void hd_grooves_pass(struct hd_walk *walk, uint32_t index, const struct hd_object *object,
+HD_RT void hd_grooves_pass(struct hd_context *context, uint32_t index, const struct hd_object *object,
                            const struct hd_stretch *stretch);
 /* The probe is at s: whether the groove that was struck last may strike again. */
-HD_RT void hd_grooves_arm(struct hd_slot *slot, double along_m, double half_length_m);
+HD_RT void hd_grooves_arm(struct hd_slot *slot, double arc_m, double half_length_m);
 
 #endif

@@ -18,7 +18,7 @@ HD_RT void hd_kicks_add(struct hd_state *state, const struct hd_mode *mode, doub
 }
 
 HD_RT void hd_kicks_advance(struct hd_state *state, uint32_t periods) {
-    if (periods >= state->kick_count || state->voice_count == 0) {
+    if (periods >= state->kick_count || state->active_mode_count == 0) {
         state->kick_count = 0;
         return;
     }

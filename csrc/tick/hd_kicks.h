@@ -10,7 +10,7 @@
 
 /* `before`: of a period, 0 to 1. What is added to this tick is in state->ringing_n as well. */
 HD_RT void hd_kicks_add(struct hd_state *state, const struct hd_mode *mode, double before, const double force_n[2]);
-/* So many ticks later; adds what is due to state->ringing_n. Without a voice that rings there is none. */
+/* So many ticks later; adds what is due to state->ringing_n. Without an active mode that rings there is none. */
 HD_RT void hd_kicks_advance(struct hd_state *state, uint32_t periods);
 HD_RT void hd_kicks_scale(struct hd_state *state, double factor);
 /* The largest that is still to come. */

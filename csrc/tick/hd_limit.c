@@ -18,7 +18,7 @@ HD_RT double hd_limit_noise(const struct hd_state *state, const struct hd_table 
     const double size = hd_root(hd_dot(noisy->noise_n, noisy->noise_n));
     const double crest = HD_NOISE_CREST * noisy->rms_n;
     const double most = shown * (size > crest ? size : crest);
-    const double other = hd_root(hd_dot(contact_n, contact_n)) + shown * hd_voices_bound(state);
+    const double other = hd_root(hd_dot(contact_n, contact_n)) + shown * hd_modes_bound(state);
     const double room = HD_JUST_BELOW * hd_limit_of(state, table) - other;
     const double risen = state->noise_gain + table->period_s / HD_LIMIT_RAMP_S;
     const double free = risen < 1.0 ? risen : 1.0;
@@ -75,7 +75,7 @@ HD_RT static void give_way(struct hd_state *state, double limit_n, const double 
     const int beyond = !(hd_dot(contact_n, contact_n) <= HD_JUST_BELOW * limit_n * limit_n);
     state->ringing_gain = beyond ? state->ringing_gain * factor : 1.0;
     if (factor < 1.0) {
-        hd_voices_scale(state, factor);
+        hd_modes_scale(state, factor);
     }
 }
 
@@ -84,10 +84,7 @@ HD_RT void hd_limit_report(struct hd_state *state, double wanted_n, int64_t time
     if (!state->saturated) {
         state->saturated = 1;
         state->saturations_total++;
-        const uint32_t event = hd_state_event(state, HD_EVENT_SATURATION, time_ns);
-        if (event < HD_EVENT_CAPACITY) {
-            state->events[event].value = wanted_n;
-        }
+        hd_event_add(state, HD_EVENT_SATURATION, time_ns, 0, wanted_n);
     }
 }
 

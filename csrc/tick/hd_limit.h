@@ -3,8 +3,8 @@
 #define HD_LIMIT_H
 
 #include "base/hd_rt.h"
-#include "tick/hd_state.h"
 #include "base/hd_vector.h"
+#include "tick/hd_state.h"
 
 /* Below one by a few rounding errors, so that a command at the limit never rounds above it. */
 #define HD_JUST_BELOW 0.9999999999999990

@@ -1,7 +1,7 @@
 /* Ringing modes, Q(t) = A exp(-B t) sin(w t) for 0 <= t <= 5/B, then exactly zero.
  *
  * A mode that is compensated for the device begins as gain A instead of A, a complex number, and may have a tail: a
- * second such voice, struck together with it, with a decay and an end of its own.
+ * second such active mode, struck together with it, with a decay and an end of its own.
  *
  * Each mode is z[k+1] = z[k] exp((-B + i w) T), heard as Im z: the closed form of the sampled signal, so that the only
  * error is rounding (about k eps after k ticks). z has a component along x and one along y; both turn with one rotor,
@@ -9,8 +9,8 @@
  * when it was struck, never by its amplitude; e^-5 of a strike is far above subnormal, and strikes too small to stay
  * normal are not made.
  *
- * A tick goes over the voices once: what turns them also adds them up, and a strike adds its part to the sum. A voice
- * is a cache line of its own, and x and y are one vector each, so that a few modes are as cheap as many. */
+ * A tick goes over the active modes once: what turns them also adds them up, and a strike adds its part to the sum. A
+ * active mode is a cache line of its own, and x and y are one vector each, so that a few modes are as cheap as many. */
 #include "tick/hd_mode.h"
 
 #include <math.h>
@@ -20,7 +20,7 @@
 
 /* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
 #define HD_SMALLEST_SQUARE 1e-290
-#define HD_VOICES_COMPARED 16u
+#define HD_MODES_COMPARED 16u
 #define HD_END_ROUNDING 1e-12
 
 /* What is struck, of a mode or of its tail. */
@@ -35,37 +35,37 @@ struct part {
     uint32_t use;
 };
 
-/* Where a slot keeps the place of its voice for `use`. */
+/* Where a slot keeps the place of its active mode for `use`. */
 HD_RT static uint32_t *known_place(struct hd_slot *slot, uint32_t use) {
-    return use < HD_MODE_USES ? &slot->voice[use] : &slot->tail[use - HD_MODE_USES];
+    return use < HD_MODE_USES ? &slot->mode[use] : &slot->tail[use - HD_MODE_USES];
 }
 
-/* Where the chain of a voice's slot keeps its place; NULL where nothing does. */
+/* Where the chain of an active mode's slot keeps its place; NULL where nothing does. */
 HD_RT static uint32_t *link_to(struct hd_state *state, uint32_t index) {
-    const struct hd_voice *voice = &state->voices[index];
-    if (voice->slot >= state->slot_capacity) {
+    const struct hd_active_mode *active = &state->active_modes[index];
+    if (active->slot >= state->slot_capacity) {
         return NULL;
     }
-    uint32_t *link = known_place(&state->slots[voice->slot], voice->use);
+    uint32_t *link = known_place(&state->slots[active->slot], active->use);
     while (*link != 0 && *link != index + 1u) {
-        link = &state->voice_ends[*link - 1u].next;
+        link = &state->mode_ends[*link - 1u].next;
     }
     return *link != 0 ? link : NULL;
 }
 
-HD_RT static void remove_voice(struct hd_state *state, uint32_t index) {
+HD_RT static void remove_mode(struct hd_state *state, uint32_t index) {
     uint32_t *link = link_to(state, index);
     if (link != NULL) {
-        *link = state->voice_ends[index].next;
+        *link = state->mode_ends[index].next;
     }
-    const uint32_t last = --state->voice_count;
+    const uint32_t last = --state->active_mode_count;
     if (index != last) {
         link = link_to(state, last);
         if (link != NULL) {
             *link = index + 1u;
         }
-        state->voices[index] = state->voices[last];
-        state->voice_ends[index] = state->voice_ends[last];
+        state->active_modes[index] = state->active_modes[last];
+        state->mode_ends[index] = state->mode_ends[last];
     }
 }
 
@@ -95,45 +95,45 @@ HD_RT static void power(uint32_t exponent, double *re, double *im) {
     }
 }
 
-HD_RT static void turn(struct hd_voice *voice, uint32_t periods) {
-    double rotor_re = voice->rotor_re;
-    double rotor_im = voice->rotor_im;
+HD_RT static void turn(struct hd_active_mode *active, uint32_t periods) {
+    double rotor_re = active->rotor_re;
+    double rotor_im = active->rotor_im;
     if (periods != 1) {
         power(periods, &rotor_re, &rotor_im);
     }
-    const hd_pair re = voice->re;
-    const hd_pair im = voice->im;
-    voice->re = re * rotor_re - im * rotor_im;
-    voice->im = re * rotor_im + im * rotor_re;
+    const hd_pair re = active->re;
+    const hd_pair im = active->im;
+    active->re = re * rotor_re - im * rotor_im;
+    active->im = re * rotor_im + im * rotor_re;
 }
 
 /* It is no more, and goes behind those that ring: a strike of this tick may turn out to have come before its end. */
-HD_RT static void end_voice(struct hd_state *state, uint32_t index, uint32_t periods) {
-    struct hd_voice voice = state->voices[index];
-    struct hd_voice_end end = state->voice_ends[index];
-    if (voice.left + 1u == periods) {
-        turn(&voice, periods);
+HD_RT static void end_mode(struct hd_state *state, uint32_t index, uint32_t periods) {
+    struct hd_active_mode active = state->active_modes[index];
+    struct hd_mode_end end = state->mode_ends[index];
+    if (active.left + 1u == periods) {
+        turn(&active, periods);
     } else {
         end.over_s = (double)INFINITY; /* longer ago than a strike of this tick can be */
     }
-    remove_voice(state, index);
-    state->voices[state->voice_count] = voice;
-    state->voice_ends[state->voice_count] = end;
+    remove_mode(state, index);
+    state->active_modes[state->active_mode_count] = active;
+    state->mode_ends[state->active_mode_count] = end;
     state->ended_count++;
 }
 
-HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods) {
+HD_RT void hd_modes_advance(struct hd_state *state, uint32_t periods) {
     hd_pair sum = {0.0, 0.0};
     uint32_t i = 0;
-    while (i < state->voice_count) {
-        struct hd_voice *voice = &state->voices[i];
-        if (voice->left < periods) {
-            end_voice(state, i, periods);
+    while (i < state->active_mode_count) {
+        struct hd_active_mode *active = &state->active_modes[i];
+        if (active->left < periods) {
+            end_mode(state, i, periods);
             continue;
         }
-        voice->left -= periods;
-        turn(voice, periods);
-        sum += voice->im;
+        active->left -= periods;
+        turn(active, periods);
+        sum += active->im;
         i++;
     }
     state->ringing_n[0] = sum[0];
@@ -146,13 +146,13 @@ HD_RT void hd_voices_advance(struct hd_state *state, uint32_t periods) {
     }
 }
 
-HD_RT double hd_voices_bound(const struct hd_state *state) {
+HD_RT double hd_modes_bound(const struct hd_state *state) {
     double bound = 0.0;
-    for (uint32_t i = 0; i < state->voice_count; i++) {
-        const struct hd_voice *voice = &state->voices[i];
+    for (uint32_t i = 0; i < state->active_mode_count; i++) {
+        const struct hd_active_mode *active = &state->active_modes[i];
         HD_RT_FOREIGN_BEGIN
-        bound += sqrt(voice->re[0] * voice->re[0] + voice->im[0] * voice->im[0] + voice->re[1] * voice->re[1] +
-                      voice->im[1] * voice->im[1]);
+        bound += sqrt(active->re[0] * active->re[0] + active->im[0] * active->im[0] + active->re[1] * active->re[1] +
+                      active->im[1] * active->im[1]);
         HD_RT_FOREIGN_END
     }
     bound = state->kick_count > 0 ? bound + hd_kicks_bound(state) : bound;
@@ -184,83 +184,85 @@ HD_RT static int64_t ticks_left(double mode_end_s, double before_s, double perio
     return n;
 }
 
-HD_RT static int is_voice_of(const struct hd_voice *voice, const struct hd_strike *strike, const struct part *part) {
-    return voice->slot == strike->slot && voice->generation == strike->generation && voice->use == part->use &&
-           voice->rotor_re == part->rotor_re && voice->rotor_im == part->rotor_im;
+HD_RT static int is_active_of(const struct hd_active_mode *active, const struct hd_strike *strike,
+                              const struct part *part) {
+    return active->slot == strike->slot && active->generation == strike->generation && active->use == part->use &&
+           active->rotor_re == part->rotor_re && active->rotor_im == part->rotor_im;
 }
 
-/* The mode's own voice, if it rings. What is played has no slot and is known by its mode. Modes of other materials that
- * the slot had, or of other patches of its surface, ring on beside it. */
-HD_RT static struct hd_voice *find_voice(struct hd_state *state, const struct hd_strike *strike,
-                                         const struct part *part) {
+/* The mode's own active mode, if it rings. What is played has no slot and is known by its mode. Modes of other
+ * materials that the slot had, or of other patches of its surface, ring on beside it. */
+HD_RT static struct hd_active_mode *find_active(struct hd_state *state, const struct hd_strike *strike,
+                                                const struct part *part) {
     if (strike->slot < state->slot_capacity) {
         uint32_t *link = known_place(&state->slots[strike->slot], part->use);
         for (uint32_t passed = 1; *link != 0; passed++) {
-            struct hd_voice *voice = &state->voices[*link - 1u];
-            if (is_voice_of(voice, strike, part)) {
-                return voice;
+            struct hd_active_mode *active = &state->active_modes[*link - 1u];
+            if (is_active_of(active, strike, part)) {
+                return active;
             }
-            if (passed == HD_VOICES_COMPARED) { /* so that chains stay short; it rings on, known to nobody */
-                voice->slot = HD_NO_SLOT;
+            if (passed == HD_MODES_COMPARED) { /* so that chains stay short; it rings on, known to nobody */
+                active->slot = HD_NO_SLOT;
                 *link = 0;
                 break;
             }
-            link = &state->voice_ends[*link - 1u].next;
+            link = &state->mode_ends[*link - 1u].next;
         }
         return NULL;
     }
-    for (uint32_t i = 0; i < state->voice_count; i++) {
-        struct hd_voice *voice = &state->voices[i];
-        if (is_voice_of(voice, strike, part)) {
-            return voice;
+    for (uint32_t i = 0; i < state->active_mode_count; i++) {
+        struct hd_active_mode *active = &state->active_modes[i];
+        if (is_active_of(active, strike, part)) {
+            return active;
         }
     }
     return NULL;
 }
 
-/* Adds what a voice that ended since the last tick would be now, if this strike came before its end. */
+/* Adds what an active mode that ended since the last tick would be now, if this strike came before its end. */
 HD_RT static void revive(struct hd_state *state, const struct hd_strike *strike, const struct part *part, hd_pair *re,
                          hd_pair *im) {
-    const uint32_t count = state->ended_count < HD_VOICES_COMPARED ? state->ended_count : HD_VOICES_COMPARED;
-    for (uint32_t i = state->voice_count; i < state->voice_count + count; i++) {
-        if (is_voice_of(&state->voices[i], strike, part) && state->voice_ends[i].over_s <= strike->before_s) {
-            *re += state->voices[i].re;
-            *im += state->voices[i].im;
-            state->voice_ends[i].over_s = (double)INFINITY;
+    const uint32_t count = state->ended_count < HD_MODES_COMPARED ? state->ended_count : HD_MODES_COMPARED;
+    for (uint32_t i = state->active_mode_count; i < state->active_mode_count + count; i++) {
+        if (is_active_of(&state->active_modes[i], strike, part) && state->mode_ends[i].over_s <= strike->before_s) {
+            *re += state->active_modes[i].re;
+            *im += state->active_modes[i].im;
+            state->mode_ends[i].over_s = (double)INFINITY;
         }
     }
 }
 
-HD_RT static struct hd_voice *new_voice(struct hd_state *state, const struct hd_strike *strike, uint32_t use) {
-    if (state->voice_count == HD_VOICE_CAPACITY) {
+HD_RT static struct hd_active_mode *new_active(struct hd_state *state, const struct hd_strike *strike, uint32_t use) {
+    if (state->active_mode_count == HD_ACTIVE_MODE_CAPACITY) {
         /* The one nearest its end among a few, so that a tick that strikes thousands stays bounded. */
-        uint32_t nearest = state->strike_count % HD_VOICE_CAPACITY;
-        for (uint32_t i = 1; i < HD_VOICES_COMPARED; i++) {
-            const uint32_t other = (nearest + 257u * i) % HD_VOICE_CAPACITY;
-            if (state->voices[other].left < state->voices[nearest].left) {
+        uint32_t nearest = state->strike_count % HD_ACTIVE_MODE_CAPACITY;
+        for (uint32_t i = 1; i < HD_MODES_COMPARED; i++) {
+            const uint32_t other = (nearest + 257u * i) % HD_ACTIVE_MODE_CAPACITY;
+            if (state->active_modes[other].left < state->active_modes[nearest].left) {
                 nearest = other;
             }
         }
-        state->ringing_n[0] -= state->voices[nearest].im[0];
-        state->ringing_n[1] -= state->voices[nearest].im[1];
-        remove_voice(state, nearest);
+        state->ringing_n[0] -= state->active_modes[nearest].im[0];
+        state->ringing_n[1] -= state->active_modes[nearest].im[1];
+        remove_mode(state, nearest);
     }
-    const uint32_t index = state->voice_count++;
+    const uint32_t index = state->active_mode_count++;
     const uint32_t behind = index + state->ended_count;
-    if (state->ended_count > 0 && behind < HD_VOICE_CAPACITY) {
-        state->voices[behind] = state->voices[index];
-        state->voice_ends[behind] = state->voice_ends[index];
+    if (state->ended_count > 0 && behind < HD_ACTIVE_MODE_CAPACITY) {
+        state->active_modes[behind] = state->active_modes[index];
+        state->mode_ends[behind] = state->mode_ends[index];
     } else if (state->ended_count > 0) {
         state->ended_count--;
     }
-    state->voices[index] = (struct hd_voice){.slot = strike->slot, .generation = strike->generation, .use = use};
-    state->voice_ends[index] = (struct hd_voice_end){.over_s = (double)INFINITY};
+    state->active_modes[index] =
+        (struct hd_active_mode){.slot = strike->slot, .generation = strike->generation, .use = use};
+    state->mode_ends[index] = (struct hd_mode_end){.over_s = (double)INFINITY};
     if (strike->slot < state->slot_capacity) {
         uint32_t *first = known_place(&state->slots[strike->slot], use);
-        state->voice_ends[index].next = *first;
+        state->mode_ends[index].next = *first;
         *first = index + 1u;
     }
-    return &state->voices[index];
+    return &state->active_modes[index];
 }
 
 HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *strike, const struct part *part,
@@ -271,24 +273,24 @@ HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *st
     if (left < 0 || !(square > HD_SMALLEST_SQUARE)) {
         return; /* over before this tick, or nothing */
     }
-    struct hd_voice *voice = find_voice(state, strike, part);
-    if (voice == NULL) {
+    struct hd_active_mode *active = find_active(state, strike, part);
+    if (active == NULL) {
         hd_pair re = {0.0, 0.0};
         hd_pair im = {0.0, 0.0};
         revive(state, strike, part, &re, &im);
-        voice = new_voice(state, strike, part->use);
-        voice->rotor_re = part->rotor_re;
-        voice->rotor_im = part->rotor_im;
-        voice->re = re;
-        voice->im = im;
+        active = new_active(state, strike, part->use);
+        active->rotor_re = part->rotor_re;
+        active->rotor_im = part->rotor_im;
+        active->re = re;
+        active->im = im;
         state->ringing_n[0] += im[0];
         state->ringing_n[1] += im[1];
     }
     /* Five time constants after the last of several strikes, in whatever order they come. */
-    struct hd_voice_end *end = &state->voice_ends[voice - state->voices];
+    struct hd_mode_end *end = &state->mode_ends[active - state->active_modes];
     const double over_s = (double)(left + 1) * period_s + strike->before_s - latest(part->end_s);
-    if ((uint32_t)left > voice->left || ((uint32_t)left == voice->left && over_s < end->over_s)) {
-        voice->left = (uint32_t)left;
+    if ((uint32_t)left > active->left || ((uint32_t)left == active->left && over_s < end->over_s)) {
+        active->left = (uint32_t)left;
         end->over_s = over_s;
     }
     double turned_re;
@@ -298,8 +300,8 @@ HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *st
     const double re = part->gain_re * turned_re - part->gain_im * turned_im;
     const double im = part->gain_re * turned_im + part->gain_im * turned_re;
     for (int axis = 0; axis < 2; axis++) {
-        voice->re[axis] += force_n[axis] * re;
-        voice->im[axis] += force_n[axis] * im;
+        active->re[axis] += force_n[axis] * re;
+        active->im[axis] += force_n[axis] * im;
         state->ringing_n[axis] += force_n[axis] * im;
     }
 }
@@ -309,8 +311,8 @@ HD_RT static double along(double from, double to, double share) {
     return share == 1.0 ? to : from + share * (to - from);
 }
 
-HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
-                            double period_s) {
+HD_RT void hd_modes_strike(struct hd_state *state, const struct hd_strike *strike, const double force_n[2],
+                           double period_s) {
     const struct hd_mode *mode = strike->mode;
     const double share = mode->touched_n_per_m > 0.0 ? strike->touched : 1.0;
     const struct part own = {
@@ -340,19 +342,19 @@ HD_RT void hd_voices_strike(struct hd_state *state, const struct hd_strike *stri
         };
         strike_part(state, strike, &tail, force_n, period_s);
     }
-    if (mode->kick_count > 0 && state->voice_count > 0) {
+    if (mode->kick_count > 0 && state->active_mode_count > 0) {
         hd_kicks_add(state, mode, strike->before_s / period_s, force_n);
     }
 }
 
-HD_RT void hd_voices_scale(struct hd_state *state, double factor) {
+HD_RT void hd_modes_scale(struct hd_state *state, double factor) {
     if (factor * factor <= HD_SMALLEST_SQUARE) {
-        hd_voices_silence(state);
+        hd_modes_silence(state);
         return;
     }
-    for (uint32_t i = 0; i < state->voice_count; i++) {
-        state->voices[i].re *= factor;
-        state->voices[i].im *= factor;
+    for (uint32_t i = 0; i < state->active_mode_count; i++) {
+        state->active_modes[i].re *= factor;
+        state->active_modes[i].im *= factor;
     }
     hd_kicks_scale(state, factor);
     hd_waves_scale(state, factor);
@@ -360,9 +362,9 @@ HD_RT void hd_voices_scale(struct hd_state *state, double factor) {
     state->ringing_n[1] *= factor;
 }
 
-HD_RT void hd_voices_silence(struct hd_state *state) {
-    while (state->voice_count > 0) {
-        remove_voice(state, state->voice_count - 1);
+HD_RT void hd_modes_silence(struct hd_state *state) {
+    while (state->active_mode_count > 0) {
+        remove_mode(state, state->active_mode_count - 1);
     }
     state->ended_count = 0;
     state->ringing_n[0] = 0.0;

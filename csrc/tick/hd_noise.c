@@ -48,20 +48,20 @@ HD_RT static inline double mix(double from, double to, double part) {
     return from + part * (to - from);
 }
 
-HD_RT void hd_noise_turn(struct hd_noise_voice *voice) {
+HD_RT void hd_noise_turn(struct hd_active_noise *active) {
     for (uint32_t m = 0; m < HD_NOISE_ORDER; m++) {
-        voice->sine_from[m] = m < voice->order ? voice->sine[m] : 0.0;
+        active->sine_from[m] = m < active->order ? active->sine[m] : 0.0;
     }
     for (uint32_t m = 0; m <= HD_NOISE_ORDER; m++) {
-        voice->tap_from[m] = voice->taps && m <= voice->order ? voice->tap[m] : 0.0;
+        active->tap_from[m] = active->taps && m <= active->order ? active->tap[m] : 0.0;
     }
-    if (!voice->taps) {
-        voice->tap_from[0] = 1.0;
+    if (!active->taps) {
+        active->tap_from[0] = 1.0;
     }
-    voice->order_from = voice->order;
-    voice->taps_from = voice->taps;
-    voice->level_from = voice->level;
-    voice->blend = 0.0;
+    active->order_from = active->order;
+    active->taps_from = active->taps;
+    active->level_from = active->level;
+    active->blend = 0.0;
 }
 
 /* How far x lies into its cell of a rising axis; *cell comes in as a guess. Beyond the ends it stays at them; NaN
@@ -137,103 +137,103 @@ HD_RT static inline struct place find_place(const struct hd_noise *noise, const 
 }
 
 /* Brings the coefficients to where the ramp and the place in the grid say. */
-HD_RT static void follow(struct hd_noise_voice *voice, const struct hd_noise *noise, const struct place *place) {
-    const int ramping = voice->blend < 1.0;
-    const double blend = voice->blend;
+HD_RT static void follow(struct hd_active_noise *active, const struct hd_noise *noise, const struct place *place) {
+    const int ramping = active->blend < 1.0;
+    const double blend = active->blend;
     const double *number = place->node + 1;
     for (int axis = 0; axis < 2; axis++) {
-        voice->cell[axis] = place->cell[axis];
-        voice->part[axis] = place->part[axis];
+        active->cell[axis] = place->cell[axis];
+        active->part[axis] = place->part[axis];
     }
     uint32_t order = noise->order;
-    interpolate(place, number, order, voice->sine);
-    voice->taps = noise->taps;
+    interpolate(place, number, order, active->sine);
+    active->taps = noise->taps;
     if (noise->taps) {
-        interpolate(place, number + order, order + 1, voice->tap);
+        interpolate(place, number + order, order + 1, active->tap);
     }
     if (ramping) {
-        for (; order < voice->order_from; order++) {
-            voice->sine[order] = 0.0;
+        for (; order < active->order_from; order++) {
+            active->sine[order] = 0.0;
         }
         for (uint32_t m = 0; m < order; m++) {
-            voice->sine[m] = mix(voice->sine_from[m], voice->sine[m], blend);
+            active->sine[m] = mix(active->sine_from[m], active->sine[m], blend);
         }
-        if (noise->taps || voice->taps_from) {
+        if (noise->taps || active->taps_from) {
             for (uint32_t m = 0; m <= order; m++) {
-                const double to = noise->taps ? (m <= noise->order ? voice->tap[m] : 0.0) : (m == 0 ? 1.0 : 0.0);
-                voice->tap[m] = mix(voice->tap_from[m], to, blend);
+                const double to = noise->taps ? (m <= noise->order ? active->tap[m] : 0.0) : (m == 0 ? 1.0 : 0.0);
+                active->tap[m] = mix(active->tap_from[m], to, blend);
             }
-            voice->taps = 1;
+            active->taps = 1;
         }
     }
-    voice->order = order;
+    active->order = order;
     HD_RT_FOREIGN_BEGIN
     for (uint32_t m = 0; m < order; m++) {
         /* 1 - k^2 would cancel near 1; this does not. */
-        voice->cosine[m] = sqrt((1.0 - voice->sine[m]) * (1.0 + voice->sine[m]));
+        active->cosine[m] = sqrt((1.0 - active->sine[m]) * (1.0 + active->sine[m]));
     }
-    if (voice->taps) {
+    if (active->taps) {
         double squares = 0.0;
         for (uint32_t m = 0; m <= order; m++) {
-            squares += voice->tap[m] * voice->tap[m];
+            squares += active->tap[m] * active->tap[m];
         }
         const double scale = 1.0 / sqrt(squares > HD_SMALLEST_TAPS ? squares : HD_SMALLEST_TAPS);
         for (uint32_t m = 0; m <= order; m++) {
-            voice->tap[m] *= scale;
+            active->tap[m] *= scale;
         }
     }
     HD_RT_FOREIGN_END
 }
 
-HD_RT void hd_noise_start(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+HD_RT void hd_noise_start(struct hd_active_noise *active, const struct hd_noise *noise, const double *numbers,
                           uint32_t salt) {
     const uint32_t corner[2] = {0, 0};
     const struct place place = find_place(noise, numbers, 0.0, 0.0, corner);
-    voice->random = scramble(scramble(noise->seed) + salt);
+    active->random = scramble(scramble(noise->seed) + salt);
     for (uint32_t m = 0; m <= HD_NOISE_ORDER; m++) {
-        voice->delay[m] = white(&voice->random);
+        active->delay[m] = white(&active->random);
     }
-    voice->level = 0.0;
-    voice->rms = 0.0;
-    voice->scale_n = (struct hd_eased){.now = 0.0};
-    voice->normal_n = (struct hd_eased){.now = 0.0};
-    voice->direction[0] = 0.0;
-    voice->direction[1] = 0.0;
-    voice->blend = 1.0;
-    follow(voice, noise, &place);
+    active->level = 0.0;
+    active->rms = 0.0;
+    active->scale_n = (struct hd_eased){.now = 0.0};
+    active->normal_n = (struct hd_eased){.now = 0.0};
+    active->direction[0] = 0.0;
+    active->direction[1] = 0.0;
+    active->blend = 1.0;
+    follow(active, noise, &place);
 }
 
-HD_RT static inline double all_pole(struct hd_noise_voice *voice) {
-    double f = white(&voice->random);
-    for (uint32_t m = voice->order; m > 0; m--) {
-        const double s = voice->sine[m - 1];
-        const double c = voice->cosine[m - 1];
-        const double b = voice->delay[m - 1];
-        voice->delay[m] = s * f + c * b;
+HD_RT static inline double all_pole(struct hd_active_noise *active) {
+    double f = white(&active->random);
+    for (uint32_t m = active->order; m > 0; m--) {
+        const double s = active->sine[m - 1];
+        const double c = active->cosine[m - 1];
+        const double b = active->delay[m - 1];
+        active->delay[m] = s * f + c * b;
         f = c * f - s * b;
     }
-    voice->delay[0] = f;
+    active->delay[0] = f;
     return f;
 }
 
-HD_RT static inline double ladder(struct hd_noise_voice *voice) {
-    double f = white(&voice->random);
+HD_RT static inline double ladder(struct hd_active_noise *active) {
+    double f = white(&active->random);
     double sum = 0.0;
-    for (uint32_t m = voice->order; m > 0; m--) {
-        const double s = voice->sine[m - 1];
-        const double c = voice->cosine[m - 1];
-        const double b = voice->delay[m - 1];
+    for (uint32_t m = active->order; m > 0; m--) {
+        const double s = active->sine[m - 1];
+        const double c = active->cosine[m - 1];
+        const double b = active->delay[m - 1];
         const double up = s * f + c * b;
-        voice->delay[m] = up;
-        sum += voice->tap[m] * up;
+        active->delay[m] = up;
+        sum += active->tap[m] * up;
         f = c * f - s * b;
     }
-    voice->delay[0] = f;
-    return sum + voice->tap[0] * f;
+    active->delay[0] = f;
+    return sum + active->tap[0] * f;
 }
 
-HD_RT static inline double sample(struct hd_noise_voice *voice) {
-    return voice->taps ? ladder(voice) : all_pole(voice);
+HD_RT static inline double sample(struct hd_active_noise *active) {
+    return active->taps ? ladder(active) : all_pole(active);
 }
 
 /* The RMS at this speed, of what it is without fading. At a speed of 0 it is 0, even where nothing fades. */
@@ -245,49 +245,49 @@ HD_RT static inline double fade(const struct hd_noise *noise, double speed, doub
 }
 
 /* A grid, or a ramp. */
-HD_RT static double next_of_many(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+HD_RT static double next_of_many(struct hd_active_noise *active, const struct hd_noise *noise, const double *numbers,
                                  double speed, double force, double gains, double ramp_step) {
-    const struct place place = find_place(noise, numbers, speed, force, voice->cell);
-    const int ramping = voice->blend < 1.0;
+    const struct place place = find_place(noise, numbers, speed, force, active->cell);
+    const int ramping = active->blend < 1.0;
     double blend = 1.0;
     double level;
     interpolate(&place, place.node, 1, &level);
     level += gains;
     level = level > 0.0 ? level : 0.0;
     if (ramping) {
-        blend = voice->blend + ramp_step < 1.0 ? voice->blend + ramp_step : 1.0;
-        level = mix(voice->level_from, level, blend);
+        blend = active->blend + ramp_step < 1.0 ? active->blend + ramp_step : 1.0;
+        level = mix(active->level_from, level, blend);
     }
-    voice->level = level;
+    active->level = level;
     const double rms = fade(noise, speed, level);
-    voice->rms = rms;
+    active->rms = rms;
     if (!(rms > 0.0)) {
         return 0.0;
     }
-    if (ramping || place.cell[0] != voice->cell[0] || place.cell[1] != voice->cell[1] ||
-        place.part[0] != voice->part[0] || place.part[1] != voice->part[1]) {
-        voice->blend = blend;
-        follow(voice, noise, &place);
+    if (ramping || place.cell[0] != active->cell[0] || place.cell[1] != active->cell[1] ||
+        place.part[0] != active->part[0] || place.part[1] != active->part[1]) {
+        active->blend = blend;
+        follow(active, noise, &place);
     }
-    return rms * sample(voice);
+    return rms * sample(active);
 }
 
-HD_RT double hd_noise_next(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+HD_RT double hd_noise_next(struct hd_active_noise *active, const struct hd_noise *noise, const double *numbers,
                            double speed_m_per_s, double force_n, double ramp_step) {
     const double speed = speed_m_per_s < 0.0 ? -speed_m_per_s : speed_m_per_s;
     const double gains = noise->velocity_gain_per_s * speed + noise->force_gain_m_per_s2_per_n * force_n;
-    if (noise->speed_count > 1 || noise->force_count > 1 || voice->blend < 1.0) {
-        return next_of_many(voice, noise, numbers, speed, force_n, gains, ramp_step);
+    if (noise->speed_count > 1 || noise->force_count > 1 || active->blend < 1.0) {
+        return next_of_many(active, noise, numbers, speed, force_n, gains, ramp_step);
     }
     const double level = gains + numbers[noise->first + 2];
-    voice->level = level > 0.0 ? level : 0.0;
-    const double rms = fade(noise, speed, voice->level);
-    voice->rms = rms;
-    return rms > 0.0 ? rms * sample(voice) : 0.0;
+    active->level = level > 0.0 ? level : 0.0;
+    const double rms = fade(noise, speed, active->level);
+    active->rms = rms;
+    return rms > 0.0 ? rms * sample(active) : 0.0;
 }
 
-HD_RT double hd_noise_last(struct hd_noise_voice *voice) {
-    return voice->rms > 0.0 ? voice->scale_n.now * (voice->rms * sample(voice)) : 0.0;
+HD_RT double hd_noise_last(struct hd_active_noise *active) {
+    return active->rms > 0.0 ? active->scale_n.now * (active->rms * sample(active)) : 0.0;
 }
 
 static int at_least_zero(double value) {
@@ -388,10 +388,10 @@ int hd_noise_run(const struct hd_noise *noise, const double *numbers, uint32_t n
             return hd_invalid("noise: speed %g m/s and force %g N of entry %zu must be finite", speed[i], force[i], i);
         }
     }
-    struct hd_noise_voice voice;
-    hd_noise_start(&voice, noise, numbers, 0);
+    struct hd_active_noise active;
+    hd_noise_start(&active, noise, numbers, 0);
     for (size_t i = 0; i < count; i++) {
-        out[i] = hd_noise_next(&voice, noise, numbers, speed[i], force[i], 1.0);
+        out[i] = hd_noise_next(&active, noise, numbers, speed[i], force[i], 1.0);
     }
     return HD_OK;
 }

@@ -36,7 +36,7 @@ HD_RT static inline double hd_ease(struct hd_eased *eased, double to, int change
 }
 
 /* One noise that sounds. A field with `_from` is what its namesake was when the last ramp began. */
-struct hd_noise_voice {
+struct hd_active_noise {
     uint64_t random;
     uint32_t version; /* of what it plays; the caller's */
     uint32_t order;   /* stages that run */
@@ -61,22 +61,22 @@ struct hd_noise_voice {
 };
 
 /* Begins: the lattice in its stationary state, drawn from the noise's seed and `salt` (the same two give the same
- * samples). Leaves voice->version as it is. */
-HD_RT void hd_noise_start(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+ * samples). Leaves active->version as it is. */
+HD_RT void hd_noise_start(struct hd_active_noise *active, const struct hd_noise *noise, const double *numbers,
                           uint32_t salt);
 /* Another noise, or the same one changed: coefficients and RMS move from where they are to it over the next ramp; the
  * state stays. To be called before hd_noise_next sees the other noise, or the same one with other numbers. */
-HD_RT void hd_noise_turn(struct hd_noise_voice *voice);
+HD_RT void hd_noise_turn(struct hd_active_noise *active);
 /* The RMS of the last sample, N. */
-HD_RT static inline double hd_noise_rms(const struct hd_noise_voice *voice) {
-    return voice->scale_n.now * voice->rms;
+HD_RT static inline double hd_noise_rms(const struct hd_active_noise *active) {
+    return active->scale_n.now * active->rms;
 }
 
 /* What the last sample would be now, N: of a noise that is no more. */
-HD_RT double hd_noise_last(struct hd_noise_voice *voice);
+HD_RT double hd_noise_last(struct hd_active_noise *active);
 /* The next sample, m/s^2. At an RMS of zero it is 0 and nothing moves on, not even a ramp; so it is at a speed of
  * exactly zero. `ramp_step`: what a ramp moves on in a tick. */
-HD_RT double hd_noise_next(struct hd_noise_voice *voice, const struct hd_noise *noise, const double *numbers,
+HD_RT double hd_noise_next(struct hd_active_noise *active, const struct hd_noise *noise, const double *numbers,
                            double speed_m_per_s, double force_n, double ramp_step);
 
 #endif

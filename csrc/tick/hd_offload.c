@@ -1,6 +1,6 @@
 /* An effect counts from the tick of its strike until it has ended even where the strike reached the device as late as
- * it may (hd_effects.h). Struck anew while it plays, it counts with the stronger of the two: the tick does not know when
- * the one becomes the other. Several strikes of one effect in one tick count together. */
+ * it may (hd_effects.h). Struck anew while it plays, it counts with the stronger of the two: the tick does not know
+ * when the one becomes the other. Several strikes of one effect in one tick count together. */
 #include "tick/hd_offload.h"
 
 #include "device/hd_effects.h"

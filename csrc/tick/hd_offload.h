@@ -1,4 +1,4 @@
-/* Strikes that the device plays by itself, as the tick sees them: noted instead of becoming a voice, and counted
+/* Strikes that the device plays by itself, as the tick sees them: noted instead of becoming an active mode, and counted
  * against the force limit for as long as the effect may play. What is played in place of a mode, hapticd/hid/offload.py
  * says.
  *
@@ -11,7 +11,7 @@
 #include "tick/hd_state.h"
 
 /* Whether a strike of this effect is left to the device in this tick: its place in offloads[] plus one, which
- * hd_offload_strike fills; 0: it is a voice. */
+ * hd_offload_strike fills; 0: it is an active mode. */
 HD_RT uint32_t hd_offload_reserve(struct hd_state *state, uint32_t effect);
 /* Notes a strike that has a place, at `scale` of its strength. */
 HD_RT void hd_offload_strike(struct hd_state *state, const struct hd_strike *strike, double scale, double period_s);

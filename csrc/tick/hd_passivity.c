@@ -3,9 +3,9 @@
  * says how much force along the motion is given, the second limits the magnitude. */
 #include "tick/hd_passivity.h"
 
+#include "base/hd_vector.h"
 #include "tick/hd_limit.h"
 #include "tick/hd_state.h"
-#include "base/hd_vector.h"
 
 #define HD_WAITED_MAX 0x7fffffffu
 /* Positions are rounded: a force that chatters between two steps may have given more than they show. */

@@ -10,10 +10,10 @@
 
 /* Along the surface, N/m. */
 HD_RT static double holds_with(const struct hd_slot *slot) {
-    const struct hd_skin *skin = &slot->skin;
-    const double spring_n = skin->friction_stiffness_n_per_m * hd_magnitude(slot->last.along_m - slot->anchor_m);
-    const int stuck = spring_n < HD_PRESS_STUCK * skin->friction_coefficient * slot->normal_n;
-    return stuck ? skin->friction_stiffness_n_per_m : 0.0;
+    const struct hd_surface *surface = &slot->surface;
+    const double spring_n = surface->friction_stiffness_n_per_m * hd_magnitude(slot->last.arc_m - slot->anchor_m);
+    const int stuck = spring_n < HD_PRESS_STUCK * surface->friction_coefficient * slot->normal_n;
+    return stuck ? surface->friction_stiffness_n_per_m : 0.0;
 }
 
 /* The slope of all forces that are displayed, along a unit vector, N/m: sum K_i (n_i . d)^2, along the surface that of
@@ -26,7 +26,7 @@ HD_RT static double slope_along(const struct hd_state *state, const struct hd_ta
     for (uint32_t i = 0; i < state->active_count; i++) {
         const struct hd_slot *slot = &state->slots[state->active[i]];
         const double part = hd_dot(slot->last.normal, direction);
-        slope += slot->skin.stiffness_n_per_m * part * part + holds_with(slot) * (1.0 - part * part);
+        slope += slot->surface.stiffness_n_per_m * part * part + holds_with(slot) * (1.0 - part * part);
     }
     return slope;
 }

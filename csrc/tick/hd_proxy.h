@@ -1,4 +1,4 @@
-/* The way that the probe's surface point goes in a tick.
+/* The way that the probe's proxy goes in a tick.
  *
  * A probe that presses lies inside what it presses; what it touches next is met where the surface is, not where the
  * probe is. So, for what is not touched yet, a probe that presses goes in two legs: along the surfaces that it presses,
@@ -10,11 +10,11 @@
 #include "base/hd_rt.h"
 #include "tick/hd_state.h"
 
-#define HD_PATH_PLANES 16u /* surfaces that are looked at; a hand presses two or three */
+#define HD_PROXY_PLANES 16u /* surfaces that are looked at; a hand presses two or three */
 
-struct hd_walk;
+struct hd_context;
 
-struct hd_path {
+struct hd_proxy {
     int known;
     uint32_t legs;      /* 1 or 2 */
     double point[3][2]; /* legs + 1 of them; the last is the sample */
@@ -23,18 +23,19 @@ struct hd_path {
         uint32_t slot;
         double depth_m; /* at the last sample */
         double normal[2];
-    } plane[HD_PATH_PLANES];
+    } plane[HD_PROXY_PLANES];
 };
 
 /* The surfaces that are pressed as the tick begins. */
-HD_RT void hd_path_begin(struct hd_walk *walk);
+HD_RT void hd_proxy_begin(struct hd_context *context);
 /* The legs; worked out at the first call in a tick. */
-HD_RT const struct hd_path *hd_path_legs(struct hd_walk *walk);
+HD_RT const struct hd_proxy *hd_proxy_sweep(struct hd_context *context);
 /* `position_m`, lifted out of every surface that is pressed but that of `slot`. 0: it lies in none. */
-HD_RT int hd_path_lift(const struct hd_walk *walk, const double position_m[2], uint32_t slot, double lifted[2]);
-/* How far along a surface of this normal the surface point of `position_m` lies from it: 0 where nothing but `slot` is
+HD_RT int hd_proxy_project(const struct hd_context *context, const double position_m[2], uint32_t slot,
+                           double lifted[2]);
+/* How far along a surface of this normal the proxy of `position_m` lies from it: 0 where nothing but `slot` is
  * pressed. */
-HD_RT double hd_path_shift(const struct hd_walk *walk, uint32_t slot, const double normal[2],
-                           const double position_m[2]);
+HD_RT double hd_proxy_offset(const struct hd_context *context, uint32_t slot, const double normal[2],
+                             const double position_m[2]);
 
 #endif

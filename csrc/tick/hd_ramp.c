@@ -1,7 +1,7 @@
 #include "tick/hd_ramp.h"
 
-#include "tick/hd_limit.h"
 #include "base/hd_vector.h"
+#include "tick/hd_limit.h"
 
 #define HD_RAMP_LONGEST 4e9 /* ticks */
 /* Below that a ramp is over a tick later than its length says, because it is rounded. */
@@ -85,9 +85,10 @@ HD_RT static void fade(struct hd_residual *residual, const struct hd_table *tabl
     residual->left--;
 }
 
-HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double contact_n[2], struct hd_ramped *ramped) {
-    struct hd_state *state = walk->state;
-    const struct hd_table *table = walk->table;
+HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double contact_n[2],
+                          struct hd_ramped *ramped) {
+    struct hd_state *state = context->state;
+    const struct hd_table *table = context->table;
     struct hd_residual *residual = &state->residual;
     const struct hd_change *change = &state->change;
     const double shown = state->show_force;
@@ -100,8 +101,8 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
     double was[2];
     double was_object[2];
     for (int axis = 0; axis < 2; axis++) {
-        was[axis] = shown * (walk->force_n[axis] + change->field_n[axis] + change->object_n[axis]);
-        was_object[axis] = shown * (walk->object_n[axis] + change->object_n[axis]);
+        was[axis] = shown * (context->force_n[axis] + change->field_n[axis] + change->object_n[axis]);
+        was_object[axis] = shown * (context->object_n[axis] + change->object_n[axis]);
     }
     const double limit = hd_limit_of(state, table);
     const double was_cut = hd_limit_cut(was, limit);
@@ -112,7 +113,7 @@ HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double conta
     double is_object[2];
     for (int axis = 0; axis < 2; axis++) {
         is[axis] = cut * contact_n[axis];
-        object_n[axis] = state->show_force * walk->object_n[axis];
+        object_n[axis] = state->show_force * context->object_n[axis];
         is_object[axis] = cut * object_n[axis];
         residual->was_n[axis] = residual->pressed_n[axis];
         residual->pressed_n[axis] = was_cut * was[axis];
@@ -187,12 +188,12 @@ HD_RT static void hold(struct hd_state *state, const struct hd_table *table, str
     }
 }
 
-HD_RT void hd_ramp_command(struct hd_walk *walk, struct hd_ramped *ramped, const double contact_n[2],
+HD_RT void hd_ramp_command(struct hd_context *context, struct hd_ramped *ramped, const double contact_n[2],
                            const double vibration_n[2], const double still_n[2], double gain_step, double force_n[2],
                            uint32_t *flags) {
-    struct hd_state *state = walk->state;
-    const struct hd_table *table = walk->table;
-    const int64_t time_ns = walk->input->time_ns;
+    struct hd_state *state = context->state;
+    const struct hd_table *table = context->table;
+    const int64_t time_ns = context->input->time_ns;
     const double limit = hd_limit_of(state, table);
     double still[2];
     if (ramped->any) {

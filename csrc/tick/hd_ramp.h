@@ -35,12 +35,13 @@ struct hd_ramped {
 /* Where there is a change, a residual, or another display: brings the contact force, as it is displayed, to what is
  * felt, within the limit and with the residual; `object_n`, out, is the part of it that objects make. 0: nothing is
  * felt, since the whole command is off. */
-HD_RT int hd_ramp_contact(struct hd_walk *walk, double object_n[2], double contact_n[2], struct hd_ramped *ramped);
+HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double contact_n[2],
+                          struct hd_ramped *ramped);
 
 /* The command of this tick before its gain, as hd_limit_apply. `ramped`: of the contact force. What of it ramps do
  * beside that, and too fast together, is left for the ticks after it. `still_n`: the vibration if every ramp stood
  * still; `gain_step`: what the gain moves by. */
-HD_RT void hd_ramp_command(struct hd_walk *walk, struct hd_ramped *ramped, const double contact_n[2],
+HD_RT void hd_ramp_command(struct hd_context *context, struct hd_ramped *ramped, const double contact_n[2],
                            const double vibration_n[2], const double still_n[2], double gain_step, double force_n[2],
                            uint32_t *flags);
 /* What was noted of changes is taken in. */

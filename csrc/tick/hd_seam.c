@@ -4,63 +4,63 @@
 
 /* Where the last sample was on a membrane or a box that is touched, and half the width of its surface. 0: another
  * shape. */
-HD_RT static double place_of(const struct hd_walk *walk, const struct hd_slot *slot, const struct hd_object *object,
-                             struct hd_place *place) {
+HD_RT static double place_of(const struct hd_context *context, const struct hd_slot *slot,
+                             const struct hd_object *object, struct hd_contact_point *point) {
     switch (object->shape) {
     case HD_SHAPE_MEMBRANE:
-        hd_membrane_place(object, slot->side, walk->from_m, place);
+        hd_membrane_place(object, slot->side, context->from_m, point);
         return object->half_m[0];
     case HD_SHAPE_BOX:
-        hd_box_place(object, slot->face, walk->from_m, place);
+        hd_box_place(object, slot->face, context->from_m, point);
         return object->half_m[slot->face % 2 != 0];
     default:
         return 0.0;
     }
 }
 
-HD_RT void hd_seam_cross(const struct hd_walk *walk, struct hd_slot *slot, const struct hd_object *object) {
-    const struct hd_table *table = walk->table;
-    struct hd_place here;
-    const double half = place_of(walk, slot, object, &here);
-    for (uint32_t i = 0; half > 0.0 && i < walk->path.plane_count; i++) {
-        const uint32_t index = walk->path.plane[i].slot;
-        const struct hd_slot *other = &walk->state->slots[index];
-        struct hd_place there;
+HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot, const struct hd_object *object) {
+    const struct hd_table *table = context->table;
+    struct hd_contact_point here;
+    const double half = place_of(context, slot, object, &here);
+    for (uint32_t i = 0; half > 0.0 && i < context->path.plane_count; i++) {
+        const uint32_t index = context->path.plane[i].slot;
+        const struct hd_slot *other = &context->state->slots[index];
+        struct hd_contact_point there;
         if (other == slot || other->touched || index >= table->object_count) {
             continue; /* it holds the probe itself */
         }
-        const double reach = half + place_of(walk, other, &table->objects[index], &there);
+        const double reach = half + place_of(context, other, &table->objects[index], &there);
         const double way = (double)(slot->side * other->side); /* of s there, over that here */
         if (reach == half || other->generation != table->objects[index].generation || !hd_flush(&here, &there) ||
-            hd_magnitude(here.along_m - way * there.along_m) > reach + HD_RIM_M) {
+            hd_magnitude(here.arc_m - way * there.arc_m) > reach + HD_RIM_M) {
             continue;
         }
         const struct hd_material *material = &table->materials[object->material];
         const double ticks = 1.0 / table->ramp_step;
-        slot->anchor_m = here.along_m - way * (there.along_m - other->anchor_m);
-        slot->skin.friction_coefficient = other->skin.friction_coefficient;
-        slot->skin.friction_stiffness_n_per_m = other->skin.friction_stiffness_n_per_m;
-        if (material->friction_coefficient != other->skin.friction_coefficient ||
-            material->friction_stiffness_n_per_m != other->skin.friction_stiffness_n_per_m) {
+        slot->anchor_m = here.arc_m - way * (there.arc_m - other->anchor_m);
+        slot->surface.friction_coefficient = other->surface.friction_coefficient;
+        slot->surface.friction_stiffness_n_per_m = other->surface.friction_stiffness_n_per_m;
+        if (material->friction_coefficient != other->surface.friction_coefficient ||
+            material->friction_stiffness_n_per_m != other->surface.friction_stiffness_n_per_m) {
             slot->seam = ticks < (double)HD_SEAM_TICKS ? (uint16_t)ticks : (uint16_t)HD_SEAM_TICKS;
         }
         return;
     }
 }
 
-HD_RT void hd_seam_ease(struct hd_slot *slot, double along_m, double coefficient, double stiffness_n_per_m) {
-    struct hd_skin *skin = &slot->skin;
+HD_RT void hd_seam_ease(struct hd_slot *slot, double arc_m, double coefficient, double stiffness_n_per_m) {
+    struct hd_surface *surface = &slot->surface;
     const double left = (double)(slot->seam - 1u) / (double)slot->seam; /* of the difference */
     slot->seam--;
-    skin->friction_coefficient += left * (coefficient - skin->friction_coefficient);
+    surface->friction_coefficient += left * (coefficient - surface->friction_coefficient);
     /* What has no friction has no spring of its own either. */
-    if (skin->friction_stiffness_n_per_m == 0.0) {
-        skin->friction_stiffness_n_per_m = stiffness_n_per_m;
+    if (surface->friction_stiffness_n_per_m == 0.0) {
+        surface->friction_stiffness_n_per_m = stiffness_n_per_m;
     } else if (stiffness_n_per_m > 0.0) {
-        skin->friction_stiffness_n_per_m += left * (stiffness_n_per_m - skin->friction_stiffness_n_per_m);
-        if (skin->friction_stiffness_n_per_m > stiffness_n_per_m) {
-            const double part = stiffness_n_per_m / skin->friction_stiffness_n_per_m;
-            slot->anchor_m = along_m - part * (along_m - slot->anchor_m);
+        surface->friction_stiffness_n_per_m += left * (stiffness_n_per_m - surface->friction_stiffness_n_per_m);
+        if (surface->friction_stiffness_n_per_m > stiffness_n_per_m) {
+            const double part = stiffness_n_per_m / surface->friction_stiffness_n_per_m;
+            slot->anchor_m = arc_m - part * (arc_m - slot->anchor_m);
         }
     }
 }

@@ -14,7 +14,7 @@ static size_t slot_regions(const struct hd_state *state, uint32_t from, uint32_t
     regions[1] = (struct hd_region){state->active + from, count * sizeof *state->active};
     regions[2] = (struct hd_region){state->resumed + from, count * sizeof *state->resumed};
     regions[3] = (struct hd_region){state->healing + from, count * sizeof *state->healing};
-    regions[4] = (struct hd_region){state->near + from, count * sizeof *state->near};
+    regions[4] = (struct hd_region){state->candidates + from, count * sizeof *state->candidates};
     return SLOT_ARRAYS;
 }
 
@@ -30,17 +30,17 @@ struct hd_state *hd_state_new(uint32_t slot_capacity) {
     state->active = calloc(capacity, sizeof *state->active);
     state->resumed = calloc(capacity, sizeof *state->resumed);
     state->healing = calloc(capacity, sizeof *state->healing);
-    state->near = calloc(capacity, sizeof *state->near);
-    state->voices = calloc(HD_VOICE_CAPACITY, sizeof *state->voices);
-    state->voice_ends = calloc(HD_VOICE_CAPACITY, sizeof *state->voice_ends);
+    state->candidates = calloc(capacity, sizeof *state->candidates);
+    state->active_modes = calloc(HD_ACTIVE_MODE_CAPACITY, sizeof *state->active_modes);
+    state->mode_ends = calloc(HD_ACTIVE_MODE_CAPACITY, sizeof *state->mode_ends);
     state->waves = calloc(HD_WAVE_CAPACITY, sizeof *state->waves);
     state->wave_blocks = calloc(HD_WAVE_CAPACITY, sizeof *state->wave_blocks);
     state->noises = calloc(HD_NOISE_CAPACITY, sizeof *state->noises);
     state->free_noises = calloc(HD_NOISE_CAPACITY, sizeof *state->free_noises);
     state->strikes = calloc(HD_STRIKE_CAPACITY, sizeof *state->strikes);
-    state->events = calloc(HD_EVENT_CAPACITY, sizeof *state->events);
+    state->events = calloc(HD_EVENT_CAPACITY + 1u, sizeof *state->events);
     if (state->slots == NULL || state->active == NULL || state->resumed == NULL || state->healing == NULL ||
-        state->near == NULL || state->voices == NULL || state->voice_ends == NULL || state->waves == NULL ||
+        state->candidates == NULL || state->active_modes == NULL || state->mode_ends == NULL || state->waves == NULL ||
         state->wave_blocks == NULL || state->noises == NULL || state->free_noises == NULL || state->strikes == NULL ||
         state->events == NULL) {
         hd_state_free(state);
@@ -69,9 +69,9 @@ void hd_state_free(struct hd_state *state) {
         free(state->active);
         free(state->resumed);
         free(state->healing);
-        free(state->near);
-        free(state->voices);
-        free(state->voice_ends);
+        free(state->candidates);
+        free(state->active_modes);
+        free(state->mode_ends);
         free(state->waves);
         free(state->wave_blocks);
         free(state->noises);
@@ -102,14 +102,15 @@ size_t hd_state_regions(const struct hd_state *state, uint32_t from_slot, uint32
     size_t count = slot_regions(state, from_slot, to_slot, regions);
     if (from_slot == 0) {
         regions[count++] = (struct hd_region){(void *)(uintptr_t)state, sizeof *state};
-        regions[count++] = (struct hd_region){state->voices, HD_VOICE_CAPACITY * sizeof *state->voices};
-        regions[count++] = (struct hd_region){state->voice_ends, HD_VOICE_CAPACITY * sizeof *state->voice_ends};
+        regions[count++] =
+            (struct hd_region){state->active_modes, HD_ACTIVE_MODE_CAPACITY * sizeof *state->active_modes};
+        regions[count++] = (struct hd_region){state->mode_ends, HD_ACTIVE_MODE_CAPACITY * sizeof *state->mode_ends};
         regions[count++] = (struct hd_region){state->waves, HD_WAVE_CAPACITY * sizeof *state->waves};
         regions[count++] = (struct hd_region){state->wave_blocks, HD_WAVE_CAPACITY * sizeof *state->wave_blocks};
         regions[count++] = (struct hd_region){state->noises, HD_NOISE_CAPACITY * sizeof *state->noises};
         regions[count++] = (struct hd_region){state->free_noises, HD_NOISE_CAPACITY * sizeof *state->free_noises};
         regions[count++] = (struct hd_region){state->strikes, HD_STRIKE_CAPACITY * sizeof *state->strikes};
-        regions[count++] = (struct hd_region){state->events, HD_EVENT_CAPACITY * sizeof *state->events};
+        regions[count++] = (struct hd_region){state->events, (HD_EVENT_CAPACITY + 1u) * sizeof *state->events};
     }
     return count;
 }
@@ -128,9 +129,9 @@ int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
     to->active = own.active;
     to->resumed = own.resumed;
     to->healing = own.healing;
-    to->near = own.near;
-    to->voices = own.voices;
-    to->voice_ends = own.voice_ends;
+    to->candidates = own.candidates;
+    to->active_modes = own.active_modes;
+    to->mode_ends = own.mode_ends;
     to->waves = own.waves;
     to->wave_blocks = own.wave_blocks;
     to->noises = own.noises;
@@ -142,9 +143,9 @@ int hd_state_copy(struct hd_state *to, const struct hd_state *from) {
     memcpy(to->active, from->active, from->active_count * sizeof *to->active);
     memcpy(to->resumed, from->resumed, from->resumed_count * sizeof *to->resumed);
     memcpy(to->healing, from->healing, from->healing_count * sizeof *to->healing);
-    memcpy(to->near, from->near, from->near_count * sizeof *to->near);
-    memcpy(to->voices, from->voices, from->voice_count * sizeof *to->voices);
-    memcpy(to->voice_ends, from->voice_ends, from->voice_count * sizeof *to->voice_ends);
+    memcpy(to->candidates, from->candidates, from->candidate_count * sizeof *to->candidates);
+    memcpy(to->active_modes, from->active_modes, from->active_mode_count * sizeof *to->active_modes);
+    memcpy(to->mode_ends, from->mode_ends, from->active_mode_count * sizeof *to->mode_ends);
     memcpy(to->waves, from->waves, HD_WAVE_CAPACITY * sizeof *to->waves);
     for (uint32_t i = 0; i < from->wave_count; i++) {
         to->wave_blocks[from->waves[i].block] = from->wave_blocks[from->waves[i].block];
@@ -204,26 +205,31 @@ HD_RT void hd_state_want_forces(struct hd_state *state, int enabled) {
     state->enabled = enabled && state->faults == 0;
 }
 
-HD_RT uint32_t hd_state_event(struct hd_state *state, uint32_t kind, int64_t time_ns) {
-    if (state->event_count >= HD_EVENT_CAPACITY) {
+HD_RT struct hd_event *hd_event_add(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t code,
+                                    double value) {
+    struct hd_event *event = &state->events[state->event_count];
+    if (state->event_count < HD_EVENT_CAPACITY) {
+        state->event_count++;
+    } else {
         state->events_dropped++;
-        return HD_EVENT_CAPACITY;
     }
-    state->events[state->event_count] = (struct hd_event){
+    *event = (struct hd_event){
         .tick = state->tick,
         .time_ns = time_ns,
         .kind = kind,
+        .code = code,
         .slot = HD_NO_SLOT,
         .true_speed_m_per_s = (double)NAN,
+        .value = value,
     };
-    return state->event_count++;
+    return event;
 }
 
-static HD_RT void report_faults(struct hd_state *state, int64_t time_ns) {
-    const uint32_t event = hd_state_event(state, HD_EVENT_FAULT, time_ns);
-    if (event < HD_EVENT_CAPACITY) {
-        state->events[event].code = state->faults;
-    }
+HD_RT struct hd_event *hd_event_add_at(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t slot) {
+    struct hd_event *event = hd_event_add(state, kind, time_ns, 0, 0.0);
+    event->slot = slot;
+    event->generation = state->slots[slot].generation;
+    return event;
 }
 
 HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, int64_t time_ns) {
@@ -233,7 +239,7 @@ HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, 
     }
     if ((state->faults | faults) != state->faults) {
         state->faults |= faults;
-        report_faults(state, time_ns);
+        hd_event_add(state, HD_EVENT_FAULT, time_ns, state->faults, 0.0);
     }
 }
 
@@ -241,7 +247,7 @@ HD_RT void hd_state_clear_faults(struct hd_state *state, uint32_t remaining, int
     const uint32_t left = state->faults & remaining;
     if (left != state->faults) {
         state->faults = left;
-        report_faults(state, time_ns);
+        hd_event_add(state, HD_EVENT_FAULT, time_ns, state->faults, 0.0);
     }
     hd_state_want_forces(state, 1);
 }

@@ -1,21 +1,23 @@
 /* What the tick remembers from one call to the next.
  *
- *   slots[]   one per object, at the object's place in the table; belongs to the object while the generation agrees
- *   active[]  the slots that are touched now, dense, in no order
- *   near[]    what a probe can reach before it has moved by near_radius_m; see hd_near.h
- *   resumed[] slots whose contact was cleared under the hand, looked at once by the next tick
- *   healing[] punctured membranes that close again
- *   voices[]  the modes that ring now, dense, in no order; behind them, to the end of a tick, those that ended since
- *             the last one; a slot knows the first of its own
- *   voice_ends[] what of a voice only strikes and ends need; chains the voices of a slot
- *   waves[]   the waveforms that play now, dense, in no order, and behind them the free ones; each has a block of
- *             wave_blocks[] for its samples
- *   noises[]  the noises that sound now; a slot knows its own, free ones are stacked in free_noises[]
- *   offloads[] strikes of this tick that the device plays by itself; taken by whoever called it
- *   reserves[] what those that were struck may still add to the command
- *   strikes[] filled while a tick walks the objects, emptied at its end, when the contact force (and so what the limit
- *             leaves for vibration) is known
- *   events[]  filled by a tick, taken by whoever called it
+ *   slots[]         one per object, at the object's index in the table; it belongs to the object while the generation
+ *                   agrees
+ *   active[]        slots that are in contact now, dense, in no order
+ *   candidates[]    the candidate list of the broad phase (hd_broad_phase.c): what the probe can meet before it has
+ *                   moved by candidates_radius_m
+ *   resumed[]       slots whose contact was cleared under the hand, visited once by the next tick
+ *   healing[]       punctured membranes that close again
+ *   active_modes[]  modes that ring now, dense, in no order; behind them, to the end of a tick, those that ended since
+ *                   the last one; a slot knows the first of its own
+ *   mode_ends[]     what of an active mode only strikes and ends need; chains the active modes of a slot
+ *   waves[]         waveforms that play now, dense, in no order, and behind them the free ones; each has a block of
+ *                   wave_blocks[] for its samples
+ *   noises[]        noises that sound now; a slot knows its own, free ones are stacked in free_noises[]
+ *   offloads[]      strikes of this tick that the device plays itself; taken by the caller of the tick
+ *   reserves[]      what those that were struck may still add to the command
+ *   strikes[]       filled during the contact update, emptied at the end of the tick, when the contact force (and so
+ *                   what the limit leaves for vibration) is known
+ *   events[]        filled by a tick, taken by its caller; the last record takes what has no room
  *
  * Owned by one thread: the servo's, or the caller's of an offline run. hd_state_new reserves address space for every
  * slot there can be; hd_state_reserve touches the pages of those that a table is about to use, so that the servo never
@@ -24,33 +26,33 @@
 #define HD_STATE_H
 
 #include "api/hd_core.h"
-#include "scene/hd_index.h"
 #include "base/hd_memory.h"
+#include "scene/hd_index.h"
 #include "tick/hd_noise.h"
 #include "tick/hd_passivity.h"
 #include "tick/hd_velocity.h"
 
-#define HD_VOICE_CAPACITY 4096u  /* ringing at once; beyond that, one that is near its end is given up */
-#define HD_STRIKE_CAPACITY 4096u /* struck within one tick */
-#define HD_EVENT_CAPACITY 256u   /* reported by one tick */
-#define HD_PLAYED_CAPACITY 64u   /* modes played by hand within one tick */
-#define HD_NOISE_CAPACITY 256u   /* surfaces with noise that are touched at once; further ones are silent */
-#define HD_OFFLOAD_CAPACITY 8u   /* strikes of one tick that the device plays by itself */
-#define HD_RESERVE_CAPACITY 16u  /* effects that may play at once */
-#define HD_WAVE_CAPACITY 32u     /* waveforms that play at once; beyond that, the one nearest its end is given up */
+#define HD_ACTIVE_MODE_CAPACITY 4096u /* ringing at once; beyond that, one that is near its end is given up */
+#define HD_STRIKE_CAPACITY 4096u      /* struck within one tick */
+#define HD_EVENT_CAPACITY 256u        /* reported by one tick */
+#define HD_PLAYED_CAPACITY 64u        /* modes played by hand within one tick */
+#define HD_NOISE_CAPACITY 256u        /* surfaces with noise that are touched at once; further ones are silent */
+#define HD_OFFLOAD_CAPACITY 8u        /* strikes of one tick that the device plays by itself */
+#define HD_RESERVE_CAPACITY 16u       /* effects that may play at once */
+#define HD_WAVE_CAPACITY 32u /* waveforms that play at once; beyond that, the one nearest its end is given up */
 #define HD_STATE_REGIONS 16u
 
 enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_GROOVE = 2, HD_MODE_SECOND = 3, HD_MODE_USES = 4 };
 
 /* Where the probe is on a surface: how deep below it, where along it, and which way the surface faces there. */
-struct hd_place {
+struct hd_contact_point {
     double depth_m;
-    double along_m; /* the tangential coordinate s */
+    double arc_m; /* the tangential coordinate s */
     double normal[2];
 };
 
 /* What the material gives where the probe is: see hd_surface.h. */
-struct hd_skin {
+struct hd_surface {
     double stiffness_n_per_m;
     double stiffness_slope; /* dK/ds, N/m^2 */
     double damping_n_s_per_m;
@@ -85,39 +87,39 @@ struct hd_residual {
 
 struct hd_slot {
     uint32_t generation;
-    uint32_t place_version; /* of the place and the skin that the contact follows */
-    uint32_t skin_version;
-    uint32_t active_index;        /* place in active[] while touched */
-    uint32_t healing_index;       /* place in healing[] plus one; 0: not in it */
-    uint32_t open;                /* membrane: punctured, while this is the state's epoch */
-    uint32_t voice[HD_MODE_USES]; /* place in voices[] plus one, of the first of a chain; 0: silent */
-    uint32_t noise;               /* place in noises[] plus one; 0: silent */
-    uint32_t contacts;            /* so far: the salt of their noise */
-    uint32_t grooves;             /* struck in this contact */
-    uint64_t looked;              /* the tick that looked at it last, plus one */
-    double groove_m;              /* s of the groove that was struck last, and how far from it it may strike again */
+    uint32_t pose_version; /* of the place and the surface that the contact follows */
+    uint32_t surface_version;
+    uint32_t active_index;       /* place in active[] while touched */
+    uint32_t healing_index;      /* place in healing[] plus one; 0: not in it */
+    uint32_t open;               /* membrane: punctured, while this is the state's epoch */
+    uint32_t mode[HD_MODE_USES]; /* place in active_modes[] plus one, of the first of a chain; 0: silent */
+    uint32_t noise;              /* place in noises[] plus one; 0: silent */
+    uint32_t contacts;           /* so far: the salt of their noise */
+    uint32_t grooves;            /* struck in this contact */
+    uint64_t visited;            /* the tick that looked at it last, plus one */
+    double groove_m;             /* s of the groove that was struck last, and how far from it it may strike again */
     double groove_free_m;
     uint8_t touched;
-    int8_t side;                 /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
-    uint8_t face;                /* box: that was entered; see hd_box.c */
-    uint8_t disarmed;            /* let go, and the probe has not been far enough from it since to tap it */
-    uint8_t resume;              /* its contact was cleared while it was pressed */
-    uint8_t changed;             /* what it presses with at the end of this tick is a command's doing */
-    uint8_t held;                /* the groove at `groove_m` was struck and the probe has not been away from it since */
-    uint16_t seam;               /* ticks in which friction goes over from what was left to this material */
-    double ramp;                 /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
-    double anchor_m;             /* friction: where the probe sticks, along the surface */
-    double normal_n;             /* the normal force at the last tick, without ramp */
-    double force_n[2];           /* at the last tick, with it */
-    struct hd_place last;        /* at the last tick; its normal outlives the contact */
-    struct hd_skin skin;         /* at the last tick */
-    uint32_t tail[HD_MODE_USES]; /* as `voice`, of the tails; last, because few ever ring */
+    int8_t side;       /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
+    uint8_t face;      /* box: that was entered; see hd_box.c */
+    uint8_t disarmed;  /* let go, and the probe has not been far enough from it since to tap it */
+    uint8_t resume;    /* its contact was cleared while it was pressed */
+    uint8_t changed;   /* what it presses with at the end of this tick is a command's doing */
+    uint8_t held;      /* the groove at `groove_m` was struck and the probe has not been away from it since */
+    uint16_t seam;     /* ticks in which friction goes over from what was left to this material */
+    double ramp;       /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
+    double anchor_m;   /* friction: where the probe sticks, along the surface */
+    double normal_n;   /* the normal force at the last tick, without ramp */
+    double force_n[2]; /* at the last tick, with it */
+    struct hd_contact_point last; /* at the last tick; its normal outlives the contact */
+    struct hd_surface surface;    /* at the last tick */
+    uint32_t tail[HD_MODE_USES];  /* as `mode`, of the tails; last, because few ever ring */
 };
 
 /* Two numbers, of x and of y, that are computed with as one. */
 typedef double hd_pair __attribute__((vector_size(16)));
 
-struct hd_voice {
+struct hd_active_mode {
     hd_pair re; /* z along x and y */
     hd_pair im;
     double rotor_re;
@@ -128,10 +130,10 @@ struct hd_voice {
     uint32_t use; /* enum hd_mode_use; of a tail HD_MODE_USES more */
 };
 
-/* What of a voice only strikes and ends need. */
-struct hd_voice_end {
+/* What of an active mode only strikes and ends need. */
+struct hd_mode_end {
     double over_s; /* from its end to the first tick after that */
-    uint32_t next; /* of the same slot and use, another mode: place in voices[] plus one, or 0 */
+    uint32_t next; /* of the same slot and use, another mode: place in active_modes[] plus one, or 0 */
 };
 
 /* A waveform that plays: see hd_waveform.h. */
@@ -156,7 +158,7 @@ struct hd_strike {
     uint32_t generation;
     uint32_t use;
     uint32_t event;   /* index of the event that reports it */
-    uint32_t offload; /* place in offloads[] plus one; 0: it is a voice */
+    uint32_t offload; /* place in offloads[] plus one; 0: it is an active mode */
     double units;     /* of what excites the mode */
     double before_s;  /* began this long before the tick, 0 to T */
     double growth_n;  /* the surface's own force by the time of the first peak */
@@ -187,11 +189,11 @@ struct hd_state {
     uint64_t tick;         /* the one that is being rendered, or comes next; the first is 0 */
     uint64_t gesture_tick; /* that took the path which the simulated hand follows */
     uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
-    uint32_t voice_count;
-    uint32_t ended_count; /* of voices, behind those that ring */
+    uint32_t active_mode_count;
+    uint32_t ended_count; /* of active modes, behind those that ring */
     uint32_t wave_count;
     uint32_t active_count;
-    uint32_t near_count;
+    uint32_t candidate_count;
     uint32_t resumed_count;
     uint32_t healing_count;
     uint32_t free_noise_count;
@@ -212,21 +214,21 @@ struct hd_state {
     uint8_t yields;       /* noise gives way to the limit in this tick */
     uint8_t field_active; /* the field exerts a force */
     uint8_t field_known;  /* it is the table's, but for a change of its version */
-    uint8_t near_known;   /* near[] holds for near_center_m */
-    uint8_t commanded;    /* there was a command */
-    uint8_t gesture;      /* gesture_tick is known */
-    uint8_t offload_open; /* the device plays effects by itself: whoever calls the tick says so */
-    double gain;          /* of the whole command: enabling and fading */
-    double show_force;    /* of contacts and fields: the display flag */
-    double show_vibration; /* the same of vibration, ramped */
-    double controls;       /* how much of what the passivity controller asks for is done, 0 to 1, ramped */
-    double position_m[2];  /* the last sample */
-    double near_center_m[2];
-    double near_radius_m;
+    uint8_t candidates_known; /* candidates[] holds for candidates_center_m */
+    uint8_t commanded;        /* there was a command */
+    uint8_t gesture;          /* gesture_tick is known */
+    uint8_t offload_open;     /* the device plays effects by itself: whoever calls the tick says so */
+    double gain;              /* of the whole command: enabling and fading */
+    double show_force;        /* of contacts and fields: the display flag */
+    double show_vibration;    /* the same of vibration, ramped */
+    double controls;          /* how much of what the passivity controller asks for is done, 0 to 1, ramped */
+    double position_m[2];     /* the last sample */
+    double candidates_center_m[2];
+    double candidates_radius_m;
     struct hd_change change;     /* that commands made since the last tick, and in this one */
     struct hd_residual residual; /* what is left of that */
     uint64_t commanded_tick;     /* the last one that took in a command */
-    double ringing_n[2];         /* the sum of Im z over voices[], of kicks_n[0], and of waves[] */
+    double ringing_n[2];         /* the sum of Im z over active_modes[], of kicks_n[0], and of waves[] */
     uint32_t kick_count;         /* of kicks_n[] that are not zero, from the first on */
     double kicks_n[HD_KICKS][2]; /* what strikes add to this tick and the next ones */
     double noise_gain;           /* what the limit left of noises, 0 to 1: hd_limit_noise */
@@ -246,12 +248,12 @@ struct hd_state {
     uint32_t *active;
     uint32_t *resumed;
     uint32_t *healing;
-    struct hd_near *near;
-    struct hd_voice *voices;
-    struct hd_voice_end *voice_ends;
+    struct hd_candidate *candidates;
+    struct hd_active_mode *active_modes;
+    struct hd_mode_end *mode_ends;
     struct hd_wave *waves;
     struct hd_wave_block *wave_blocks;
-    struct hd_noise_voice *noises;
+    struct hd_active_noise *noises;
     uint32_t *free_noises;
     struct hd_strike *strikes;
     struct hd_event *events;
@@ -289,8 +291,15 @@ HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, 
 /* Clears every latched fault but `remaining`, and enables the forces if none is left. */
 HD_RT void hd_state_clear_faults(struct hd_state *state, uint32_t remaining, int64_t time_ns);
 HD_RT void hd_state_want_forces(struct hd_state *state, int enabled);
-/* A place for one more event of this tick, filled with the tick, its time and defaults; its index, or
- * HD_EVENT_CAPACITY when there is no more room (counted). */
-HD_RT uint32_t hd_state_event(struct hd_state *state, uint32_t kind, int64_t time_ns);
+/* One more event of this tick, of no object, for the caller to fill in what else it tells. Never NULL: when there is no
+ * more room (counted) it is a record behind the last one, which nobody reads. */
+HD_RT struct hd_event *hd_event_add(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t code,
+                                    double value);
+/* The same of an object, at a strike or without one. */
+HD_RT struct hd_event *hd_event_add_at(struct hd_state *state, uint32_t kind, int64_t time_ns, uint32_t slot);
+/* Which event it is, for struct hd_strike. */
+HD_RT static inline uint32_t hd_event_index(const struct hd_state *state, const struct hd_event *event) {
+    return (uint32_t)(event - state->events);
+}
 
 #endif

@@ -7,9 +7,9 @@ HD_RT static double mixed(double from, double to, double weight) {
 }
 
 /* One material alone. */
-HD_RT static void plain(const struct hd_material *material, double along_m, double half_length_m,
-                        struct hd_skin *skin) {
-    *skin = (struct hd_skin){
+HD_RT static void plain(const struct hd_material *material, double arc_m, double half_length_m,
+                        struct hd_surface *surface) {
+    *surface = (struct hd_surface){
         .stiffness_n_per_m = material->stiffness_n_per_m,
         .damping_n_s_per_m = material->damping_n_s_per_m,
         .friction_coefficient = material->friction_coefficient,
@@ -17,40 +17,40 @@ HD_RT static void plain(const struct hd_material *material, double along_m, doub
     };
     if (material->texture == HD_TEXTURE_GEOMETRY || material->texture == HD_TEXTURE_DRAG) {
         double slope;
-        const double height = hd_groove_profile(material, along_m, half_length_m, &slope);
+        const double height = hd_groove_profile(material, arc_m, half_length_m, &slope);
         if (material->texture == HD_TEXTURE_GEOMETRY) {
-            skin->lowering_m = material->depth_m * height;
-            skin->lowering_slope = material->depth_m * slope;
+            surface->lowering_m = material->depth_m * height;
+            surface->lowering_slope = material->depth_m * slope;
         } else {
-            skin->drag_n_s_per_m = material->drag_n_s_per_m * height;
+            surface->drag_n_s_per_m = material->drag_n_s_per_m * height;
         }
     }
 }
 
-HD_RT void hd_skin_blend(const struct hd_skin *from, double blend, struct hd_skin *skin) {
-    skin->stiffness_n_per_m = mixed(from->stiffness_n_per_m, skin->stiffness_n_per_m, blend);
-    skin->stiffness_slope = mixed(from->stiffness_slope, skin->stiffness_slope, blend);
-    skin->damping_n_s_per_m = mixed(from->damping_n_s_per_m, skin->damping_n_s_per_m, blend);
-    skin->lowering_m = mixed(from->lowering_m, skin->lowering_m, blend);
-    skin->lowering_slope = mixed(from->lowering_slope, skin->lowering_slope, blend);
-    skin->drag_n_s_per_m = mixed(from->drag_n_s_per_m, skin->drag_n_s_per_m, blend);
+HD_RT void hd_surface_blend(const struct hd_surface *from, double blend, struct hd_surface *surface) {
+    surface->stiffness_n_per_m = mixed(from->stiffness_n_per_m, surface->stiffness_n_per_m, blend);
+    surface->stiffness_slope = mixed(from->stiffness_slope, surface->stiffness_slope, blend);
+    surface->damping_n_s_per_m = mixed(from->damping_n_s_per_m, surface->damping_n_s_per_m, blend);
+    surface->lowering_m = mixed(from->lowering_m, surface->lowering_m, blend);
+    surface->lowering_slope = mixed(from->lowering_slope, surface->lowering_slope, blend);
+    surface->drag_n_s_per_m = mixed(from->drag_n_s_per_m, surface->drag_n_s_per_m, blend);
     /* What has no friction has no spring of its own either. */
-    if (skin->friction_stiffness_n_per_m == 0.0) {
-        skin->friction_stiffness_n_per_m = from->friction_stiffness_n_per_m;
+    if (surface->friction_stiffness_n_per_m == 0.0) {
+        surface->friction_stiffness_n_per_m = from->friction_stiffness_n_per_m;
     } else if (from->friction_stiffness_n_per_m != 0.0) {
-        skin->friction_stiffness_n_per_m =
-            mixed(from->friction_stiffness_n_per_m, skin->friction_stiffness_n_per_m, blend);
+        surface->friction_stiffness_n_per_m =
+            mixed(from->friction_stiffness_n_per_m, surface->friction_stiffness_n_per_m, blend);
     }
-    skin->friction_coefficient = mixed(from->friction_coefficient, skin->friction_coefficient, blend);
+    surface->friction_coefficient = mixed(from->friction_coefficient, surface->friction_coefficient, blend);
 }
 
-HD_RT uint32_t hd_skin_piece(const struct hd_table *table, const struct hd_object *object, double along_m) {
+HD_RT uint32_t hd_surface_piece(const struct hd_table *table, const struct hd_object *object, double arc_m) {
     const struct hd_piece *pieces = &table->pieces[object->piece_first];
     uint32_t low = 0;
     uint32_t high = object->piece_count;
     while (high - low > 1) {
         const uint32_t middle = low + (high - low) / 2u;
-        if (pieces[middle].from_m <= along_m) {
+        if (pieces[middle].from_m <= arc_m) {
             low = middle;
         } else {
             high = middle;
@@ -59,43 +59,43 @@ HD_RT uint32_t hd_skin_piece(const struct hd_table *table, const struct hd_objec
     return low;
 }
 
-HD_RT struct hd_under hd_skin_at(const struct hd_table *table, const struct hd_object *object, double along_m,
-                                 double half_length_m, struct hd_skin *skin) {
+HD_RT struct hd_dominant_material hd_surface_at(const struct hd_table *table, const struct hd_object *object,
+                                                double arc_m, double half_length_m, struct hd_surface *surface) {
     if (object->piece_count == 0) {
         const struct hd_material *material = &table->materials[object->material];
-        plain(material, along_m, half_length_m, skin);
-        return (struct hd_under){material, 1.0};
+        plain(material, arc_m, half_length_m, surface);
+        return (struct hd_dominant_material){material, 1.0};
     }
     const struct hd_piece *pieces = &table->pieces[object->piece_first];
-    const uint32_t here = hd_skin_piece(table, object, along_m);
+    const uint32_t here = hd_surface_piece(table, object, arc_m);
     /* The edge whose ramp holds s: that before this piece, or that after it. */
     uint32_t edge = 0;
-    if (here > 0 && along_m < pieces[here].from_m + pieces[here].half_ramp_m) {
+    if (here > 0 && arc_m < pieces[here].from_m + pieces[here].half_ramp_m) {
         edge = here;
-    } else if (here + 1 < object->piece_count && along_m > pieces[here + 1].from_m - pieces[here + 1].half_ramp_m) {
+    } else if (here + 1 < object->piece_count && arc_m > pieces[here + 1].from_m - pieces[here + 1].half_ramp_m) {
         edge = here + 1;
     }
     const struct hd_material *material = &table->materials[pieces[here].material];
-    plain(material, along_m, half_length_m, skin);
+    plain(material, arc_m, half_length_m, surface);
     if (edge == 0) {
-        return (struct hd_under){material, 1.0};
+        return (struct hd_dominant_material){material, 1.0};
     }
     const double half = pieces[edge].half_ramp_m;
-    const double x = (along_m - (pieces[edge].from_m - half)) / (2.0 * half);
+    const double x = (arc_m - (pieces[edge].from_m - half)) / (2.0 * half);
     const double weight = x * x * (3.0 - 2.0 * x);
     const double slope = 6.0 * x * (1.0 - x) / (2.0 * half);
     const struct hd_material *other = &table->materials[pieces[edge == here ? here - 1 : edge].material];
-    struct hd_skin second;
-    plain(other, along_m, half_length_m, &second);
-    const struct hd_skin before = edge == here ? second : *skin;
-    struct hd_skin mix = edge == here ? *skin : second;
+    struct hd_surface second;
+    plain(other, arc_m, half_length_m, &second);
+    const struct hd_surface before = edge == here ? second : *surface;
+    struct hd_surface mix = edge == here ? *surface : second;
     const double stiffness_step = mix.stiffness_n_per_m - before.stiffness_n_per_m;
     const double lowering_step = mix.lowering_m - before.lowering_m;
-    hd_skin_blend(&before, weight, &mix);
+    hd_surface_blend(&before, weight, &mix);
     mix.stiffness_slope += slope * stiffness_step;
     mix.lowering_slope += slope * lowering_step;
-    *skin = mix;
+    *surface = mix;
     const double own = edge == here ? weight : 1.0 - weight;
     const int both = other->texture == HD_TEXTURE_NOISE;
-    return (struct hd_under){material, both ? 1.0 : own > 0.5 ? 2.0 * own - 1.0 : 0.0};
+    return (struct hd_dominant_material){material, both ? 1.0 : own > 0.5 ? 2.0 * own - 1.0 : 0.0};
 }

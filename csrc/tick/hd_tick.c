@@ -7,9 +7,9 @@
 
 #include "tick/hd_contact.h"
 #include "tick/hd_limit.h"
+#include "tick/hd_mode.h"
 #include "tick/hd_offload.h"
 #include "tick/hd_ramp.h"
-#include "tick/hd_mode.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
 #define HD_SPEED_ROUNDING 1e-9
@@ -77,7 +77,7 @@ HD_RT static inline double toward(double value, double target, double step) {
 
 /* The tick that met something that is not a number: zero, latched, and nothing of it is remembered. */
 HD_RT static void stop(struct hd_state *state, const struct hd_input *input, struct hd_sample *sample) {
-    hd_voices_silence(state);
+    hd_modes_silence(state);
     state->strike_count = 0;
     state->played_count = 0;
     state->offload_count = 0;
@@ -106,14 +106,14 @@ HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_tabl
 
 /* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. Returns
  * whether it changed the latter. */
-HD_RT static int watch_energy(struct hd_walk *walk, double controlled, double object_n[2], double contact_n[2],
+HD_RT static int watch_energy(struct hd_context *context, double controlled, double object_n[2], double contact_n[2],
                               struct hd_ramped *ramped, uint32_t *flags) {
-    struct hd_state *state = walk->state;
+    struct hd_state *state = context->state;
     const double before[2] = {contact_n[0], contact_n[1]};
     const double still[2] = {ramped->still_n[0], ramped->still_n[1]};
     const struct hd_pushed is = {object_n, contact_n, state->controls};
     const struct hd_pushed was = {ramped->still_object_n, ramped->still_n, controlled};
-    hd_passivity_tick(state, walk->table, walk->input, walk->resync, &is, &was, flags);
+    hd_passivity_tick(state, context->table, context->input, context->resync, &is, &was, flags);
     for (int axis = 0; axis < 2; axis++) {
         ramped->whole_n[axis] += contact_n[axis] - before[axis];
         ramped->still_whole_n[axis] += ramped->still_n[axis] - still[axis];
@@ -131,17 +131,18 @@ HD_RT static void nothing_ramped(const double object_n[2], const double contact_
 
 /* What is heard of the noise of this tick, and what would be if every ramp stood still, without the gains of `display`.
  */
-HD_RT static void hear_noise(const struct hd_walk *walk, const struct hd_ramped *ramped, const double contact_n[2],
-                             double shown, double noise_n[2], double still_n[2], uint32_t *flags) {
-    struct hd_state *state = walk->state;
-    const struct hd_table *table = walk->table;
+HD_RT static void hear_noise(const struct hd_context *context, const struct hd_ramped *ramped,
+                             const double contact_n[2], double shown, double noise_n[2], double still_n[2],
+                             uint32_t *flags) {
+    struct hd_state *state = context->state;
+    const struct hd_table *table = context->table;
     const struct hd_change *change = &state->change;
-    const struct hd_noisy is = {{walk->noise_n[0], walk->noise_n[1]}, walk->noise_rms_n};
+    const struct hd_noisy is = {{context->noise_n[0], context->noise_n[1]}, context->noise_rms_n};
     double most_n;
     if (ramped->any || change->eases || shown != state->show_vibration) {
-        struct hd_noisy was = {{0.0, 0.0}, walk->noise_rms_n + change->noise_rms_n};
+        struct hd_noisy was = {{0.0, 0.0}, context->noise_rms_n + change->noise_rms_n};
         for (int axis = 0; axis < 2; axis++) {
-            was.noise_n[axis] = walk->noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
+            was.noise_n[axis] = context->noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
         }
         const double still = hd_limit_noise(state, table, ramped->still_whole_n, &was, shown, &most_n);
         still_n[0] = still * was.noise_n[0];
@@ -153,13 +154,13 @@ HD_RT static void hear_noise(const struct hd_walk *walk, const struct hd_ramped 
     noise_n[1] = gain * is.noise_n[1];
     if (gain < 1.0) {
         state->yields = 1;
-        hd_limit_report(state, most_n, walk->input->time_ns, flags);
+        hd_limit_report(state, most_n, context->input->time_ns, flags);
     }
     state->noise_gain = gain;
 }
 
 HD_RT static inline int is_ringing(const struct hd_state *state) {
-    return (state->voice_count | state->wave_count) != 0;
+    return (state->active_mode_count | state->wave_count) != 0;
 }
 
 HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const struct hd_input *input,
@@ -177,17 +178,17 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         return;
     }
 
-    struct hd_walk walk;
-    walk.world = world;
-    walk.table = table;
-    walk.state = state;
-    walk.input = input;
-    walk.new_table = state->revision != table->revision || !state->started;
+    struct hd_context context;
+    context.world = world;
+    context.table = table;
+    context.state = state;
+    context.input = input;
+    context.new_table = state->revision != table->revision || !state->started;
     /* A ramp counts ticks, not the periods that were missed before it began. */
-    walk.ramp_step = table->ramp_step;
-    walk.force_n[0] = walk.force_n[1] = 0.0;
-    walk.noise_n[0] = walk.noise_n[1] = walk.noise_rms_n = 0.0;
-    if ((walk.new_table || state->change.any) && state->started) {
+    context.ramp_step = table->ramp_step;
+    context.force_n[0] = context.force_n[1] = 0.0;
+    context.noise_n[0] = context.noise_n[1] = context.noise_rms_n = 0.0;
+    if ((context.new_table || state->change.any) && state->started) {
         state->commanded_tick = state->tick;
         state->commanded = 1;
     }
@@ -200,66 +201,63 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     const int jumped = input->glitch_m_per_s > 0.0;
     const double elapsed = (double)input->periods * table->ramp_step; /* in ramps */
     const int stalled = state->started && elapsed > 1.0;
-    walk.resync = state->resync || !state->located || jumped || stalled;
-    if (walk.resync) {
+    context.resync = state->resync || !state->located || jumped || stalled;
+    if (context.resync) {
         resynchronise(state, input, stalled && !jumped);
         state->resync = 0;
     }
-    const double *from = walk.resync ? input->position_m : state->position_m;
-    walk.from_m[0] = from[0];
-    walk.from_m[1] = from[1];
+    const double *from = context.resync ? input->position_m : state->position_m;
+    context.from_m[0] = from[0];
+    context.from_m[1] = from[1];
     if (jumped) {
         flags |= HD_FLAG_GLITCH;
         state->glitches_total++;
-        const uint32_t event = hd_state_event(state, HD_EVENT_GLITCH, input->time_ns);
-        if (event < HD_EVENT_CAPACITY) {
-            state->events[event].value = input->glitch_m_per_s;
-        }
+        hd_event_add(state, HD_EVENT_GLITCH, input->time_ns, 0, input->glitch_m_per_s);
     }
 
     state->ended_count = 0;
     if (is_ringing(state)) {
-        hd_voices_advance(state, input->periods);
+        hd_modes_advance(state, input->periods);
     }
     if (state->reserve_count > 0) {
         hd_offload_advance(state, input->periods);
     }
-    hd_walk_objects(&walk);
-    walk.object_n[0] = walk.force_n[0];
-    walk.object_n[1] = walk.force_n[1];
-    hd_field_walk(&walk);
+    hd_walk_objects(&context);
+    context.object_n[0] = context.force_n[0];
+    context.object_n[1] = context.force_n[1];
+    hd_field_walk(&context);
 
     const double shows = (double)table->display_force;
     const double shown = state->show_vibration;
     double controlled = 0.0;
-    double contact[2] = {shows * walk.force_n[0], shows * walk.force_n[1]};
+    double contact[2] = {shows * context.force_n[0], shows * context.force_n[1]};
     double object[2];
     struct hd_ramped ramped;
     ramped.any = 0;
     int watches = 0;
     int restrained = 0;
     int eases = 0;
-    const int steady = state->steady && !walk.new_table && !state->change.any && !state->change.eases;
+    const int steady = state->steady && !context.new_table && !state->change.any && !state->change.eases;
     if (!steady) {
-        state->show_vibration = toward(shown, (double)table->display_vibration, walk.ramp_step);
+        state->show_vibration = toward(shown, (double)table->display_vibration, context.ramp_step);
         controlled = state->controls;
         const int controls = table->passivity == HD_PASSIVITY_CONTROL;
         ramped.cuts = controls || controlled > 0.0;
         if (ramped.cuts) {
             const double wanted = controls ? 1.0 : 0.0;
-            state->controls = state->started ? toward(controlled, wanted, walk.ramp_step) : wanted;
+            state->controls = state->started ? toward(controlled, wanted, context.ramp_step) : wanted;
         }
         const int due = state->change.any || state->residual.left > 0 || state->show_force != shows || ramped.cuts;
-        ramped.any = due && hd_ramp_contact(&walk, object, contact, &ramped);
+        ramped.any = due && hd_ramp_contact(&context, object, contact, &ramped);
         watches = table->passivity != HD_PASSIVITY_OFF || ramped.cuts;
         eases = shown != state->show_vibration || state->change.eases;
         if (!ramped.any && (watches || eases)) {
-            object[0] = shows * walk.object_n[0];
-            object[1] = shows * walk.object_n[1];
+            object[0] = shows * context.object_n[0];
+            object[1] = shows * context.object_n[1];
             nothing_ramped(object, contact, &ramped);
         }
         if (watches) {
-            restrained = watch_energy(&walk, controlled, object, contact, &ramped, &flags);
+            restrained = watch_energy(&context, controlled, object, contact, &ramped, &flags);
         }
     }
     if (state->strike_count > 0) {
@@ -275,8 +273,8 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     double vibration[2] = {0.0, 0.0};
     double noise_still[2] = {0.0, 0.0};
     state->yields = 0;
-    if (walk.noise_rms_n > 0.0 || state->change.eases || state->change.any) {
-        hear_noise(&walk, &ramped, contact, shown, vibration, noise_still, &flags);
+    if (context.noise_rms_n > 0.0 || state->change.eases || state->change.any) {
+        hear_noise(&context, &ramped, contact, shown, vibration, noise_still, &flags);
     } else {
         state->noise_gain = 1.0;
     }
@@ -292,7 +290,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
     const int checking = input->checking && state->enabled;
     const double felt = state->enabled && !checking ? 1.0 : 0.0;
     /* Only on its way out does the command hurry: zero is due by the clock. */
-    const double gain = toward(state->gain, felt, felt > 0.0 ? walk.ramp_step : elapsed);
+    const double gain = toward(state->gain, felt, felt > 0.0 ? context.ramp_step : elapsed);
     if (ramped.any || eases) {
         double still[2];
         for (int axis = 0; axis < 2; axis++) {
@@ -300,7 +298,7 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
             still[axis] = shown * (is_ringing(state) ? noise + state->ringing_n[axis] : noise);
             ramped.held_n[axis] = 0.0;
         }
-        hd_ramp_command(&walk, &ramped, contact, vibration, still, gain - state->gain, force, &flags);
+        hd_ramp_command(&context, &ramped, contact, vibration, still, gain - state->gain, force, &flags);
         if (restrained && (ramped.held_n[0] != 0.0 || ramped.held_n[1] != 0.0)) {
             flags |= HD_FLAG_RESTRAINED; /* the command is held at what the controller left */
         }

@@ -3,8 +3,8 @@
 #define HD_TICK_H
 
 #include "base/hd_rt.h"
-#include "tick/hd_state.h"
 #include "scene/hd_world.h"
+#include "tick/hd_state.h"
 
 /* Turns what the device reported into the input of a tick: finite, no jump, and a velocity. `velocity` is the speed
  * where the caller knows it, or NULL to estimate it. */

@@ -13,7 +13,7 @@
  * frequencies [mode_count]; decay times [mode_count], on straight lines between the points and constant beyond; nodes
  * [mode_nodes][HD_TUNE_NODE] over the speed, which is at HD_TUNE_AT instead of the frequency.
  *
- * Each strike has the mode of its own speed and force until it ends: strikes of one mode share a voice. */
+ * Each strike has the mode of its own speed and force until it ends: strikes of one mode share an active mode. */
 #ifndef HD_TUNE_H
 #define HD_TUNE_H
 

@@ -11,21 +11,19 @@ from dataclasses import asdict, dataclass
 from typing import Final, NamedTuple
 
 from hapticd.base.errors import HapticdError, Problem, path_text
+from hapticd.base.lattice import reflection_of
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Material
 from hapticd.config.scene import Disc, field_ids
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.daemon.engine import UNKNOWN_HANDLE, loop_of, output_of
 from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discovery import choose, find
 from hapticd.hid.plan import UndrivableError
 from hapticd.hid.replay import load
 from hapticd.hid.verdict import verdict_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
-    Output,
-    Use,
     displayed_mode,
     displayed_pair,
     displayed_wave_rate,
@@ -38,10 +36,12 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.displayed_error import displayed_error, waveform_error
 from hapticd.rendering.driven_hand import driven
-from hapticd.rendering.filter_design import peak_of, reflection_of, resampled
+from hapticd.rendering.filter_design import peak_of, resampled
 from hapticd.rendering.lagging_modes import lag_warnings
+from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge
 from hapticd.rendering.stability import Loop
+from hapticd.rendering.undisplayable import Use
 
 _UNPLUGGED: Final = "the encoder's step is not known"
 

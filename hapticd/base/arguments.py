@@ -10,8 +10,8 @@ import os
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+from hapticd.base.codec import MAX_DEPTH
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text, shown
-from hapticd.protocol.messages import MAX_DEPTH
 
 
 def wrong(where: str, problem: str) -> InvalidError:

@@ -6,7 +6,7 @@ Every message is one line: what, where and what would be right. A traceback that
 import difflib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -121,28 +121,3 @@ def near_names(name: str, known: Sequence[str], most: int) -> list[str]:
         return []
     folded = {each.casefold(): each for each in known}
     return [folded[near] for near in difflib.get_close_matches(name.casefold(), folded, n=most)]
-
-
-def undisplayable_text(told: Mapping[str, object]) -> str:
-    """What a person reads of a mode, or the peak of a texture, that the rate cannot carry: an `undisplayable` of the
-    protocol."""
-    shown = "silent" if told["shown_hz"] is None else f"shown at {told['shown_hz']:g} Hz"
-    return f"{told['mode']} of {told['material']}, {told['frequency_hz']:g} Hz: {shown}"
-
-
-def offload_text(told: Mapping[str, object]) -> str:
-    """What a person reads of a tap or rupture that the device was to play by itself: an `offload` of the protocol."""
-    name = f"{told['mode']} of {told['material']}, {told['frequency_hz']:g} Hz"
-    if told["refused"] is not None:
-        return f"{name}: streamed, {told['refused']}"
-    return f"{name}: played by the device at {told['shown_hz']:g} Hz, {told['error_percent']:.2g} % off"
-
-
-def unseen_text(node: str, foreign_s: object = None) -> tuple[str, str]:
-    """What is wrong with a device that does not report which of its effects play, and what to do about it.
-    `foreign_s`: so long an effect of another program lasts in the place of ours at most, s; None: not known."""
-    lasts = f"; what it uploads lasts up to {1e3 * foreign_s:.0f} ms" if isinstance(foreign_s, float) else ""
-    return (
-        f"{node} does not report which of its effects play: a reset by another program is not noticed{lasts}",
-        f"`hapticd devices claim {node}` keeps other programs off",
-    )

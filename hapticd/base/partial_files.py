@@ -1,9 +1,10 @@
-"""Files in the making: hidden parts beside the target, which get its name once they are whole.
+"""Partial files: hidden beside the target, they get its name once they are whole.
 
 Everything is done relative to the folder's descriptor: whoever renames the folder, or puts a link in its place, changes
-nothing. Others may write to the folder, too. So the name of a part cannot be guessed (`.NAME.PROCESS.RANDOM.part`), it
-is never opened through a link, and it gets no name unless it still is the file that was opened. `left_of` finds the
-parts of processes that were killed; what others put there under such a name is told, and left as it is.
+nothing. Others may write to the folder, too. So the name of a partial file cannot be guessed
+(`.NAME.PROCESS.RANDOM.part`), it is never opened through a link, and it gets no name unless it still is the file that
+was opened. `partial_files_of` finds those of processes that were killed; what others put there under such a name is
+reported, and left as it is.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _LINKS: Final = 40
 """Links in a row, as many as Linux follows."""
 _REMOVED: Final = "it was removed while it was being written"
 _NEW: Final = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-_LEFT: Final = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+_RESUME: Final = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
 class Folder:
@@ -81,7 +82,7 @@ def resolved(target: str | os.PathLike[str]) -> Path:
     return Path(os.path.realpath(path))
 
 
-class Part:
+class PartialFile:
     """A file in the making, locked while it is: what is appended is in it whole, or not at all."""
 
     def __init__(self, folder: Folder, name: str, resume: bool = False) -> None:
@@ -89,7 +90,7 @@ class Part:
         writing it), OSError."""
         self.folder = folder
         self.name = name
-        self.fd = os.open(name, _LEFT if resume else _NEW, 0o666, dir_fd=folder.fd)
+        self.fd = os.open(name, _RESUME if resume else _NEW, 0o666, dir_fd=folder.fd)
         self._closed = False
         try:
             found = os.fstat(self.fd)
@@ -178,24 +179,24 @@ def new_stem(target: Path) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
-    """What lies beside a target under names of parts."""
+class PartialFiles:
+    """What lies beside a target under names of partial files."""
 
     stems: list[str]
-    """Of our own parts: of recordings that were killed, and of those that are under way."""
+    """Of our own: of recordings that were killed, and of those that are under way."""
     others: list[str]
     """What others put there, or links: never opened."""
 
 
-def left_of(target: Path) -> Left:
-    """The parts beside a target."""
+def partial_files_of(target: Path) -> PartialFiles:
+    """The partial files beside a target."""
     name = re.escape(target.name)
     part, ours = re.compile(rf"\.{name}\..*\.part"), re.compile(rf"(\.{name}\.\d+\.[0-9a-f]{{16}})\.part")
     stems, others = [], []
     try:
         folder = Folder(target.parent)
     except OSError:
-        return Left([], [])
+        return PartialFiles([], [])
     try:
         for found in sorted(filter(part.fullmatch, folder.names())):
             match = ours.fullmatch(found)
@@ -206,7 +207,7 @@ def left_of(target: Path) -> Left:
                     others.append(found)
     finally:
         folder.close()
-    return Left(stems, others)
+    return PartialFiles(stems, others)
 
 
 def write_file(target: Path, data: bytes, overwrite: bool) -> Path:
@@ -214,7 +215,7 @@ def write_file(target: Path, data: bytes, overwrite: bool) -> Path:
     taken, NAME-2.ENDING and so on. Raises OSError."""
     folder = Folder(target.parent)
     try:
-        part = Part(folder, f"{new_stem(target)}.part")
+        part = PartialFile(folder, f"{new_stem(target)}.part")
         try:
             part.append(data)
             number = 1

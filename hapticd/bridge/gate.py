@@ -24,13 +24,13 @@ from typing import Final, Literal
 import zmq
 import zmq.asyncio
 
+from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.bridge import zap
 from hapticd.bridge.accounts import Account, Accounts
 from hapticd.bridge.daemon_link import DaemonLink
 from hapticd.bridge.limits import Bucket, Teller
 from hapticd.bridge.relay import Relay
-from hapticd.protocol import messages
 from hapticd.protocol.keys import Certificate
 from hapticd.protocol.messages import MAX_BODY
 
@@ -458,7 +458,7 @@ class Connection(asyncio.Protocol):
         if b"\x01" + BRIDGE in self._topics and self._front is not None and self.account is not None:
             told = {"may": self.account.may, "daemon": self._gate.link.status is not None}
             try:
-                self._front.send_multipart([BRIDGE, messages.encode(told)], zmq.NOBLOCK)
+                self._front.send_multipart([BRIDGE, codec.encode(told)], zmq.NOBLOCK)
                 self._untold = False
             except zmq.Again:
                 self._untold = True

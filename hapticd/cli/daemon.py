@@ -43,7 +43,7 @@ def reload_command(ctx: click.Context, expect_revision: int | None, wait: bool, 
 def status_command(ctx: click.Context, as_json: bool) -> None:
     """Say what the daemon is and does."""
     with daemon(ctx) as client:
-        status = client.get_status()
+        status = client.get_status(detail=True)
     if as_json:
         print_json(status)
         return

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import click
 
 from hapticd.base import wording
-from hapticd.base.errors import HapticdError, quoted, unseen_text
+from hapticd.base.errors import HapticdError, quoted
 from hapticd.cli.common import (
     Finite,
     check_new,
@@ -24,6 +24,7 @@ from hapticd.cli.common import (
     write_whole,
     yaml_text,
 )
+from hapticd.hid.texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
@@ -343,7 +344,7 @@ def _lines(verdict: Verdict) -> list[str]:
         lines.append(f"direction: {_direction(effect)}; Axes Enable: {', '.join(effect.axes_enable) or 'none'}")
     if layout.device_control is not None:
         lines.append(
-            f"device control: output report {layout.device_control.report_id} ({layout.device_control.kind}): "
+            f"device control: output report {layout.device_control.report_id} ({layout.device_control.command.kind}): "
             f"{', '.join(layout.device_control.command.entries)}"
         )
     optional = {

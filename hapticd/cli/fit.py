@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from hapticd.fit.left_out import LeftOut
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
+    from hapticd.fit.tap_kind import TapKind
     from hapticd.fit.taps.amplitude import LawKind
-    from hapticd.fit.taps.kind import TapKind
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
@@ -159,7 +159,7 @@ def tap_command(
 
     def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
         from hapticd.fit.provenance import estimates
-        from hapticd.fit.taps.kind import fit_taps
+        from hapticd.fit.tap_kind import fit_taps
         from hapticd.fit.waveform import WaveformFit
 
         found = fit_taps(recordings, as_form, lambda recording: step(f"fitting {recording.name}"), left)

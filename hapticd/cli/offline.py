@@ -7,7 +7,6 @@ import json
 import click
 
 from hapticd.base import wording
-from hapticd.base.errors import undisplayable_text
 from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
@@ -21,6 +20,7 @@ from hapticd.cli.common import (
     print_json,
     scene_file,
 )
+from hapticd.rendering.undisplayable import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
@@ -109,8 +109,8 @@ def replay_command(file: str, output: str | None, overwrite: bool, max_memory: i
 
     Ends with 1 where they are not the recorded ones, bit for bit.
     """
+    from hapticd.recording.formats import check_target
     from hapticd.recording.replay import replay
-    from hapticd.recording.writer import check_target
 
     if output is not None:
         check_target(output, overwrite)

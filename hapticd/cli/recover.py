@@ -23,12 +23,12 @@ def recover_command(file: str, as_json: bool) -> int:
     from hapticd.recording.recovery import recover
 
     found = recover(file)
-    for told in found.told:
-        note(told)
-    if not found.files and not found.told:
+    for problem in found.problems:
+        note(problem)
+    if not found.files and not found.problems:
         raise HapticdError(f"{file}: no recording into it left anything")
     if as_json:
-        print_json({"files": [os.fspath(path) for path in found.files], "told": found.told})
+        print_json({"files": [os.fspath(path) for path in found.files], "told": found.problems})
     else:
         for path in found.files:
             click.echo(os.fspath(path))

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import asdict
-from typing import TypedDict
+from typing import Final, TypedDict
 
 import numpy as np
 
@@ -15,10 +15,13 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
 from hapticd.base.yaml_source import load_path
 from hapticd.config.configuration import Config, load_config
-from hapticd.config.document_kinds import SIMULATION_TAKER, refuse_other_kinds
+from hapticd.config.document_kinds import Kind, refuse_other_kinds
 from hapticd.protocol.events import event_map
-from hapticd.recording.writer import Sink, open_sink
+from hapticd.recording.formats import open_writer
+from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import Run, simulate_run
+
+_TAKERS: Final[dict[Kind, str]] = dict.fromkeys(("waypoints", "gesture"), "simulate SCENE --operator")
 
 
 class SimulationResult(TypedDict):
@@ -53,13 +56,13 @@ def simulate_files(
     Raises HapticdError or InvalidError for what cannot be read, run or written, before anything is run for a file that
     is there already and not to be replaced.
     """
-    with nullcontext() if output is None else open_sink(output, overwrite) as sink:
+    with nullcontext() if output is None else open_writer(output, overwrite) as writer:
         config = configuration(scene)
         run = simulate_run(config, operator_file, duration_s, rate_hz)
-        if sink is not None:
-            _write(sink, config, run, notes or {})
-            if sink.displaced:
-                raise HapticdError(displaced(str(output), sink.target))
+        if writer is not None:
+            _write(writer, config, run, notes or {})
+            if writer.displaced:
+                raise HapticdError(displaced(str(output), writer.target))
     magnitudes = np.hypot(*run.samples["force_n"].T)
     return {
         "file": output,
@@ -73,20 +76,20 @@ def simulate_files(
     }
 
 
-def _write(sink: Sink, config: Config, run: Run, notes: Mapping[str, str]) -> None:
+def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str, str]) -> None:
     servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
-    sink.begin(
+    writer.begin(
         {
             "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
             "scene": config.scene.to_dict(),
             "materials": {name: material.to_dict() for name, material in config.materials.items()},
         }
     )
-    sink.write_change({"revision": 1})
-    sink.write(run.samples)
+    writer.write_change({"revision": 1})
+    writer.write(run.samples)
     for event in run.events:
         place = int(event["slot"]), int(event["generation"])
-        sink.write_event(event_map(event, run.objects.get(place)))
+        writer.write_event(event_map(event, run.objects.get(place)))
     ticks = len(run.samples)
     about = {
         "ticks": ticks,
@@ -95,10 +98,10 @@ def _write(sink: Sink, config: Config, run: Run, notes: Mapping[str, str]) -> No
         "missed_periods": 0,
         "notes": dict(notes),
     }
-    sink.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
+    writer.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
 
 
 def configuration(path: str) -> Config:
     """That of a file which holds a scene or a whole one. Raises HapticdError or InvalidError."""
-    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene", takers=SIMULATION_TAKER)
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene", takers=_TAKERS)
     return load_config(path)

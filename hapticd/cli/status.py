@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from hapticd.base import wording
-from hapticd.base.errors import offload_text, undisplayable_text, unseen_text
+from hapticd.hid.texts import offload_text, unseen_text
 from hapticd.rendering.stability_text import stability_words
+from hapticd.rendering.undisplayable import undisplayable_text
 
 if TYPE_CHECKING:
     from hapticd.protocol.results import Status

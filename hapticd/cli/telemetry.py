@@ -60,8 +60,8 @@ def record_command(
     from dataclasses import asdict
 
     from hapticd.client.record import record
-    from hapticd.recording.recovery import left_behind
-    from hapticd.recording.writer import check_target
+    from hapticd.recording.formats import check_target
+    from hapticd.recording.recovery import partial_files_beside
 
     stop = threading.Event()
     received: list[int] = []
@@ -71,7 +71,7 @@ def record_command(
         stop.set()
 
     check_target(file, overwrite)
-    for told in left_behind(file):
+    for told in partial_files_beside(file):
         note(told)
     with daemon(ctx) as client:
         before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -112,7 +112,7 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
             ctx,
         )
     if file is not None:
-        from hapticd.recording.writer import check_target
+        from hapticd.recording.formats import check_target
 
         check_target(file, overwrite)
     with daemon(ctx) as client:

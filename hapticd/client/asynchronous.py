@@ -228,9 +228,10 @@ class Client:
 
     # ---- methods -------------------------------------------------------------------------------------------
 
-    async def get_status(self) -> Status:
-        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
-        return cast(Status, await self.call("get_status"))
+    async def get_status(self, detail: bool = False) -> Status:
+        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters; `detail`: histograms,
+        too."""
+        return cast(Status, await self.call("get_status", {"detail": True} if detail else {}))
 
     async def get_state(self) -> State:
         """The newest sample, as `states` yields it."""

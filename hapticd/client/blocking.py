@@ -199,9 +199,10 @@ class Client:
 
     # ---- methods -------------------------------------------------------------------------------------------
 
-    def get_status(self) -> Status:
-        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters."""
-        return cast(Status, self.call("get_status"))
+    def get_status(self, detail: bool = False) -> Status:
+        """Version, device, rate, real-time rights, revision, tick, forces, faults and counters; `detail`: histograms,
+        too."""
+        return cast(Status, self.call("get_status", {"detail": True} if detail else {}))
 
     def get_state(self) -> State:
         """The newest sample, as `states` yields it."""

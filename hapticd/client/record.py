@@ -1,6 +1,6 @@
 """Recordings of a running daemon: its telemetry, and what the samples were rendered with, into a file.
 
-sink.py and mcap.py write the files, replay.py renders what is in them again.
+recording/writer.py writes the files, recording/replay.py renders what is in them again.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from hapticd.client.blocking import Client, Subscription
 from hapticd.client.samples import SampleBatch, SampleStream
 from hapticd.protocol import calls
 from hapticd.protocol.calls import Topic
+from hapticd.recording.formats import open_writer
 from hapticd.recording.missed_periods import gaps_of, missed_periods, share
-from hapticd.recording.writer import NO_TIME, DiskFullError, Samples, Sink, event_array, open_sink
+from hapticd.recording.writer import DiskFullError, RecordingWriter, Samples
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
-
-__all__ = ["NO_TIME", "RecordSummary", "event_array", "open_sink", "record"]
 
 MOST_GAPS: Final = 1000
 """Gaps that a recording lists; the ticks of its samples show all of them."""
@@ -120,8 +119,8 @@ def record(
     HapticdError where the target cannot be written, or is there already and `overwrite` does not say that it is to be
     replaced, before anything is recorded.
     """
-    with open_sink(target, overwrite) as sink:
-        take = _Take(client, sink, duration_s, dict(notes or {}))
+    with open_writer(target, overwrite) as writer:
+        take = _Take(client, writer, duration_s, dict(notes or {}))
         try:
             ended = take.run(stop or threading.Event(), progress)
             if ended is None:
@@ -129,16 +128,16 @@ def record(
         except DiskFullError as error:
             ended = str(error)
             take.look_at_clock()
-        if sink.count == 0:
+        if writer.count == 0:
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
         # Told again where the disk was full, and the end gave way to what else is in the file.
-        sink.finish(lambda: {"recording": take.account(ended)})
+        writer.finish(lambda: {"recording": take.account(ended)})
         kept, name = take.account(ended), os.fspath(target)
         return RecordSummary(
-            str(sink.target) if sink.displaced else name,
-            sink.count,
+            str(writer.target) if writer.displaced else name,
+            writer.count,
             kept["duration_s"],
-            sink.event_count,
+            writer.event_count,
             kept["lost"],
             kept["dropped"],
             tuple(kept["missing_revisions"]),
@@ -146,7 +145,7 @@ def record(
             moment_of(kept["started"]),
             moment_of(kept["ended"]),
             ended,
-            name if sink.displaced else None,
+            name if writer.displaced else None,
             take.warning(kept),
         )
 
@@ -154,11 +153,13 @@ def record(
 class _Take:
     """One recording under way."""
 
-    def __init__(self, client: Client, sink: Sink, duration_s: float | None, notes: dict[str, Json]) -> None:
+    def __init__(
+        self, client: Client, writer: RecordingWriter, duration_s: float | None, notes: dict[str, Json]
+    ) -> None:
         self._client = client
         self._notes = notes
-        self._sink = sink
-        self._scenes = _Scenes(client, sink)
+        self._writer = writer
+        self._scenes = _Scenes(client, writer)
         self._stream = SampleStream(warn=False)
         self._span = _Span(duration_s)
         self._gaps: list[tuple[int, int]] = []
@@ -213,7 +214,7 @@ class _Take:
                     self._scenes.take(message)
                 else:
                     self._newest = message
-                    self._sink.write_status(message)
+                    self._writer.write_status(message)
             self._await_changes(messages)
         return STOPPED if span.ends else None
 
@@ -236,8 +237,8 @@ class _Take:
         self._status = self._newest = start["status"]
         self._rates = [(0, self._status["rate_hz"])]
         about = {"started": self._status.get("clock"), "notes": self._notes}
-        self._sink.begin({"config": self._client.get_config()["config"], **start}, about)
-        self._sink.write_change({"revision": self._scenes.revision})
+        self._writer.begin({"config": self._client.get_config()["config"], **start}, about)
+        self._writer.write_change({"revision": self._scenes.revision})
 
     def _await_changes(self, messages: Subscription[tuple[Topic, dict[str, object]]]) -> None:
         """The last samples may have come before the message of the change that they were rendered with."""
@@ -254,13 +255,13 @@ class _Take:
         return False
 
     def _take(self, batch: SampleBatch) -> None:
-        if self._sink.count == 0:
+        if self._writer.count == 0:
             batch = batch[self._scenes.reached(batch["revision"])]
         samples = self._span.cut(batch).view(np.ndarray)
         if len(samples) == 0:
             return
         ticks = samples["tick"].astype(np.int64)
-        before = (self._sink.last_tick, self._sink.last_time_ns) if self._sink.count else None
+        before = (self._writer.last_tick, self._writer.last_time_ns) if self._writer.count else None
         self._gaps += gaps_of(ticks, before and before[0])[: MOST_GAPS - len(self._gaps)]
         since, rates = zip(*self._rates, strict=True)
         places = np.searchsorted(np.array(since), ticks, side="right") - 1
@@ -269,21 +270,21 @@ class _Take:
             self._missed_at.append(int(ticks[-1]))
             self._missed.append(missed)
         self._scenes.show(samples["revision"])
-        self._sink.write(samples)
+        self._writer.write(samples)
         for event in self._span.release():
-            self._sink.write_event(event)
+            self._writer.write_event(event)
 
     def account(self, ended: str | None) -> dict[str, Any]:
         """What the recording holds and what it lacks, as its file says it."""
         return {
-            "ticks": self._sink.count,
-            "duration_s": self._span.duration_s(self._sink.last_time_ns),
-            "events": self._sink.event_count,
+            "ticks": self._writer.count,
+            "duration_s": self._span.duration_s(self._writer.last_time_ns),
+            "events": self._writer.event_count,
             "lost": self._stream.lost,
             "dropped": self._stream.dropped,
             "gaps": self._gaps,
             "missed_periods": sum(
-                missed for at, missed in zip(self._missed_at, self._missed, strict=True) if at <= self._sink.last_tick
+                missed for at, missed in zip(self._missed_at, self._missed, strict=True) if at <= self._writer.last_tick
             ),
             "missing_revisions": self._scenes.missing,
             "started": self._status.get("clock"),
@@ -312,9 +313,9 @@ class _Scenes:
     meanwhile is missing in the recording, which says so.
     """
 
-    def __init__(self, client: Client, sink: Sink) -> None:
+    def __init__(self, client: Client, writer: RecordingWriter) -> None:
         self._client = client
-        self._sink = sink
+        self._writer = writer
         self.revision = 0
         """The newest one that is known."""
         self._known: set[int] = set()
@@ -351,7 +352,7 @@ class _Scenes:
     def take(self, change: dict[str, Any]) -> None:
         """Takes what a message of the topic `change` says."""
         if "revision" not in change:
-            self._sink.write_change(change)
+            self._writer.write_change(change)
             return
         ahead = (change["revision"] - self.revision) & 0xFFFFFFFF
         if ahead == 1 and not change.get("large"):
@@ -382,7 +383,7 @@ class _Scenes:
     def _write(self, change: dict[str, Any]) -> None:
         self.revision = change["revision"]
         self._known.add(self.revision)
-        self._sink.write_change({name: part for name, part in change.items() if part != {}})
+        self._writer.write_change({name: part for name, part in change.items() if part != {}})
 
     def _read(self) -> tuple[int, dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]] | None:
         """Revision, scene, objects, materials and status; None where materials or rate never stood still."""
@@ -397,7 +398,7 @@ class _Scenes:
 
     def _beside(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """What else a scene is rendered with: the materials, and the status, which has the rate."""
-        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status())
+        return dict(self._client.get_materials()["materials"]), dict(self._client.get_status(detail=True))
 
 
 def _merge(into: dict[str, Any], changes: Mapping[str, Any]) -> None:

@@ -19,10 +19,11 @@ from hapticd.config.locations import Chosen, check_named, choose
 from hapticd.config.materials import MAX_MATERIALS, Material, shipped_document, shipped_materials
 from hapticd.config.scene import Scene, faults_of_names, reference_faults
 from hapticd.config.shipped_files import file_of
-from hapticd.rendering.compensation import Compensation
 
 DEFAULT = "default.yaml"
 
+Compensation: TypeAlias = Literal["off", "mass", "full"]
+"""What strikes are compensated for: nothing, the mass, or handle and hand."""
 ActuatorForce: TypeAlias = Annotated[float, Field(ge=0.01, le=100)]
 
 

@@ -59,12 +59,6 @@ _TAKER: Final[dict[Kind, str]] = {
     "gesture": "operator",
     "bridge": "bridge -c",
 }
-SIMULATION_TAKER: Final[dict[Kind, str]] = {
-    **_TAKER,
-    "waypoints": "simulate SCENE --operator",
-    "gesture": "simulate SCENE --operator",
-}
-"""As the others, for `hapticd simulate`, whose hand a file may describe."""
 _KEYS: Final[dict[Kind, tuple[str, ...]]] = {
     "configuration": (*CONFIGURATION, "materials", "scene"),
     "bare scene": SCENE,
@@ -119,8 +113,9 @@ def likely_kind_of(data: Json) -> Kind | None:
     return near[0] if near else None
 
 
-def refuse_other_kinds(document: Document, *taken: Kind, takers: Mapping[Kind, str] = _TAKER) -> None:
-    """Raises InvalidError for a document that is none of these and that another command, or option, takes: of `takers`.
+def refuse_other_kinds(document: Document, *taken: Kind, takers: Mapping[Kind, str] = {}) -> None:
+    """Raises InvalidError for a document that is none of these and that another command takes, or another option:
+    `takers` are those that a command has itself.
 
     What cannot be told is left to the reader, which knows its own keys.
     """
@@ -163,8 +158,9 @@ def _taker_of(key: str) -> str | None:
     return _TAKER[kinds[0]] if kinds else None
 
 
-def _other(kind: Kind, name: str | None, takers: Mapping[Kind, str] = _TAKER) -> str:
-    return f"holds {_HOLDS[kind]}; use: hapticd {takers[kind]}{f' {one_line(name)}' if name is not None else ''}"
+def _other(kind: Kind, name: str | None, takers: Mapping[Kind, str] = {}) -> str:
+    taker = takers.get(kind, _TAKER[kind])
+    return f"holds {_HOLDS[kind]}; use: hapticd {taker}{f' {one_line(name)}' if name is not None else ''}"
 
 
 def _name(document: Document) -> str:

@@ -19,9 +19,9 @@ from pydantic import (
     model_validator,
 )
 
+from hapticd.base.codec import Encoded
 from hapticd.base.model import AT_ONCE, MAX_FAULTS, Model, Name
 from hapticd.base.yaml_source import Json
-from hapticd.protocol.messages import Encoded
 
 MAX_PATCHES: Final = 2**16
 """Of a wall; address room too."""

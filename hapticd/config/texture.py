@@ -253,7 +253,7 @@ class AutoregressiveModel(Model):
 
     def _cross_faults(self) -> list[str]:
         # The analysis needs numpy, which most of what reads a material does not.
-        from hapticd.rendering.filter_design import pole_radius, reflection_of
+        from hapticd.base.lattice import pole_radius, reflection_of
 
         faults = []
         given = [key for key in ("rms_m_per_s2", "variance_m2_per_s4") if getattr(self, key) is not None]

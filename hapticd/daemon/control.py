@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import logging
 import math
-import os
 import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
@@ -18,8 +17,8 @@ from typing import Annotated, Any, Final, NamedTuple, TypeAlias, cast
 
 from pydantic import Field, ValidationError
 
-from hapticd._version import __version__
-from hapticd.base import clock, wording, worker_process
+from hapticd.base import wording, worker_process
+from hapticd.base.codec import Encoded
 from hapticd.base.core import Fault, SignsState
 from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
 from hapticd.base.model import MAX_FAULTS, Model, Name, Position, problems_of
@@ -37,9 +36,7 @@ from hapticd.config.scene import (
 )
 from hapticd.config.texture import Autoregressive
 from hapticd.daemon.engine import (
-    Counters,
     Engine,
-    Granted,
     RingFullError,
     StaleRevisionError,
     WaitTimeoutError,
@@ -48,12 +45,13 @@ from hapticd.daemon.engine import (
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.intake import GivenUpError, Intake, Work
 from hapticd.daemon.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
+from hapticd.daemon.status import Status
 from hapticd.hid.signs import CORRECT
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
 from hapticd.protocol.encoded_scene import Told
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
-from hapticd.protocol.messages import PROTOCOL, Code
+from hapticd.protocol.messages import Code, decode_trusted
 from hapticd.protocol.validation import faults_beside, patched_materials, patched_objects, whole_materials
 from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
@@ -90,6 +88,10 @@ class MethodError(Exception):
 
 class _NoParams(Model):
     pass
+
+
+class _GetStatus(Model):
+    detail: bool = False
 
 
 class _Change(Model):
@@ -161,7 +163,7 @@ _MANY_OBJECTS: Final = 2000
 """Taking the place of more objects takes long."""
 _BRIEF_FILTERS: Final = 4
 """Designing more filters does."""
-Done: TypeAlias = dict[str, object] | Changed
+Done: TypeAlias = dict[str, object] | Encoded | Changed
 """What was performed."""
 _Handler = Callable[["Control", Any], Done | Future[dict[str, object]]]
 
@@ -176,14 +178,6 @@ def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
 def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[str, object]:
     """A result, with what is not displayed as it was meant if there is anything."""
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
-
-
-def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
-    """What was granted, and what has been refused since."""
-    told = granted.to_dict()
-    if counters.memory_refused:
-        told["missing"] = [*granted.missing, f"locked memory for all objects: {os.strerror(counters.memory_refused)}"]
-    return told
 
 
 def _needing_restart(before: Config, after: Config) -> list[Problem]:
@@ -227,17 +221,17 @@ class Control:
         self.repeats = Repeats()
         """What clients cause in the log. Whoever calls also flushes it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
-        self._started_ns = monotonic_ns()
+        self._status = Status(engine, self._lease, self.intake, flight)
         self._wish = engine.config.device.sim.start_m
         self._brief = False
-        self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
         """The result of a method, however long it takes. Raises MethodError."""
         done = self.perform(method, params)
-        return done.result() if isinstance(done, Future) else self.finish(done)
+        result = done.result() if isinstance(done, Future) else self.finish(done)
+        return cast(dict[str, object], decode_trusted(bytes(result))) if isinstance(result, Encoded) else result
 
-    def finish(self, done: Done) -> dict[str, object]:
+    def finish(self, done: Done) -> dict[str, object] | Encoded:
         """The result of what was performed. Waits for the servo where a change asks for that. Raises MethodError."""
         if not isinstance(done, Changed):
             return done
@@ -309,54 +303,8 @@ class Control:
             raise MethodError(Code.INTERNAL, f"{error}; nothing of this was done: send it again") from None
 
     def status(self) -> dict[str, object]:
-        """The result of get_status, and the body of the status topic."""
-        engine = self._engine
-        counters = engine.counters()
-        granted = engine.granted
-        remaining, taken_in = self._lease.remaining_s, self.intake.work
-        lateness, work = engine.histograms()
-        return {
-            "version": __version__,
-            "protocol": PROTOCOL,
-            "started_ns": self._started_ns,
-            "clock": asdict(clock.read()),
-            "state": "running" if counters.running else "stopped",
-            "device": engine.config.device.kind,
-            "connection": None
-            if engine.connection is None
-            else {**engine.connection.status(), "signs": counters.signs.to_dict()},
-            "rate_hz": engine.rate_hz,
-            "realtime": None if granted is None else _realtime(granted, counters),
-            "revision": engine.revision,
-            "tick": counters.ticks,
-            "forces": "faulted" if counters.faults else "on" if counters.forces_on else "off",
-            "faults": fault_names(counters.faults) if counters.faults else [],
-            "lease_s": remaining,
-            "intake": None if taken_in is None else taken_in.status(),
-            "counters": {
-                "ticks": counters.ticks,
-                "skipped": counters.skipped,
-                "overruns": counters.overruns,
-                "samples_dropped": counters.samples_dropped,
-                "events_dropped": counters.events_dropped,
-                "strikes": counters.strikes,
-                "glitches": counters.glitches,
-                "saturations": counters.saturations,
-                "overloads": counters.overloads,
-                "suspends": counters.suspends,
-            },
-            "overruns": {
-                **engine.config.servo.overruns.to_dict(),
-                "missed_share": counters.missed_share,
-                "configured_rate_hz": engine.config.servo.rate_hz,
-            },
-            "histograms": {"lateness_ns": lateness.to_dict(), "work_ns": work.to_dict()},
-            "flight": None if self._flight is None else self._flight.status(),
-            "passivity": {"mode": engine.scene.passivity, **counters.energy._asdict()},
-            **self._find_limits(),
-            "stability": engine.stability().to_dict(),
-            "operator": engine.operator(),
-        }
+        """The body of the status topic: the result of get_status with every detail."""
+        return self._status.report()
 
     @contextmanager
     def beside(self, work: Work) -> Iterator[None]:
@@ -368,24 +316,10 @@ class Control:
         """Gives up what is being taken in: the daemon ends. For any thread."""
         self.intake.end()
 
-    def _find_limits(self) -> dict[str, object]:
-        """What the rate cannot carry as it is, found anew only when the scene or the materials changed."""
-        known, found = self._limits
-        state = (self._engine.revision, self._engine.offload_version)
-        if known != state:
-            undisplayable, warnings = self._engine.limits()
-            found = {
-                "undisplayable": [asdict(mode) for mode in undisplayable],
-                "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
-                "offload": [asdict(told) for told in self._engine.offloaded()[:MAX_FAULTS]],
-            }
-            self._limits = (state, found)
-        return found
-
     # ---- Scene and materials ---------------------------------------------------------------------------------------
 
-    def _get_status(self, _: _NoParams) -> dict[str, object]:
-        return self.status()
+    def _get_status(self, params: _GetStatus) -> Encoded:
+        return self._status.encoded(params.detail)
 
     def _get_state(self, _: _NoParams) -> Future[dict[str, object]]:
         if self._ask_state is None:
@@ -753,7 +687,7 @@ class Control:
 
 # `set_operator` takes what an operator file holds, which hapticd.config.operator validates.
 _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
-    "get_status": (_NoParams, Control._get_status),
+    "get_status": (_GetStatus, Control._get_status),
     "get_state": (_NoParams, Control._get_state),
     "get_config": (_NoParams, Control._get_config),
     "get_scene": (_NoParams, Control._get_scene),

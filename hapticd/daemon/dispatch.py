@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from time import monotonic_ns
 from typing import Final
 
+from hapticd.base import codec
 from hapticd.base.errors import quoted
 from hapticd.daemon.control import CHANGES, Changed, Control, Done, MethodError, TakesLongError
 from hapticd.daemon.intake import GivenUpError, Work
@@ -34,7 +35,7 @@ BRIEF_BODY: Final = 16 * 1024
 
 _log = logging.getLogger("hapticd.server")
 
-Reply = Callable[[bytes | messages.Encoded], None]
+Reply = Callable[[bytes | codec.Encoded], None]
 """Sends the body of an answer to who asked."""
 
 
@@ -102,6 +103,8 @@ class Dispatch:
         """Answers what is over, and does what has waited for it. To be called when intake's `wake` was, and often."""
         intake = self._control.intake
         intake.finished()
+        if not (self._waiting or self._asked or self._reload.is_set()):
+            return
         while self._waiting and intake.work is None:
             waited = self._waiting.popleft()
             self._change(waited.request, waited.size, waited.reply)

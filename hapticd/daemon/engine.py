@@ -14,7 +14,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -22,7 +21,6 @@ import numpy.typing as npt
 
 from hapticd.base.core import (
     EVENT_DTYPE,
-    HISTOGRAM_EDGES_NS,
     MARKS,
     NO_SLOT,
     PLAY_SLOT,
@@ -40,23 +38,22 @@ from hapticd.base.core import (
     pointer,
 )
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.config.configuration import Config, Device
+from hapticd.config.configuration import Config
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
+from hapticd.daemon.counters import Counters, Granted, Histogram, read_counters, read_faults, read_histograms
 from hapticd.daemon.plays import Play, Plays
 from hapticd.hid.connection import Connection, Link
 from hapticd.hid.offload import Offload, Offloaded
-from hapticd.hid.signs import Check, SignsLog, Told
+from hapticd.hid.signs import Check, SignsLog
 from hapticd.hid.sources import source_of
 from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
-    Output,
-    Undisplayable,
     displayed_mode,
     material_warnings,
     materials_in,
@@ -65,8 +62,10 @@ from hapticd.rendering.displayability import (
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
+from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge
-from hapticd.rendering.stability import Loop, Timing, timing
+from hapticd.rendering.stability import Loop
+from hapticd.rendering.undisplayable import Undisplayable
 from hapticd.system.idle_states import Awake
 
 SAMPLE_CAPACITY: Final = 16384
@@ -143,158 +142,6 @@ class Progress(Protocol):
     of: int
 
     def step(self) -> None: ...
-
-
-def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
-    """What a configuration's device makes of a scene at a rate.
-
-    `link_rate_hz`: forces a second that the device takes; None: what the simulated joystick's link carries.
-    """
-    device = config.device
-    if device.kind == "sim" and device.sim.link is not None:
-        link_rate_hz = device.sim.link.rate_hz
-    return Output(
-        rate_hz=rate_hz,
-        effective_mass_kg=device.effective_mass_kg,
-        max_force_n=device.max_force_n,
-        max_speed_m_per_s=device.max_speed_m_per_s,
-        undisplayable=device.undisplayable,
-        link_rate_hz=link_rate_hz,
-        compensation=device.compensation,
-        dynamics=device.dynamics,
-        rearm_m=device.rearm_m,
-        age_s=device.sim.age_s if device.kind == "sim" else 0.0,
-        actuator=device.lag,
-    )
-
-
-def loop_of(
-    config: Config,
-    rate_hz: float,
-    *,
-    resolution_m: float = 0.0,
-    force_step_n: float = 0.0,
-    link_rate_hz: float | None = None,
-) -> Loop | None:
-    """What closes the loop of a configuration's device at a rate; None where `device.handle` is needed and missing.
-
-    Resolution, force step and link are those of a real device (0 and None: not known); the simulated one has its own.
-    Of a real link it is assumed, as of the simulated one, that positions are a frame old and forces act a frame later.
-    """
-    device, sim = config.device, config.device.sim
-    dynamics = device.dynamics
-    if dynamics is None:
-        return None
-    if device.kind == "sim":
-        interval_s, age_s = sim.reports_s
-        frame_s, frames = (0.0, 1) if sim.link is None else (1.0 / sim.link.rate_hz, sim.link.delay_frames)
-        return Loop(
-            _lagging(device, timing(rate_hz, interval_s, age_s, frame_s, frames)),
-            dynamics,
-            sim.encoder_step_m,
-            sim.force_step_n,
-            min(device.max_force_n, sim.max_force_n),
-            sim.workspace_m,
-        )
-    frame_s = 1.0 / min(rate_hz, rate_hz if link_rate_hz is None else link_rate_hz)
-    return Loop(
-        _lagging(device, timing(rate_hz, frame_s, frame_s, frame_s, 1)),
-        dynamics,
-        resolution_m,
-        force_step_n,
-        device.max_force_n,
-        device.hid.travel_m,
-    )
-
-
-def _lagging(device: Device, timing: Timing) -> Timing:
-    """The timing behind the actuator, where its lag is known."""
-    known = device.lag
-    return timing if known is None else timing.behind(*known.shares())
-
-
-UNKNOWN_HANDLE: Final = "device.handle is not given: mass_kg, damping_n_s_per_m and friction_n of the handle decide it"
-"""Why the stability of a real joystick is not known."""
-
-
-@dataclass(frozen=True, slots=True)
-class Granted:
-    """What the machine gave of what the servo asked for; `missing` says in words what it did not."""
-
-    scheduler: Literal["fifo", "other"]
-    priority: int
-    cpu: int | None
-    memory: str
-    awake: bool
-    missing: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, object]:
-        return {
-            "scheduler": self.scheduler,
-            "priority": self.priority,
-            "cpu": self.cpu,
-            "memory_locked": self.memory,
-            "idle_states_held": self.awake,
-            "missing": list(self.missing),
-        }
-
-
-class Energy(NamedTuple):
-    """What the touched objects gave to the hand, as far as the passivity observer saw it."""
-
-    energy_j: float
-    """In this contact, or in the last one; below zero: the hand gave more than it got."""
-    largest_j: float
-    """That it ever was in a contact."""
-    contacts: int
-    """From the first touch to the last release."""
-    restrained: int
-    """Of them, those in which the controller acted."""
-    acted: int
-    """Ticks in which it did."""
-
-
-class Histogram(NamedTuple):
-    """How often a time was how long: counts[0] below the first edge, counts[i] from edge i - 1 on and below edge i."""
-
-    edges_ns: tuple[int, ...]
-    counts: list[int]
-    sum_ns: int
-    max_ns: int
-
-    def to_dict(self) -> dict[str, object]:
-        return {"edges": list(self.edges_ns), "counts": self.counts, "sum": self.sum_ns, "max": self.max_ns}
-
-
-class Counters(NamedTuple):
-    """What the servo has counted since it started."""
-
-    ticks: int
-    skipped: int
-    overruns: int
-    samples_dropped: int
-    events_dropped: int
-    strikes: int
-    glitches: int
-    saturations: int
-    revision: int
-    faults: Fault
-    forces_on: bool
-    running: bool
-    memory_refused: int
-    """errno: the scene has grown beyond what may be locked; 0: memory is as granted."""
-    overloaded: bool
-    """The servo thread ended, or is about to, so that it can go on at a lower rate."""
-    overloads: int
-    """Seconds in which more periods than the threshold were missed."""
-    suspends: int
-    """Times that the machine was suspended."""
-    missed_share: float
-    """Part of the periods of the last whole second that were missed."""
-    signs: Told
-    """The check of a HID device's signs."""
-    energy: Energy
-    """As of the last tick that was watched."""
 
 
 class Engine:
@@ -815,6 +662,11 @@ class Engine:
             return None
         return {"started_tick": self._operator_tick, "ends": list(self._gesture_ends)}
 
+    @property
+    def operator_version(self) -> tuple[int | None, dict[str, object] | None]:
+        """Another one whenever `operator` is."""
+        return self._operator_tick, self._gesture_ends[-1] if self._gesture_ends else None
+
     def gesture_ended(self, event: dict[str, object]) -> None:
         """Keeps the event at a gesture's end. For the thread that reads events."""
         self._gesture_ends.append(event)
@@ -884,41 +736,15 @@ class Engine:
 
     def counters(self) -> Counters:
         """What was counted so far."""
-        raw = ffi.new("struct hd_counters *")
-        lib.hd_servo_counters(self._servo, raw)
-        return Counters(
-            raw.ticks,
-            raw.skipped,
-            raw.overruns,
-            raw.samples_dropped,
-            raw.events_dropped,
-            raw.strikes,
-            raw.glitches,
-            raw.saturations,
-            raw.revision,
-            Fault(raw.faults) if raw.faults else _NO_FAULT,
-            bool(raw.forces_on),
-            bool(raw.running),
-            raw.memory_refused,
-            bool(raw.overloaded),
-            raw.overloads,
-            raw.suspends,
-            raw.missed_share,
-            Told.read(raw.signs),
-            energy_of(raw.energy),
-        )
+        return read_counters(self._servo)
 
     def histograms(self) -> tuple[Histogram, Histogram]:
         """Of lateness and of work, since the start. For any thread."""
-        raw = ffi.new("struct hd_histograms *")
-        lib.hd_servo_histograms(self._servo, raw)
-        return _histogram_of(raw.lateness), _histogram_of(raw.work)
+        return read_histograms(self._servo)
 
     def faults(self) -> Fault:
         """The faults that are latched."""
-        raw = ffi.new("struct hd_counters *")
-        lib.hd_servo_counters(self._servo, raw)
-        return Fault(raw.faults) if raw.faults else _NO_FAULT
+        return read_faults(self._servo)
 
     def read_changes(self) -> Iterator[Change]:
         """What commands changed since it was read last. For one thread."""
@@ -952,16 +778,6 @@ class Engine:
             raise ValueError(f"room for records of {dtype}, not {room.dtype}")
         count = read(self._servo, pointer(ctype, room), len(room), self._dropped)
         return int(count), int(self._dropped[0])
-
-
-def energy_of(raw: CData) -> Energy:
-    """A `struct hd_energy`."""
-    return Energy(raw.energy_j, raw.largest_j, raw.contacts, raw.restrained, raw.acted)
-
-
-def _histogram_of(raw: CData) -> Histogram:
-    counts: list[int] = ffi.unpack(raw.counts, len(HISTOGRAM_EDGES_NS) + 1)
-    return Histogram(HISTOGRAM_EDGES_NS, counts, raw.sum_ns, raw.max_ns)
 
 
 def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:

@@ -101,6 +101,8 @@ class Flight:
         self._quiet_until_ns = 0
         self._repeats = Repeats()
         self._jobs: queue.SimpleQueue[_Job | None] = queue.SimpleQueue()
+        self.version = 0
+        """Raised when `status` is another."""
         self._under_way = 0
         self._written = 0
         self._skipped = 0
@@ -140,6 +142,7 @@ class Flight:
         with self._lock:
             if now_ns < self._quiet_until_ns:
                 self._skipped += 1
+                self.version += 1
                 return
             self._quiet_until_ns = now_ns + round((self._seconds + AFTER_S) * 1e9)
             self._ask("fault", tick, now_ns + round(AFTER_S * 1e9))
@@ -197,6 +200,7 @@ class Flight:
             path = self._directory / f"flight-{self._number:06d}-{reason}.npz"
         self._asked.append(_Asked(path, reason, tick, due_ns))
         self._under_way += 1
+        self.version += 1
         return path
 
     def status(self) -> dict[str, object]:
@@ -240,6 +244,7 @@ class Flight:
             if job.asked.reason == "asked":
                 self._dumping = False
             self._problem = problem
+            self.version += 1
             if problem is None:
                 self._written += 1
                 self._last = job.asked.path
@@ -258,24 +263,24 @@ class Flight:
         self._jobs.put(None)
 
     def _write(self, job: _Job) -> None:
-        from hapticd.client.record import open_sink
+        from hapticd.recording.formats import open_writer
 
         if not self._directory.is_dir():
             os.makedirs(self._directory)
             os.chmod(self._directory, 0o750)
         stretch, about = job.stretch, {"reason": job.asked.reason, "tick": job.asked.tick}
         changes = stretch.change_maps()
-        with open_sink(job.asked.path) as sink:
-            sink.begin({**self._texts(), **stretch.texts()})
+        with open_writer(job.asked.path) as writer:
+            writer.begin({**self._texts(), **stretch.texts()})
             for change in changes:
-                sink.write_change(change)
+                writer.write_change(change)
             # Not in small pieces: each write is a chance to wait for the interpreter, and has others wait for it.
             for first in range(0, len(job.samples), CHUNK):
-                sink.write(job.samples[first : first + CHUNK])
+                writer.write(job.samples[first : first + CHUNK])
             for event in job.events:
-                sink.write_event(event)
+                writer.write_event(event)
             recording = _account(job, changes)
-            sink.finish({"recording": recording, "flight": {**about, "complete_from": stretch.complete_from}})
+            writer.finish({"recording": recording, "flight": {**about, "complete_from": stretch.complete_from}})
         self._remove_old()
 
     def _remove_old(self) -> None:

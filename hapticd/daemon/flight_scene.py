@@ -15,14 +15,10 @@ from typing import Final, NamedTuple, TypeVar
 from hapticd.base.model import Model
 from hapticd.config.materials import Material, Materials
 from hapticd.config.scene import Scene, SceneObject
-from hapticd.protocol.changes import Change, Played, Reset, Revised, change_map, pieces
+from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES, Change, Played, Reset, Revised, change_map, pieces
 
 T = TypeVar("T")
 
-MOST_OBJECTS: Final = 2000
-"""A larger scene stays out of the files: putting it into words would hold up commands."""
-MOST_PIECES: Final = 20_000
-"""One of more `pieces` does, too: its words would take hundreds of megabytes."""
 MOST_CHANGED: Final = 4000
 """Changes that are kept, each counted once and for each of the `pieces` in it."""
 
@@ -37,7 +33,7 @@ class _Base(NamedTuple):
     def is_too_large(self) -> bool:
         """For a file."""
         everything = chain(self.objects.values(), self.materials.values())
-        return len(self.objects) > MOST_OBJECTS or sum(map(pieces, everything)) > MOST_PIECES
+        return len(self.objects) > FLIGHT_OBJECTS or sum(map(pieces, everything)) > FLIGHT_PIECES
 
 
 @dataclass(frozen=True, slots=True)

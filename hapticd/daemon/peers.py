@@ -31,6 +31,7 @@ READ_BYTES: Final = 64 * 1024
 """What is read from a peer in one turn."""
 
 _ACCEPTED_AT_ONCE: Final = 2
+_EVENTS_AT_ONCE: Final = 64
 _REFUSED_PAUSE_S: Final = 0.01
 _NO_DESCRIPTOR_PAUSE_S: Final = 0.1
 _WRITTEN_AT_ONCE: Final = 1024 * 1024
@@ -153,7 +154,13 @@ class Peers:
         """
         if self._opening or self._accept_at_s is not None:
             timeout_s = self._look_after(timeout_s)
-        for descriptor, what in self._epoll.poll(0 if self._turns else max(timeout_s, 0)):
+        came = self._epoll.poll(0 if self._turns else max(timeout_s, 0), _EVENTS_AT_ONCE)
+        if len(came) == 1 and not self._turns:
+            ((descriptor, what),) = came
+            if what == select.EPOLLIN and (peer := self._peers.get(descriptor)) is not None:
+                peer.readable = True
+                return self._give_turn(peer)
+        for descriptor, what in came:
             peer = self._peers.get(descriptor)
             if peer is not None:
                 if what & select.EPOLLOUT:
@@ -170,6 +177,9 @@ class Peers:
             return None
         peer = self._turns.next()
         peer.queued = False
+        return self._give_turn(peer)
+
+    def _give_turn(self, peer: Peer) -> tuple[Peer, zmtp.Message | zmtp.Command] | None:
         try:
             event = None if peer.closed or peer.unsent > UNSENT_BYTES else self._next(peer)
             return None if event is None else self._shake(peer, event)

@@ -11,8 +11,8 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.modes import Attack, Mode
 from hapticd.hid.offload import EffectUse
 from hapticd.protocol.changes import Played
-from hapticd.rendering.compiler import mode_record
-from hapticd.rendering.displayability import Output
+from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.output import Output
 
 _MOST: Final = 4096
 """No less than the ring of commands holds."""

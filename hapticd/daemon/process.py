@@ -4,7 +4,7 @@
     command thread   server.py: answers requests, beats
     telemetry thread hapticd.telemetry: drains the rings, publishes
     flight thread    flight_recorder.py: writes what was kept of that to a file, after a fault
-    servo thread     csrc/servo/hd_servo.c: owns time and force
+    servo thread     csrc/servo/hd_servo_thread.c: owns time and force
 
 The command socket is bound last, so that its existence means ready. Whatever ends the daemon, the force fades to zero
 first.

@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 from typing import Final
 
+from hapticd.base import codec
 from hapticd.daemon.peers import Limits, Peer, Peers
 from hapticd.protocol import messages, zmtp
 
@@ -66,7 +67,7 @@ class Router(Peers):
                 self._repeats.flush()
                 return None
 
-    def send(self, peer: Peer, delimited: bool, body: bytes | messages.Encoded) -> None:
+    def send(self, peer: Peer, delimited: bool, body: bytes | codec.Encoded) -> None:
         """An answer, after those that were sent to this peer before. It is dropped if the peer has gone."""
         if peer.closed:
             self.undelivered += 1

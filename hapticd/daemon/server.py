@@ -7,15 +7,20 @@ servo knows that somebody serves commands.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
-from hapticd.daemon.router import Request, Router
+from hapticd.daemon.router import Router
 from hapticd.protocol import messages
 
 BEAT_EVERY_S: Final = 0.1
+"""At the least; a request that takes long beats meanwhile."""
+LOOK_EVERY_S: Final = 0.02
+"""At the most: between requests that come faster nothing else is done."""
 
 
 def serve(
@@ -27,21 +32,21 @@ def serve(
 ) -> None:
     """Answers requests until `stop` is set; calls `between` between them, ten times a second at least."""
     repeats = dispatch.repeats
+    due_s = 0.0
     while not stop.is_set():
-        repeats.flush()
-        engine.beat()
-        engine.look_after()
-        between()
+        if (now_s := time.monotonic()) >= due_s:
+            due_s = now_s + LOOK_EVERY_S
+            repeats.flush()
+            engine.beat()
+            engine.look_after()
+            between()
         dispatch.turn()
         request = router.receive(BEAT_EVERY_S)
         if request is None:
             continue
         if stop.is_set():
             break
-
-        def reply(answer: bytes | messages.Encoded, request: Request = request) -> None:
-            router.send(request.peer, request.delimited, answer)
-
+        reply = partial(router.send, request.peer, request.delimited)
         if request.too_long:
             reply(messages.too_long(request.size))
         else:

@@ -15,11 +15,11 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.base import codec
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
 from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.publisher import Publisher
-from hapticd.protocol import messages
 from hapticd.protocol.changes import change_map
 from hapticd.protocol.events import event_map
 from hapticd.system.journal import EventLog
@@ -200,7 +200,7 @@ class Telemetry:
         self._send("status", self._status())
 
     def _send(self, topic: str, message: dict[str, object]) -> None:
-        self._publisher.publish(topic, messages.encode(message))
+        self._publisher.publish(topic, codec.encode(message))
 
     def _note(self, event: Any) -> dict[str, object]:
         """An event's map."""

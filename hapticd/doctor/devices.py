@@ -8,9 +8,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from hapticd.base.errors import unseen_text
 from hapticd.doctor.machine import Finding, Machine, Needs
 from hapticd.hid.nodes import event_nodes, is_for_others
+from hapticd.hid.texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.hid.discovery import Found

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from hapticd.base.errors import HapticdError, unseen_text
+from hapticd.base.errors import HapticdError
 from hapticd.doctor.machine import Finding, Machine, Needs, unknown
+from hapticd.hid.texts import unseen_text
 
 _SHOW = ("LoadState", "ActiveState", "SubState", "UnitFileState", "NRestarts", "Result")
 

@@ -13,17 +13,18 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.recordings.impossible import without_impossible
 from hapticd.analysis.statistics import Estimate, FitError
+from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.left_out import RECORDING, Left
 from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording
 from hapticd.fit.report import Curve, Page, Panel
 from hapticd.fit.taps.ringing import fit_ringing
 from hapticd.fit.waveform import WaveformFit
-from hapticd.rendering.filter_design import power_spectrum, reflection_of, stochastic_filter
+from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 if TYPE_CHECKING:
     from hapticd.fit.grooves import GroovesFit

@@ -15,12 +15,12 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
-from hapticd.analysis.recordings.impossible import without_impossible
-from hapticd.analysis.recordings.lines import Line, lines_beside, tell_lines
-from hapticd.analysis.recordings.stretches import gaps_told, in_gap
 from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, common, with_offset
+from hapticd.fit.impossible import Kept, without_impossible
 from hapticd.fit.left_out import Left, LeftOut, weigh
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording
+from hapticd.fit.stretches import gaps_told, in_gap
 from hapticd.fit.strokes import (
     acceleration_of,
     excludes_zero,
@@ -33,7 +33,7 @@ from hapticd.fit.strokes import (
     told_of,
     too_slow,
 )
-from hapticd.fit.taps.ringing import fit_ringing
+from hapticd.fit.taps.ringing import Ringing, fit_ringing
 from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 
@@ -132,55 +132,19 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     Recordings that cannot be used, as those without a puncture, are told to `left`.
     """
     left = LeftOut() if left is None else left
-    refuse_twins(recordings)
-    found = left.each(recordings, _rupture)
-    if not found:
-        raise left.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
-    ruptures = _together([rupture for rupture, _ in found], left)
-    if len(ruptures) < 2:
-        raise left.refused("one puncture has no interval: needs two recordings of a puncture at least")
-    used = {each.recording for each in ruptures}
     doubts = Doubts()
-    for rupture, own in found:
-        if rupture.recording in used:
-            doubts.take(own)
-    weigh(left, recordings, doubts)
-    recordings = [recording for recording in recordings if recording.name in used]
-    tell_gravity(recordings, doubts)
-    by_name = {recording.name: recording for recording in recordings}
-    tell_lines(
-        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed), doubts
-    )
-    count = len(ruptures)
-    doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
+    ruptures = _ruptures(recordings, left, doubts)
+    used = [recording for recording in recordings if recording.name in {each.recording for each in ruptures}]
+    _doubt_the_recordings(used, ruptures, doubts)
 
-    def over(values: Sequence[float]) -> Estimate:
-        return common(np.array(values))
+    def mean(name: str) -> Estimate:
+        return common(np.array([getattr(each, name) for each in ruptures]))
 
-    least, most = AMPLITUDES_M_PER_S2
-    usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
-    if not least <= usual <= most:
-        raise FitError(
-            f"a rupture of {usual:.3g} m/s^2 is no membrane's ({least:g} to {most:g}): is the acceleration's unit "
-            "another one?"
-        )
-    stiffness = over([each.stiffness_n_per_m for each in ruptures])
-    depth = over([each.depth_m for each in ruptures])
-    amplitude = over([each.amplitude_m_per_s2 for each in ruptures])
-    frequency = over([each.frequency_hz for each in ruptures])
-    tell_few_samples(recordings, frequency.value, doubts)
-    speed = np.array([each.speed_m_per_s for each in ruptures])
-    by_speed: Estimate | None = None
-    if len(ruptures) >= 4 and np.ptp(speed) > 0.2 * speed.mean():
-        by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
-        change = by_speed.value * float(np.ptp(speed))
-        if excludes_zero(by_speed) and abs(change) > 0.1 * amplitude.value:
-            doubts.tell(
-                f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to "
-                f"{speed.max():.3g} m/s; "
-                "the material has the mean"
-            )
-    decay = over([each.decay_rate_per_s for each in ruptures])
+    _check_amplitudes(ruptures)
+    stiffness, depth, amplitude = mean("stiffness_n_per_m"), mean("depth_m"), mean("amplitude_m_per_s2")
+    frequency, decay = mean("frequency_hz"), mean("decay_rate_per_s")
+    tell_few_samples(used, frequency.value, doubts)
+    by_speed = _amplitude_over_speed(ruptures, amplitude, doubts)
     for what, figure in (("stiffness", stiffness), ("amplitude", amplitude), ("decay rate", decay)):
         if figure.low <= 0:
             raise FitError(
@@ -196,6 +160,86 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
         ("decay rate", decay),
     ):
         doubts.known(what, figure)
+    _doubt_the_mode(ruptures, doubts)
+    summary = (
+        f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
+        f"{frequency.value:.4g} Hz"
+    )
+    return PunctureFit(
+        stiffness_n_per_m=stiffness,
+        depth_m=depth,
+        force_n=mean("force_n"),
+        amplitude_m_per_s2=amplitude,
+        frequency_hz=frequency,
+        decay_rate_per_s=decay,
+        amplitude_per_speed_per_s=by_speed,
+        ruptures=tuple(ruptures),
+        warnings=tuple(doubts.told),
+        judged=doubts.judged(summary),
+        left_out=tuple(left.items),
+    )
+
+
+# ---- What the punctures have in common -----------------------------------------------------------------------------
+
+
+def _ruptures(recordings: Sequence[Recording], left: LeftOut, doubts: Doubts) -> list[Rupture]:
+    """Two or more, each fitted by itself; doubts are of those that are used. FitError where there are fewer."""
+    refuse_twins(recordings)
+    found = left.each(recordings, _rupture)
+    if not found:
+        raise left.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
+    ruptures = _together([rupture for rupture, _ in found], left)
+    if len(ruptures) < 2:
+        raise left.refused("one puncture has no interval: needs two recordings of a puncture at least")
+    used = {each.recording for each in ruptures}
+    for rupture, own in found:
+        if rupture.recording in used:
+            doubts.take(own)
+    weigh(left, recordings, doubts)
+    return ruptures
+
+
+def _doubt_the_recordings(recordings: Sequence[Recording], ruptures: Sequence[Rupture], doubts: Doubts) -> None:
+    """Wrong units, hum, and few of them."""
+    tell_gravity(recordings, doubts)
+    by_name = {recording.name: recording for recording in recordings}
+    tell_lines(
+        len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed), doubts
+    )
+    count = len(ruptures)
+    doubts.at_least("punctures", count, f"{count} punctures are few", "ten are better")
+
+
+def _check_amplitudes(ruptures: Sequence[Rupture]) -> None:
+    """FitError where the usual amplitude is no membrane's."""
+    least, most = AMPLITUDES_M_PER_S2
+    usual = float(np.median([each.amplitude_m_per_s2 for each in ruptures]))
+    if not least <= usual <= most:
+        raise FitError(
+            f"a rupture of {usual:.3g} m/s^2 is no membrane's ({least:g} to {most:g}): is the acceleration's unit "
+            "another one?"
+        )
+
+
+def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doubts: Doubts) -> Estimate | None:
+    """The slope, which the model does not have; None for fewer than four punctures, or all at one speed."""
+    speed = np.array([each.speed_m_per_s for each in ruptures])
+    if len(ruptures) < 4 or not np.ptp(speed) > 0.2 * speed.mean():
+        return None
+    by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
+    change = by_speed.value * float(np.ptp(speed))
+    if excludes_zero(by_speed) and abs(change) > 0.1 * amplitude.value:
+        doubts.tell(
+            f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to "
+            f"{speed.max():.3g} m/s; "
+            "the material has the mean"
+        )
+    return by_speed
+
+
+def _doubt_the_mode(ruptures: Sequence[Rupture], doubts: Doubts) -> None:
+    """Whether all ring alike, and with one mode."""
     scatter = float(np.std([math.log(each.frequency_hz) for each in ruptures]))
     doubts.at_most(
         "scatter of the frequency",
@@ -210,23 +254,9 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
         f"one mode explains {100 * explained:.0f} % of the ringing",
         "membranes ring with more",
     )
-    summary = (
-        f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
-        f"{frequency.value:.4g} Hz"
-    )
-    return PunctureFit(
-        stiffness_n_per_m=stiffness,
-        depth_m=depth,
-        force_n=over([each.force_n for each in ruptures]),
-        amplitude_m_per_s2=amplitude,
-        frequency_hz=frequency,
-        decay_rate_per_s=decay,
-        amplitude_per_speed_per_s=by_speed,
-        ruptures=tuple(ruptures),
-        warnings=tuple(doubts.told),
-        judged=doubts.judged(summary),
-        left_out=tuple(left.items),
-    )
+
+
+# ---- One puncture, in stages ---------------------------------------------------------------------------------------
 
 
 def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
@@ -234,36 +264,128 @@ def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
     doubts = Doubts()
     kept = without_impossible(recording, "puncture")
     told_of([kept], doubts)
-    recording = kept.recording
-    name, rate_hz = recording.name, recording.rate_hz
-    force = force_of(recording)
-    place = recording.position_m
-    if place is None:
-        raise FitError(f"{name}: has no position along the normal, which this fit needs")
-    if np.ptp(place) > FARTHEST_M:
-        raise MistakenError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
-    if not np.ptp(place) > 0:
-        raise FitError(f"{name}: the position never moves: is it the wrong column?")
-    if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
-        raise MistakenError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
-    at = _drop(force, rate_hz)
-    none = f"{name}: no puncture here: the force never falls at once while the stylus goes on"
-    if at is None:
-        raise FitError(none)
-    seen = acceleration_of(recording)
-    half = max(1, round(DROP_S * rate_hz / 2))
-    smooth = running_mean(force, half)
+    push = _Push.of(kept.recording)
+    seen = acceleration_of(kept.recording)
+    loading = _loading(push, doubts)
+    _doubt_the_touch(push, loading, doubts)
+    ruptured_m, speed = _rupture_place(push)
+    ringing = _ringing(kept, seen, push, loading.begin)
+    _doubt_force_left(push, loading, doubts)
+    _refuse_second_rupture(push, loading)
+    if ringing.variance_accounted_for < 0.8:
+        doubts.note(f"{push.name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
+    found = Rupture(
+        recording=push.name,
+        time_s=(push.at + 0.5) / push.rate_hz,
+        speed_m_per_s=abs(speed),
+        stiffness_n_per_m=loading.stiffness_n_per_m,
+        depth_m=ruptured_m - loading.surface_m,
+        force_n=loading.stiffness_n_per_m * (ruptured_m - loading.surface_m),
+        amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
+        frequency_hz=float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi),
+        decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
+        variance_accounted_for=float(ringing.variance_accounted_for),
+    )
+    return found, doubts
+
+
+@dataclass(frozen=True, slots=True)
+class _Push:
+    """Force and position of a recording, each (n,), and where the force drops."""
+
+    name: str
+    rate_hz: float
+    force: Floats
+    place: Floats
+    at: int
+    """The last sample before the force falls to nothing."""
+    half: int
+    """Samples of half of DROP_S."""
+    smooth: Floats
+    """The force, without what is faster than DROP_S."""
+
+    @classmethod
+    def of(cls, recording: Recording) -> _Push:
+        """FitError where force or position cannot be a puncture's."""
+        name, rate_hz = recording.name, recording.rate_hz
+        force = force_of(recording)
+        place = recording.position_m
+        if place is None:
+            raise FitError(f"{name}: has no position along the normal, which this fit needs")
+        if np.ptp(place) > FARTHEST_M:
+            raise MistakenError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
+        if not np.ptp(place) > 0:
+            raise FitError(f"{name}: the position never moves: is it the wrong column?")
+        if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
+            raise MistakenError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
+        at = _drop(force, rate_hz)
+        if at is None:
+            raise _no_puncture(name)
+        half = max(1, round(DROP_S * rate_hz / 2))
+        return cls(name, rate_hz, force, place, at, half, running_mean(force, half))
+
+    @property
+    def speed(self) -> Floats:
+        """(n,) along the normal, m/s."""
+        return slope_of(self.place, self.rate_hz, 8 * DROP_S)
+
+
+def _no_puncture(name: str) -> FitError:
+    return FitError(f"{name}: no puncture here: the force never falls at once while the stylus goes on")
+
+
+@dataclass(frozen=True, slots=True)
+class _Loading:
+    """The membrane drawn in, from the first load on: a line of force over position."""
+
+    begin: int
+    """The first sample with a quarter of the load."""
+    highest_n: float
+    """Just before the force drops."""
+    stiffness_n_per_m: float
+    surface_m: float
+    """Where the line begins."""
+    rest_n: float
+    """What the sensor reads without a touch."""
+
+
+def _loading(push: _Push, doubts: Doubts) -> _Loading:
+    """The line of force over position before the rupture. FitError where there is none."""
+    at, half, smooth = push.at, push.half, push.smooth
     least = max(0, at - 2 * half)
-    highest = float(np.median(force[least : max(at - half, least + 1)]))
+    highest = float(np.median(push.force[least : max(at - half, least + 1)]))
     early = np.flatnonzero(smooth[: at - half] < LOADED[0] * highest)
     begin = int(early[-1]) + 1 if len(early) else 0
     loaded = np.arange(begin, at - half)
     loaded = loaded[smooth[loaded] < LOADED[1] * highest]
     if len(loaded) < 20:
-        raise FitError(f"{name}: force rises within {len(loaded)} samples: too few for a stiffness")
-    way, pressed = place[loaded], force[loaded]
-    line = np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1)
-    stiffness = float(line[1])
+        raise FitError(f"{push.name}: force rises within {len(loaded)} samples: too few for a stiffness")
+    way, pressed = push.place[loaded], push.force[loaded]
+    level, stiffness = map(float, np.polynomial.polynomial.polyfit(way - way.mean(), pressed, 1))
+    _check_stiffness(push.name, way, pressed, stiffness)
+    near = way < np.median(way)
+    below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
+    if abs(above - below) > BENT * stiffness:
+        doubts.case(
+            "the stiffness changes on the way",
+            f"{push.name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
+        )
+    # Before the touch the sensor may read other than 0.
+    rest, surface, quiet = 0.0, 0.0, np.zeros(0)
+    for _ in range(3):
+        surface = float(way.mean()) - (level - rest) / stiffness
+        free = np.flatnonzero(push.place[:begin] < surface)
+        quiet = push.force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
+        rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
+    if len(quiet) < 20:
+        doubts.case(
+            "begun in contact", f"{push.name}: begins in contact: what the sensor reads without force is taken to be 0"
+        )
+    return _Loading(begin, highest, stiffness, surface, rest)
+
+
+def _check_stiffness(name: str, way: Floats, pressed: Floats, stiffness: float) -> None:
+    """FitError where force over position is no membrane's."""
     low, high = STIFFNESS_N_PER_M
     if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < STRAIGHT:
         raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
@@ -275,46 +397,42 @@ def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
         raise MistakenError(
             f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?"
         )
-    near = way < np.median(way)
-    below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
-    if abs(above - below) > BENT * stiffness:
+
+
+def _doubt_the_touch(push: _Push, loading: _Loading, doubts: Doubts) -> None:
+    """Whether it is softer at first: then the line begins behind the touch."""
+    half, load = push.half, loading.highest_n - loading.rest_n
+    soft = max(SOFT[0] * load, SEEN * _noise(push.force) / math.sqrt(2 * half + 1))
+    touched = np.flatnonzero(push.smooth[: push.at - half] - loading.rest_n > soft)
+    if not len(touched):
+        return
+    # The line meets this force at `due`; where the touch is soft, it was met earlier.
+    due = loading.surface_m + soft / loading.stiffness_n_per_m
+    early_m = due - float(np.mean(push.place[max(0, touched[0] - half) : touched[0] + half + 1]))
+    if early_m > SOFT[1] * load / loading.stiffness_n_per_m:
         doubts.case(
-            "the stiffness changes on the way",
-            f"{name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
+            "softer at first",
+            f"{push.name}: it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more "
+            "behind the touch, and depth is counted from there",
         )
-    # Before the touch the sensor may read other than 0.
-    rest, surface, quiet = 0.0, 0.0, np.zeros(0)
-    for _ in range(3):
-        surface = float(way.mean()) - (float(line[0]) - rest) / stiffness
-        free = np.flatnonzero(place[:begin] < surface)
-        quiet = force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
-        rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
-    if len(quiet) < 20:
-        doubts.case(
-            "begun in contact", f"{name}: begins in contact: what the sensor reads without force is taken to be 0"
-        )
-    soft = max(SOFT[0] * (highest - rest), SEEN * _noise(force) / math.sqrt(2 * half + 1))
-    touched = np.flatnonzero(smooth[: at - half] - rest > soft)
-    if len(touched):
-        # The line meets this force at `due`; where the touch is soft, it was met earlier.
-        due = surface + soft / stiffness
-        early_m = due - float(np.mean(place[max(0, touched[0] - half) : touched[0] + half + 1]))
-        if early_m > SOFT[1] * (highest - rest) / stiffness:
-            doubts.case(
-                "softer at first",
-                f"{name}: it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more "
-                "behind the touch, and depth is counted from there",
-            )
-    last = slice(max(0, at - 4 * half), at + 1)
+
+
+def _rupture_place(push: _Push) -> tuple[float, float]:
+    """Where the membrane ruptures, m, and how fast the stylus is there, m/s. FitError where it was let go."""
+    last = slice(max(0, push.at - 4 * push.half), push.at + 1)
     index = np.arange(last.start, last.stop)
-    fitted = np.polynomial.polynomial.polyfit(index - at, place[last], 1)
-    # The force is gone between this sample and the next.
-    ruptured = float(fitted[0] + 0.5 * fitted[1])
-    speed = float(slope_of(place, rate_hz, 8 * DROP_S)[at])
+    fitted = np.polynomial.polynomial.polyfit(index - push.at, push.place[last], 1)
+    speed = float(push.speed[push.at])
     if speed <= 0:
         # Let go, or bounced off.
-        raise FitError(none)
+        raise _no_puncture(push.name)
+    # The force is gone between this sample and the next.
+    return float(fitted[0] + 0.5 * fitted[1]), speed
 
+
+def _ringing(kept: Kept, seen: Floats, push: _Push, begin: int) -> Ringing:
+    """The mode that the rupture strikes. FitError where it was not measured, or does not ring with one mode."""
+    name, at, rate_hz = push.name, push.at, push.rate_hz
     first = max(0, at - round(BEFORE_S * rate_hz))
     end = min(len(seen), at + round(RINGING_S * rate_hz))
     if np.mean(kept.replaced[begin:end]) > SPOILT:
@@ -324,8 +442,8 @@ def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
             f"{name}: the ringing of the rupture is clipped at {np.abs(seen[first:end]).max():.4g} m/s^2; record with "
             "a wider range"
         )
-    if in_gap(recording, begin, end):
-        raise FitError(f"{name}: {gaps_told(recording)}: between the touch and the end of the ringing")
+    if in_gap(kept.recording, begin, end):
+        raise FitError(f"{name}: {gaps_told(kept.recording)}: between the touch and the end of the ringing")
     try:
         # A slow sensor of force tells the rupture late.
         ringing = min(
@@ -337,47 +455,42 @@ def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
         )
     except FitError as error:
         raise FitError(f"{name}: the rupture has no ringing: {error}") from None
-    frequency = float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)
-    if slow := too_slow(rate_hz, frequency):
+    if slow := too_slow(rate_hz, float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)):
         raise FitError(f"{name}: {slow}")
     if ringing.variance_accounted_for < ACCOUNTED:
         raise FitError(
             f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing, "
             f"{100 * ACCOUNTED:.0f} % are wanted"
         )
-    left = float(np.median(force[at + 2 * half : at + 6 * half])) - rest
-    if left > HELD * (highest - rest):
+    return ringing
+
+
+def _doubt_force_left(push: _Push, loading: _Loading, doubts: Doubts) -> None:
+    """Whether something holds what went in."""
+    load = loading.highest_n - loading.rest_n
+    left = float(np.median(push.force[push.at + 2 * push.half : push.at + 6 * push.half])) - loading.rest_n
+    if left > HELD * load:
         doubts.case(
             "force is left after the rupture",
-            f"{name}: {100 * left / (highest - rest):.0f} % of the force is left after the rupture: something holds "
+            f"{push.name}: {100 * left / load:.0f} % of the force is left after the rupture: something holds "
             "what went in; the model has none of it",
         )
-    for start, part in ((0, force[: max(0, at - 4 * half)]), (at + 4 * half, force[at + 4 * half :])):
-        other = _drop(part, rate_hz)
+
+
+def _refuse_second_rupture(push: _Push, loading: _Loading) -> None:
+    """FitError where the force drops again, before or after, while the stylus goes on."""
+    at, half = push.at, push.half
+    for start, part in ((0, push.force[: max(0, at - 4 * half)]), (at + 4 * half, push.force[at + 4 * half :])):
+        other = _drop(part, push.rate_hz)
         if (
             other is not None
-            and part[other] - rest > AGAIN * (highest - rest)
-            and slope_of(place, rate_hz, 8 * DROP_S)[start + other] > 0
+            and part[other] - loading.rest_n > AGAIN * (loading.highest_n - loading.rest_n)
+            and push.speed[start + other] > 0
         ):
             raise FitError(
-                f"{name}: ruptures at {min(at, start + other) / rate_hz:.4g} s and at "
-                f"{max(at, start + other) / rate_hz:.4g} s: give each puncture its own file"
+                f"{push.name}: ruptures at {min(at, start + other) / push.rate_hz:.4g} s and at "
+                f"{max(at, start + other) / push.rate_hz:.4g} s: give each puncture its own file"
             )
-    if ringing.variance_accounted_for < 0.8:
-        doubts.note(f"{name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
-    found = Rupture(
-        recording=name,
-        time_s=(at + 0.5) / rate_hz,
-        speed_m_per_s=abs(speed),
-        stiffness_n_per_m=stiffness,
-        depth_m=ruptured - surface,
-        force_n=stiffness * (ruptured - surface),
-        amplitude_m_per_s2=abs(float(ringing.coefficients[0])),
-        frequency_hz=frequency,
-        decay_rate_per_s=float(ringing.decay_rate_per_s[0]),
-        variance_accounted_for=float(ringing.variance_accounted_for),
-    )
-    return found, doubts
 
 
 def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[Line]:

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.recordings.impossible import SPEED, Kept
 from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, student_t
+from hapticd.fit.impossible import SPEED, Kept
 from hapticd.fit.recording import Recording
 from hapticd.fit.verdict import Doubts
 

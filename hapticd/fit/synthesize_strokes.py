@@ -14,12 +14,13 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import Floats
+from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.synthesize import Stylus
-from hapticd.rendering.filter_design import power_spectrum, reflection_of, stochastic_filter
+from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 
 @dataclass(frozen=True, slots=True)

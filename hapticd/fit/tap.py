@@ -14,11 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.recordings.lines import Line, lines_beside, tell_lines
 from hapticd.analysis.statistics import Estimate, FitError, common, require_scipy, through_origin, with_offset
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Attack, Mode
 from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
+from hapticd.fit.lines import Line, lines_beside, tell_lines
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.strokes import tell_few_samples
 from hapticd.fit.taps.amplitude import Law, LawKind, Power, doubt_the_law, law_of

@@ -1,8 +1,9 @@
 """Keeps a device connected: sets it up, hands it to C, waits, sets it up anew after a reset, and looks for it when it
 has gone.
 
-A thread does that while the daemon runs; C's reader and writer threads (csrc/device/hd_hid.c) do what happens every few
-milliseconds, and the servo waits for neither. A device that is lost is looked for every `RETRY_S`; the scene stays.
+A thread does that while the daemon runs; C's reader and writer threads (csrc/device/hd_hid_reader.c and
+hd_hid_writer.c) do what happens every few milliseconds, and the servo waits for neither. A device that is lost is
+looked for every `RETRY_S`; the scene stays.
 """
 
 from __future__ import annotations

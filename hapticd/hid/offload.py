@@ -24,10 +24,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.base.core import CData, HidQuantity, Status, ffi, invalid_reason, lib
-from hapticd.base.errors import HapticdError, offload_text
+from hapticd.base.errors import HapticdError
 from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
 from hapticd.hid.plan import Message, Numbers, Periodic, Scale, Value, fill_message
+from hapticd.hid.texts import offload_text
 from hapticd.rendering.displayability import DISPLAYABLE
 
 MOST_ERROR: Final = 0.2

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+PID: Final = 0x000F0000
+DESKTOP: Final = 0x00010000
+"""Usage pages, above the sixteen bits of a usage."""
 AXES: Final = {"x": 0x30, "y": 0x31, "z": 0x32, "rx": 0x33, "ry": 0x34, "rz": 0x35}
 """Usages of the axes on the page Generic Desktop."""
 

@@ -31,6 +31,7 @@ from typing import (
 import zmq
 
 from hapticd.base import arguments, threads
+from hapticd.base.codec import NotEncodableError
 from hapticd.base.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.protocol import messages
 from hapticd.protocol.remote import Named, Remote, is_remote, monitored, remote
@@ -288,7 +289,7 @@ def question(id: int, method: str, params: Mapping[str, object] | None) -> bytes
         if len(body) > messages.MAX_BODY:
             raise HapticdError(f"{method}: {len(body)} bytes in one message (at most {messages.MAX_BODY})")
         messages.decode(body)
-    except messages.WireError as error:
+    except (messages.WireError, NotEncodableError) as error:
         arguments.plain((), params)  # says where
         raise HapticdError(f"{method}: {error}") from None
     return body

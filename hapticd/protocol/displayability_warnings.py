@@ -16,13 +16,13 @@ from hapticd.config.materials import Material, Materials
 from hapticd.config.scene import SceneObject, Wall, material_places
 from hapticd.rendering.displayability import (
     DISPLAYABLE,
-    Output,
-    Use,
     material_rate_faults,
     material_warnings,
     patch_warnings,
     undisplayable,
 )
+from hapticd.rendering.output import Output
+from hapticd.rendering.undisplayable import Use
 
 _KEYS: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
 """Where a mode stands in its material, if not under its own name."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from hapticd.base.codec import Encoded, encoded, encoded_list, encoded_map
 from hapticd.base.model import AT_ONCE
 from hapticd.config.materials import Material, Materials
 from hapticd.config.patches import Patches
 from hapticd.config.scene import Scene, SceneObject, Wall
-from hapticd.protocol.messages import Encoded, encoded, encoded_list, encoded_map
 
 
 class Told:

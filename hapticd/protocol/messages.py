@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, TypeAlias, TypeGuard, cast
 
 import msgpack
 
+from hapticd.base.codec import MAX_DEPTH, Encoded, encode, encoded_map
 from hapticd.base.errors import HapticdError
 
 PROTOCOL: Final = 1
@@ -26,14 +27,8 @@ GESTURE_ENDS: Final = 16
 MAX_BODY: Final = 2 * 1024 * 1024
 """Largest body of a request, bytes."""
 
-MAX_DEPTH: Final = 32
-"""Deepest nesting of a body; a request whose params hold only scalars has depth 2."""
-
 MAX_MEMBERS: Final = 65_536
 """Largest map of a body: building one is a single call, in which no other thread runs."""
-
-LARGE_PART: Final = 16 * 1024
-"""Bytes; a part of an answer that is as large, and encoded already, is sent from where it stands."""
 
 _OFTEN: Final = 64
 """Strings of so many characters at most, names of materials above all, are kept once in a body."""
@@ -48,6 +43,10 @@ _EXTENSIONS: Final = bytes([0xC7, 0xC8, 0xC9, *range(0xD4, 0xD9)])
 _MEMBERS: Final = frozenset(("jsonrpc", "id", "method", "params"))
 
 Id: TypeAlias = int | float | str | None
+
+_TO_ID: Final = b"\x83" + encode("jsonrpc") + encode("2.0") + encode("id")
+"""How an answer begins, up to its id, and what follows that."""
+_TO_RESULT: Final = encode("result")
 
 
 class Code(enum.IntEnum):
@@ -197,69 +196,6 @@ def decode_trusted(body: bytes) -> object:
         raise _bad(f"the body is not msgpack: {error}") from None
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return dict(value)
-    tolist = getattr(value, "tolist", None)  # numpy's scalars and arrays
-    if tolist is None:
-        raise TypeError(f"a {type(value).__name__} is not plain data")
-    return tolist()
-
-
-def encode(value: object) -> bytes:
-    """msgpack of a tree of mappings, lists, tuples, str, bytes, bool, numbers (numpy's and arrays too) and
-    None.
-
-    Raises WireError(-32603) for anything else.
-    """
-    try:
-        return cast(bytes, msgpack.packb(value, default=_plain))
-    except (TypeError, ValueError, OverflowError) as error:
-        raise WireError(Code.INTERNAL, f"cannot be encoded: {error}") from None
-
-
-@dataclass(frozen=True, slots=True)
-class Encoded:
-    """A value that is encoded already, in parts that follow each other. Large parts are shared, never copied."""
-
-    parts: tuple[bytes, ...]
-
-    def __len__(self) -> int:
-        return sum(map(len, self.parts))
-
-    def __bytes__(self) -> bytes:
-        return b"".join(self.parts)
-
-
-def encoded(value: object) -> Encoded:
-    """Any value. Raises as encode does."""
-    return Encoded((encode(value),))
-
-
-def encoded_map(members: Mapping[str, object]) -> Encoded:
-    """A map of these members, of which some may be encoded already. Raises as encode does."""
-    found: list[bytes] = []
-    small = bytearray(msgpack.Packer().pack_map_header(len(members)))
-    for key, value in members.items():
-        small += encode(key)
-        for part in value.parts if isinstance(value, Encoded) else (encode(value),):
-            if len(part) < LARGE_PART:
-                small += part
-            else:
-                found += bytes(small), part
-                small.clear()
-    return Encoded((*found, bytes(small)))
-
-
-def encoded_list(count: int, items: Iterable[object]) -> Encoded:
-    """A list of so many items, encoded one by one: nobody waits for all of them."""
-    packer = msgpack.Packer()
-    data = bytearray(packer.pack_array_header(count))
-    for item in items:
-        data += packer.pack(item)
-    return Encoded((bytes(data),))
-
-
 # ---- requests and replies ----------------------------------------------------------------------------------
 
 
@@ -332,7 +268,9 @@ def request(id: Id, method: str, params: Mapping[str, object] | None = None) -> 
 
 
 def result_reply(id: Id, result: object) -> bytes | Encoded:
-    """The body that answers call `id` with its result, a map's members encoded already or not."""
+    """The body that answers call `id` with its result; it may be encoded already, and so may a map's members."""
+    if isinstance(result, Encoded) and len(result.parts) == 1:
+        return _TO_ID + encode(id) + _TO_RESULT + result.parts[0]
     if isinstance(result, dict) and any(isinstance(value, Encoded) for value in result.values()):
         reply = encoded_map({"jsonrpc": "2.0", "id": id, "result": encoded_map(result)})
         return reply if len(reply.parts) > 1 else reply.parts[0]

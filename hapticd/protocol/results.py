@@ -45,7 +45,7 @@ class Status(TypedDict):
     intake: dict[str, Json] | None
     counters: dict[str, int]
     overruns: dict[str, Json]
-    histograms: dict[str, dict[str, Json]]
+    histograms: NotRequired[dict[str, dict[str, Json]]]
     flight: dict[str, Json] | None
     passivity: dict[str, Json]
     undisplayable: list[dict[str, Json]]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
@@ -126,13 +126,6 @@ def rows_of(events: Iterable[Mapping[str, Any]], columns: list[Column]) -> Itera
             rows = []
     if rows:
         yield np.array(rows, dtype)
-
-
-def event_array(events: Callable[[], Iterable[Mapping[str, Any]]]) -> npt.NDArray[np.void]:
-    """Events as one structured array. `events` is called twice."""
-    _, columns = columns_of(events())
-    stretches = list(rows_of(events(), columns))
-    return np.concatenate(stretches) if stretches else np.zeros(0, dtype_of(columns))
 
 
 # ---- Back ----------------------------------------------------------------------------------------------------------

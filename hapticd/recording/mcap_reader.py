@@ -6,7 +6,6 @@ that nobody needs or that would take more memory than there may be.
 
 from __future__ import annotations
 
-import io
 import os
 import struct
 import zlib
@@ -16,6 +15,17 @@ from typing import IO, TYPE_CHECKING, Any, Final
 import numpy as np
 
 from hapticd.base.core import SAMPLE_DTYPE
+from hapticd.recording.mcap_format import (
+    CHANGE,
+    EVENT,
+    MAGIC,
+    SAMPLES,
+    TOPICS,
+    message_dtype,
+    needed,
+    sample_schema,
+    unpacked,
+)
 from hapticd.recording.reading_limits import TEXTS, BadRecordingError, Memory, Recorded, Rows
 
 if TYPE_CHECKING:
@@ -38,11 +48,7 @@ def load_mcap(file: IO[bytes], size: int, memory: Memory) -> Recorded:
         import mcap.records  # noqa: F401
         import zstandard  # noqa: F401
     except ImportError:
-        from hapticd.recording.mcap_writer import needed
-
         raise needed() from None
-    from hapticd.recording.mcap_writer import MAGIC
-
     if size < _LEAST or file.read(len(MAGIC)) != MAGIC:
         raise BadRecordingError("it is no MCAP file")
     file.seek(size - len(MAGIC))
@@ -56,8 +62,6 @@ class _Reader:
     """What was found so far."""
 
     def __init__(self, memory: Memory) -> None:
-        from hapticd.recording.mcap_writer import CHANGE, EVENT, SAMPLES, TOPICS, _message_dtype
-
         self._memory = memory
         self._texts: dict[str, Any] = {}
         self._events: list[dict[str, Any]] = []
@@ -67,13 +71,12 @@ class _Reader:
         self._kinds: dict[int, int] = {}
         """Of each channel that is ours, what it holds."""
         self._topics = {TOPICS[kind]: kind for kind in (SAMPLES, EVENT, CHANGE)}
-        self._sample, self._event = SAMPLES, EVENT
-        self._message = _message_dtype(SAMPLE_DTYPE.itemsize)
+        self._message = message_dtype(SAMPLE_DTYPE.itemsize)
 
     def read(self, file: IO[bytes], size: int) -> Recorded:
         for opcode, body in _records(file, size, self._memory):
             if opcode == _CHUNK:
-                self._take_records(_unpacked(_of("Chunk", body), self._memory))
+                self._take_records(_chunk_data(unpacked("Chunk", body), self._memory))
             elif opcode == _ATTACHMENT:
                 self._take_attachment(body)
             elif opcode == _METADATA:
@@ -86,7 +89,7 @@ class _Reader:
         return Recorded(self._rows.whole(), self._texts, self._events)
 
     def _take_attachment(self, body: bytes) -> None:
-        attachment = _of("Attachment", body)
+        attachment = unpacked("Attachment", body)
         name = attachment.name.removesuffix(".json")
         if name in TEXTS:
             (checksum,) = struct.unpack("<I", body[-4:])
@@ -96,7 +99,7 @@ class _Reader:
 
     def _take_metadata(self, body: bytes) -> None:
         self._memory.check(32 * len(body), "its metadata")
-        metadata = _of("Metadata", body)
+        metadata = unpacked("Metadata", body)
         if metadata.name in TEXTS:
             found = {name: self._memory.json(value, metadata.name) for name, value in metadata.metadata.items()}
             self._put(metadata.name, found)
@@ -108,21 +111,19 @@ class _Reader:
 
     def _declare(self, opcode: int, body: bytes) -> None:
         """A schema or a channel."""
-        from hapticd.recording.mcap_writer import sample_schema
-
         if len(self._schemas) + len(self._kinds) > _MOST_CHANNELS:
             raise BadRecordingError("it has too many channels")
         if opcode == _SCHEMA:
-            schema = _of("Schema", body)
+            schema = unpacked("Schema", body)
             self._schemas[schema.id] = zlib.adler32(schema.data).to_bytes(4, "little")
             if schema.data == sample_schema(SAMPLE_DTYPE).encode():
                 self._schemas[schema.id] = schema.data
             return
-        channel: Channel = _of("Channel", body)
+        channel: Channel = unpacked("Channel", body)
         kind = self._topics.get(channel.topic)
         if kind is None:
             return
-        if kind == self._sample and self._schemas.get(channel.schema_id) != sample_schema(SAMPLE_DTYPE).encode():
+        if kind == SAMPLES and self._schemas.get(channel.schema_id) != sample_schema(SAMPLE_DTYPE).encode():
             raise BadRecordingError("its samples have other fields than those of this version")
         self._kinds[channel.id] = kind
 
@@ -138,7 +139,7 @@ class _Reader:
                 self._declare(opcode, data[at + 9 : end])
             elif opcode == _MESSAGE:
                 kind = self._kinds.get(_MESSAGE_HEAD.unpack_from(data, at)[2]) if length >= 2 else None
-                if kind == self._sample:
+                if kind == SAMPLES:
                     if 9 + length != self._message.itemsize:
                         raise BadRecordingError("a sample has another size than its fields")
                     end = self._take_samples(data, at)
@@ -150,7 +151,7 @@ class _Reader:
     def _take_value(self, kind: int, value: object) -> None:
         if not isinstance(value, dict):
             raise BadRecordingError("an event or a change is no map")
-        (self._events if kind == self._event else self._changes).append(value)
+        (self._events if kind == EVENT else self._changes).append(value)
 
     def _take_samples(self, data: bytes, at: int) -> int:
         """Takes as many messages of samples as follow each other; where they end."""
@@ -189,15 +190,7 @@ def _records(file: IO[bytes], size: int, memory: Memory) -> Iterator[tuple[int, 
     raise BadRecordingError("it was not finished; `mcap recover` makes a whole one of it")
 
 
-def _of(kind: str, body: bytes) -> Any:
-    """A record of the library."""
-    import mcap.records
-    from mcap.data_stream import ReadDataStream
-
-    return getattr(mcap.records, kind).read(ReadDataStream(io.BytesIO(body)))
-
-
-def _unpacked(chunk: Chunk, memory: Memory) -> bytes:
+def _chunk_data(chunk: Chunk, memory: Memory) -> bytes:
     """What a chunk holds. Raises BadRecordingError."""
     size = chunk.uncompressed_size
     if size > _LARGEST:

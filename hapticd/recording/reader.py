@@ -64,10 +64,6 @@ def load_recorded(
         raise HapticdError(f"{one_line(name)}: takes more memory than there is") from None
     except _WRONG as error:
         raise HapticdError(f"{one_line(name)}: is no recording of hapticd: {_reason(error)}") from None
-    except Exception as error:
-        if type(error).__module__.split(".")[0] != "mcap":
-            raise
-        raise HapticdError(f"{one_line(name)}: is no recording of hapticd: a record of it is damaged") from None
 
 
 def memory_for(path: str | os.PathLike[str], max_memory: int | None, sample_bytes: int | None = None) -> Memory:

@@ -21,9 +21,9 @@ import numpy.typing as npt
 from hapticd.base import arguments
 from hapticd.base.clock import Moment, moment_of
 from hapticd.base.errors import HapticdError
+from hapticd.recording.formats import open_writer
 from hapticd.recording.missed_periods import missed_periods, rates_of
 from hapticd.recording.reader import Samples, load_recorded
-from hapticd.recording.writer import open_sink
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -160,26 +160,26 @@ class Recording:
 
         Returns where it is: under the next free name where a file appeared at `path` meanwhile. Raises HapticdError.
         """
-        with open_sink(path, overwrite) as sink:
-            sink.begin(
+        with open_writer(path, overwrite) as writer:
+            writer.begin(
                 {name: text for name, text in self.texts.items() if name not in ("changes", "recording", "flight")}
             )
             for change in self.changes:
-                sink.write_change(change)
+                writer.write_change(change)
             events = iter(self.events)
             event = next(events, None)
             for first in range(0, len(self.samples), _STRETCH):
                 part = self.samples[first : first + _STRETCH]
-                sink.write(part)
+                writer.write(part)
                 while event is not None and int(event.get("tick", 0)) <= int(part["tick"][-1]):
-                    sink.write_event(event)
+                    writer.write_event(event)
                     event = next(events, None)
             while event is not None:
-                sink.write_event(event)
+                writer.write_event(event)
                 event = next(events, None)
             last = {name: self.texts[name] for name in ("recording", "flight") if name in self.texts}
-            sink.finish(last, {} if self.truth is None else {"truth": self.truth})
-            return sink.target
+            writer.finish(last, {} if self.truth is None else {"truth": self.truth})
+            return writer.target
 
     @property
     def _about(self) -> dict[str, Any]:

@@ -34,13 +34,13 @@ from hapticd.config.materials import Material, validate_materials
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, materials_of, validate_object, validate_scene
 from hapticd.config.texture import Autoregressive, Stochastic
-from hapticd.daemon.engine import output_of
-from hapticd.daemon.flight_scene import MOST_OBJECTS, MOST_PIECES
+from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES
 from hapticd.protocol.events import event_map
+from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded, memory_for
 from hapticd.recording.reading_limits import Memory, Recorded, Samples, TooMuchMemoryError
-from hapticd.recording.writer import open_sink
 from hapticd.rendering.offline import Rerun
+from hapticd.rendering.output import output_of
 
 FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
 """What is compared."""
@@ -123,17 +123,17 @@ class Replay:
     def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
         """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it, or
         the target is there already."""
-        with open_sink(target, overwrite) as sink:
+        with open_writer(target, overwrite) as writer:
             last = ("changes", "recording", "flight")
-            sink.begin({name: text for name, text in self.texts.items() if name not in last})
+            writer.begin({name: text for name, text in self.texts.items() if name not in last})
             for change in self.texts["changes"]:
-                sink.write_change(change)
-            sink.write(self.samples)
+                writer.write_change(change)
+            writer.write(self.samples)
             for event in self.events:
-                sink.write_event(event)
-            sink.finish()
-            if sink.displaced:
-                raise HapticdError(displaced(target, sink.target))
+                writer.write_event(event)
+            writer.finish()
+            if writer.displaced:
+                raise HapticdError(displaced(target, writer.target))
 
     def to_dict(self) -> dict[str, object]:
         """As plain data, without samples and events."""
@@ -169,7 +169,7 @@ def replay(path: str | os.PathLike[str], max_memory: int | None = None) -> Repla
     if "flight" in recorded.texts and "config" not in missing and "scene" in missing:
         raise HapticdError(
             f"{os.fspath(path)}: cannot be rendered again: its scene is not in it, as of all scenes of more than "
-            f"{MOST_OBJECTS:,} objects, or {MOST_PIECES:,} patches and models, in files of the flight recorder"
+            f"{FLIGHT_OBJECTS:,} objects, or {FLIGHT_PIECES:,} patches and models, in files of the flight recorder"
         )
     if missing:
         raise HapticdError(f"{os.fspath(path)}: does not say what it was rendered with (no {', '.join(missing)})")

@@ -33,8 +33,6 @@ from hapticd.config.actuator import Actuator
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.modes import Mode
 
-Compensation: TypeAlias = Literal["off", "mass", "full"]
-
 LOW_HZ: Final = 30.0
 """The error is told from here on; below, the hand's own motion is."""
 HIGH: Final = 0.4

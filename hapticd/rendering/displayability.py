@@ -7,23 +7,24 @@ Three answers: what is muted or lowered (`undisplayable`), what is refused becau
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
-from hapticd.base.errors import Path, Problem, path_text, undisplayable_text
+from hapticd.base.errors import Path, Problem, path_text
+from hapticd.base.lattice import reflection_of
 from hapticd.base.model import MAX_FAULTS
-from hapticd.config.actuator import Actuator
-from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.patches import TOUCHING_M, Patches, patches_of
 from hapticd.config.scene import SceneObject, Wall, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.rendering.compensation import LARGEST, Compensation, Load, Shape, shapes_of
-from hapticd.rendering.filter_design import power_above, reflection_of, resampled, stochastic_filter
+from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
+from hapticd.rendering.filter_design import power_above, resampled, stochastic_filter
+from hapticd.rendering.output import Output
+from hapticd.rendering.undisplayable import Undisplayable, Use
 
 DISPLAYABLE: Final = 0.4
 """What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""
@@ -37,52 +38,6 @@ MAX_LOSS: Final = 0.01
 """More of a recorded texture's power than this is not lost silently."""
 MAX_ERROR_DB: Final = 3.0
 """Nor is its spectrum farther off than this."""
-
-
-@dataclass(frozen=True, slots=True)
-class Output:
-    """What the device and the rate make of a scene."""
-
-    rate_hz: float
-    effective_mass_kg: float
-    max_force_n: float
-    max_speed_m_per_s: float
-    undisplayable: Literal["mute", "lower"]
-    link_rate_hz: float | None = None
-    """Forces that the link to the device carries in a second; None: as many as there are ticks."""
-    compensation: Compensation = "off"
-    dynamics: Dynamics | None = None
-    """The device that strikes are compensated for; None: it is not known."""
-    rearm_m: float = 0.0
-    """A surface is tapped again when the probe was so far from it."""
-    age_s: float = 0.0
-    """Between a position and the moment at which the force acts that is put when it is read, where it is known."""
-    actuator: Actuator | None = None
-    """Its lag, as far as it is known."""
-
-    @property
-    def carried_hz(self) -> float:
-        """Forces a second that reach the device: the rate of the servo, or of the link if that is lower."""
-        return self.rate_hz if self.link_rate_hz is None else min(self.rate_hz, self.link_rate_hz)
-
-
-Use: TypeAlias = Literal["tap", "second", "rupture", "groove", "texture"]
-
-
-@dataclass(frozen=True, slots=True)
-class Undisplayable:
-    """A mode, the middle of a waveform's spectrum or the peak of a texture's, that the rate cannot carry.
-
-    `shown_hz` is what is displayed in its place, None if nothing is.
-    """
-
-    material: str
-    mode: Use
-    frequency_hz: float
-    shown_hz: float | None
-
-    def __str__(self) -> str:
-        return undisplayable_text(asdict(self))
 
 
 def displayed_mode(mode: Mode, output: Output) -> tuple[Mode | None, float]:

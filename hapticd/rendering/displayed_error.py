@@ -19,10 +19,11 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.config.actuator import Actuator
+from hapticd.config.configuration import Compensation
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.modes import Mode
 from hapticd.config.waveform import Waveform
-from hapticd.rendering.compensation import HIGH, LOW_HZ, Compensation, Load, pole_of, pole_shape, shape_of
+from hapticd.rendering.compensation import HIGH, LOW_HZ, Load, pole_of, pole_shape, shape_of
 
 Floats = npt.NDArray[np.float64]
 

@@ -19,18 +19,17 @@ filter of order p is a ratio of polynomials of degree p at most.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Context, Decimal, localcontext
 from functools import lru_cache
 from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.base.lattice import Reflection, realised, with_poles
 from hapticd.base.worker_process import apart
 
 Array: TypeAlias = npt.NDArray[np.float64]
 ComplexArray: TypeAlias = npt.NDArray[np.complex128]
-Reflection: TypeAlias = tuple[float, ...]
 
 MAX_ORDER: Final = 32
 """HD_NOISE_ORDER."""
@@ -61,8 +60,6 @@ _PLACED: Final = 4
 _ROUNDS: Final = 6
 _STALLED: Final = 0.95
 """A round that leaves more than this fraction of the error is the last one."""
-_EXACT: Final = Context(prec=100)
-"""Digits for steps between coefficients and reflection, which lose up to the reciprocal of E_p in precision."""
 
 _Rule: TypeAlias = tuple[Array, Array]
 _FINE: Final[_Rule] = np.polynomial.legendre.leggauss(12)
@@ -191,151 +188,6 @@ def peak_of(reflection: Reflection, rate_hz: float) -> float:
     return _measured(reflection, None)[0] * rate_hz / (2 * math.pi)
 
 
-# ---- Coefficients and reflection -----------------------------------------------------------------------------
-
-
-@apart
-def pole_radius(coefficients: Sequence[float]) -> float:
-    """The largest magnitude of a pole of 1/(1 + sum a_i z^-i), from a_1 .. a_p; 0 without poles.
-
-    Poles are within a radius r if and only if the coefficients a_i r^-i are those of a stable filter. This is bisected
-    with 100 digits to 1e-12 of the radius: numerical roots of 32 crowded poles may be off by more than their distance
-    from the circle. The bracket is that of Fujiwara (1916) and of the elementary symmetric polynomials, at most 2 p
-    wide. ValueError where a coefficient is not finite.
-    """
-    with localcontext(_EXACT):
-        given = [Decimal(float(a)) for a in coefficients]
-        if not all(a.is_finite() for a in given):
-            raise ValueError("coefficients must be finite")
-        order = len(given)
-        sizes = [(float(abs(a)) ** (1 / i), math.comb(order, i) ** (1 / i)) for i, a in enumerate(given, 1) if a]
-        if not sizes:
-            return 0.0
-        low, high = max(size / count for size, count in sizes), 2 * max(size for size, _ in sizes)
-
-        def halve(middle: float) -> None:
-            nonlocal low, high
-            scale = 1 / Decimal(middle)
-            try:
-                _step_down([Decimal(1), *(a * scale**i for i, a in enumerate(given, 1))])
-            except ValueError:
-                low = middle
-            else:
-                high = middle
-
-        # Mostly the numerical roots are right, and on either side of them little is left to halve.
-        guess = _rough_radius(coefficients)
-        for trial in (guess * (1 - 1e-10), guess * (1 + 1e-10)):
-            if low < trial < high:
-                halve(trial)
-        for _ in range(44):
-            if high <= low * (1 + 1e-12):
-                break
-            halve(math.sqrt(low) * math.sqrt(high))
-        return math.sqrt(low) * math.sqrt(high)
-
-
-def _rough_radius(coefficients: Sequence[float]) -> float:
-    """The largest pole's by numerical roots; 0 where those fail."""
-    try:
-        with np.errstate(all="ignore"):
-            radius = float(np.abs(np.roots([1.0, *coefficients])).max(initial=0.0))
-    except np.linalg.LinAlgError:
-        return 0.0
-    return radius if math.isfinite(radius) else 0.0
-
-
-def coefficients_of(reflection: Sequence[float]) -> tuple[float, ...]:
-    """a_1 .. a_p of the lattice with k_1 .. k_p (step-up recursion)."""
-    with localcontext(_EXACT):
-        return tuple(float(a) for a in _step_up([Decimal(float(k)) for k in reflection])[1:])
-
-
-def reflection_of(coefficients: Sequence[float]) -> Reflection:
-    """k_1 .. k_p of a stable filter with a_1 .. a_p (step-down recursion, with 100 digits).
-
-    ValueError where the filter is not stable: the recursion is also the test (Jury). A coefficient that rounds to 1 or
-    -1 counts as unstable.
-    """
-    return _reflection_of(tuple(float(a) for a in coefficients))
-
-
-@lru_cache(maxsize=1024)
-@apart
-def _reflection_of(coefficients: tuple[float, ...]) -> Reflection:
-    with localcontext(_EXACT):
-        stages, _ = _step_down([Decimal(1), *map(Decimal, coefficients)])
-    return stages
-
-
-def _step_up(reflection: Sequence[Decimal]) -> list[Decimal]:
-    polynomial = [Decimal(1)]
-    for k in reflection:
-        polynomial = [
-            a + k * b for a, b in zip([*polynomial, Decimal(0)], [Decimal(0), *polynomial[::-1]], strict=True)
-        ]
-    return polynomial
-
-
-def _step_down(polynomial: list[Decimal]) -> tuple[Reflection, list[list[Decimal]]]:
-    """k_1 .. k_p, and the polynomials A_p .. A_0 on the way down."""
-    if not all(a.is_finite() for a in polynomial):
-        raise ValueError("coefficients must be finite")
-    stages: list[float] = []
-    ladder = [polynomial]
-    while len(polynomial) > 1:
-        k = polynomial[-1]
-        if not abs(float(k)) < 1:
-            raise ValueError("the filter is not stable: a pole lies on or outside the unit circle")
-        stages.append(float(k))
-        scale = 1 / ((1 - k) * (1 + k))
-        polynomial = [(a - k * b) * scale for a, b in zip(polynomial[:-1], polynomial[:0:-1], strict=True)]
-        ladder.append(polynomial)
-    return tuple(stages[::-1]), ladder
-
-
-def _monic(roots: Iterable[complex]) -> list[Decimal]:
-    """The polynomial in z^-1 with these zeros, and the conjugates of those off the real axis."""
-    product = [Decimal(1)]
-    for root in roots:
-        re, im = Decimal(root.real), Decimal(root.imag)
-        factor = [Decimal(1), -re] if im == 0 else [Decimal(1), -2 * re, re * re + im * im]
-        product = _times(product, factor)
-    return product
-
-
-def _times(a: Sequence[Decimal], b: Sequence[Decimal]) -> list[Decimal]:
-    product = [Decimal(0)] * (len(a) + len(b) - 1)
-    for i, x in enumerate(a):
-        for j, y in enumerate(b):
-            product[i + j] += x * y
-    return product
-
-
-def _realised(poles: Sequence[complex], zeros: Sequence[complex]) -> tuple[Reflection, tuple[float, ...] | None]:
-    """Reflection and taps of unit power; of a conjugate pair of poles or zeros one is given. No more zeros than poles.
-
-    The numerator is written as sum c_m B_m from the highest power down, then v_m = c_m sqrt(E_m), normalised."""
-    with localcontext(_EXACT):
-        reflection, ladder = _step_down(_monic(poles))
-        if not zeros:
-            return reflection, None
-        numerator = _monic(zeros)
-        numerator += [Decimal(0)] * (len(ladder) - len(numerator))
-        weights: list[Decimal] = []
-        for forward in ladder:
-            c = numerator[-1]
-            weights.append(c)
-            numerator = [n - c * a for n, a in zip(numerator, forward[::-1], strict=True)][:-1]
-        error = Decimal(1)
-        taps = [weights[-1]]
-        for forward, c in zip(ladder[-2::-1], weights[-2::-1], strict=True):
-            error *= (1 - forward[-1]) * (1 + forward[-1])
-            taps.append(c * error.sqrt())
-        norm = sum((v * v for v in taps), Decimal(0)).sqrt()
-        return reflection, tuple(float(v / norm) for v in taps)
-
-
 # ---- Noise with a given peak and mean ------------------------------------------------------------------------
 
 
@@ -412,13 +264,13 @@ class _Family:
     def realised(self, size: float) -> tuple[Reflection, tuple[float, ...] | None]:
         if self.floor:
             zeros = [_inside(complex(self.y_peak, self.floor / math.sqrt(size)))] if size > 0 else []
-            return _realised([_inside(complex(self.y_peak, self.floor))], zeros)
+            return realised([_inside(complex(self.y_peak, self.floor))], zeros)
         # The denominator in units of t = size * s.
         slope = size / (2 - self.y_peak) if self.zero else 0.0
         tilt = float(self.tilt(np.array([size]))[0])
         roots = np.roots([*([tilt * size] if tilt else []), 1.0, -slope, 1.0])
         poles = [_inside(complex(self.y_peak + size * s)) for s in roots if s.imag >= 0]
-        return _realised(poles, [complex(-1)] if self.zero else [])
+        return realised(poles, [complex(-1)] if self.zero else [])
 
 
 def _inside(y: complex) -> complex:
@@ -600,11 +452,7 @@ class _Fit:
     power: Array
 
     def realised(self) -> Reflection:
-        if not self.placed:
-            return self.reflection
-        with localcontext(_EXACT):
-            rest = _step_up([Decimal(k) for k in self.reflection])
-            return _step_down(_times(_monic(self.placed), rest))[0]
+        return with_poles(self.reflection, self.placed) if self.placed else self.reflection
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,11 +35,12 @@ from hapticd.config.materials import Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.scene import Scene, field_ids
-from hapticd.daemon.engine import loop_of, output_of
-from hapticd.rendering.compiler import Compiler, mode_record
-from hapticd.rendering.displayability import Output, Undisplayable, materials_in, rate_faults, undisplayable, warnings
+from hapticd.rendering.compiler.table import Compiler, mode_record
+from hapticd.rendering.displayability import materials_in, rate_faults, undisplayable, warnings
 from hapticd.rendering.joystick import grip_of, new_operator, new_sim, target_of
+from hapticd.rendering.output import Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, judge
+from hapticd.rendering.undisplayable import Undisplayable
 
 Samples: TypeAlias = npt.NDArray[np.void]
 """Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""

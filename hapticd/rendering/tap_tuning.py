@@ -20,8 +20,9 @@ from hapticd.config.materials import Material
 from hapticd.config.mode_table import ModeTable
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Load, Ringing, tuned_shapes
-from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M, Output, Touched, touched_by
+from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M, Touched, touched_by
 from hapticd.rendering.groove_tuning import complete_tail, node_rows
+from hapticd.rendering.output import Output
 
 NODES: Final = 16
 """Between the first speed and the last are about so many steps; with the points at most HD_TUNE_NODES nodes."""

@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.partial_files import Folder, Part, new_stem, resolved, write_file
+from hapticd.base.partial_files import Folder, PartialFile, new_stem, resolved, write_file
 from hapticd.cli import main
+from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded
-from hapticd.recording.recovery import left_behind, recover
-from hapticd.recording.writer import open_sink
+from hapticd.recording.recovery import partial_files_beside, recover
 from tests.recording.test_writer import FORMS, noisy, record_until_killed, some
 
 SECRET = '["texts", "root:$6$hash"]\n'
@@ -38,13 +38,13 @@ def test_a_planted_part_is_named_and_never_followed(tmp_path: Path, ending: str)
     folder.mkdir()
     target = folder / f"tap.{ending}"
     secret = planted(folder, target.name)
-    (told,) = left_behind(target)
+    (told,) = partial_files_beside(target)
     assert f".{target.name}.99999.part" in told and told.endswith("is no part of ours, and left as it is")
-    with open_sink(target) as sink:
-        sink.write(some(3))
-        sink.finish({"scene": {}})
+    with open_writer(target) as writer:
+        writer.write(some(3))
+        writer.finish({"scene": {}})
     found = recover(target)
-    assert found.files == [] and found.told == [told]
+    assert found.files == [] and found.problems == [told]
     assert secret.read_text() == SECRET
     assert sum(path.is_symlink() for path in folder.iterdir()) == 4
 
@@ -54,11 +54,11 @@ def test_a_second_name_of_a_file_is_no_part_of_ours(tmp_path: Path) -> None:
     other.write_text(SECRET)
     os.link(other, tmp_path / ".tap.npz.1.0123456789abcdef.part")
     os.mkfifo(tmp_path / ".tap.npz.2.0123456789abcdef.part")
-    (told,) = recover(tmp_path / "tap.npz").told
+    (told,) = recover(tmp_path / "tap.npz").problems
     assert "is no part of ours" in told and other.read_text() == SECRET
     folder = Folder(tmp_path)
     with pytest.raises(PermissionError):
-        Part(folder, ".tap.npz.1.0123456789abcdef.part", resume=True)
+        PartialFile(folder, ".tap.npz.1.0123456789abcdef.part", resume=True)
     folder.close()
 
 
@@ -72,7 +72,7 @@ def test_a_new_part_is_never_what_has_its_name_already(tmp_path: Path, there: bo
     folder = Folder(tmp_path)
     for name in (".link.part", ".file.part"):
         with pytest.raises(FileExistsError):
-            Part(folder, name)
+            PartialFile(folder, name)
     folder.close()
     assert secret.exists() == there and (tmp_path / ".file.part").read_text() == SECRET
 
@@ -84,7 +84,7 @@ def test_a_part_that_was_left_is_not_opened_through_a_link(tmp_path: Path) -> No
     (tmp_path / ".tap.npz.1.0123456789abcdef.part").symlink_to(ours)
     folder = Folder(tmp_path)
     with pytest.raises(OSError) as caught:
-        Part(folder, ".tap.npz.1.0123456789abcdef.part", resume=True)
+        PartialFile(folder, ".tap.npz.1.0123456789abcdef.part", resume=True)
     folder.close()
     assert caught.value.errno == errno.ELOOP
 
@@ -94,19 +94,19 @@ def test_a_part_of_another_user_is_named_and_left(tmp_path: Path) -> None:
     part = tmp_path / ".tap.npz.1.0123456789abcdef.part"
     part.write_text(SECRET)
     os.chown(part, 12345, 12345)
-    (told,) = recover(tmp_path / "tap.npz").told
+    (told,) = recover(tmp_path / "tap.npz").problems
     assert "is no part of ours" in told and part.read_text() == SECRET
     folder = Folder(tmp_path)
     with pytest.raises(PermissionError):
-        Part(folder, part.name, resume=True)
+        PartialFile(folder, part.name, resume=True)
     folder.close()
 
 
 def test_nobody_can_guess_the_name_of_a_part(tmp_path: Path) -> None:
     target = tmp_path / "tap.npz"
     assert len({new_stem(target) for _ in range(100)}) == 100
-    with open_sink(target) as sink:
-        sink.write(some(3))
+    with open_writer(target) as writer:
+        writer.write(some(3))
         part, notes = sorted(os.listdir(tmp_path), reverse=True)
         assert re.fullmatch(rf"\.tap\.npz\.{os.getpid()}\.[0-9a-f]{{16}}\.part", part), part
         assert notes == part.replace(".part", ".notes")
@@ -114,12 +114,12 @@ def test_nobody_can_guess_the_name_of_a_part(tmp_path: Path) -> None:
 
 def test_a_part_that_is_not_the_one_we_opened_gets_no_name(tmp_path: Path) -> None:
     target = tmp_path / "tap.npz"
-    with pytest.raises(HapticdError, match="it was removed while it was being written"), open_sink(target) as sink:
-        sink.write(some(3))
+    with pytest.raises(HapticdError, match="it was removed while it was being written"), open_writer(target) as writer:
+        writer.write(some(3))
         (part,) = tmp_path.glob(".tap.npz.*.part")
         part.rename(tmp_path / "aside")
         part.write_text("theirs")
-        sink.finish({})
+        writer.finish({})
     assert part.read_text() == "theirs" and not target.exists()
 
 
@@ -141,7 +141,7 @@ def test_a_target_that_another_user_made_a_link_is_refused(tmp_path: Path, mode:
     link.symlink_to(tmp_path / "made.npz")
     os.lchown(link, 12345, 12345)
     with pytest.raises(HapticdError, match=r"tap.npz: is another user's link, in a folder that others may write to"):
-        open_sink(link)
+        open_writer(link)
     folder.chmod(0o700)
     assert resolved(link) == tmp_path / "made.npz"
 
@@ -153,13 +153,13 @@ def test_a_target_that_another_user_made_a_link_is_refused(tmp_path: Path, mode:
 @pytest.mark.parametrize("ending", FORMS)
 def test_a_folder_that_was_renamed_has_the_recording(tmp_path: Path, ending: str, another: bool) -> None:
     (tmp_path / "a").mkdir()
-    with open_sink(tmp_path / "a" / f"run.{ending}") as sink:
-        sink.write(some(3))
+    with open_writer(tmp_path / "a" / f"run.{ending}") as writer:
+        writer.write(some(3))
         (tmp_path / "a").rename(tmp_path / "b")
         if another:
             (tmp_path / "a").mkdir()
-        sink.finish({"scene": {}})
-        assert sink.displaced and sink.target == tmp_path / "b" / f"run.{ending}"
+        writer.finish({"scene": {}})
+        assert writer.displaced and writer.target == tmp_path / "b" / f"run.{ending}"
     assert len(load_recorded(tmp_path / "b" / f"run.{ending}").samples) == 3
     assert not another or os.listdir(tmp_path / "a") == []
 
@@ -167,13 +167,13 @@ def test_a_folder_that_was_renamed_has_the_recording(tmp_path: Path, ending: str
 @pytest.mark.parametrize("ending", FORMS)
 def test_a_part_that_was_removed_ends_the_recording_at_once(tmp_path: Path, ending: str) -> None:
     told = f"run.{ending}: cannot be written: it was removed while it was being written"
-    with pytest.raises(HapticdError, match=told), open_sink(tmp_path / f"run.{ending}") as sink:
-        sink.write(noisy(10, 0))
+    with pytest.raises(HapticdError, match=told), open_writer(tmp_path / f"run.{ending}") as writer:
+        writer.write(noisy(10, 0))
         for path in tmp_path.iterdir():
             path.unlink()
         for batch in range(1, 100):
-            sink.write_event({"event": "overrun", "tick": 1, "time_ns": 2, "missed": 3, "count": 1})
-            sink.write(noisy(1000, 1000 * batch))
+            writer.write_event({"event": "overrun", "tick": 1, "time_ns": 2, "missed": 3, "count": 1})
+            writer.write(noisy(1000, 1000 * batch))
     assert os.listdir(tmp_path) == []
 
 
@@ -184,16 +184,16 @@ def test_what_cannot_get_its_name_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
 
     target = tmp_path / f"a run.{ending}"
     monkeypatch.setattr(os, "link", refuse)
-    with pytest.raises(HapticdError) as caught, open_sink(target) as sink:
-        sink.begin({"scene": {"objects": {}}}, {"notes": {}})
-        sink.write(noisy(20_000, 0))
-        sink.finish({})
+    with pytest.raises(HapticdError) as caught, open_writer(target) as writer:
+        writer.begin({"scene": {"objects": {}}}, {"notes": {}})
+        writer.write(noisy(20_000, 0))
+        writer.finish({})
     assert str(caught.value) == (
         f"{target}: cannot be written: Permission denied; what was recorded is kept, and `hapticd recover '{target}'` "
         "makes a file of it"
     )
     monkeypatch.undo()
-    (told,) = left_behind(target)
+    (told,) = partial_files_beside(target)
     assert f"hapticd recover '{target}'" in told
     (made,) = recover(target).files
     assert load_recorded(made).samples.tobytes() == noisy(20_000, 0).tobytes()
@@ -251,10 +251,12 @@ def test_a_damaged_part_stops_no_recording_and_shows_nothing(
                 (tmp_path / name).unlink()
             else:
                 damages(source, tmp_path / name)
-        assert len(list(left_behind(target))) == any(name.endswith(".part") for name in os.listdir(tmp_path)), number
-        with open_sink(target) as sink:
-            sink.write(some(3))
-            sink.finish({"scene": {}})
+        assert len(list(partial_files_beside(target))) == any(
+            name.endswith(".part") for name in os.listdir(tmp_path)
+        ), number
+        with open_writer(target) as writer:
+            writer.write(some(3))
+            writer.finish({"scene": {}})
         assert len(load_recorded(target).samples) == 3
         code = main(["recover", str(target)])
         out, err = capsys.readouterr()
@@ -272,7 +274,7 @@ def test_what_is_left_stays_where_the_disk_takes_no_file_of_it(tmp_path: Path, m
     record_until_killed(target, some(500))
     before = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
     monkeypatch.setattr(os, "fsync", full)
-    (told,) = recover(target).told
+    (told,) = recover(target).problems
     assert "cannot be finished, and is left as it is" in told and "No space left on device" in told
     monkeypatch.undo()
     assert {path.name: path.stat().st_size for path in tmp_path.iterdir()} == before

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from hapticd.base import worker_process
+from hapticd.base import lattice, worker_process
 from hapticd.base.worker_process import Apart, ApartError, beside, used
 from hapticd.rendering import filter_design
 from tests.daemon.test_dispatch import Daemon, taken
@@ -57,18 +57,18 @@ def unstable(call: Callable[[], object]) -> str:
 def test_it_computes_the_same_bits(made: list[subprocess.Popen[bytes]]) -> None:
     random = np.random.default_rng(31)
     reflection = tuple(random.uniform(-0.9, 0.9, 12).tolist())
-    coefficients = filter_design.coefficients_of(reflection)
+    coefficients = lattice.coefficients_of(reflection)
 
     def all_of_it() -> list[object]:
-        for each in (filter_design._reflection_of, filter_design._resampled, filter_design.stochastic_filter):
+        for each in (lattice._reflection_of, filter_design._resampled, filter_design.stochastic_filter):
             each.cache_clear()
         return [
-            filter_design.reflection_of(coefficients),
+            lattice.reflection_of(coefficients),
             filter_design.resampled(reflection, 2000.0, 10_000.0),
             filter_design.resampled(reflection, 10_000.0, 1000.0),
             filter_design.stochastic_filter(200.0, 301.0, 4000.0),
-            filter_design.pole_radius([2.5, 1.0]),
-            unstable(lambda: filter_design.reflection_of([2.5, 1.0])),
+            lattice.pole_radius([2.5, 1.0]),
+            unstable(lambda: lattice.reflection_of([2.5, 1.0])),
         ]
 
     here = all_of_it()
@@ -79,7 +79,7 @@ def test_it_computes_the_same_bits(made: list[subprocess.Popen[bytes]]) -> None:
         given_up = used()
     assert given_up is not None
     with pytest.raises(ApartError, match="over"), worker_process.using(given_up):
-        filter_design.pole_radius([0.25])
+        lattice.pole_radius([0.25])
     assert used() is None and made[0].returncode == -signal.SIGKILL
 
 
@@ -87,16 +87,16 @@ def test_little_is_computed_by_the_thread_itself(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(Apart, "_make", lambda _: pytest.fail("a process was made"))
     with beside(nothing):
         for place in range(worker_process.HERE):
-            assert filter_design.pole_radius([0.5 + 0.01 * place]) == pytest.approx(0.5 + 0.01 * place)
+            assert lattice.pole_radius([0.5 + 0.01 * place]) == pytest.approx(0.5 + 0.01 * place)
 
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_is_told_in_a_line(made: list[subprocess.Popen[bytes]]) -> None:
     with beside(nothing):
-        assert filter_design.pole_radius([0.25]) == pytest.approx(0.25)
+        assert lattice.pole_radius([0.25]) == pytest.approx(0.25)
         made[0].kill()
         with pytest.raises(ApartError, match="ended before it answered"):
-            filter_design.pole_radius([0.25])
+            lattice.pole_radius([0.25])
 
 
 @pytest.mark.slow
@@ -108,16 +108,16 @@ def test_who_waits_can_be_ended(made: list[subprocess.Popen[bytes]]) -> None:
             raise EndsError
 
     with pytest.raises(EndsError), beside(working):
-        assert filter_design.pole_radius([0.25]) == pytest.approx(0.25)
+        assert lattice.pole_radius([0.25]) == pytest.approx(0.25)
         made[0].send_signal(signal.SIGSTOP)  # it never answers
         ends = True
-        filter_design.pole_radius([0.25])
+        lattice.pole_radius([0.25])
 
 
 @pytest.mark.slow
 def test_it_ends_when_nobody_asks_any_more(at_once: None) -> None:
     one = Apart(nothing)
-    assert one.compute(filter_design.pole_radius, [0.25]) == pytest.approx(0.25)
+    assert one.compute(lattice.pole_radius, [0.25]) == pytest.approx(0.25)
     process, pipe = one._process, one._pipe
     assert process is not None and pipe is not None
     pipe.close()  # as a daemon does that is killed
@@ -140,7 +140,7 @@ def test_a_process_that_is_refused_is_told_in_a_line(
     monkeypatch.setattr(subprocess, "Popen", refuse)
     before = len(os.listdir("/proc/self/fd"))
     with beside(nothing), pytest.raises(ApartError) as found:
-        filter_design.pole_radius([0.25])
+        lattice.pole_radius([0.25])
     assert told in str(found.value) and "\n" not in str(found.value)
     assert len(os.listdir("/proc/self/fd")) == before
 
@@ -177,9 +177,9 @@ def test_a_change_is_refused_without_it_and_the_next_one_is_taken(
 def test_a_change_comes_out_as_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def numbers(here: int) -> bytes:
         monkeypatch.setattr(worker_process, "HERE", here)
-        for each in (filter_design._reflection_of, filter_design._resampled):
+        for each in (lattice._reflection_of, filter_design._resampled):
             each.cache_clear()
-        from hapticd.rendering import compiler as compiling
+        from hapticd.rendering.compiler import table as compiling
 
         monkeypatch.setattr(compiling, "_designs", compiling._Designs())
         compiling._shown_model.cache_clear()

@@ -258,8 +258,8 @@ static void take_object(struct source *source, struct hd_object *object) {
 
     *object = (struct hd_object){
         .generation = versions & 1u,
-        .place_version = (versions >> 1) & 3u,
-        .skin_version = (versions >> 3) & 3u,
+        .pose_version = (versions >> 1) & 3u,
+        .surface_version = (versions >> 3) & 3u,
         .shape = choice < 250 ? choice % 5u : take_count(source, 6),
         .material = take_count(source, MATERIALS),
         .point_m = {take_number(source, -0.02, 0.02), take_number(source, -0.02, 0.02)},

@@ -3,8 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "scene/hd_index.h"
 #include "hd_test.h"
+#include "scene/hd_index.h"
 
 enum { SLOTS = 10000 };
 
@@ -13,7 +13,7 @@ static const double pi = 3.14159265358979323846;
 struct scene {
     struct hd_index index;
     struct hd_object objects[SLOTS];
-    struct hd_near near[SLOTS];
+    struct hd_candidate candidates[SLOTS];
     double found[SLOTS]; /* the distance that a query gave, or less than 0 */
     uint32_t count;
 };
@@ -167,16 +167,16 @@ static long double rounding_at(const double point[2]) {
 static uint32_t check_query(struct scene *scene, double x, double y, double radius) {
     const double point[2] = {x, y};
     const long double rounding = rounding_at(point);
-    const uint32_t count = hd_index_query(&scene->index, scene->objects, point, radius, scene->near);
+    const uint32_t count = hd_index_query(&scene->index, scene->objects, point, radius, scene->candidates);
 
     CHECK(count <= scene->count);
     for (uint32_t slot = 0; slot < scene->count; slot++)
         scene->found[slot] = -1.0;
     for (uint32_t i = 0; i < count; i++) {
-        CHECK(scene->near[i].slot < scene->count);
-        CHECK(scene->found[scene->near[i].slot] < 0.0); /* not yet */
-        CHECK(scene->near[i].distance_m >= 0.0 && scene->near[i].distance_m <= radius);
-        scene->found[scene->near[i].slot] = scene->near[i].distance_m;
+        CHECK(scene->candidates[i].slot < scene->count);
+        CHECK(scene->found[scene->candidates[i].slot] < 0.0); /* not yet */
+        CHECK(scene->candidates[i].distance_m >= 0.0 && scene->candidates[i].distance_m <= radius);
+        scene->found[scene->candidates[i].slot] = scene->candidates[i].distance_m;
     }
     for (uint32_t slot = 0; slot < scene->count; slot++) {
         const long double found = (long double)scene->found[slot];
@@ -358,7 +358,7 @@ static void takes_nothing(struct scene *scene) {
     hd_index_release(&scene->index);
     CHECK(hd_index_reserve(&scene->index, 0) == HD_OK);
     CHECK(hd_index_radius(&scene->index) > 0.0);
-    CHECK(hd_index_query(&scene->index, scene->objects, point, 1.0, scene->near) == 0);
+    CHECK(hd_index_query(&scene->index, scene->objects, point, 1.0, scene->candidates) == 0);
     hd_index_release(&scene->index);
 }
 

@@ -8,9 +8,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/hd_vector.h"
 #include "hd_test.h"
 #include "tick/hd_tick.h"
-#include "base/hd_vector.h"
 
 #define OBJECTS 24u
 #define MATERIALS 6u
@@ -98,7 +98,7 @@ static void make_place(struct hd_object *object) {
 static void change(struct hd_object *object, uint32_t stamp) {
     switch (object->shape == HD_SHAPE_NONE ? 0 : below(4)) {
     case 0: /* another object, or none */
-        *object = (struct hd_object){.generation = stamp, .place_version = stamp, .skin_version = stamp};
+        *object = (struct hd_object){.generation = stamp, .pose_version = stamp, .surface_version = stamp};
         object->shape = below(6) == 0 ? HD_SHAPE_NONE : 1 + below(4);
         object->material = below(MATERIALS);
         if (object->shape == HD_SHAPE_WALL && below(2))
@@ -106,16 +106,16 @@ static void change(struct hd_object *object, uint32_t stamp) {
         make_place(object);
         break;
     case 1:
-        object->place_version = stamp;
+        object->pose_version = stamp;
         object->point_m[0] += uniform(-1e-3, 1e-3);
         object->point_m[1] += uniform(-1e-3, 1e-3);
         break;
     case 2:
-        object->place_version = stamp;
+        object->pose_version = stamp;
         make_place(object);
         break;
     default:
-        object->skin_version = stamp;
+        object->surface_version = stamp;
         object->material = below(MATERIALS);
         break;
     }
@@ -148,7 +148,7 @@ static void make_parts(struct scene *scene, uint32_t stamp) {
             numbers[k] = uniform(-0.9, 0.9) * (k > 2);
     }
     for (uint32_t i = 0; i < OBJECTS; i++)
-        scene->objects[i].skin_version = stamp;
+        scene->objects[i].surface_version = stamp;
 }
 
 static void check_state(const struct hd_state *state, const struct hd_sample *sample, double max_force_n) {
@@ -170,11 +170,11 @@ static void check_state(const struct hd_state *state, const struct hd_sample *sa
             noises++;
         }
         for (uint32_t use = 0; use < HD_MODE_USES; use++) {
-            uint32_t at = slot->voice[use];
+            uint32_t at = slot->mode[use];
 
-            CHECK(at <= state->voice_count);
-            CHECK(at == 0 || (state->voices[at - 1].slot == i && state->voices[at - 1].use == use &&
-                              state->voices[at - 1].generation == slot->generation));
+            CHECK(at <= state->active_mode_count);
+            CHECK(at == 0 || (state->active_modes[at - 1].slot == i && state->active_modes[at - 1].use == use &&
+                              state->active_modes[at - 1].generation == slot->generation));
         }
         if (slot->touched) {
             double square = hd_dot(slot->last.normal, slot->last.normal);
@@ -333,7 +333,7 @@ static void run(void) {
         CHECK(i < 10000);
         tick(world, state, position, 1);
     }
-    CHECK(state->active_count == 0 && state->healing_count == 0 && state->voice_count == 0);
+    CHECK(state->active_count == 0 && state->healing_count == 0 && state->active_mode_count == 0);
     CHECK(state->free_noise_count == HD_NOISE_CAPACITY);
     hd_world_free(world);
     hd_state_free(state);

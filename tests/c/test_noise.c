@@ -3,10 +3,10 @@
 #include <math.h>
 #include <string.h>
 
-#include "tick/hd_noise.h"
 #include "base/hd_normal.h"
 #include "hd_test.h"
 #include "scene/hd_world.h"
+#include "tick/hd_noise.h"
 
 enum { ORDER = HD_NOISE_ORDER, NODE = 2 * ORDER + 2, NUMBERS = 64 * NODE };
 
@@ -68,8 +68,8 @@ static void make(struct model *model, uint32_t order, uint32_t taps, double reac
     CHECK(hd_noise_check(&model->noise, model->numbers, model->count, "noise") == HD_OK);
 }
 
-static double next(struct hd_noise_voice *voice, const struct model *model, double ramp_step) {
-    return hd_noise_next(voice, &model->noise, model->numbers, 0.1, 0.5, ramp_step);
+static double next(struct hd_active_noise *active, const struct model *model, double ramp_step) {
+    return hd_noise_next(active, &model->noise, model->numbers, 0.1, 0.5, ramp_step);
 }
 
 /* Step-up recursion: the polynomial A_m from A_(m-1), a_i += k a_(m-i). */
@@ -86,7 +86,7 @@ static void step_up(double *a, uint32_t m, double k) {
  * A_order, times the cosines of the stages above m. */
 static void follows_the_direct_form(uint32_t order, uint32_t taps, uint64_t *seed) {
     struct model model;
-    struct hd_noise_voice voice;
+    struct hd_active_noise active;
     double a[ORDER + 2] = {1.0};
     double numerator[ORDER + 2] = {0.0};
     double white[ORDER + 1] = {0.0};
@@ -105,9 +105,9 @@ static void follows_the_direct_form(uint32_t order, uint32_t taps, uint64_t *see
         for (uint32_t i = 0; i <= m; i++)
             numerator[i] += gain * a[m - i];
     }
-    hd_noise_start(&voice, &model.noise, model.numbers, 5);
-    memset(voice.delay, 0, sizeof voice.delay);
-    random = voice.random;
+    hd_noise_start(&active, &model.noise, model.numbers, 5);
+    memset(active.delay, 0, sizeof active.delay);
+    random = active.random;
     for (int n = 0; n < 2000; n++) {
         double sum = 0.0;
 
@@ -117,7 +117,7 @@ static void follows_the_direct_form(uint32_t order, uint32_t taps, uint64_t *see
         for (uint32_t i = 0; i <= order; i++)
             sum += numerator[i] * white[i] - (i > 0 ? a[i] * output[i] : 0.0);
         output[0] = sum;
-        CHECK(fabs(next(&voice, &model, 1.0) - sum) < 1e-10);
+        CHECK(fabs(next(&active, &model, 1.0) - sum) < 1e-10);
     }
 }
 
@@ -152,14 +152,14 @@ static void is_gaussian(uint64_t *seed) {
 static void has_unit_power(uint32_t order, uint32_t taps, double reach, uint64_t *seed) {
     const int count = 200000;
     struct model model;
-    struct hd_noise_voice voice;
+    struct hd_active_noise active;
     double sum = 0.0;
     double squares = 0.0;
 
     make(&model, order, taps, reach, seed);
-    hd_noise_start(&voice, &model.noise, model.numbers, 0);
+    hd_noise_start(&active, &model.noise, model.numbers, 0);
     for (int n = 0; n < count; n++) {
-        double sample = next(&voice, &model, 1.0);
+        double sample = next(&active, &model, 1.0);
 
         sum += sample;
         squares += sample * sample;
@@ -171,7 +171,7 @@ static void has_unit_power(uint32_t order, uint32_t taps, double reach, uint64_t
 /* Every 20 samples from one model to the other, at once or over the 20. An output is a sum of bounded numbers with unit
  * coefficients: one in 10^8 would be beyond 6 at the most. */
 static void stays_bounded_when_swung(int pairs, uint64_t *seed) {
-    struct hd_noise_voice voice;
+    struct hd_active_noise active;
     double squares = 0.0;
     int count = 0;
 
@@ -185,13 +185,13 @@ static void stays_bounded_when_swung(int pairs, uint64_t *seed) {
 
             make(&models[i], order, taps, pair % 3 ? 1.0 : 0.3, seed);
         }
-        hd_noise_start(&voice, &models[0].noise, models[0].numbers, (uint32_t)pair);
+        hd_noise_start(&active, &models[0].noise, models[0].numbers, (uint32_t)pair);
         for (int n = 0; n < 600; n++) {
             double sample;
 
             if (n % 20 == 0)
-                hd_noise_turn(&voice);
-            sample = next(&voice, &models[n / 20 % 2], ramp_step);
+                hd_noise_turn(&active);
+            sample = next(&active, &models[n / 20 % 2], ramp_step);
             CHECK(fabs(sample) < 6.0);
             squares += sample * sample;
             count++;
@@ -200,61 +200,61 @@ static void stays_bounded_when_swung(int pairs, uint64_t *seed) {
     CHECK(fabs(squares / count - 1.0) < 0.05);
 }
 
-/* Many voices that go through the same ramps, also to other orders and back: delays stay uncorrelated and of unit
- * power. Each entry's standard error is at most sqrt(2 / voices). */
+/* Many noises that go through the same ramps, also to other orders and back: delays stay uncorrelated and of unit
+ * power. Each entry's standard error is at most sqrt(2 / noises). */
 static void keeps_the_covariance(int ticks, uint64_t *seed) {
     enum { SIZE = 10 };
-    const uint32_t voices = 20000;
+    const uint32_t noises = 20000;
     double sums[SIZE][SIZE] = {{0.0}};
     struct model models[4];
-    struct hd_noise_voice voice;
-    const double limit = 6.0 * sqrt(2.0 / voices);
+    struct hd_active_noise active;
+    const double limit = 6.0 * sqrt(2.0 / noises);
 
     make(&models[0], 4, 0, 0.95, seed);
     make(&models[1], SIZE, 1, 0.95, seed);
     make(&models[2], 1, 0, 0.95, seed);
     make(&models[3], 7, 0, 0.95, seed);
-    for (uint32_t salt = 0; salt < voices; salt++) {
-        memset(&voice, 0, sizeof voice);
-        hd_noise_start(&voice, &models[0].noise, models[0].numbers, salt);
+    for (uint32_t salt = 0; salt < noises; salt++) {
+        memset(&active, 0, sizeof active);
+        hd_noise_start(&active, &models[0].noise, models[0].numbers, salt);
         for (int n = 0; n < ticks; n++) {
             if (n % 6 == 5)
-                hd_noise_turn(&voice);
-            next(&voice, &models[(n + 1) / 6 % 4], 0.2);
+                hd_noise_turn(&active);
+            next(&active, &models[(n + 1) / 6 % 4], 0.2);
         }
         for (int i = 0; i < SIZE; i++)
             for (int j = 0; j <= i; j++)
-                sums[i][j] += voice.delay[i] * voice.delay[j];
+                sums[i][j] += active.delay[i] * active.delay[j];
     }
     for (int i = 0; i < SIZE; i++)
         for (int j = 0; j <= i; j++)
-            CHECK(fabs(sums[i][j] / voices - (i == j ? 1.0 : 0.0)) < limit);
+            CHECK(fabs(sums[i][j] / noises - (i == j ? 1.0 : 0.0)) < limit);
 }
 
 static void repeats_itself(uint64_t *seed) {
     struct model model;
-    struct hd_noise_voice voices[3];
+    struct hd_active_noise noises[3];
     int same = 0;
 
     make(&model, 10, 1, 0.9, seed);
-    hd_noise_start(&voices[0], &model.noise, model.numbers, 8);
-    hd_noise_start(&voices[1], &model.noise, model.numbers, 8);
-    hd_noise_start(&voices[2], &model.noise, model.numbers, 9);
+    hd_noise_start(&noises[0], &model.noise, model.numbers, 8);
+    hd_noise_start(&noises[1], &model.noise, model.numbers, 8);
+    hd_noise_start(&noises[2], &model.noise, model.numbers, 9);
     for (int n = 0; n < 1000; n++) {
-        double sample = next(&voices[0], &model, 1.0);
+        double sample = next(&noises[0], &model, 1.0);
 
-        CHECK(next(&voices[1], &model, 1.0) == sample);
-        same += next(&voices[2], &model, 1.0) == sample;
+        CHECK(next(&noises[1], &model, 1.0) == sample);
+        same += next(&noises[2], &model, 1.0) == sample;
     }
     CHECK(same == 0);
 }
 
-/* The voice that rests now and then gives, in all, the samples of the one that never does. A turn waits, too. */
+/* The noise that rests now and then gives, in all, the samples of the one that never does. A turn waits, too. */
 static void rests_and_continues(uint64_t *seed) {
     struct model model;
-    struct hd_noise_voice busy;
-    struct hd_noise_voice lazy;
-    struct hd_noise_voice before;
+    struct hd_active_noise busy;
+    struct hd_active_noise lazy;
+    struct hd_active_noise before;
 
     make(&model, 5, 0, 0.9, seed);
     model.noise.threshold_m_per_s = 0.05;
@@ -320,13 +320,13 @@ static void follows_the_grid(uint32_t speeds, uint32_t forces, uint64_t *seed) {
     const uint32_t order = 4;
     const uint32_t size = 2 * order + 2;
     struct model model;
-    struct hd_noise_voice voice;
+    struct hd_active_noise active;
 
     begin(&model, order, 1, speeds, forces);
     for (uint32_t i = 0; i < speeds * forces; i++)
         put_node(&model, 1.0 + anywhere(seed), 0.95, seed);
     CHECK(hd_noise_check(&model.noise, model.numbers, model.count, "noise") == HD_OK);
-    hd_noise_start(&voice, &model.noise, model.numbers, 1);
+    hd_noise_start(&active, &model.noise, model.numbers, 1);
     for (uint32_t n = 0; n < 2000; n++) {
         /* Nodes themselves, too, and beyond the ends. */
         const double speed = n % 5 ? 0.06 * speeds * (1.0 + anywhere(seed)) + 0.01 : 0.1 * (double)(1 + n / 5 % speeds);
@@ -348,14 +348,14 @@ static void follows_the_grid(uint32_t speeds, uint32_t forces, uint64_t *seed) {
         }
         for (uint32_t m = order + 1; m < size; m++)
             squares += expected[m] * expected[m];
-        hd_noise_next(&voice, &model.noise, model.numbers, n % 2 ? speed : -speed, force, 1.0);
-        CHECK(fabs(voice.level - expected[0]) < 1e-13);
+        hd_noise_next(&active, &model.noise, model.numbers, n % 2 ? speed : -speed, force, 1.0);
+        CHECK(fabs(active.level - expected[0]) < 1e-13);
         for (uint32_t m = 0; m < order; m++) {
-            CHECK(fabs(voice.sine[m] - expected[m + 1]) < 1e-13);
-            CHECK(fabs(voice.sine[m] * voice.sine[m] + voice.cosine[m] * voice.cosine[m] - 1.0) < 1e-15);
+            CHECK(fabs(active.sine[m] - expected[m + 1]) < 1e-13);
+            CHECK(fabs(active.sine[m] * active.sine[m] + active.cosine[m] * active.cosine[m] - 1.0) < 1e-15);
         }
         for (uint32_t m = 0; m <= order; m++)
-            CHECK(fabs(voice.tap[m] - expected[order + 1 + m] / sqrt(fmax(squares, 0.01))) < 1e-12);
+            CHECK(fabs(active.tap[m] - expected[order + 1 + m] / sqrt(fmax(squares, 0.01))) < 1e-12);
     }
 }
 
@@ -369,43 +369,43 @@ static double tap_of(const struct model *model, uint32_t m) {
 /* There, back and there again: what was left behind by the first way must not come back. */
 static void turns_over_the_ramp(uint64_t *seed) {
     struct model models[2];
-    struct hd_noise_voice voice;
+    struct hd_active_noise active;
 
     make(&models[0], 3, 0, 0.9, seed);
     make(&models[1], 7, 1, 0.9, seed);
     models[1].numbers[5] = 5.0;
-    hd_noise_start(&voice, &models[0].noise, models[0].numbers, 2);
-    next(&voice, &models[0], 0.125);
+    hd_noise_start(&active, &models[0].noise, models[0].numbers, 2);
+    next(&active, &models[0], 0.125);
     for (int way = 0; way < 3; way++) {
         const struct model *old = &models[way % 2];
         const struct model *new = &models[1 - way % 2];
-        const struct hd_noise_voice before = voice;
+        const struct hd_active_noise before = active;
 
-        hd_noise_turn(&voice);
-        CHECK(memcmp(voice.delay, before.delay, sizeof voice.delay) == 0);
+        hd_noise_turn(&active);
+        CHECK(memcmp(active.delay, before.delay, sizeof active.delay) == 0);
         for (int n = 1; n <= 10; n++) {
             const double blend = n < 8 ? 0.125 * n : 1.0;
             double expected[ORDER + 1];
             double squares = 0.0;
 
-            CHECK(isfinite(next(&voice, new, 0.125)));
-            CHECK(voice.order == (n < 8 ? 7 : new->noise.order));
-            CHECK(voice.taps == (n < 8 || new->noise.taps ? 1 : 0));
-            CHECK(fabs(voice.level - ((1.0 - blend) * old->numbers[5] + blend * new->numbers[5])) < 1e-13);
-            for (uint32_t m = 0; m < voice.order; m++) {
+            CHECK(isfinite(next(&active, new, 0.125)));
+            CHECK(active.order == (n < 8 ? 7 : new->noise.order));
+            CHECK(active.taps == (n < 8 || new->noise.taps ? 1 : 0));
+            CHECK(fabs(active.level - ((1.0 - blend) * old->numbers[5] + blend * new->numbers[5])) < 1e-13);
+            for (uint32_t m = 0; m < active.order; m++) {
                 const double from = m < old->noise.order ? old->numbers[6 + m] : 0.0;
                 const double to = m < new->noise.order ? new->numbers[6 + m] : 0.0;
 
-                CHECK(fabs(voice.sine[m] - ((1.0 - blend) * from + blend * to)) < 1e-14);
+                CHECK(fabs(active.sine[m] - ((1.0 - blend) * from + blend * to)) < 1e-14);
             }
-            for (uint32_t m = 0; m <= voice.order; m++) {
+            for (uint32_t m = 0; m <= active.order; m++) {
                 expected[m] = (1.0 - blend) * tap_of(old, m) + blend * tap_of(new, m);
                 squares += expected[m] * expected[m];
             }
-            for (uint32_t m = 0; voice.taps && m <= voice.order; m++)
-                CHECK(fabs(voice.tap[m] - expected[m] / sqrt(squares)) < 1e-14);
+            for (uint32_t m = 0; active.taps && m <= active.order; m++)
+                CHECK(fabs(active.tap[m] - expected[m] / sqrt(squares)) < 1e-14);
         }
-        CHECK(memcmp(voice.sine, new->numbers + 6, new->noise.order * sizeof voice.sine[0]) == 0);
+        CHECK(memcmp(active.sine, new->numbers + 6, new->noise.order * sizeof active.sine[0]) == 0);
     }
 }
 
@@ -413,8 +413,8 @@ static void turns_over_the_ramp(uint64_t *seed) {
 static void turns_to_itself_and_over(uint64_t *seed) {
     struct model model;
     struct model opposite;
-    struct hd_noise_voice plain;
-    struct hd_noise_voice turned;
+    struct hd_active_noise plain;
+    struct hd_active_noise turned;
 
     make(&model, 6, 0, 0.9, seed);
     hd_noise_start(&plain, &model.noise, model.numbers, 0);
@@ -440,7 +440,7 @@ static void turns_to_itself_and_over(uint64_t *seed) {
 /* sqrt(1 - k^2) of any k, as k = 1 - e, in a form that cannot cancel. */
 static void has_exact_cosines(uint64_t *seed) {
     struct model model;
-    struct hd_noise_voice voice;
+    struct hd_active_noise active;
 
     make(&model, 1, 0, 0.5, seed);
     for (int n = 0; n < 1000; n++) {
@@ -449,8 +449,8 @@ static void has_exact_cosines(uint64_t *seed) {
 
         if (fabs(k) < 1.0) {
             model.numbers[6] = n % 2 ? k : -k;
-            hd_noise_start(&voice, &model.noise, model.numbers, 0);
-            CHECK(fabs(voice.cosine[0] - sqrt(2.0 * e - e * e)) <= 4e-16 * voice.cosine[0]);
+            hd_noise_start(&active, &model.noise, model.numbers, 0);
+            CHECK(fabs(active.cosine[0] - sqrt(2.0 * e - e * e)) <= 4e-16 * active.cosine[0]);
         }
     }
 }
@@ -459,7 +459,7 @@ static void has_exact_cosines(uint64_t *seed) {
 static void bears_the_edge(uint64_t *seed) {
     const double edge = 1.0 - 0x1p-53;
     struct model model;
-    struct hd_noise_voice voice;
+    struct hd_active_noise active;
 
     begin(&model, 2, 0, 2, 2);
     for (int i = 0; i < 4; i++) {
@@ -468,14 +468,14 @@ static void bears_the_edge(uint64_t *seed) {
         put(&model, i < 2 ? edge : 1.0 - 0x1p-52 * (double)test_below(seed, 8) - 0x1p-53);
     }
     CHECK(hd_noise_check(&model.noise, model.numbers, model.count, "noise") == HD_OK);
-    hd_noise_start(&voice, &model.noise, model.numbers, 0);
+    hd_noise_start(&active, &model.noise, model.numbers, 0);
     for (int n = 0; n < 200000; n++) {
         const double speed = n % 3 ? 0.15 + 0.05 * anywhere(seed) : 0.2 - 0x1p-55 * (double)test_below(seed, 4);
         const double force = n % 2 ? 0.75 + 0.25 * anywhere(seed) : 1.0 - 0x1p-53 * (double)test_below(seed, 4);
 
-        CHECK(fabs(hd_noise_next(&voice, &model.noise, model.numbers, speed, force, 1.0)) < 6.0);
+        CHECK(fabs(hd_noise_next(&active, &model.noise, model.numbers, speed, force, 1.0)) < 6.0);
         for (int m = 0; m < 2; m++)
-            CHECK(fabs(voice.sine[m]) <= 1.0 && voice.cosine[m] >= 0.0);
+            CHECK(fabs(active.sine[m]) <= 1.0 && active.cosine[m] >= 0.0);
     }
 }
 

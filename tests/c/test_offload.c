@@ -12,10 +12,10 @@
 #include <unistd.h>
 
 #include "base/hd_clock.h"
-#include "device/hd_hid.h"
-#include "tick/hd_limit.h"
 #include "device/hd_effects.h"
+#include "device/hd_hid.h"
 #include "hd_test.h"
+#include "tick/hd_limit.h"
 #include "tick/hd_tick.h"
 
 #define PATIENCE_S 300
@@ -657,7 +657,7 @@ static void within_the_limit(void) {
         tick(world, state, depth_m, &sample);
         CHECK(open || state->offload_count == 0);
         CHECK(fully || state->offload_count == 0);
-        CHECK(state->voice_count == 0); /* these modes are muted: they ring on the device or not at all */
+        CHECK(state->active_mode_count == 0); /* these modes are muted: they ring on the device or not at all */
         for (uint32_t n = 0; n < state->offload_count; n++) {
             const struct hd_offload *struck = &state->offloads[n];
             const struct hd_mode played = mode(struck->effect);
@@ -693,7 +693,7 @@ static void within_the_limit(void) {
     hd_state_free(state);
 }
 
-/* A mode that is carried, too, is a voice wherever the device does not play it. */
+/* A mode that is carried, too, is an active mode wherever the device does not play it. */
 static void carried_modes(void) {
     const struct hd_table table = empty_table();
     struct hd_world *world = hd_world_new();
@@ -706,11 +706,11 @@ static void carried_modes(void) {
     tick(world, state, 0.0, &sample);
     CHECK(hd_tick_play(state, &both, (const double[2]){1.0, 0.0}, 1.0) == HD_OK);
     tick(world, state, 0.0, &sample);
-    CHECK(state->voice_count == 1 && state->offload_count == 0 && state->reserved_n == 0.0);
+    CHECK(state->active_mode_count == 1 && state->offload_count == 0 && state->reserved_n == 0.0);
     state->offload_open = 1;
     CHECK(hd_tick_play(state, &both, (const double[2]){1.0, 0.0}, 1.0) == HD_OK);
     tick(world, state, 0.0, &sample);
-    CHECK(state->voice_count == 1 && state->offload_count == 1 && state->offloads[0].effect == 1);
+    CHECK(state->active_mode_count == 1 && state->offload_count == 1 && state->offloads[0].effect == 1);
     CHECK(state->offloads[0].force_n[0] == 1.0 && state->reserved_n == 1.25);
     /* More in one tick than there is room for: the rest rings. */
     state->offload_count = 0;

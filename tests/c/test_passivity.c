@@ -3,11 +3,11 @@
 #include <math.h>
 #include <string.h>
 
+#include "hd_test.h"
+#include "scene/hd_world.h"
 #include "tick/hd_passivity.h"
 #include "tick/hd_state.h"
-#include "hd_test.h"
 #include "tick/hd_tick.h"
-#include "scene/hd_world.h"
 
 #define PERIOD_S 1e-3
 #define MAX_FORCE_N 8.9
@@ -58,8 +58,8 @@ static void load(struct rig *rig, uint32_t mode, uint32_t age) {
     for (uint32_t i = 0; i < 2; i++)
         rig->objects[i] = (struct hd_object){
             .generation = 1,
-            .place_version = 1,
-            .skin_version = 1,
+            .pose_version = 1,
+            .surface_version = 1,
             .shape = HD_SHAPE_WALL,
             .normal = {i == 0 ? sin(angle) : -sin(angle), cos(angle)},
         };

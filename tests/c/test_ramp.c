@@ -9,11 +9,11 @@
 #include <string.h>
 
 #include "api/hd_core.h"
-#include "tick/hd_state.h"
-#include "hd_test.h"
-#include "tick/hd_tick.h"
 #include "base/hd_vector.h"
+#include "hd_test.h"
 #include "scene/hd_world.h"
+#include "tick/hd_state.h"
+#include "tick/hd_tick.h"
 
 #define OBJECTS 8u
 #define MATERIALS 6u
@@ -204,7 +204,7 @@ static void make_place(struct torture *torture, struct hd_object *object) {
     uint64_t *random = &torture->random;
     const double angle = one_in(random, 2) ? 0.0 : between(random, -1.0, 1.0);
 
-    object->place_version = ++torture->stamp;
+    object->pose_version = ++torture->stamp;
     object->normal[0] = object->shape == HD_SHAPE_DISC ? 0.0 : sin(angle);
     object->normal[1] = object->shape == HD_SHAPE_DISC ? 1.0 : cos(angle);
     object->point_m[0] = between(random, -0.02, 0.02);
@@ -228,18 +228,18 @@ static void make_object(struct torture *torture, uint32_t slot, uint32_t shape) 
         .shape = shape,
         .material = (uint32_t)test_below(&torture->random, MATERIALS),
     };
-    object->skin_version = torture->stamp;
+    object->surface_version = torture->stamp;
     if (shape == HD_SHAPE_NONE)
         return;
     make_place(torture, object);
     make_pieces(torture, object, slot);
 }
 
-/* Materials are in use everywhere: everything made of it has another skin. */
+/* Materials are in use everywhere: everything made of it has another surface. */
 static void resurface(struct torture *torture) {
     torture->stamp++;
     for (uint32_t i = 0; i < OBJECTS; i++)
-        torture->scene.objects[i].skin_version = torture->stamp;
+        torture->scene.objects[i].surface_version = torture->stamp;
 }
 
 static void make_field(struct torture *torture) {
@@ -336,21 +336,21 @@ static void change_scene(struct torture *torture, enum change kind) {
         make_place(torture, object);
         break;
     case NUDGE:
-        object->place_version = ++torture->stamp;
+        object->pose_version = ++torture->stamp;
         object->point_m[0] += between(random, -0.002, 0.002);
         object->point_m[1] += between(random, -0.002, 0.002);
         break;
     case SLIDE: {
         const double way = between(random, -0.01, 0.01);
 
-        object->place_version = ++torture->stamp;
+        object->pose_version = ++torture->stamp;
         object->point_m[0] += way * object->normal[1];
         object->point_m[1] -= way * object->normal[0];
         break;
     }
     case TURN:
         if (object->shape != HD_SHAPE_DISC) {
-            object->place_version = ++torture->stamp;
+            object->pose_version = ++torture->stamp;
             object->normal[0] = sin(angle);
             object->normal[1] = cos(angle);
         }
@@ -362,7 +362,7 @@ static void change_scene(struct torture *torture, enum change kind) {
         make_object(torture, slot, HD_SHAPE_NONE);
         break;
     case SWAP:
-        object->skin_version = ++torture->stamp;
+        object->surface_version = ++torture->stamp;
         object->material = (uint32_t)test_below(random, MATERIALS);
         break;
     case STIFFEN:
@@ -377,7 +377,7 @@ static void change_scene(struct torture *torture, enum change kind) {
         break;
     case PATCH:
         make_pieces(torture, object, slot);
-        object->skin_version = ++torture->stamp;
+        object->surface_version = ++torture->stamp;
         break;
     case FIELD:
         make_field(torture);
@@ -589,7 +589,7 @@ static void rest(uint64_t seed, double rate_hz, uint64_t ticks, struct outcome *
         hd_tick(torture.worlds[torture.front], torture.state, &input, &sample);
         hd_difference(sample.force_n, before.force_n, step);
         since_s = (double)(torture.state->tick - torture.state->commanded_tick) * torture.period_s;
-        /* Three solids that overlap may push the surface point from one to the other for ever. */
+        /* Three solids that overlap may push the proxy from one to the other for ever. */
         cycles = since_s > torture.scene.table.ramp_s && met_something(torture.state);
         /* Nor is it a command's doing what the passivity controller does by itself. */
         acts[1] = acts[0];

@@ -7,8 +7,8 @@
 #include <sched.h>
 #include <string.h>
 
-#include "base/hd_atomic.h"
 #include "api/hd_core.h"
+#include "base/hd_atomic.h"
 #include "hd_test.h"
 
 #define RATE_HZ 10000.0
@@ -146,7 +146,7 @@ static void make_scene(struct scene *scene, uint32_t revision) {
     };
     for (uint32_t i = 0; i < OBJECTS; i++) {
         scene->objects[i].generation = revision / GENERATION;
-        scene->objects[i].place_version = scene->objects[i].skin_version = revision;
+        scene->objects[i].pose_version = scene->objects[i].surface_version = revision;
     }
     scene->table.objects = scene->objects;
     scene->table.materials = scene->materials;
@@ -373,8 +373,8 @@ static void place_wall(struct crowd *crowd, uint64_t *seed, uint32_t slot) {
 
     *object = (struct hd_object){
         .generation = object->generation + (gone || object->shape == HD_SHAPE_NONE),
-        .place_version = object->place_version + 1,
-        .skin_version = object->skin_version + 1,
+        .pose_version = object->pose_version + 1,
+        .surface_version = object->surface_version + 1,
         .shape = gone ? HD_SHAPE_NONE : HD_SHAPE_WALL,
         .material = (uint32_t)test_below(seed, CROWD_MATERIALS),
         .normal = {cos(angle), sin(angle)},
@@ -404,7 +404,7 @@ static void change_crowd(struct crowd *crowd, uint64_t *seed) {
         crowd->materials[material].stiffness_n_per_m = uniform(seed, 10.0, 60.0);
         for (uint32_t slot = 0; slot < CROWD; slot++) {
             if (crowd->objects[slot].material == material) {
-                crowd->objects[slot].skin_version++;
+                crowd->objects[slot].surface_version++;
                 crowd->changed[table->changed_count++] = slot;
             }
         }

@@ -2,8 +2,8 @@
 #include <pthread.h>
 #include <sched.h>
 
-#include "hd_test.h"
 #include "base/hd_triple.h"
+#include "hd_test.h"
 
 static void starts_with_nothing_new(void) {
     struct hd_triple triple;

@@ -7,8 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "scene/hd_index.h"
 #include "hd_test.h"
+#include "scene/hd_index.h"
 
 static size_t allowance = SIZE_MAX; /* so many more calls find memory */
 
@@ -58,7 +58,7 @@ static int scarce_index_put(struct hd_index *index, uint32_t slot, const struct 
 #define hd_play_check scarce_play_check
 #define hd_world_free scarce_world_free
 #define hd_world_load scarce_world_load
-#define hd_world_near scarce_world_near
+#define hd_world_candidates scarce_world_candidates
 #define hd_world_new scarce_world_new
 #define hd_world_regions scarce_world_regions
 #define hd_world_release scarce_world_release
@@ -69,9 +69,9 @@ struct hd_world *hd_world_new(void);
 void hd_world_free(struct hd_world *world);
 void hd_world_still(struct hd_world *world);
 int hd_world_load(struct hd_world *world, const struct hd_table *table);
-size_t hd_world_near(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
-                     size_t capacity);
-#include "hd_world.c"
+size_t hd_world_candidates(const struct hd_world *world, const double point_m[2], double radius_m, uint32_t *slots,
+                           size_t capacity);
+#include "scene/hd_world.c"
 #undef realloc
 
 #define OBJECTS 40u
@@ -238,16 +238,17 @@ static void check_same(const struct hd_world *world, const struct hd_world *othe
     for (int i = 0; i < LOOKS; i++) {
         double point_m[2] = {uniform(seed, -0.05, 0.05), uniform(seed, -0.05, 0.05)};
         double radius_m = uniform(seed, 0.0, i % 2 == 0 ? 0.01 : 0.1);
-        uint32_t near[2][OBJECTS];
-        size_t count = hd_world_near(world, point_m, radius_m, near[0], OBJECTS);
+        uint32_t candidates[2][OBJECTS];
+        size_t count = hd_world_candidates(world, point_m, radius_m, candidates[0], OBJECTS);
 
         CHECK(count <= a->object_count);
-        CHECK(hd_world_near(other, point_m, radius_m, near[1], OBJECTS) == count);
-        qsort(near[0], count, sizeof near[0][0], by_number);
-        qsort(near[1], count, sizeof near[1][0], by_number);
-        CHECK(same_records(near[0], near[1], (uint32_t)count, sizeof near[0][0]));
+        CHECK(hd_world_candidates(other, point_m, radius_m, candidates[1], OBJECTS) == count);
+        qsort(candidates[0], count, sizeof candidates[0][0], by_number);
+        qsort(candidates[1], count, sizeof candidates[1][0], by_number);
+        CHECK(same_records(candidates[0], candidates[1], (uint32_t)count, sizeof candidates[0][0]));
         for (size_t at = 0; at < count; at++)
-            CHECK(a->objects[near[0][at]].shape != HD_SHAPE_NONE && (at == 0 || near[0][at] != near[0][at - 1]));
+            CHECK(a->objects[candidates[0][at]].shape != HD_SHAPE_NONE &&
+                  (at == 0 || candidates[0][at] != candidates[0][at - 1]));
     }
 }
 
@@ -603,7 +604,7 @@ static void scatter(uint64_t *seed, struct hd_object *object) {
 
     *object = (struct hd_object){
         .generation = (uint32_t)test_random(seed),
-        .place_version = (uint32_t)test_random(seed),
+        .pose_version = (uint32_t)test_random(seed),
         .shape = shape <= HD_SHAPE_DISC ? shape : HD_SHAPE_WALL,
         .material = (uint32_t)test_below(seed, 4),
         .point_m = {uniform(seed, -0.04, 0.04), uniform(seed, -0.04, 0.04)},
@@ -824,7 +825,7 @@ int main(void) {
     uint64_t updated;
 
     make_scene(&good);
-    CHECK(world != NULL && hd_world_near(world, (const double[]){0.0, 0.0}, 1.0, NULL, 0) == 0);
+    CHECK(world != NULL && hd_world_candidates(world, (const double[]){0.0, 0.0}, 1.0, NULL, 0) == 0);
     CHECK(hd_world_load(world, &good.table) == HD_OK);
     refuses_scalars(world);
     refuses_objects(world);

@@ -131,7 +131,7 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
         module = ModuleType(f"hapticd.fit.{kind}")
         setattr(module, f"fit_{kind}", found.fit)
         monkeypatch.setitem(sys.modules, module.__name__, module)
-    kinds = ModuleType("hapticd.fit.taps.kind")
+    kinds = ModuleType("hapticd.fit.tap_kind")
 
     def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, left: object) -> FakeFit:
         return found.fit(recordings, progress, left=left)

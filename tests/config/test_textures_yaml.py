@@ -230,7 +230,7 @@ def test_unstable_models_are_told_with_their_pole_radius(radius: float, angle: f
 
 def test_too_many_models_are_refused_before_any_is_analysed(monkeypatch: pytest.MonkeyPatch) -> None:
     unstable: Keys = {"coefficients": [1e9, -1e9]}
-    monkeypatch.setattr("hapticd.rendering.filter_design.pole_radius", lambda _: pytest.fail("was analysed"))
+    monkeypatch.setattr("hapticd.base.lattice.pole_radius", lambda _: pytest.fail("was analysed"))
     assert faults(texture=models(*[unstable] * 401)) == {"texture.models": "must hold at most 400 entries, holds 401"}
 
 

@@ -12,6 +12,7 @@ import msgpack
 import numpy as np
 import pytest
 
+from hapticd.base import codec, lattice
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.scene import Scene
@@ -20,8 +21,7 @@ from hapticd.daemon.control import Control
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
 from hapticd.protocol import messages
-from hapticd.rendering import compiler as compiling
-from hapticd.rendering import filter_design
+from hapticd.rendering.compiler import table as compiling
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SANDED = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "sand"}
@@ -34,7 +34,7 @@ def models(count: int, seed: int = 1) -> list[dict[str, Any]]:
         {
             "speed_m_per_s": 0.01 * (1 + place),
             "force_n": 1.0,
-            "coefficients": list(filter_design.coefficients_of(random.uniform(-0.5, 0.5, 6))),
+            "coefficients": list(lattice.coefficients_of(random.uniform(-0.5, 0.5, 6))),
             "rms_m_per_s2": 1.0,
         }
         for place in range(count)
@@ -72,7 +72,7 @@ class Daemon:
         message: dict[str, Any] = {"jsonrpc": "2.0", "method": method, "params": params or {}}
         if not notification:
             message["id"] = self._next
-        self.dispatch.take(messages.encode(message), self._reply)
+        self.dispatch.take(codec.encode(message), self._reply)
         return self._next
 
     def _reply(self, body: bytes) -> None:
@@ -329,7 +329,7 @@ def test_large_bodies_are_answered_whatever_they_are(daemon: Daemon) -> None:
     assert daemon.code(unknown) == messages.Code.INVALID_PARAMS
     daemon.dispatch.take(b"\xc1" * len(long), daemon._reply)
     assert daemon.answers[None]["error"]["code"] == messages.Code.PARSE
-    body = messages.encode({"jsonrpc": "1.0", "id": "old", "method": "set_scene", "params": {"scene": long}})
+    body = codec.encode({"jsonrpc": "1.0", "id": "old", "method": "set_scene", "params": {"scene": long}})
     daemon.dispatch.take(body, daemon._reply)
     daemon.over()
     assert daemon.answers["old"]["error"]["code"] == messages.Code.INVALID_REQUEST

@@ -7,9 +7,9 @@ import pytest
 from hapticd.config.configuration import default_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene, SceneObject, validate_object, validate_scene
-from hapticd.daemon.flight_scene import MOST_CHANGED, MOST_OBJECTS, MOST_PIECES, FlightScene
+from hapticd.daemon.flight_scene import MOST_CHANGED, FlightScene
+from hapticd.protocol.changes import FLIGHT_OBJECTS, FLIGHT_PIECES, Change, Played, Reset, Revised, revised
 from hapticd.protocol.changes import MOST_CHANGED as MOST_TOLD
-from hapticd.protocol.changes import Change, Played, Reset, Revised, revised
 
 MATERIALS = default_config().materials
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -100,12 +100,12 @@ def test_a_change_that_is_too_large_to_be_told_is_a_new_beginning(scene: FlightS
 
 
 def test_a_scene_that_is_too_large_is_not_written() -> None:
-    objects = {f"disc{number}": disc(number / 1e4) for number in range(MOST_OBJECTS + 1)}
+    objects = {f"disc{number}": disc(number / 1e4) for number in range(FLIGHT_OBJECTS + 1)}
     scene = FlightScene(Scene().with_objects(objects), MATERIALS, 1, RATE_HZ)
     assert scene.stretch().texts() == {"scene": None, "materials": None}
     scene.take(Revised(2, {}, {"disc0": None}, {}, None))
     scene.forget(9, 2)
-    assert len(told(scene)[1]) == MOST_OBJECTS
+    assert len(told(scene)[1]) == FLIGHT_OBJECTS
 
 
 def patched(count: int) -> SceneObject:
@@ -117,7 +117,7 @@ def test_patches_count_as_objects_do() -> None:
     """Each takes as many words: twenty moves of a wall of 40,000 made a file of the recorder take a gigabyte."""
     before = validate_scene({"objects": {"floor": FLOOR}})
     scene = FlightScene(before, MATERIALS, 1, RATE_HZ)
-    many = before.with_objects({"wall": patched(MOST_PIECES)})
+    many = before.with_objects({"wall": patched(FLIGHT_PIECES)})
     change = revised(2, before, many, ["wall"], MATERIALS, MATERIALS)
     assert change.whole is not None and change.objects == {}
     scene.take(change)

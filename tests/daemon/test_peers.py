@@ -15,13 +15,13 @@ from typing import Any
 import pytest
 import zmq
 
+from hapticd.base.codec import Encoded
 from hapticd.daemon import backlog, peers, router
 from hapticd.daemon.peers import Peer, Peers
 from hapticd.daemon.publisher import Publisher
 from hapticd.daemon.router import Router
 from hapticd.daemon.turns import Turns
 from hapticd.protocol import zmtp
-from hapticd.protocol.messages import Encoded
 
 DIALLED: list[zmq.Socket[bytes]] = []
 RAW: list[socket.socket] = []

@@ -9,10 +9,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hapticd.analysis.recordings.impossible import without_impossible
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.fit.grooves import fit_grooves
+from hapticd.fit.impossible import without_impossible
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.synthesize import Stylus, taps

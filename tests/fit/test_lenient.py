@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.recordings.clipping import clipped
-from hapticd.analysis.recordings.stretches import whole_stretches
 from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
@@ -20,6 +19,7 @@ from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.left_out import LeftOut
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
+from hapticd.fit.stretches import whole_stretches
 from hapticd.fit.tap import fit_tap
 from hapticd.fit.texture import fit_texture
 from tests.cli.test_cli import said

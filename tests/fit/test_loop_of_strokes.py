@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hapticd.base.lattice import reflection_of
 from hapticd.base.yaml_source import load_text
 from hapticd.cli.common import yaml_text
 from hapticd.config.materials import Material, validate_materials
@@ -20,7 +21,7 @@ from hapticd.fit.provenance import Fit
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.texture import fit_texture
-from hapticd.rendering.filter_design import power_spectrum, reflection_of
+from hapticd.rendering.filter_design import power_spectrum
 from tests.support.rig import FLOOR, SKIN, Rig
 
 RATE = 10_000

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.statistics import FitError
+from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.synthesize import Stylus
 from hapticd.fit.synthesize_strokes import Hand, texture
 from hapticd.fit.texture import fit_texture
-from hapticd.rendering.filter_design import power_spectrum, reflection_of
+from hapticd.rendering.filter_design import power_spectrum
 
 PLACES = ((0.05, 0.6), (0.05, 2.0), (0.15, 0.6), (0.15, 2.0), (0.1, 1.0))
 

@@ -18,7 +18,7 @@ from hapticd.fit.left_out import LeftOut
 from hapticd.fit.recording import Recording, Source, save
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import TapFit
-from hapticd.fit.taps.kind import fit_taps
+from hapticd.fit.tap_kind import fit_taps
 from hapticd.fit.taps.pulse_shape import Equations, Placed, Pulse
 from hapticd.fit.waveform import WaveformFit
 from tests.support.marks import rest_slow

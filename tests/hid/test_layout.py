@@ -13,7 +13,9 @@ import pytest
 from hapticd.base.core import lib
 from hapticd.config import hid
 from hapticd.hid.descriptor import Descriptor, DescriptorError, ReportKind, parse
-from hapticd.hid.layout import MAX_REPORT_BYTES, Axis, Field, Layout, layout_of
+from hapticd.hid.field_search import MAX_REPORT_BYTES
+from hapticd.hid.fields import Field
+from hapticd.hid.layout import Axis, Layout, layout_of
 from tests.hid.test_descriptor import VARIANTS, mutated
 from tests.support.hid_descriptors import (
     APPLICATION,
@@ -113,7 +115,7 @@ def test_a_whole_joystick() -> None:
 
     control = found.device_control
     assert control is not None
-    assert (control.kind, control.report_id, control.report_bytes) == ("array", 7, 2)
+    assert (control.command.kind, control.report_id, control.report_bytes) == ("array", 7, 2)
     assert [entry.value for entry in control.command.entries.values()] == [1, 2, 3, 4, 5, 6]
 
     create, load = found.create_new_effect, found.block_load
@@ -151,7 +153,7 @@ def test_every_variant_can_be_driven(joystick: Joystick) -> None:
 
 def test_bits_of_device_control() -> None:
     control = layout(Joystick(control="bits")).device_control
-    assert control is not None and control.kind == "bits"
+    assert control is not None and control.command.kind == "bits"
     assert {name: (entry.field.bit_offset, entry.value) for name, entry in control.command.entries.items()} == {
         "enable_actuators": (0, 1),
         "disable_actuators": (1, 1),

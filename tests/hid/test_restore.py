@@ -38,8 +38,7 @@ def set_up(stick: Firmware, **keys: Any) -> Plan:
 
 
 class Writer:
-    """The writer of a connection as csrc/device/hd_hid.c describes it, in the time of a link that carries one report
-    after the
+    """The writer of a connection (csrc/device/hd_hid_writer.c), in the time of a link that carries one report after the
     other: the forces that changed; if it is due, all of them and what renews them; one report that restores."""
 
     def __init__(self, stick: Firmware, plan: Plan, report_s: float) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
+from hapticd.base import codec
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
 from hapticd.base.yaml_source import load_text
 from hapticd.cli import cli
@@ -24,13 +25,15 @@ from hapticd.config.hid import Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
 from hapticd.daemon.control import _METHODS, Control
-from hapticd.daemon.engine import Engine, Granted
+from hapticd.daemon.counters import Granted
+from hapticd.daemon.engine import Engine
 from hapticd.doctor import diagnose
 from hapticd.doctor.machine import Machine, Needs
 from hapticd.protocol import messages
 from hapticd.protocol.events import event_map, fault_names
 from hapticd.protocol.results import State
-from hapticd.recording.writer import NO_TIME, open_sink
+from hapticd.recording.event_columns import NO_TIME
+from hapticd.recording.formats import open_writer
 from hapticd.system.service_files import Installation, Service
 
 ROOT = Path(__file__).parents[2]
@@ -120,7 +123,7 @@ def test_error_codes() -> None:
 def test_limits_of_a_body() -> None:
     body = section(PROTOCOL, "## Body")
     assert f"at most {messages.MAX_BODY // 2**20} MiB" in body
-    assert f"at most {messages.MAX_DEPTH} deep" in body
+    assert f"at most {codec.MAX_DEPTH} deep" in body
     assert f"Version {messages.PROTOCOL}." in PROTOCOL
 
 
@@ -212,11 +215,11 @@ def test_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "hand.yaml").write_text("waypoints: [[0, 0, 0.01], [0.05, 0, -0.002]]\n")
     simulate_files("scene.yaml", "hand.yaml", "tap.npz", None, None)
     event = records(EVENT_DTYPE, 1)[0]
-    with open_sink("events.npz") as sink:
+    with open_writer("events.npz") as writer:
         for kind in EventKind:
             event["kind"] = kind
-            sink.write_event(event_map(event, "x"))
-        sink.finish()
+            writer.write_event(event_map(event, "x"))
+        writer.finish()
     rows = tables(described)["key"]
     with np.load("tap.npz") as file:
         count = len(file["samples"])

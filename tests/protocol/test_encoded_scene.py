@@ -3,6 +3,7 @@
 import msgpack
 import pytest
 
+from hapticd.base import codec
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.patches import Patches
 from hapticd.config.scene import Scene, validate_scene
@@ -67,18 +68,18 @@ def test_materials_are_encoded_once_and_let_go(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.parametrize("id", [7, "seven", None])
 def test_an_answer_is_the_same_to_the_byte(id: int | str | None) -> None:
     result = {"scene": {"objects": {"a": [1, 2.5, None]}}, "revision": 3}
-    encoded = {**result, "scene": messages.encoded(result["scene"])}
+    encoded = {**result, "scene": codec.encoded(result["scene"])}
     assert messages.result_reply(id, encoded) == messages.result_reply(id, result)
-    assert bytes(messages.encoded_list(2, iter([1, "b"]))) == messages.encode([1, "b"])
+    assert bytes(codec.encoded_list(2, iter([1, "b"]))) == codec.encode([1, "b"])
 
 
 def test_a_large_part_of_an_answer_is_sent_from_where_it_stands() -> None:
     patches = [[n, 0.5 * n] for n in range(5_000)]
-    large, small = messages.encoded_list(len(patches), patches), messages.encoded({"x": 1})
-    scene = messages.encoded_map({"first": small, "patches": large, "last": small})
+    large, small = codec.encoded_list(len(patches), patches), codec.encoded({"x": 1})
+    scene = codec.encoded_map({"first": small, "patches": large, "last": small})
     reply = messages.result_reply(3, {"scene": scene, "revision": 9})
-    assert isinstance(reply, messages.Encoded) and any(part is large.parts[0] for part in reply.parts)
+    assert isinstance(reply, codec.Encoded) and any(part is large.parts[0] for part in reply.parts)
     assert bytes(reply) == messages.result_reply(
         3, {"scene": {"first": {"x": 1}, "patches": patches, "last": {"x": 1}}, "revision": 9}
     )
-    assert len(reply) == len(bytes(reply)) > messages.LARGE_PART
+    assert len(reply) == len(bytes(reply)) > codec.LARGE_PART

@@ -23,10 +23,10 @@ from hapticd.recording import reading_limits
 from hapticd.recording.csv_reader import _BLOCK
 from hapticd.recording.event_cells import FromCells, _UnknownCells
 from hapticd.recording.event_columns import members_of, members_of_kind
+from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.reading_limits import LEAST_LIMIT, TIMES_SIZE, default_limit, size_of
 from hapticd.recording.replay import replay
-from hapticd.recording.writer import open_sink
 from tests.recording.test_writer import FORMS, noisy
 from tests.soak import fuzz_recordings
 
@@ -329,9 +329,9 @@ def test_attachments_that_are_there_twice(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_long_simulation_is_written_in_chunks(tmp_path: Path) -> None:
     samples = np.concatenate([noisy(250_000, 0), noisy(250_000, 250_000)])
-    with open_sink(tmp_path / "a.mcap") as sink:
-        sink.write(samples)
-        sink.finish({})
+    with open_writer(tmp_path / "a.mcap") as writer:
+        writer.write(samples)
+        writer.finish({})
     assert load_recorded(tmp_path / "a.mcap").samples.tobytes() == samples.tobytes()
 
 
@@ -342,14 +342,14 @@ def test_a_long_simulation_is_written_in_chunks(tmp_path: Path) -> None:
 def test_what_hapticd_records_is_read_by_default(tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of a recording so long that its size decides, also for rendering it again."""
     path = tmp_path / f"a.{ending}"
-    with open_sink(path) as sink:
-        sink.begin({"config": {}, "scene": {"objects": {}}, "materials": {}})
+    with open_writer(path) as writer:
+        writer.begin({"config": {}, "scene": {"objects": {}}, "materials": {}})
         for batch in range(100):
             still = np.zeros(1000, SAMPLE_DTYPE)
             still["tick"] = np.arange(1000 * batch, 1000 * batch + 1000)
             still["time_ns"] = still["tick"] * 100_000
-            sink.write(still)
-        sink.finish({})
+            writer.write(still)
+        writer.finish({})
     size = 100_000 * (SAMPLE_DTYPE.itemsize * 5 // 4)
     assert peak(lambda: load_recorded(path, size + (4 << 20))) < size + (8 << 20)
     monkeypatch.setattr(reading_limits, "LEAST_LIMIT", 0)

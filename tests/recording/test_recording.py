@@ -16,7 +16,7 @@ from hapticd.base.clock import Moment, moment_of, read
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
-from hapticd.recording.writer import open_sink
+from hapticd.recording.formats import open_writer
 from tests.support.cli import said
 
 CONFIG = Path(shipped.__path__[0])
@@ -49,8 +49,8 @@ EVENTS: list[dict[str, object]] = [
 
 
 def write(target: Path, recording: object = RECORDING) -> Path:
-    with open_sink(target) as sink:
-        sink.begin(
+    with open_writer(target) as writer:
+        writer.begin(
             {
                 "config": {"servo": {"rate_hz": 10_000.0}, "device": {"kind": "sim"}},
                 "scene": {"ramp_s": 0.02, "objects": {"floor": {"kind": "wall"}}},
@@ -59,11 +59,11 @@ def write(target: Path, recording: object = RECORDING) -> Path:
             }
         )
         for change in CHANGES:
-            sink.write_change(change)
-        sink.write(some(20))
+            writer.write_change(change)
+        writer.write(some(20))
         for event in EVENTS:
-            sink.write_event(event)
-        sink.finish({"recording": recording})
+            writer.write_event(event)
+        writer.finish({"recording": recording})
     return target
 
 

@@ -20,11 +20,11 @@ from hapticd.cli.simulation import simulate_files
 from hapticd.config.configuration import default_config, load_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import validate_scene
-from hapticd.daemon.engine import output_of
+from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.replay import FORCES, _Revision, _turn, replay
-from hapticd.recording.writer import open_sink
 from hapticd.rendering.offline import Rerun, render_run, simulate_run
+from hapticd.rendering.output import output_of
 
 CONFIG = Path(shipped.__path__[0])
 SCENES = sorted(CONFIG.glob("scenes/*.yaml"))
@@ -43,8 +43,8 @@ def write(
 ) -> None:
     """A recording as `hapticd record` makes it, of what somebody else rendered."""
     whole = load_config(config)
-    with open_sink(target, overwrite=True) as sink:
-        sink.begin(
+    with open_writer(target, overwrite=True) as writer:
+        writer.begin(
             {
                 "config": {"servo": whole.servo.to_dict(), "device": whole.device.to_dict()},
                 "scene": whole.scene.to_dict(),
@@ -53,9 +53,9 @@ def write(
             }
         )
         for change in ({"revision": 1}, *changes):
-            sink.write_change(change)
-        sink.write(samples)
-        sink.finish()
+            writer.write_change(change)
+        writer.write(samples)
+        writer.finish()
 
 
 def strokes(seconds: float, seed: int = 1) -> np.ndarray:

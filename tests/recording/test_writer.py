@@ -11,8 +11,7 @@ import signal
 import subprocess
 import sys
 import zipfile
-import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -25,10 +24,13 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, records
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
 from hapticd.protocol.events import event_map
-from hapticd.recording.mcap_writer import CHUNK_BYTES, EVENT_MEMBERS
+from hapticd.recording.event_columns import NO_TIME, columns_of, dtype_of, rows_of
+from hapticd.recording.formats import open_writer
+from hapticd.recording.mcap_format import EVENT_MEMBERS
+from hapticd.recording.mcap_writer import CHUNK_BYTES
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.recovery import recover
-from hapticd.recording.writer import NO_TIME, DiskFullError, crc32_of_both, event_array, open_sink
+from hapticd.recording.writer import DiskFullError
 
 FORMS = ["npz", "csv", "mcap"]
 
@@ -66,15 +68,22 @@ def some(count: int, first: int = 0) -> np.ndarray:
     return samples
 
 
+def event_array(events: Sequence[Mapping[str, object]]) -> np.ndarray:
+    """Events as they stand in a .npz."""
+    _, columns = columns_of(events)
+    stretches = list(rows_of(events, columns))
+    return np.concatenate(stretches) if stretches else np.zeros(0, dtype_of(columns))
+
+
 def test_npz_gives_back_what_was_written(tmp_path: Path) -> None:
     target = tmp_path / "run.npz"
-    with open_sink(target) as sink:
-        sink.write(some(4))
-        sink.write(some(3, 4))
+    with open_writer(target) as writer:
+        writer.write(some(4))
+        writer.write(some(3, 4))
         for event in EVENTS:
-            sink.write_event(event)
+            writer.write_event(event)
         assert not target.exists(), "in place only when it is whole"
-        sink.finish({"scene": {"objects": {}}}, {"truth": np.eye(2)})
+        writer.finish({"scene": {"objects": {}}}, {"truth": np.eye(2)})
     with np.load(target) as archive:
         assert archive["samples"].dtype == SAMPLE_DTYPE
         assert archive["samples"].tobytes() == some(7).tobytes()
@@ -85,12 +94,12 @@ def test_npz_gives_back_what_was_written(tmp_path: Path) -> None:
 
 
 def test_csv_gives_back_what_was_written(tmp_path: Path) -> None:
-    with open_sink(tmp_path / "run.csv") as sink:
-        sink.write(some(4))
-        sink.write(some(3, 4))
+    with open_writer(tmp_path / "run.csv") as writer:
+        writer.write(some(4))
+        writer.write(some(3, 4))
         for event in EVENTS:
-            sink.write_event(event)
-        sink.finish()
+            writer.write_event(event)
+        writer.finish()
     with open(tmp_path / "run.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     samples = some(7)
@@ -110,9 +119,9 @@ def test_csv_gives_back_what_was_written(tmp_path: Path) -> None:
 
 def test_without_events(tmp_path: Path) -> None:
     for name in ("run.npz", "run.csv"):
-        with open_sink(tmp_path / name) as sink:
-            sink.write(some(1))
-            sink.finish()
+        with open_writer(tmp_path / name) as writer:
+            writer.write(some(1))
+            writer.finish()
     with np.load(tmp_path / "run.npz") as archive:
         assert len(archive["events"]) == 0
 
@@ -121,9 +130,9 @@ def test_without_events(tmp_path: Path) -> None:
 def test_what_fails_leaves_nothing_and_changes_nothing(tmp_path: Path, name: str) -> None:
     target = tmp_path / name
     target.write_text("precious")
-    with pytest.raises(RuntimeError), open_sink(target, overwrite=True) as sink:
-        sink.write(some(3))
-        sink.write_event({"time_ns": 0, **EVENTS[0]})
+    with pytest.raises(RuntimeError), open_writer(target, overwrite=True) as writer:
+        writer.write(some(3))
+        writer.write_event({"time_ns": 0, **EVENTS[0]})
         raise RuntimeError
     assert target.read_text() == "precious"
     assert os.listdir(tmp_path) == [name]
@@ -145,11 +154,11 @@ def test_what_fails_leaves_nothing_and_changes_nothing(tmp_path: Path, name: str
 def test_a_file_that_is_there_is_not_replaced_unasked(tmp_path: Path, name: str, there: str) -> None:
     (tmp_path / there).write_text("precious")
     with pytest.raises(HapticdError, match=f"{there}: is there already; give another name, or --overwrite"):
-        open_sink(tmp_path / name)
+        open_writer(tmp_path / name)
     assert os.listdir(tmp_path) == [there] and (tmp_path / there).read_text() == "precious"
-    with open_sink(tmp_path / name, overwrite=True) as sink:
-        sink.write(some(3))
-        sink.finish({"scene": {}})
+    with open_writer(tmp_path / name, overwrite=True) as writer:
+        writer.write(some(3))
+        writer.finish({"scene": {}})
     assert len(load_recorded(tmp_path / name).samples) == 3
 
 
@@ -166,33 +175,33 @@ def test_a_file_that_appears_meanwhile_keeps_its_name(
 
     if not links:
         monkeypatch.setattr(os, "link", refuse)
-    with open_sink(tmp_path / name) as sink:
-        sink.write(some(3))
+    with open_writer(tmp_path / name) as writer:
+        writer.write(some(3))
         (tmp_path / appeared).write_text("precious")
         other = tmp_path / name.replace("run", "run-2")
         other.write_text("this, too")
-        sink.finish({"scene": {}})
-        assert sink.displaced and sink.target == tmp_path / name.replace("run", "run-3")
+        writer.finish({"scene": {}})
+        assert writer.displaced and writer.target == tmp_path / name.replace("run", "run-3")
     assert (tmp_path / appeared).read_text() == "precious" and other.read_text() == "this, too"
-    assert load_recorded(sink.target).samples.tobytes() == some(3).tobytes()
-    ours = {".csv": {"run-3.csv", "run-3.events.csv", "run-3.about.json"}}.get(Path(name).suffix, {sink.target.name})
+    assert load_recorded(writer.target).samples.tobytes() == some(3).tobytes()
+    ours = {".csv": {"run-3.csv", "run-3.events.csv", "run-3.about.json"}}.get(Path(name).suffix, {writer.target.name})
     assert set(os.listdir(tmp_path)) == {appeared, other.name} | ours
 
 
 def test_what_told_of_a_replaced_recording_goes_with_it(tmp_path: Path) -> None:
     for texts in ({"scene": {}}, {}):
-        with open_sink(tmp_path / "run.csv", overwrite=True) as sink:
-            sink.write(some(3))
-            sink.finish(texts)
+        with open_writer(tmp_path / "run.csv", overwrite=True) as writer:
+            writer.write(some(3))
+            writer.finish(texts)
     assert sorted(os.listdir(tmp_path)) == ["run.csv", "run.events.csv"]
 
 
 def test_the_target_of_a_link_is_replaced_not_the_link(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     (tmp_path / "link.npz").symlink_to(tmp_path / "real" / "run.npz")
-    with open_sink(tmp_path / "link.npz") as sink:
-        sink.write(some(2))
-        sink.finish()
+    with open_writer(tmp_path / "link.npz") as writer:
+        writer.write(some(2))
+        writer.finish()
     assert (tmp_path / "link.npz").is_symlink()
     with np.load(tmp_path / "real" / "run.npz") as archive:
         assert len(archive["samples"]) == 2
@@ -207,7 +216,7 @@ def test_unwritable_targets_are_told_before_anything_is_written(tmp_path: Path) 
         (tmp_path / "missing" / "run.npz", "cannot be written: No such file or directory"),
     ):
         with pytest.raises(HapticdError, match=told):
-            open_sink(target)
+            open_writer(target)
     assert os.listdir(tmp_path) == ["directory.npz"]
 
 
@@ -238,16 +247,16 @@ def limited_files(size: int) -> Iterator[None]:
 def fill(target: Path) -> tuple[np.ndarray, int]:
     """Records until the disk is full, and finishes; what was given, and how much of it is said to be in the file."""
     given = []
-    with open_sink(target) as sink:
-        sink.begin({"scene": {"objects": {}}})
-        sink.write_change({"revision": 1})
+    with open_writer(target) as writer:
+        writer.begin({"scene": {"objects": {}}})
+        writer.write_change({"revision": 1})
         with pytest.raises(DiskFullError, match=r"cannot be written: (No space left on device|File too large)"):
             for batch in range(10_000):
                 given.append(noisy(200, 200 * batch))
-                sink.write_event({"event": "contact", "object": "x", "tick": 200 * batch, "time_ns": 20_000 * batch})
-                sink.write(given[-1])
-        sink.finish({"recording": {"ended": "full"}})
-        return np.concatenate(given), sink.count
+                writer.write_event({"event": "contact", "object": "x", "tick": 200 * batch, "time_ns": 20_000 * batch})
+                writer.write(given[-1])
+        writer.finish({"recording": {"ended": "full"}})
+        return np.concatenate(given), writer.count
 
 
 def noisy(count: int, first: int) -> np.ndarray:
@@ -290,26 +299,26 @@ def test_a_disk_without_any_room_is_one_line_and_no_file(tmp_path: Path, ending:
     with limited_files(room):  # noqa: SIM117
         with (
             pytest.raises(HapticdError, match="cannot be written: File too large"),
-            open_sink(tmp_path / f"run.{ending}") as sink,
+            open_writer(tmp_path / f"run.{ending}") as writer,
         ):
-            sink.begin({})
+            writer.begin({})
             with suppress(DiskFullError):
                 for batch in range(100):
-                    sink.write(noisy(200, 200 * batch))
-            sink.finish({"long": "x" * 2000})
+                    writer.write(noisy(200, 200 * batch))
+            writer.finish({"long": "x" * 2000})
     assert os.listdir(tmp_path) == []
 
 
 KILLED = """
 import os, signal, sys
 import numpy as np
-from hapticd.recording.writer import open_sink
-sink = open_sink(sys.argv[1], overwrite=True)
-sink.begin({"scene": {"objects": {}}}, {"notes": {}})
-sink.write_change({"revision": 1})
-sink.write_event({"event": "overrun", "tick": 3, "time_ns": 4, "missed": 2})
+from hapticd.recording.formats import open_writer
+writer = open_writer(sys.argv[1], overwrite=True)
+writer.begin({"scene": {"objects": {}}}, {"notes": {}})
+writer.write_change({"revision": 1})
+writer.write_event({"event": "overrun", "tick": 3, "time_ns": 4, "missed": 2})
 for batch in np.array_split(np.load(sys.argv[2]), 100):
-    sink.write(batch)
+    writer.write(batch)
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
@@ -343,7 +352,7 @@ def test_what_a_killed_recording_left_is_recovered(tmp_path: Path, ending: str, 
     assert recorded.texts["changes"] == [{"revision": 1}]
     assert recorded.texts["recording"] == {"ticks": count, "events": 1, "ended_because": "killed", "notes": {}}
     assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
-    assert not recover(target).files and not recover(target).told
+    assert not recover(target).files and not recover(target).problems
 
 
 def test_what_killed_recordings_left_gets_a_name_of_its_own(tmp_path: Path) -> None:
@@ -358,28 +367,20 @@ def test_what_killed_recordings_left_gets_a_name_of_its_own(tmp_path: Path) -> N
 @pytest.mark.parametrize("ending", FORMS)
 def test_a_recording_under_way_is_let_alone(tmp_path: Path, ending: str) -> None:
     target = tmp_path / f"run.{ending}"
-    with open_sink(target) as sink:
-        sink.write(some(3))
+    with open_writer(target) as writer:
+        writer.write(some(3))
         found = recover(target)
-        assert not found.files and [line.split(": ")[1] for line in found.told] == ["is still being recorded"]
-        sink.write(some(3, 3))
-        sink.finish({"scene": {}})
+        assert not found.files and [line.split(": ")[1] for line in found.problems] == ["is still being recorded"]
+        writer.write(some(3, 3))
+        writer.finish({"scene": {}})
     assert len(load_recorded(target).samples) == 6
 
 
-def test_checksums_of_two_stretches_make_that_of_both() -> None:
-    random = np.random.default_rng(1)
-    for lengths in ((0, 0), (1, 0), (0, 1), (5, 3), (1000, 70_001), (3, 2**17)):
-        first, second = (random.bytes(length) for length in lengths)
-        found = crc32_of_both(zlib.crc32(first), zlib.crc32(second), len(second))
-        assert found == zlib.crc32(first + second), lengths
-
-
 def test_numpy_and_zipfile_find_nothing_wrong_with_an_archive(tmp_path: Path) -> None:
-    with open_sink(tmp_path / "run.npz") as sink:
+    with open_writer(tmp_path / "run.npz") as writer:
         for first in range(0, 40_000, 1000):
-            sink.write(some(1000, first))
-        sink.finish({"scene": {}})
+            writer.write(some(1000, first))
+        writer.finish({"scene": {}})
     with zipfile.ZipFile(tmp_path / "run.npz") as archive:
         assert archive.testzip() is None
         assert archive.namelist()[0] == "samples.npy"
@@ -396,10 +397,10 @@ def test_every_form_gives_back_every_bit(tmp_path: Path, ending: str) -> None:
     samples["force_n"] = np.where(np.isfinite(numbers), numbers, -0.0)
     samples["velocity_m_per_s"][:, 0] = np.nextafter(0.1, np.arange(500))
     samples["lateness_ns"], samples["flags"] = -(2**31), 2**32 - 1
-    with open_sink(tmp_path / f"run.{ending}") as sink:
+    with open_writer(tmp_path / f"run.{ending}") as writer:
         for part in np.array_split(samples, 7):
-            sink.write(part)
-        sink.finish({"scene": {}})
+            writer.write(part)
+        writer.finish({"scene": {}})
     assert load_recorded(tmp_path / f"run.{ending}").samples.tobytes() == samples.tobytes()
 
 
@@ -410,16 +411,16 @@ def test_mcap_is_what_its_own_reader_expects(tmp_path: Path) -> None:
     given = some(12_000)
     given["tick"] += np.uint64(2**53)
     given["position_m"] = np.random.default_rng(1).standard_normal((12_000, 2))
-    with open_sink(tmp_path / "run.mcap") as sink:
-        sink.begin({"scene": {"objects": {}}, "status": {"rate_hz": 10_000}})
-        sink.write_change({"revision": 7})
-        sink.write_status({"tick": 1})
+    with open_writer(tmp_path / "run.mcap") as writer:
+        writer.begin({"scene": {"objects": {}}, "status": {"rate_hz": 10_000}})
+        writer.write_change({"revision": 7})
+        writer.write_status({"tick": 1})
         for part in np.array_split(given, 60):
-            sink.write(part)
+            writer.write(part)
             if part["tick"][0] == 2**53:
                 for event in EVENTS:
-                    sink.write_event({"time_ns": 5, **event})
-        sink.finish({"recording": {"lost": 0, "ended": None}})
+                    writer.write_event({"time_ns": 5, **event})
+        writer.finish({"recording": {"lost": 0, "ended": None}})
     with open(tmp_path / "run.mcap", "rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         assert {one.name: json.loads(one.data) for one in reader.iter_attachments()} == {
@@ -462,8 +463,8 @@ def test_the_schema_of_events_names_every_member() -> None:
 
 def test_mcap_takes_no_samples_that_cdr_would_pad(tmp_path: Path) -> None:
     packed = np.dtype([("tick", "<u8"), ("flags", "<u4"), ("time_ns", "<i8")])
-    with pytest.raises(HapticdError, match="record into"), open_sink(tmp_path / "run.mcap") as sink:
-        sink.write(np.zeros(1, packed))
+    with pytest.raises(HapticdError, match="record into"), open_writer(tmp_path / "run.mcap") as writer:
+        writer.write(np.zeros(1, packed))
 
 
 def test_without_the_extra_mcap_is_refused_and_says_what_is_missing(
@@ -472,7 +473,7 @@ def test_without_the_extra_mcap_is_refused_and_says_what_is_missing(
     (tmp_path / "run.mcap").touch()
     monkeypatch.setitem(sys.modules, "zstandard", None)
     monkeypatch.setitem(sys.modules, "mcap.reader", None)
-    for attempt in (open_sink, load_recorded):
+    for attempt in (open_writer, load_recorded):
         with pytest.raises(HapticdError, match=r"pip install 'hapticd\[mcap\]'"):
             attempt(tmp_path / "run.mcap")
 
@@ -492,13 +493,13 @@ def test_what_is_no_recording_is_one_line(tmp_path: Path, ending: str, content: 
 
 
 def test_another_dtype_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(HapticdError, match="changed the form"), open_sink(tmp_path / "run.npz") as sink:
-        sink.write(some(1))
-        sink.write(np.zeros(1, [("tick", "<u8")]))
+    with pytest.raises(HapticdError, match="changed the form"), open_writer(tmp_path / "run.npz") as writer:
+        writer.write(some(1))
+        writer.write(np.zeros(1, [("tick", "<u8")]))
 
 
 def test_columns_of_events() -> None:
-    array = event_array(lambda: EVENTS)
+    array = event_array(EVENTS)
     assert array["tick"].dtype == "<i8" and array["tick"].tolist() == [3, 5, 6, 9]
     assert array["object"].tolist() == ["floor", "", "", ""]
     assert array["appeared"].dtype == "i1" and array["appeared"].tolist() == [0, -1, -1, 1]
@@ -509,7 +510,7 @@ def test_columns_of_events() -> None:
     assert np.isnat(array["onset_time_ns"].view("M8[ns]")).tolist() == [False, True, True, False]
     assert array["speed_m_per_s"][0] == 0.25 and np.isnan(array["speed_m_per_s"][1:]).all()
     assert array["true_speed_m_per_s"].dtype == "<f8" and np.isnan(array["true_speed_m_per_s"]).all()
-    assert event_array(lambda: []).shape == (0,)
+    assert event_array([]).shape == (0,)
 
 
 MARKS: list[dict[str, object]] = [
@@ -529,11 +530,11 @@ MARKS: list[dict[str, object]] = [
 @pytest.mark.parametrize("ending", FORMS)
 def test_events_come_back_as_they_were(tmp_path: Path, ending: str) -> None:
     target = tmp_path / f"run.{ending}"
-    with open_sink(target) as sink:
-        sink.write(some(10))
+    with open_writer(target) as writer:
+        writer.write(some(10))
         for event in MARKS:
-            sink.write_event(event)
-        sink.finish({"scene": {}})
+            writer.write_event(event)
+        writer.finish({"scene": {}})
     events = load_recorded(target).events
     assert events == MARKS
     for event, given in zip(events, MARKS, strict=True):
@@ -543,7 +544,7 @@ def test_events_come_back_as_they_were(tmp_path: Path, ending: str) -> None:
 
 
 def test_text_and_data_of_marks_are_columns(tmp_path: Path) -> None:
-    array = event_array(lambda: MARKS)
+    array = event_array(MARKS)
     assert array["text"][:5].tolist() == ["plain", "5", 'a,"b"\n\rnull', "null", ""]
     assert array["data"][:5].tolist() == ["", "5", '"5"', '{"é": [1, 2.5, null, true, "x,y"]}', ""]
     assert array["completed"].tolist() == [-1, -1, -1, -1, 0, -1, -1, -1, -1] and array["started_tick"].dtype == "<i8"
@@ -552,12 +553,12 @@ def test_text_and_data_of_marks_are_columns(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_one_long_mark_does_not_make_a_file_large(tmp_path: Path) -> None:
     long = {"event": "mark", "tick": 0, "time_ns": 0, "text": "x" * 1000, "data": "y" * 8000}
-    with open_sink(tmp_path / "run.npz") as sink:
-        sink.write(some(10))
-        sink.write_event(long)
+    with open_writer(tmp_path / "run.npz") as writer:
+        writer.write(some(10))
+        writer.write_event(long)
         for tick in range(3000):
-            sink.write_event({"event": "overrun", "tick": tick, "time_ns": tick, "missed": 1, "count": 1})
-        sink.finish({})
+            writer.write_event({"event": "overrun", "tick": tick, "time_ns": tick, "missed": 1, "count": 1})
+        writer.finish({})
     assert (tmp_path / "run.npz").stat().st_size < 500_000, "3000 rows of 36 kB, mostly nothing"
     events = load_recorded(tmp_path / "run.npz").events
     assert len(events) == 3001 and events[0] == long
@@ -566,9 +567,9 @@ def test_one_long_mark_does_not_make_a_file_large(tmp_path: Path) -> None:
 
 
 def test_columns_do_not_depend_on_what_else_there_is() -> None:
-    array = event_array(lambda: EVENTS)
+    array = event_array(EVENTS)
     for index, event in enumerate(EVENTS):
-        alone = event_array(lambda event=event: [event])  # type: ignore[misc]
+        alone = event_array([event])
         for name in alone.dtype.names or ():
             assert alone.dtype[name].kind == array.dtype[name].kind, name
             assert alone.dtype[name].kind == "U" or alone.dtype[name] == array.dtype[name], name
@@ -576,9 +577,9 @@ def test_columns_do_not_depend_on_what_else_there_is() -> None:
 
 
 def test_a_text_that_is_none_is_refused(tmp_path: Path) -> None:
-    with open_sink(tmp_path / "run.npz") as sink:
-        sink.write(some(1))
-        sink.finish({})
+    with open_writer(tmp_path / "run.npz") as writer:
+        writer.write(some(1))
+        writer.finish({})
     with np.load(tmp_path / "run.npz") as file:
         members = dict(file)
     members["events"] = np.frombuffer(b"\xff\xff\xff\x7f", [("event", "<U1")])

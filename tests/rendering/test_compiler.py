@@ -15,9 +15,9 @@ from scipy import signal
 from hapticd.base.core import OBJECT_DTYPE, WAVE_PARTS, CData, Shape, Status, Texture, ffi, invalid_reason, lib
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.config.scene import Scene, validate_scene
-from hapticd.rendering import retired_names as gone_module
-from hapticd.rendering.compiler import Compiler
-from hapticd.rendering.displayability import Output
+from hapticd.rendering.compiler import retired_names as gone_module
+from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.output import Output
 
 OUTPUT = Output(10_000, 0.05, 8.9, 5, "mute")
 WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -186,7 +186,7 @@ def test_where_nobody_reads_the_events_the_newest_names_are_kept(monkeypatch: py
 
 
 def versions(record: Any) -> tuple[int, int, int]:
-    return record.generation, record.place_version, record.skin_version
+    return record.generation, record.pose_version, record.surface_version
 
 
 @pytest.mark.parametrize(

@@ -8,21 +8,22 @@ from scipy import signal
 from scipy.integrate import trapezoid
 
 from hapticd.base.errors import Problem
+from hapticd.base.lattice import coefficients_of, reflection_of
 from hapticd.base.yaml_source import Json
 from hapticd.config.materials import Material, Mode, validate_materials
 from hapticd.config.scene import SceneObject, validate_scene
 from hapticd.config.texture import Stochastic
 from hapticd.rendering.displayability import (
     DISPLAYABLE,
-    Output,
-    Undisplayable,
     displayed_mode,
     displayed_pair,
     rate_faults,
     undisplayable,
     warnings,
 )
-from hapticd.rendering.filter_design import coefficients_of, reflection_of, resampled, stochastic_filter
+from hapticd.rendering.filter_design import resampled, stochastic_filter
+from hapticd.rendering.output import Output
+from hapticd.rendering.undisplayable import Undisplayable
 
 Keys = dict[str, Json]
 

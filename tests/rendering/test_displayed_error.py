@@ -15,17 +15,17 @@ from scipy.signal import cont2discrete
 
 from hapticd.base.core import SAMPLE_DTYPE, EventKind, ffi, lib, pointer, records
 from hapticd.base.errors import InvalidError
-from hapticd.config.configuration import load_config
+from hapticd.config.configuration import Compensation, load_config
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
-from hapticd.daemon.engine import Engine, output_of
-from hapticd.rendering.compensation import LARGEST, Compensation, Ringing, pole_gain, shape_of
-from hapticd.rendering.compiler import mode_record
-from hapticd.rendering.displayability import Output
+from hapticd.daemon.engine import Engine
+from hapticd.rendering.compensation import LARGEST, Ringing, pole_gain, shape_of
+from hapticd.rendering.compiler.table import mode_record
 from hapticd.rendering.displayed_error import band_error, displayed_error, handle_acceleration, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import simulate_run
+from hapticd.rendering.output import Output, output_of
 from tests.support.marks import rest_slow
 from tests.support.rig import FLOOR, Rig
 

@@ -13,16 +13,14 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hapticd.base.lattice import coefficients_of, pole_radius, reflection_of
 from hapticd.rendering.filter_design import (
     CLOSE_DB,
     MAX_LINES,
     Filter,
     Model,
-    coefficients_of,
     grid,
-    pole_radius,
     power_spectrum,
-    reflection_of,
     resampled,
     stochastic_filter,
 )

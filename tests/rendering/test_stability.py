@@ -23,12 +23,13 @@ from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.scene import validate_scene
 from hapticd.daemon import engine as engines
 from hapticd.daemon.control import Control
-from hapticd.daemon.engine import Engine, loop_of
+from hapticd.daemon.engine import Engine
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.rendering import contact_sets
 from hapticd.rendering.contact_sets import Sets
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
+from hapticd.rendering.output import loop_of
 from hapticd.rendering.stability import GROWS, PRESS_N, Loop, Timing, held_factor, spectral_radius, timing
 from tests.support.marks import rest_slow
 

@@ -17,9 +17,10 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import validate_object
 from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine
-from hapticd.rendering.displayability import Output, material_rate_faults
+from hapticd.rendering.displayability import material_rate_faults
 from hapticd.rendering.joystick import target_of
 from hapticd.rendering.offline import render, render_run, simulate, simulate_run
+from hapticd.rendering.output import Output
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 GRIT = {"kind": "stochastic", "peak_hz": 250, "mean_hz": 310, "velocity_gain_per_s": 40}

@@ -14,9 +14,8 @@ import threading
 from types import SimpleNamespace
 from typing import Any, cast
 
-import hapticd.daemon.process
-
 import hapticd.cli.daemon
+import hapticd.daemon.process
 from hapticd.config.configuration import config_of
 from hapticd.daemon import engine
 from hapticd.hid import stopper

@@ -31,7 +31,8 @@ from hapticd.hid import verdict as judged
 from hapticd.hid.descriptor import Descriptor, parse
 from hapticd.hid.drivers import pid, pool
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.layout import Field, Layout
+from hapticd.hid.fields import Field
+from hapticd.hid.layout import Layout
 from hapticd.hid.plan import Bits, DeviceError, Message, Plan, fill_message
 from hapticd.hid.verdict import Verdict, verdict_of
 from tests.hid import test_descriptor, test_layout

@@ -35,11 +35,12 @@ import numpy as np
 from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import load_config
-from hapticd.recording.mcap_writer import McapSink
+from hapticd.recording.formats import open_writer
+from hapticd.recording.mcap_writer import McapWriter
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.recovery import recover
 from hapticd.recording.replay import replay
-from hapticd.recording.writer import Sink, open_sink
+from hapticd.recording.writer import RecordingWriter
 from hapticd.rendering.offline import simulate
 from tests.support import fuzzing
 from tests.support.fuzzing import Tree
@@ -76,12 +77,12 @@ class Failure(AssertionError):
     """What was found, and where the file is."""
 
 
-def _fill(sink: Sink) -> None:
+def _fill(writer: RecordingWriter) -> None:
     """Records a short simulation."""
     config = load_config(CONFIG)
     samples = simulate(CONFIG, [[0.0, 0.0, 0.001], [0.01, 0.0, -0.001], [0.02, 0.001, 0.001]], 1e-4 * TICKS)
     samples["revision"] = np.where(samples["tick"] < 120, 1, 2)
-    sink.begin(
+    writer.begin(
         {
             "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
             "scene": config.scene.to_dict(),
@@ -89,25 +90,25 @@ def _fill(sink: Sink) -> None:
         }
     )
     for change in CHANGES:
-        sink.write_change(change)
-    sink.write(samples)
-    sink.write_event({"event": "contact", "tick": 3, "time_ns": 300000, "object": "floor"})
-    sink.write_event({"event": "mark", "tick": 9, "time_ns": 900000, "text": "one", "data": {"a": [1, None]}})
+        writer.write_change(change)
+    writer.write(samples)
+    writer.write_event({"event": "contact", "tick": 3, "time_ns": 300000, "object": "floor"})
+    writer.write_event({"event": "mark", "tick": 9, "time_ns": 900000, "text": "one", "data": {"a": [1, None]}})
 
 
 @cache
 def whole(form: str) -> dict[str, bytes]:
     """The files of a recording, by what their names have behind the stem; of parts by their names."""
     with tempfile.TemporaryDirectory(prefix="hapticd-test-") as folder:
-        with open_sink(Path(folder) / f"r{form}") as sink:
-            _fill(sink)
+        with open_writer(Path(folder) / f"r{form}") as writer:
+            _fill(writer)
             if form.startswith("left"):
-                if isinstance(sink, McapSink):
-                    sink._write_chunk()
+                if isinstance(writer, McapWriter):
+                    writer._write_chunk()
                 kinds = {path.suffix: path.read_bytes() for path in Path(folder).iterdir()}
                 return {f".f{form}.1.0123456789abcdef{kind}": content for kind, content in kinds.items()}
             flight = {"reason": "asked", "tick": None, "complete_from": 10}
-            sink.finish({"flight": flight, "recording": {"ticks": TICKS}} if form.startswith("flight") else {})
+            writer.finish({"flight": flight, "recording": {"ticks": TICKS}} if form.startswith("flight") else {})
         return {path.name.removeprefix("r"): path.read_bytes() for path in Path(folder).iterdir()}
 
 
@@ -504,7 +505,7 @@ def run_one(path: Path) -> str:
 
 def _recovered(path: Path) -> str:
     found = recover(path)
-    for told in found.told:
+    for told in found.problems:
         check_refusal(HapticdError(told), path.with_name(f".{path.name}"))
     for made in found.files:
         try:

@@ -33,10 +33,10 @@ from hapticd.base.yaml_source import load_bytes
 from hapticd.bridge.config import load_bridge
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.operator import Grip, Operator, load_operator
-from hapticd.daemon.engine import output_of
 from hapticd.protocol.keys import Certificate, load_certificate, new_certificate
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import rate_faults
+from hapticd.rendering.output import output_of
 from tests.support import fuzzing
 from tests.support.daemon_process import Daemon, Wire, wired
 from tests.support.fuzzing import Tree

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.hid.descriptor import parse
-from hapticd.hid.layout import Choice, Field, Layout, layout_of
+from hapticd.hid.fields import Choice, Field
+from hapticd.hid.layout import Layout, layout_of
 from hapticd.hid.plan import Bits
 from tests.support.hid_node import Node
 

@@ -12,9 +12,8 @@ import sys
 from types import SimpleNamespace
 from typing import Any, cast
 
-import hapticd.daemon.process
-
 import hapticd.cli.daemon
+import hapticd.daemon.process
 from hapticd.config.hid import Hid
 from hapticd.daemon import engine
 from hapticd.hid import stopper

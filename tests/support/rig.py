@@ -11,8 +11,8 @@ import numpy.typing as npt
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import load_config
 from hapticd.config.scene import MAX_OBJECTS
-from hapticd.daemon.engine import output_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.output import output_of
 
 WOOD = {
     "stiffness_n_per_m": 800,

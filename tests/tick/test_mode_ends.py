@@ -12,8 +12,8 @@ import pytest
 
 from hapticd.base.core import EventKind, Status, ffi, lib
 from hapticd.config.materials import Mode
-from hapticd.daemon.engine import output_of
-from hapticd.rendering.compiler import mode_record
+from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig, still
 
 Array = npt.NDArray[np.float64]

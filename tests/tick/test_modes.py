@@ -8,7 +8,7 @@ import pytest
 
 from hapticd.base.core import EventKind, Flag
 from hapticd.config.materials import Mode, shipped_materials
-from hapticd.rendering import compiler as compiling
+from hapticd.rendering.compiler import table as compiling
 from tests.support.rig import FLOOR, Rig, line
 
 RATES = [1000, 1333, 2000, 3000, 4000, 5000, 7000, 8000, 10_000]

@@ -14,8 +14,10 @@ from bench.stability import judged
 from hapticd.base.core import Flag, ffi, lib
 from hapticd.config.configuration import default_config, load_config
 from hapticd.daemon.control import Control
-from hapticd.daemon.engine import Energy, Engine, energy_of, output_of
+from hapticd.daemon.counters import Energy, energy_of
+from hapticd.daemon.engine import Engine
 from hapticd.rendering.offline import simulate_run
+from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig, line, still
 
 STIFFNESS = 800.0

@@ -8,9 +8,10 @@ import pytest
 from hapticd.base.core import HISTOGRAM_EDGES_NS, MATERIAL_DTYPE, NOISE_DTYPE, OBJECT_DTYPE, ffi, lib, pointer
 from hapticd.cli.status import quantile_ns
 from hapticd.config.configuration import Sim, load_config
-from hapticd.daemon.engine import Engine, output_of
-from hapticd.rendering.compiler import Compiler
+from hapticd.daemon.engine import Engine
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
+from hapticd.rendering.output import output_of
 
 SCENE = {
     "objects": {
@@ -27,7 +28,7 @@ SCENE = {
 
 def rows(pointed: object, count: int, dtype: np.dtype[np.void]) -> list[dict[str, object]]:
     array = np.frombuffer(ffi.buffer(pointed, count * dtype.itemsize), dtype)
-    versions = ("place_version", "skin_version", "version", "generation")
+    versions = ("pose_version", "surface_version", "version", "generation")
     return [{name: plain(row[name]) for name in dtype.names or () if name not in versions} for row in array]
 
 
@@ -46,7 +47,7 @@ def test_a_table_turned_to_another_rate_is_the_one_that_is_made_for_it() -> None
     ids = list(SCENE["objects"])
     first = turned.update(config.scene, ids, config.materials, 1)
     generations = [first.objects[slot].generation for slot in range(first.object_count)]
-    skins = [first.objects[slot].skin_version for slot in range(first.object_count)]
+    skins = [first.objects[slot].surface_version for slot in range(first.object_count)]
     turned.published()
     turned.turn_to(output_of(config, 2500))
     one = turned.update(config.scene, (), config.materials, 2)
@@ -62,7 +63,7 @@ def test_a_table_turned_to_another_rate_is_the_one_that_is_made_for_it() -> None
     assert numbers[0] == numbers[1]
     # Who is where stays, and the surfaces are others.
     assert [one.objects[slot].generation for slot in range(one.object_count)] == generations
-    assert all(one.objects[slot].skin_version != skin for slot, skin in enumerate(skins))
+    assert all(one.objects[slot].surface_version != skin for slot, skin in enumerate(skins))
 
 
 def test_the_simulated_joystick_goes_on_at_another_rate() -> None:

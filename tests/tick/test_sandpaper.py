@@ -20,10 +20,10 @@ import scipy.interpolate
 import scipy.signal
 
 from hapticd.base.core import NOISE_DTYPE, EventKind, Flag, Status, ffi, invalid_reason, lib, pointer, records
-from hapticd.daemon.engine import output_of
 from hapticd.rendering.displayability import warnings
 from hapticd.rendering.filter_design import CLOSE_DB
 from hapticd.rendering.offline import render_run
+from hapticd.rendering.output import output_of
 from tests.support.marks import rest_slow
 from tests.support.rig import FLOOR, Rig, still
 

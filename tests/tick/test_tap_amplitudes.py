@@ -12,9 +12,9 @@ from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import default_config, load_config
 from hapticd.config.materials import MAX_TAP_POINTS, validate_materials
 from hapticd.config.modes import Mode
-from hapticd.daemon.engine import output_of
-from hapticd.rendering.compiler import material_record
+from hapticd.rendering.compiler.table import material_record
 from hapticd.rendering.displayability import undisplayable, warnings
+from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig
 
 RATE = 10_000

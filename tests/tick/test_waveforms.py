@@ -17,10 +17,10 @@ from hapticd.cli.simulation import simulate_files
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.waveform import MOST_SAMPLES, Curve, Waveform
-from hapticd.daemon.engine import output_of
 from hapticd.recording.replay import replay
 from hapticd.rendering.displayability import material_warnings, undisplayable, warnings
 from hapticd.rendering.offline import render_run, simulate_run
+from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig
 
 Floats = npt.NDArray[np.float64]

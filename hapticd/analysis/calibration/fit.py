@@ -1,7 +1,7 @@
 """Mass, damping, dry friction and stiffness from a drive, with bounds.
 
-The model is the simulated joystick itself (csrc/device/hd_sim.c), driven by the recorded force, without encoder and
-actuator steps:
+The model is the simulated joystick itself (csrc/device/hd_sim_solver.c), driven by the recorded force, without steps of
+encoder and actuator:
 
     m x'' + b x' + c sign(x') + k x = F(t) + g,    seen d later,
 

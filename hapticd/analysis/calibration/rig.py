@@ -17,12 +17,12 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Status, ffi, inv
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config
 from hapticd.config.modes import Mode
-from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine, output_of
+from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 from hapticd.protocol.events import fault_names
-from hapticd.rendering.compiler import Compiler, mode_record
-from hapticd.rendering.displayability import Output
+from hapticd.rendering.compiler.table import Compiler, mode_record
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Samples, new_world
+from hapticd.rendering.output import Output, output_of
 
 POLL_S: Final = 0.005
 STALLED_S: Final = 1.0

@@ -18,11 +18,11 @@ from hapticd.base.core import ffi, lib, pointer
 from hapticd.config.configuration import Config, Sim
 from hapticd.config.materials import Material
 from hapticd.config.scene import Scene, Wall
-from hapticd.daemon.engine import output_of
-from hapticd.rendering.displayability import Output, displayed_mode
+from hapticd.rendering.displayability import displayed_mode
 from hapticd.rendering.displayed_error import FINER, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import render
+from hapticd.rendering.output import Output, output_of
 
 AT_TICK: Final = 2.0**-20
 """So much of a period an onset at a tick lies before it: an onset is a crossing."""

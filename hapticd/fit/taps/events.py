@@ -11,13 +11,13 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
-from hapticd.analysis.recordings.impossible import ACCELERATION, without_impossible
 from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.recordings.stretches import between_gaps
 from hapticd.analysis.statistics import FitError, Floats, MistakenError
 from hapticd.config.modes import Mode
+from hapticd.fit.impossible import ACCELERATION, without_impossible
 from hapticd.fit.left_out import LeftOut
 from hapticd.fit.recording import Recording
+from hapticd.fit.stretches import between_gaps
 from hapticd.fit.strokes import force_of, gravity_of, too_slow
 from hapticd.fit.taps.hit import LEAST_SPEED_M_PER_S, LEAST_TAPS, NO_NOISE, WELL_EXPLAINED, Hit, TapHit
 from hapticd.fit.taps.ringing import Ringing, fit_ringing

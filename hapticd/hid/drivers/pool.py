@@ -13,7 +13,8 @@ from typing import Final
 from hapticd.config.hid import Hid
 from hapticd.hid.device import Device
 from hapticd.hid.drivers.reports import bits_of
-from hapticd.hid.layout import Field, Layout
+from hapticd.hid.fields import Field
+from hapticd.hid.layout import Layout
 from hapticd.hid.plan import DeviceError
 from hapticd.system.repeated_lines import Repeats
 

@@ -9,10 +9,9 @@ from typing import Literal
 from hapticd.base.core import HidQuantity
 from hapticd.config.hid import Hid
 from hapticd.hid.drivers.directions import angle_of, counts_of, enabled_for, mirrored
-from hapticd.hid.flags import number_of_on
-from hapticd.hid.layout import Choice, Field, Layout, SetEffect, SetEnvelope
+from hapticd.hid.fields import Choice, Field, duration_fault
+from hapticd.hid.layout import Layout, SetEffect, SetEnvelope
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
-from hapticd.hid.useful_ranges import duration_fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,7 @@ class Report:
     def flag(self, field: Field | None, is_on: bool = True) -> None:
         """A flag, on or off, whatever its range says."""
         if field is not None:
-            bits_of(field).put(self.data, (number_of_on(field) or 0) if is_on else 0)
+            bits_of(field).put(self.data, (field.counts_when_on() or 0) if is_on else 0)
 
     def fill(self, field: Field | None) -> None:
         """All ones: none, or without end."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hapticd.analysis.recordings.lines import Line, common_lines, lines_beside, lines_of, told
 from hapticd.analysis.statistics import Floats
+from hapticd.fit.lines import Line, common_lines, lines_beside, lines_of, told
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.tap import fit_tap
 

@@ -27,6 +27,7 @@ from typing import Final, NamedTuple, Protocol, TypeAlias, TypeGuard, cast
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.base import lattice
 from hapticd.base.core import (
     KICKS,
     MATERIAL_DTYPE,
@@ -51,11 +52,11 @@ from hapticd.config.waveform import Waveform
 from hapticd.rendering import filter_design
 from hapticd.rendering.compensation import Ringing
 from hapticd.rendering.compensation import Shape as Struck
+from hapticd.rendering.compiler.retired_names import Gone
 from hapticd.rendering.contact_sets import Parts
 from hapticd.rendering.displayability import (
     TOUCHED_N_PER_M,
     UNTOUCHED,
-    Output,
     Touched,
     displayed_mode,
     displayed_pair,
@@ -66,12 +67,12 @@ from hapticd.rendering.displayability import (
     waveform_of,
 )
 from hapticd.rendering.groove_tuning import shapes_needed, tuning_of
-from hapticd.rendering.retired_names import Gone
+from hapticd.rendering.output import Output
 from hapticd.rendering.tap_tuning import tap_shapes_needed, tap_tuning_of
 
 _RECORD = struct.Struct("=8I6d")
 if _RECORD.size != OBJECT_DTYPE.itemsize:
-    raise ImportError("the records of hapticd.rendering.compiler are not those of csrc/api/hd_api.h")
+    raise ImportError("the records of hapticd.rendering.compiler.table are not those of csrc/api/hd_api.h")
 
 PASSIVITY_BRAKE: Final = 0.1
 """The passivity controller takes at most this part of a handle's momentum in a period."""
@@ -396,7 +397,7 @@ def _new_design(texture: _Noise, output: Output, working: Callable[[], None]) ->
 
 @lru_cache(maxsize=1024)
 def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: float) -> filter_design.Model:
-    given = filter_design.reflection_of(model.coefficients)
+    given = lattice.reflection_of(model.coefficients)
     other = filter_design.resampled(given, from_rate_hz, to_rate_hz)
     rms = model.level(given) * math.sqrt(other.kept)
     return filter_design.Model(model.speed_m_per_s, model.force_n, other.reflection, rms)
@@ -923,7 +924,7 @@ class Compiler:
         slot = self._slots.get(id)
         pieces = self._use_pieces(slot, item) if item.kind == "wall" and item.patches else None
         generation = stamp if former is None else former[1]
-        place_version = skin_version = stamp
+        pose_version = surface_version = stamp
         first = 0
         held: _Pieces | None = None
         if slot is None:
@@ -938,9 +939,9 @@ class Compiler:
             if before[3] == shape:
                 generation = before[0]
                 if before[8:] == place:
-                    place_version = before[1]
+                    pose_version = before[1]
                 if before[4] == material and _same(held, pieces):
-                    skin_version, first = before[2], before[5]
+                    surface_version, first = before[2], before[5]
             else:
                 self._forget(slot)
                 self._owners[slot] = (generation, id)
@@ -948,7 +949,7 @@ class Compiler:
         if held is not pieces:
             self._turn_pieces(slot, held, pieces)
         count = 0 if pieces is None else len(pieces.rows)
-        key = (generation, place_version, skin_version, shape, material, first, count, 0)
+        key = (generation, pose_version, surface_version, shape, material, first, count, 0)
         _RECORD.pack_into(self._objects.memory, slot * _RECORD.size, *key, *place)
         self._changed.add(slot)
 
@@ -1008,7 +1009,7 @@ class Compiler:
         sought = set(materials)
         for slot, pieces in self._patched.items():
             touched[slot] |= not sought.isdisjoint(pieces.materials)
-        array["skin_version"][touched] = self._stamp
+        array["surface_version"][touched] = self._stamp
         self._changed.update(np.flatnonzero(touched).tolist())
 
     def _write_parts(self) -> None:

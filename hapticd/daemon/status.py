@@ -1,0 +1,129 @@
+"""The result of `get_status`, which is also what the topic `status` carries.
+
+Most members stay as they are from one request to the next. These are encoded once, and again only when what they are
+made of is another; what changes all the time is little.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict
+
+from hapticd._version import __version__
+from hapticd.base import clock
+from hapticd.base.codec import Encoded, Members
+from hapticd.base.model import MAX_FAULTS
+from hapticd.daemon.counters import TOTALS, Counters, Granted
+from hapticd.daemon.engine import Engine, monotonic_ns
+from hapticd.daemon.flight_recorder import Flight
+from hapticd.daemon.intake import Intake
+from hapticd.daemon.lease import Lease
+from hapticd.protocol.events import fault_names
+from hapticd.protocol.messages import PROTOCOL
+from hapticd.rendering.scene_stability import Stability
+
+
+class Status:
+    """Reports one engine's status. For any thread."""
+
+    def __init__(self, engine: Engine, lease: Lease, intake: Intake, flight: Flight | None) -> None:
+        self._engine, self._lease, self._intake, self._flight = engine, lease, intake, flight
+        self._started_ns = monotonic_ns()
+        self._limits: tuple[tuple[int, int], dict[str, object]] = ((0, 0), {})
+        self._encoded: tuple[tuple[object, ...], Members] = ((), Members(0, b""))
+        # Members that are fixed from the start.
+        servo = engine.config.servo
+        self._overruns = {**servo.overruns.to_dict(), "configured_rate_hz": servo.rate_hz}
+
+    def report(self) -> dict[str, object]:
+        """Every member, in the order of docs/protocol.md."""
+        counters, stability = self._engine.counters(), self._engine.stability()
+        return {**self._lasting(counters, stability), **self._changing(counters), **self._detail()}
+
+    def encoded(self, detail: bool) -> Encoded:
+        """The same for an answer; what is long and seldom wanted only with `detail`."""
+        counters, stability = self._engine.counters(), self._engine.stability()
+        known, lasting = self._encoded
+        state = self._state(counters, stability)
+        if known != state:
+            lasting = Members.of(self._lasting(counters, stability))
+            self._encoded = state, lasting
+        changing = self._changing(counters)
+        if detail:
+            changing |= self._detail()
+        return Encoded((lasting.joined(changing),))
+
+    def _state(self, counters: Counters, stability: Stability) -> tuple[object, ...]:
+        """What `_lasting` is made of."""
+        engine, flight = self._engine, self._flight
+        return (
+            engine.revision,
+            engine.offload_version,
+            engine.operator_version,
+            counters.memory_refused,
+            0 if flight is None else flight.version,
+            engine.granted,
+            stability,
+        )
+
+    def _lasting(self, counters: Counters, stability: Stability) -> dict[str, object]:
+        engine, flight = self._engine, self._flight
+        granted = engine.granted
+        return {
+            "version": __version__,
+            "protocol": PROTOCOL,
+            "started_ns": self._started_ns,
+            "device": engine.config.device.kind,
+            "rate_hz": engine.rate_hz,
+            "realtime": None if granted is None else _realtime(granted, counters),
+            "revision": engine.revision,
+            "flight": None if flight is None else flight.status(),
+            **self._find_limits(),
+            "stability": stability.to_dict(),
+            "operator": engine.operator(),
+        }
+
+    def _changing(self, counters: Counters) -> dict[str, object]:
+        engine, taken_in = self._engine, self._intake.work
+        connection, moment = engine.connection, clock.read()
+        energy = counters.energy
+        return {
+            "clock": {"monotonic_ns": moment.monotonic_ns, "realtime_ns": moment.realtime_ns},
+            "state": "running" if counters.running else "stopped",
+            "connection": None if connection is None else {**connection.status(), "signs": counters.signs.to_dict()},
+            "tick": counters.ticks,
+            "forces": "faulted" if counters.faults else "on" if counters.forces_on else "off",
+            "faults": fault_names(counters.faults) if counters.faults else [],
+            "lease_s": self._lease.remaining_s,
+            "intake": None if taken_in is None else taken_in.status(),
+            "counters": dict(zip(TOTALS, counters)),  # noqa: B905 - the others are no totals
+            "overruns": {**self._overruns, "missed_share": counters.missed_share},
+            "passivity": {"mode": engine.scene.passivity, **energy._asdict()},
+        }
+
+    def _detail(self) -> dict[str, object]:
+        lateness, work = self._engine.histograms()
+        return {"histograms": {"lateness_ns": lateness.to_dict(), "work_ns": work.to_dict()}}
+
+    def _find_limits(self) -> dict[str, object]:
+        """What the rate cannot carry as it is, found again only when the scene or the materials changed."""
+        known, found = self._limits
+        state = (self._engine.revision, self._engine.offload_version)
+        if known != state:
+            undisplayable, warnings = self._engine.limits()
+            found = {
+                "undisplayable": [asdict(mode) for mode in undisplayable],
+                "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
+                "offload": [asdict(told) for told in self._engine.offloaded()[:MAX_FAULTS]],
+            }
+            self._limits = (state, found)
+        return found
+
+
+def _realtime(granted: Granted, counters: Counters) -> dict[str, object]:
+    """What was granted, and what has been refused since."""
+    realtime = granted.to_dict()
+    if counters.memory_refused:
+        problem = f"locked memory for all objects: {os.strerror(counters.memory_refused)}"
+        realtime["missing"] = [*granted.missing, problem]
+    return realtime

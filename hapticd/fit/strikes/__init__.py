@@ -1,0 +1,1 @@
+"""Strikes of grooves: found, fitted stroke by stroke, and numbered along the surface."""

@@ -1,0 +1,1 @@
+"""From scene and materials to the table that the tick reads: flat C records in the units of a tick."""

@@ -1,0 +1,109 @@
+"""What rendering has to know of a configuration's device: how its forces come out, and what closes its loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from hapticd.config.actuator import Actuator
+from hapticd.config.configuration import Compensation, Config, Device
+from hapticd.config.dynamics import Dynamics
+from hapticd.rendering.stability import Loop, Timing, timing
+
+UNKNOWN_HANDLE: Final = "device.handle is not given: mass_kg, damping_n_s_per_m and friction_n of the handle decide it"
+"""Why the stability of a real joystick is not known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What the device and the rate make of a scene."""
+
+    rate_hz: float
+    effective_mass_kg: float
+    max_force_n: float
+    max_speed_m_per_s: float
+    undisplayable: Literal["mute", "lower"]
+    link_rate_hz: float | None = None
+    """Forces that the link to the device carries in a second; None: as many as there are ticks."""
+    compensation: Compensation = "off"
+    dynamics: Dynamics | None = None
+    """The device that strikes are compensated for; None: it is not known."""
+    rearm_m: float = 0.0
+    """A surface is tapped again when the probe was so far from it."""
+    age_s: float = 0.0
+    """Between a position and the moment at which the force acts that is put when it is read, where it is known."""
+    actuator: Actuator | None = None
+    """Its lag, as far as it is known."""
+
+    @property
+    def carried_hz(self) -> float:
+        """Forces a second that reach the device: the rate of the servo, or of the link if that is lower."""
+        return self.rate_hz if self.link_rate_hz is None else min(self.rate_hz, self.link_rate_hz)
+
+
+def output_of(config: Config, rate_hz: float, link_rate_hz: float | None = None) -> Output:
+    """What a configuration's device makes of a scene at a rate.
+
+    `link_rate_hz`: forces a second that the device takes; None: what the simulated joystick's link carries.
+    """
+    device = config.device
+    if device.kind == "sim" and device.sim.link is not None:
+        link_rate_hz = device.sim.link.rate_hz
+    return Output(
+        rate_hz=rate_hz,
+        effective_mass_kg=device.effective_mass_kg,
+        max_force_n=device.max_force_n,
+        max_speed_m_per_s=device.max_speed_m_per_s,
+        undisplayable=device.undisplayable,
+        link_rate_hz=link_rate_hz,
+        compensation=device.compensation,
+        dynamics=device.dynamics,
+        rearm_m=device.rearm_m,
+        age_s=device.sim.age_s if device.kind == "sim" else 0.0,
+        actuator=device.lag,
+    )
+
+
+def loop_of(
+    config: Config,
+    rate_hz: float,
+    *,
+    resolution_m: float = 0.0,
+    force_step_n: float = 0.0,
+    link_rate_hz: float | None = None,
+) -> Loop | None:
+    """What closes the loop of a configuration's device at a rate; None where `device.handle` is needed and missing.
+
+    Resolution, force step and link are those of a real device (0 and None: not known); the simulated one has its own.
+    Of a real link it is assumed, as of the simulated one, that positions are a frame old and forces act a frame later.
+    """
+    device, sim = config.device, config.device.sim
+    dynamics = device.dynamics
+    if dynamics is None:
+        return None
+    if device.kind == "sim":
+        interval_s, age_s = sim.reports_s
+        frame_s, frames = (0.0, 1) if sim.link is None else (1.0 / sim.link.rate_hz, sim.link.delay_frames)
+        return Loop(
+            _lagging(device, timing(rate_hz, interval_s, age_s, frame_s, frames)),
+            dynamics,
+            sim.encoder_step_m,
+            sim.force_step_n,
+            min(device.max_force_n, sim.max_force_n),
+            sim.workspace_m,
+        )
+    frame_s = 1.0 / min(rate_hz, rate_hz if link_rate_hz is None else link_rate_hz)
+    return Loop(
+        _lagging(device, timing(rate_hz, frame_s, frame_s, frame_s, 1)),
+        dynamics,
+        resolution_m,
+        force_step_n,
+        device.max_force_n,
+        device.hid.travel_m,
+    )
+
+
+def _lagging(device: Device, timing: Timing) -> Timing:
+    """The timing behind the actuator, where its lag is known."""
+    known = device.lag
+    return timing if known is None else timing.behind(*known.shares())
