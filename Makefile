@@ -139,6 +139,10 @@ bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md:
 man: build ## man pages and completion scripts of the commands, into .venv/share, where man looks
 	@$(share)
 
+.PHONY: docs-tables
+docs-tables: build ## write the tables of docs/ that repeat code: keys, limits, defaults
+	@$(BIN)/python -m docs.tables
+
 .PHONY: format
 format: build ## lay out C and Python
 	@$(BIN)/clang-format -i $(C_FILES)
