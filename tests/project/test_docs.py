@@ -19,7 +19,6 @@ from docs import tables as docs_tables
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag, records
 from hapticd.base.yaml_source import load_text
 from hapticd.cli import cli
-from hapticd.cli.simulation import simulate_files
 from hapticd.config.configuration import default_config, load_config
 from hapticd.config.hid import Quirk
 from hapticd.config.materials import ModeKeys
@@ -34,6 +33,7 @@ from hapticd.protocol.events import event_map, fault_names
 from hapticd.protocol.results import State
 from hapticd.recording.event_columns import NO_TIME
 from hapticd.recording.formats import open_writer
+from hapticd.recording.simulated import simulate_files
 from hapticd.system.service_files import Installation, Service
 
 ROOT = Path(__file__).parents[2]
