@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
 import click
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Choice,
     Finite,
-    check_new,
     json_option,
     note,
     overwrite_option,
     print_json,
-    write_whole,
-    yaml_text,
 )
 from hapticd.cli.synthesize import synthesize_command
 
