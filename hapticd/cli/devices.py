@@ -12,17 +12,16 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, quoted
+from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
-    check_new,
     config_option,
     duration,
     json_option,
     note,
     overwrite_option,
     print_json,
-    write_whole,
-    yaml_text,
 )
 from hapticd.hid.texts import unseen_text
 

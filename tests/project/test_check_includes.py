@@ -27,7 +27,11 @@ def test_a_sound_order_has_no_faults() -> None:
 @pytest.mark.parametrize(
     ("file", "included", "fault"),
     [
-        ("scene/hd_world.c", "tick/hd_tick.h", "csrc/scene/hd_world.c includes tick/hd_tick.h, of a room below its own"),
+        (
+            "scene/hd_world.c",
+            "tick/hd_tick.h",
+            "csrc/scene/hd_world.c includes tick/hd_tick.h, of a room below its own",
+        ),
         (
             "tick/hd_wave.c",
             "scene/hd_index.h",

@@ -1,4 +1,4 @@
-"""What `hapticd flight` says of the file that the flight recorder wrote, apart from it because it loads numpy."""
+"""What a file of the flight recorder holds, in figures and in a line for people; copies it where that is asked for."""
 
 from __future__ import annotations
 
