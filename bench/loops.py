@@ -42,7 +42,7 @@ Tree: TypeAlias = dict[str, Any]
 
 LONGEST_S: Final = 600.0
 AFTER_S: Final = 0.5
-"""So long after the hand's wish has come to rest energy is summed."""
+"""So long after the hand's reference has come to rest energy is summed."""
 TRIES: Final = 40
 """Scenes drawn for a loop until one is called safe."""
 
@@ -257,7 +257,7 @@ class Outcome:
     restrained: int
     """Ticks in which the controller acted."""
     samples: Any
-    """Those up to AFTER_S after the hand's wish rests."""
+    """Those up to AFTER_S after the hand's reference rests."""
 
     @property
     def rests(self) -> bool:

@@ -75,12 +75,8 @@ def _maybe(random: np.random.Generator, never: float, low: float, high: float) -
     return 0.0 if random.random() < never else _log(random, low, high)
 
 
-def draw(random: np.random.Generator) -> Trial:
-    """A trial: rate, delay, encoder, friction, handle, hand and walls; the stiffness from 1/20 to 4 of its limit.
-
-    A quarter of the handles are free, and are pushed onto the walls by a constant force.
-    """
-    rate_hz = _log(random, 1000.0, 10_000.0)
+def _drawn_device(random: np.random.Generator, rate_hz: float) -> tuple[dict[str, Any], bool]:
+    """Encoder, friction, handle, delay and hand, and whether the handle is free."""
     sim: dict[str, Any] = {
         "handle_mass_kg": _log(random, 0.01, 0.3),
         "handle_damping_n_s_per_m": _log(random, 0.05, 20.0),
@@ -107,6 +103,16 @@ def draw(random: np.random.Generator) -> Trial:
         "stiffness_n_per_m": 0.0 if free else _log(random, 30.0, 1500.0),
         "damping_n_s_per_m": 0.0 if free else _maybe(random, 0.3, 0.1, 10.0),
     }
+    return sim, free
+
+
+def draw(random: np.random.Generator) -> Trial:
+    """A trial: rate, delay, encoder, friction, handle, hand and walls; the stiffness from 1/20 to 4 of its limit.
+
+    A quarter of the handles are free, and are pushed onto the walls by a constant force.
+    """
+    rate_hz = _log(random, 1000.0, 10_000.0)
+    sim, free = _drawn_device(random, rate_hz)
     # Out of the solid, to both sides of where the hand comes from; the corner lies in the middle.
     towards = random.uniform(0.0, 2.0 * math.pi)
     corner = random.random() < 0.5
@@ -220,7 +226,7 @@ class Simulation:
 
 
 def fate_of(config: Config, waypoints: list[list[float]], longest_s: float = LONGEST_S) -> EndState:
-    """What becomes of the handle once the hand's wish rests."""
+    """What becomes of the handle once the hand's reference rests."""
     simulation = Simulation(config, waypoints)
     simulation.go_on(waypoints[-1][0] + 0.2)
     return end_state(simulation.go_on, longest_s)

@@ -17,8 +17,8 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import Disc, field_ids
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discovery import choose, find
+from hapticd.hid.link import Link, link_of
 from hapticd.hid.plan import UndrivableError
 from hapticd.hid.replay import load
 from hapticd.hid.verdict import verdict_of

@@ -44,21 +44,21 @@ from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
 from hapticd.daemon.counters import Counters, Granted, Histogram, read_counters, read_faults, read_histograms
 from hapticd.daemon.plays import Play, Plays
-from hapticd.hid.connection import Connection, Link
+from hapticd.hid.connection import Connection
+from hapticd.hid.link import Link
 from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.signs import Check, SignsLog
 from hapticd.hid.sources import source_of
 from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
+from hapticd.protocol.displayability_warnings import MaterialReport
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
     displayed_mode,
-    material_warnings,
     materials_in,
     rate_faults,
-    undisplayable,
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
@@ -113,15 +113,6 @@ class State(NamedTuple):
     scene: Scene
     materials: Materials
     revision: int
-
-
-class _Told(NamedTuple):
-    """What is said of a material."""
-
-    material: Material
-    output: Output
-    undisplayable: list[Undisplayable]
-    warnings: list[Problem]
 
 
 class _Working(threading.local):
@@ -197,7 +188,7 @@ class Engine:
         self._compiling = threading.Lock()
         self._evaluated: tuple[int, Stability] | None = None
         self._evaluating = threading.Lock()
-        self._told: dict[str, _Told] = {}
+        self._reports: dict[str, MaterialReport] = {}
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
@@ -461,21 +452,19 @@ class Engine:
         """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
         scene, materials, _ = self.state
         objects = _of_all_materials(scene.objects)
-        told = {name: self._tell(name, each) for name, each in materials_in(objects, materials).items()}
-        self._told = dict(told)
+        reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
+        self._reports = dict(reports)
         played = self.played()
-        lacking = [one for each in told.values() for one in each.undisplayable]
-        found = [one for each in told.values() for one in each.warnings]
+        lacking = [one for each in reports.values() for one in each.undisplayable]
+        found = [one for each in reports.values() for one in each.warnings]
         found += warnings(objects, {}, self.output)
         return [one for one in lacking if (one.material, one.mode) not in played], found
 
-    def _tell(self, name: str, material: Material) -> _Told:
-        """What the rate cannot carry of a material, and what is shown otherwise; found once while it is in use."""
-        known = self._told.get(name)
+    def report_of(self, name: str, material: Material) -> MaterialReport:
+        """What of a material is not displayed as it was meant; found once while it is in use. For any thread."""
+        known = self._reports.get(name)
         if known is None or known.material is not material or known.output is not self.output:
-            output = self.output
-            lacking = undisplayable({name: material}, output)
-            known = self._told[name] = _Told(material, output, lacking, material_warnings(name, material, output))
+            known = self._reports[name] = MaterialReport.of(name, material, self.output)
         return known
 
     def played(self) -> set[tuple[str, str]]:
@@ -555,7 +544,7 @@ class Engine:
         self._compiler.prepare(names, materials, progress)
         if progress is not None:
             for name in names:  # or who asks for the status first would have to find it out
-                self._tell(name, materials[name])
+                self.report_of(name, materials[name])
                 progress.step()
         with self._compiling:
             before = self.state

@@ -14,8 +14,8 @@ from typing import Final, Literal
 
 from hapticd.base.errors import quoted
 from hapticd.config.hid import Hid
+from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.device import RULE
-from hapticd.hid.layout import Layout
 from hapticd.hid.plan import DeviceError, UndrivableError
 from hapticd.hid.verdict import Verdict, verdict_of
 

@@ -106,7 +106,7 @@ STRAIGHT = {1: 1}
 REST: dict[int, int] = {}
 
 
-def carried(
+def propagated(
     device: Device,
     x: mpf,
     v: mpf,
@@ -161,10 +161,10 @@ def followed(
     begin, end, reference = next(pending)
     for time_s in times_s:
         while end < time_s:
-            x, v = carried(device, x, v, mpf(force_n), reference, now - begin, end - begin)
+            x, v = propagated(device, x, v, mpf(force_n), reference, now - begin, end - begin)
             now = end
             begin, end, reference = next(pending)
-        x, v = carried(device, x, v, mpf(force_n), reference, now - begin, time_s - begin)
+        x, v = propagated(device, x, v, mpf(force_n), reference, now - begin, time_s - begin)
         now = time_s
         yield x, v
 
@@ -387,13 +387,13 @@ def test_a_resting_handle_breaks_away_in_time() -> None:
     for _ in range(50):
         ticks += 1
         joystick.advance()
-        x, v = carried(device, mpf(0), mpf(0), mpf(-c), reference, away, ticks * mpf(PERIOD_S))
+        x, v = propagated(device, mpf(0), mpf(0), mpf(-c), reference, away, ticks * mpf(PERIOD_S))
         assert abs(joystick.x - x) < 1e-16
         assert abs(joystick.v - v) < 1e-14
         assert joystick.truth()[0] == [joystick.x, -joystick.x]
 
 
-def test_a_curved_wish_that_friction_holds_all_the_way_and_one_that_it_does_not() -> None:
+def test_a_curved_reference_that_friction_holds_all_the_way_and_one_that_it_does_not() -> None:
     """A hand that is mostly viscous pulls hardest about the middle, between two looks of a long period."""
     k, grip, travel, duration = 10.0, 20.0, 0.01, 0.03
     s = np.linspace(0, 1, 200_001)
@@ -737,40 +737,40 @@ def test_what_is_under_way_is_gone_after_settling() -> None:
 # ---- the hand's reference -------------------------------------------------------------------------------------
 
 
-def wish_of(joystick: Joystick) -> list[float]:
+def reference_of(joystick: Joystick) -> list[float]:
     """A handle that settles is where the hand wants to be."""
     joystick.settle()
     return joystick.truth()[0]
 
 
-def test_the_wish_along_a_path() -> None:
+def test_the_reference_along_a_path() -> None:
     device = Device(start_m=(0.01, 0.0), hand_stiffness_n_per_m=300, hand_damping_n_s_per_m=5)
     joystick = Joystick(device)
-    assert wish_of(joystick) == [0.01, 0.0]
+    assert reference_of(joystick) == [0.01, 0.0]
     joystick.operate([(0.01, 0.03, 0.02), (0.02, 0.03, -0.02)])
     joystick.advance(50)
-    assert wish_of(joystick) == pytest.approx([0.02, 0.01], abs=1e-17)
+    assert reference_of(joystick) == pytest.approx([0.02, 0.01], abs=1e-17)
     joystick.advance(75)
-    assert wish_of(joystick) == pytest.approx([0.03, 0.01], abs=1e-17)
+    assert reference_of(joystick) == pytest.approx([0.03, 0.01], abs=1e-17)
     # A new path begins at the present reference and at its own time 0.
     joystick.operate([(0.02, -0.01, 0.01)], Interpolation.MINIMUM_JERK)
     joystick.advance(100)
-    assert wish_of(joystick) == pytest.approx([0.01, 0.01], abs=1e-17)
+    assert reference_of(joystick) == pytest.approx([0.01, 0.01], abs=1e-17)
     joystick.advance(1000)
-    assert wish_of(joystick) == [-0.01, 0.01]
+    assert reference_of(joystick) == [-0.01, 0.01]
     joystick.operate([(0.0, 0.05, 0.06), (1.0, 0.06, 0.06)])
-    assert wish_of(joystick) == [0.05, 0.06]
+    assert reference_of(joystick) == [0.05, 0.06]
     joystick.operate([(0.0, 0.2, -0.3)])
-    assert wish_of(joystick) == [0.075, -0.075]
+    assert reference_of(joystick) == [0.075, -0.075]
 
 
-def test_a_jump_of_the_wish_moves_the_spring_only() -> None:
+def test_a_jump_of_the_reference_moves_the_spring_only() -> None:
     device = Device(hand_stiffness_n_per_m=300, hand_damping_n_s_per_m=5)
     joystick = Joystick(device)
     joystick.operate([(0, 0.01, 0)])
     assert joystick.truth()[:2] == ([0, 0], [0, 0])
     joystick.advance()
-    x, v = carried(device, mpf(0), mpf(0), mpf(0), (mpf(0.01), mpf(0), mpf(1), REST), mpf(0), mpf(PERIOD_S))
+    x, v = propagated(device, mpf(0), mpf(0), mpf(0), (mpf(0.01), mpf(0), mpf(1), REST), mpf(0), mpf(PERIOD_S))
     assert abs(joystick.x - x) < 1e-17 and abs(joystick.v - v) < 1e-15
 
 
