@@ -36,9 +36,10 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.displayed_error import displayed_error, waveform_error
 from hapticd.rendering.driven_hand import driven
-from hapticd.rendering.filter_design import peak_of, resampled
+from hapticd.rendering.filter_design import peak_of
 from hapticd.rendering.lagging_modes import lag_warnings
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
+from hapticd.rendering.resampling import resampled
 from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable import Use

@@ -22,8 +22,9 @@ from hapticd.config.scene import SceneObject, Wall, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
-from hapticd.rendering.filter_design import power_above, resampled, stochastic_filter
+from hapticd.rendering.filter_design import power_above, stochastic_filter
 from hapticd.rendering.output import Output
+from hapticd.rendering.resampling import resampled
 from hapticd.rendering.undisplayable import Undisplayable, Use
 
 DISPLAYABLE: Final = 0.4

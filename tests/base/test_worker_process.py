@@ -12,7 +12,7 @@ import pytest
 
 from hapticd.base import lattice, worker_process
 from hapticd.base.worker_process import Apart, ApartError, beside, used
-from hapticd.rendering import filter_design
+from hapticd.rendering import filter_design, resampling
 from tests.daemon.test_dispatch import Daemon, taken
 
 
@@ -60,12 +60,12 @@ def test_it_computes_the_same_bits(made: list[subprocess.Popen[bytes]]) -> None:
     coefficients = lattice.coefficients_of(reflection)
 
     def all_of_it() -> list[object]:
-        for each in (lattice._reflection_of, filter_design._resampled, filter_design.stochastic_filter):
+        for each in (lattice._reflection_of, resampling._resampled, filter_design.stochastic_filter):
             each.cache_clear()
         return [
             lattice.reflection_of(coefficients),
-            filter_design.resampled(reflection, 2000.0, 10_000.0),
-            filter_design.resampled(reflection, 10_000.0, 1000.0),
+            resampling.resampled(reflection, 2000.0, 10_000.0),
+            resampling.resampled(reflection, 10_000.0, 1000.0),
             filter_design.stochastic_filter(200.0, 301.0, 4000.0),
             lattice.pole_radius([2.5, 1.0]),
             unstable(lambda: lattice.reflection_of([2.5, 1.0])),
@@ -177,7 +177,7 @@ def test_a_change_is_refused_without_it_and_the_next_one_is_taken(
 def test_a_change_comes_out_as_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def numbers(here: int) -> bytes:
         monkeypatch.setattr(worker_process, "HERE", here)
-        for each in (lattice._reflection_of, filter_design._resampled):
+        for each in (lattice._reflection_of, resampling._resampled):
             each.cache_clear()
         from hapticd.rendering.compiler import noise_filters
 

@@ -21,8 +21,9 @@ from hapticd.rendering.displayability import (
     undisplayable,
     warnings,
 )
-from hapticd.rendering.filter_design import resampled, stochastic_filter
+from hapticd.rendering.filter_design import stochastic_filter
 from hapticd.rendering.output import Output
+from hapticd.rendering.resampling import resampled
 from hapticd.rendering.undisplayable import Undisplayable
 
 Keys = dict[str, Json]

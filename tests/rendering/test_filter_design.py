@@ -14,16 +14,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hapticd.base.lattice import coefficients_of, pole_radius, reflection_of
-from hapticd.rendering.filter_design import (
-    CLOSE_DB,
-    MAX_LINES,
-    Filter,
-    Model,
-    grid,
-    power_spectrum,
-    resampled,
-    stochastic_filter,
-)
+from hapticd.config.texture import MAX_DISTINCT
+from hapticd.rendering.filter_design import Filter, power_spectrum, stochastic_filter
+from hapticd.rendering.noise_grid import Model, grid
+from hapticd.rendering.resampling import CLOSE_DB, resampled
 
 Array = npt.NDArray[np.float64]
 
@@ -492,26 +486,9 @@ def test_a_missing_corner_is_a_mean_by_distance_on_scaled_axes() -> None:
     assert abs(near.nodes[0, 1, 0] - 2) < 1.1
 
 
-def test_grids_refuse() -> None:
-    good = Model(0.1, 1.0, (0.5,), 1.0)
-    for models, order, message in (
-        ([], 1, "at least one"),
-        ([good, good], 1, "one model at most"),
-        ([good], 0, "of order 0 at most, is of order 1"),
-        ([Model(0.1, 1.0, (1.0,), 1.0)], 1, "between -1 and 1"),
-        ([Model(0.1, 1.0, (0.5,), -1.0)], 1, "at least 0"),
-        ([Model(0.1, math.nan, (0.5,), 1.0)], 1, "finite"),
-        (
-            [Model(i / 100, 1.0, (), 1.0) for i in range(MAX_LINES + 1)],
-            0,
-            "256 different speeds at most, there are 257",
-        ),
-        ([Model(0.1, float(i), (), 1.0) for i in range(MAX_LINES + 1)], 0, "256 different forces at most"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            grid(models, order)
-    most = [Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_LINES)]
-    assert grid(most, 1).nodes.shape == (MAX_LINES, MAX_LINES, 2)
+def test_the_largest_grid() -> None:
+    most = [Model(i / 100, i / 10, (0.1 * (i % 3),), 1.0) for i in range(MAX_DISTINCT)]
+    assert grid(most, 1).nodes.shape == (MAX_DISTINCT, MAX_DISTINCT, 2)
 
 
 def test_a_higher_rate_keeps_all_power_however_sharp_the_poles() -> None:

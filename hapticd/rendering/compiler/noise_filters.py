@@ -14,9 +14,11 @@ import numpy.typing as npt
 
 from hapticd.base.lattice import reflection_of
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
-from hapticd.rendering import filter_design
 from hapticd.rendering.displayability import displayed_pair
+from hapticd.rendering.filter_design import stochastic_filter
+from hapticd.rendering.noise_grid import Model, grid
 from hapticd.rendering.output import Output
+from hapticd.rendering.resampling import resampled
 
 
 class Design(NamedTuple):
@@ -99,7 +101,7 @@ def _new_design(texture: Noise, output: Output, working: Callable[[], None]) -> 
         pair = displayed_pair(texture, output)
         if pair is None:
             return SILENCE
-        shown = filter_design.stochastic_filter(*pair, output.rate_hz)
+        shown = stochastic_filter(*pair, output.rate_hz)
         taps = () if shown.taps is None else shown.taps
         node = np.array([0.0, *shown.reflection, *taps])
         return Design(len(shown.reflection), bool(taps), (0.0,), (0.0,), node.reshape(1, 1, -1), False)
@@ -108,13 +110,13 @@ def _new_design(texture: Noise, output: Output, working: Callable[[], None]) -> 
         models.append(_shown_model(model, texture.rate_hz, output.rate_hz))
         working()
     order = max(len(model.reflection) for model in models)
-    grid = filter_design.grid(models, order)
-    return Design(order, False, grid.speeds, grid.forces, grid.nodes, False)
+    found = grid(models, order)
+    return Design(order, False, found.speeds, found.forces, found.nodes, False)
 
 
 @lru_cache(maxsize=1024)
-def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: float) -> filter_design.Model:
+def _shown_model(model: AutoregressiveModel, from_rate_hz: float, to_rate_hz: float) -> Model:
     given = reflection_of(model.coefficients)
-    other = filter_design.resampled(given, from_rate_hz, to_rate_hz)
+    other = resampled(given, from_rate_hz, to_rate_hz)
     rms = model.level(given) * math.sqrt(other.kept)
-    return filter_design.Model(model.speed_m_per_s, model.force_n, other.reflection, rms)
+    return Model(model.speed_m_per_s, model.force_n, other.reflection, rms)
