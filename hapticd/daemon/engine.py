@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Final, Literal, NamedTuple, Protocol
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -54,6 +54,7 @@ from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.displayability_warnings import MaterialReport
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
+from hapticd.rendering.compiler.materials import Progress
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
     displayed_mode,
@@ -124,15 +125,6 @@ class _Working(threading.local):
 
     def __call__(self) -> None:
         (self.beat if self.progress is None else self.progress.step)()
-
-
-class Progress(Protocol):
-    """Who is told how far something is."""
-
-    done: int
-    of: int
-
-    def step(self) -> None: ...
 
 
 class Engine:
