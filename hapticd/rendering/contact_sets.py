@@ -16,12 +16,10 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base.core import Shape, Texture
-from hapticd.rendering.disc_stiffness import round_skins
+from hapticd.base.core import Shape
 from hapticd.rendering.stability import (
     CORNER,
     GROWS,
-    PRESS_N,
     Floats,
     Limit,
     Loop,
@@ -31,6 +29,7 @@ from hapticd.rendering.stability import (
     limits,
     spectral_radius,
 )
+from hapticd.rendering.surface_properties import SurfaceProperties, properties_of
 from hapticd.rendering.surface_table import Ints, SurfaceTable
 
 MOST_PAIRS: Final = 40_000
@@ -47,106 +46,6 @@ _CELLS: Final = 4
 """A region that is wider than so many cells of the grid is compared with all others."""
 
 
-class _Skins(NamedTuple):
-    """What each surface pushes back with, at most anywhere on it; arrays (n,)."""
-
-    normal: Floats
-    """Stiffness along the normal."""
-    tangent: Floats
-    """Stiffness along the surface."""
-    damping: Floats
-    drag: Floats
-    rubbed: Floats
-    """mu K and mu D: what friction follows the normal force with."""
-    rubbed_damping: Floats
-    normal_noise: Floats
-    """Force along the normal for each metre that a position is off, along the tangent, and for each m/s."""
-    tangent_noise: Floats
-    normal_speed_noise: Floats
-    tangent_speed_noise: Floats
-
-    def of(self, rows: npt.NDArray[np.integer]) -> _Skins:
-        """The skins at these places."""
-        return _Skins(*(values[rows] for values in self))
-
-
-def _material_skins(materials: npt.NDArray[np.void]) -> _Skins:
-    stiffness, damping = materials["stiffness_n_per_m"], materials["damping_n_s_per_m"]
-    rubs = materials["friction_coefficient"] > 0.0
-    spring = np.where(rubs, materials["friction_stiffness_n_per_m"], 0.0)
-    # The surface is lowered by H, of slope H' and curvature H'': the force is -grad(K/2 (d - H)^2), whose derivative
-    # is K (1, H')(1, H')^T, and K (d - H) H'' along the surface.
-    grooved = materials["texture"] == Texture.GEOMETRY
-    width = np.where(grooved, materials["width_m"], 1.0)
-    slope = np.where(grooved, math.pi * materials["depth_m"] / width, 0.0)
-    curvature = 2.0 * math.pi * slope / width
-    normal = stiffness * (1.0 + slope)
-    flank = stiffness * (slope * slope + slope) + PRESS_N * curvature
-    drag = np.where(materials["texture"] == Texture.DRAG, materials["drag_n_s_per_m"], 0.0)
-    mu = materials["friction_coefficient"]
-    return _Skins(
-        normal=normal,
-        tangent=spring + flank,
-        damping=damping,
-        drag=drag,
-        rubbed=mu * normal,
-        rubbed_damping=mu * damping,
-        normal_noise=normal,
-        # An anchor is off by as much as a position, and the spring by both; its longest stretch follows F_n.
-        tangent_noise=2.0 * spring + flank + mu * normal,
-        normal_speed_noise=damping,
-        tangent_speed_noise=drag + mu * damping,
-    )
-
-
-def _round(surfaces: SurfaceTable, skins: _Skins) -> None:
-    """Puts in what discs are where they have friction or shaped grooves."""
-    materials = surfaces.materials[surfaces.objects["material"]]
-    depends = (materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY)
-    discs = np.flatnonzero((surfaces.objects["shape"] == Shape.DISC) & depends)
-    if len(discs) == 0:
-        return
-    found = round_skins(surfaces.objects["half_m"][discs, 0], materials[discs], PRESS_N)
-    skins.normal[discs] = skins.normal_noise[discs] = found.normal
-    skins.tangent[discs] = found.tangent
-    skins.rubbed[discs] = found.rubbed
-    skins.tangent_noise[discs] = found.tangent + found.spring + found.rubbed
-
-
-def _skins(surfaces: SurfaceTable) -> _Skins:
-    """Of each object: its material's, or the largest of its pieces' and of the ramps between them."""
-    materials = _material_skins(surfaces.materials)
-    skins = _Skins(*(values.copy() for values in materials.of(surfaces.objects["material"])))
-    _round(surfaces, skins)
-    patched = np.flatnonzero(surfaces.objects["piece_count"] > 0)
-    if len(patched) == 0:
-        return skins
-    # Where a material of stiffness K1 goes over into one of K2 over a width w, K' <= 3/2 |K2 - K1| / w and
-    # K'' <= 6 |K2 - K1| / w^2; the force is -grad(K/2 d^2), pressed so deep as PRESS_N does in the middle.
-    of = surfaces.pieces["material"]
-    stiffness = surfaces.materials["stiffness_n_per_m"][of]
-    before = np.concatenate((stiffness[:1], stiffness[:-1]))
-    ramp = 2.0 * surfaces.pieces["half_ramp_m"]
-    step = np.where(ramp > 0.0, np.abs(stiffness - before), 0.0)
-    ramp = np.where(ramp > 0.0, ramp, 1.0)
-    depth = PRESS_N / np.maximum(0.5 * (stiffness + before), 1e-3)
-    cross = 1.5 * step / ramp * depth
-    along = 3.0 * step / ramp**2 * depth**2 + cross
-    pieces = materials.of(of)
-    pieces = pieces._replace(
-        normal=np.maximum(pieces.normal, np.where(step > 0.0, before, 0.0)) + cross,
-        tangent=pieces.tangent + along,
-        normal_noise=np.maximum(pieces.normal_noise, np.where(step > 0.0, before, 0.0)) + cross,
-        tangent_noise=pieces.tangent_noise + along,
-    )
-    # The pieces of walls follow each other without gaps, in an order of their own.
-    order = patched[np.argsort(surfaces.objects["piece_first"][patched], kind="stable")]
-    starts = surfaces.objects["piece_first"][order].astype(np.int64)
-    for into, values in zip(skins, pieces, strict=True):
-        into[order] = np.maximum.reduceat(values, starts)
-    return skins
-
-
 class _Regions(NamedTuple):
     """Rectangles, or circles, in which each surface can be touched; arrays (n, 2), (n, 2) and (n, 2)."""
 
@@ -158,14 +57,14 @@ class _Regions(NamedTuple):
     reachable: npt.NDArray[np.bool_]
 
 
-def _regions(surfaces: SurfaceTable, skins: _Skins, loop: Loop) -> _Regions:
+def _regions(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> _Regions:
     objects = surfaces.objects
     shape = objects["shape"]
     center, normal = objects["point_m"].copy(), objects["normal"].copy()
     half = objects["half_m"].copy()
     radius = math.sqrt(2.0) * loop.workspace_m
     with np.errstate(divide="ignore"):
-        deep = np.minimum(loop.max_force_n / skins.normal, 2.0 * radius)
+        deep = np.minimum(loop.max_force_n / properties.normal, 2.0 * radius)
     wall = shape == Shape.WALL
     height = np.einsum("ij,ij->i", center, normal)
     center[wall] = normal[wall] * (height - 0.5 * deep)[wall, None]
@@ -274,7 +173,7 @@ _COLUMNS: Final = 12
 and that which does not; mu K / 2 and 2 mu D, by which delayed friction follows the normal force."""
 
 
-def _rows(surfaces: SurfaceTable, skins: _Skins, loop: Loop) -> Floats:
+def _rows(surfaces: SurfaceTable, properties: SurfaceProperties, loop: Loop) -> Floats:
     """What each surface adds to a set: (n, _COLUMNS)."""
     objects = surfaces.objects
     normal = objects["normal"]
@@ -297,12 +196,12 @@ def _rows(surfaces: SurfaceTable, skins: _Skins, loop: Loop) -> Floats:
 
     return np.concatenate(
         (
-            matrix(skins.normal, skins.tangent),
-            matrix(skins.damping, skins.drag),
-            0.5 * loop.encoder_step_m * noise(skins.normal_noise, skins.tangent_noise),
-            loop.speed_step_m_per_s * noise(skins.normal_speed_noise, skins.tangent_speed_noise),
-            0.5 * skins.rubbed[:, None],
-            2.0 * skins.rubbed_damping[:, None],
+            matrix(properties.normal, properties.tangent),
+            matrix(properties.damping, properties.drag),
+            0.5 * loop.encoder_step_m * noise(properties.normal_noise, properties.tangent_noise),
+            loop.speed_step_m_per_s * noise(properties.normal_speed_noise, properties.tangent_speed_noise),
+            0.5 * properties.rubbed[:, None],
+            2.0 * properties.rubbed_damping[:, None],
         ),
         axis=1,
     )
@@ -387,8 +286,8 @@ class ContactSets:
 
     def __init__(self, surfaces: SurfaceTable, loop: Loop) -> None:
         self._loop = loop
-        skins = _skins(surfaces)
-        rows = _rows(surfaces, skins, loop)
+        properties = properties_of(surfaces)
+        rows = _rows(surfaces, properties, loop)
         pushes = (surfaces.objects["shape"] != Shape.NONE) & rows.any(axis=1)
         base = np.zeros(_COLUMNS)
         base[[0, 2]] = surfaces.field_stiffness_n_per_m
@@ -399,7 +298,7 @@ class ContactSets:
         """Whether fields push in every set."""
         which = np.flatnonzero(pushes).astype(np.int64)
         if len(which) > 0:
-            sums, self._members = _sets(rows, _regions(surfaces, skins, loop), which)
+            sums, self._members = _sets(rows, _regions(surfaces, properties, loop), which)
             sums = sums + base
         else:
             sums, self._members = (base[None] if self.fields else np.zeros((0, _COLUMNS))), lambda place: ()
@@ -507,7 +406,7 @@ def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> boo
     every = np.flatnonzero(surfaces.objects["shape"] != Shape.NONE)
     if len(own) * len(every) <= MOST_TRIPLES:
         a, b = np.repeat(own, len(every)), np.tile(every, len(own))
-        every = np.union1d(own, b[_meet(_regions(surfaces, _skins(surfaces), loop), a, b)])
+        every = np.union1d(own, b[_meet(_regions(surfaces, properties_of(surfaces), loop), a, b)])
     sets = ContactSets(surfaces.of(every), loop)
     wanted = set(np.searchsorted(every, own).tolist())
     return all(wanted.isdisjoint(sets.members(place)) for place in np.flatnonzero(~sets.safe).tolist())

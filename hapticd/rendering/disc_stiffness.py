@@ -26,7 +26,7 @@ BARE: Final = 0.2
 _STEPS: Final = 65
 
 
-class RoundSkins(NamedTuple):
+class RoundProperties(NamedTuple):
     """Arrays (n,), N/m."""
 
     normal: Floats
@@ -49,7 +49,7 @@ def fading(part: Floats) -> tuple[Floats, Floats, Floats]:
     )
 
 
-def round_skins(radius_m: Floats, materials: npt.NDArray[np.void], press_n: float) -> RoundSkins:
+def round_properties(radius_m: Floats, materials: npt.NDArray[np.void], press_n: float) -> RoundProperties:
     """Of discs (n,) of these materials, MATERIAL_DTYPE (n,), pressed with up to press_n."""
     radius = radius_m[:, None]
     stiffness = materials["stiffness_n_per_m"][:, None]
@@ -76,7 +76,7 @@ def round_skins(radius_m: Floats, materials: npt.NDArray[np.void], press_n: floa
     normal = stiffness * (steep**2 + steep * slope) + np.abs(bend) / radius**2 * (pressed * height + 0.5 * softness)
     around = stiffness * (slope**2 + steep * slope) + pressed * curvature + 0.5 * rise * softness / (part * radius**2)
     normal, around = normal + cross, around + cross
-    return RoundSkins(
+    return RoundProperties(
         normal=normal.max(axis=1),
         tangent=(around + own).max(axis=1),
         spring=own.max(axis=1),

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from hapticd.base.core import MATERIAL_DTYPE, Texture, records
-from hapticd.rendering.disc_stiffness import round_skins
+from hapticd.rendering.disc_stiffness import round_properties
 
 PRESS_N = 1.0
 
@@ -51,7 +51,7 @@ def test_no_place_of_a_disc_is_stiffer_than_it_is_said_to_be() -> None:
         if mu == 0.0 or rng.random() < 0.5:
             material["texture"], material["depth_m"] = Texture.GEOMETRY, rng.uniform(1e-5, 2e-4)
         radius = float(rng.choice([0.001, 0.002, 0.005, 0.02]))
-        bound = round_skins(np.array([radius]), material, PRESS_N)
+        bound = round_properties(np.array([radius]), material, PRESS_N)
         allowed = np.diag([bound.normal[0], bound.tangent[0]])
         for _ in range(30):
             depth = rng.uniform(0.0, min(PRESS_N / k, 0.97 * radius))
@@ -69,7 +69,7 @@ def test_a_disc_that_is_large_is_as_stiff_as_a_wall() -> None:
     material = records(MATERIAL_DTYPE, 1)
     material["stiffness_n_per_m"], material["friction_coefficient"] = 800, 0.3
     material["friction_stiffness_n_per_m"] = 500
-    found = round_skins(np.array([100.0]), material, PRESS_N)
+    found = round_properties(np.array([100.0]), material, PRESS_N)
     assert abs(found.normal[0] / 800 - 1) < 1e-3
     assert abs(found.tangent[0] / 500 - 1) < 1e-3
     assert abs(found.rubbed[0] / 240 - 1) < 1e-3
@@ -80,4 +80,4 @@ def test_on_a_small_disc_friction_is_several_times_as_stiff() -> None:
     material = records(MATERIAL_DTYPE, 1)
     material["stiffness_n_per_m"], material["friction_coefficient"] = 800, 0.3
     material["friction_stiffness_n_per_m"] = 500
-    assert round_skins(np.array([0.0015]), material, PRESS_N).spring[0] / 500 == pytest.approx(4.67, abs=0.01)
+    assert round_properties(np.array([0.0015]), material, PRESS_N).spring[0] / 500 == pytest.approx(4.67, abs=0.01)

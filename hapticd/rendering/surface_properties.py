@@ -1,0 +1,114 @@
+"""What the surfaces of a compiled table push back with, at most: what the analysis of contact sets adds up."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.core import Shape, Texture
+from hapticd.rendering.disc_stiffness import round_properties
+from hapticd.rendering.stability import PRESS_N, Floats
+from hapticd.rendering.surface_table import SurfaceTable
+
+
+class SurfaceProperties(NamedTuple):
+    """What each surface pushes back with, at most anywhere on it; arrays (n,)."""
+
+    normal: Floats
+    """Stiffness along the normal."""
+    tangent: Floats
+    """Stiffness along the surface."""
+    damping: Floats
+    drag: Floats
+    rubbed: Floats
+    """mu K and mu D: what friction follows the normal force with."""
+    rubbed_damping: Floats
+    normal_noise: Floats
+    """Force along the normal for each metre that a position is off, along the tangent, and for each m/s."""
+    tangent_noise: Floats
+    normal_speed_noise: Floats
+    tangent_speed_noise: Floats
+
+    def of(self, rows: npt.NDArray[np.integer]) -> SurfaceProperties:
+        """Those at these places."""
+        return SurfaceProperties(*(values[rows] for values in self))
+
+
+def _material_properties(materials: npt.NDArray[np.void]) -> SurfaceProperties:
+    stiffness, damping = materials["stiffness_n_per_m"], materials["damping_n_s_per_m"]
+    rubs = materials["friction_coefficient"] > 0.0
+    spring = np.where(rubs, materials["friction_stiffness_n_per_m"], 0.0)
+    # The surface is lowered by H, of slope H' and curvature H'': the force is -grad(K/2 (d - H)^2), whose derivative
+    # is K (1, H')(1, H')^T, and K (d - H) H'' along the surface.
+    grooved = materials["texture"] == Texture.GEOMETRY
+    width = np.where(grooved, materials["width_m"], 1.0)
+    slope = np.where(grooved, math.pi * materials["depth_m"] / width, 0.0)
+    curvature = 2.0 * math.pi * slope / width
+    normal = stiffness * (1.0 + slope)
+    flank = stiffness * (slope * slope + slope) + PRESS_N * curvature
+    drag = np.where(materials["texture"] == Texture.DRAG, materials["drag_n_s_per_m"], 0.0)
+    mu = materials["friction_coefficient"]
+    return SurfaceProperties(
+        normal=normal,
+        tangent=spring + flank,
+        damping=damping,
+        drag=drag,
+        rubbed=mu * normal,
+        rubbed_damping=mu * damping,
+        normal_noise=normal,
+        # An anchor is off by as much as a position, and the spring by both; its longest stretch follows F_n.
+        tangent_noise=2.0 * spring + flank + mu * normal,
+        normal_speed_noise=damping,
+        tangent_speed_noise=drag + mu * damping,
+    )
+
+
+def _round(surfaces: SurfaceTable, properties: SurfaceProperties) -> None:
+    """Puts in what discs are where they have friction or shaped grooves."""
+    materials = surfaces.materials[surfaces.objects["material"]]
+    depends = (materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY)
+    discs = np.flatnonzero((surfaces.objects["shape"] == Shape.DISC) & depends)
+    if len(discs) == 0:
+        return
+    found = round_properties(surfaces.objects["half_m"][discs, 0], materials[discs], PRESS_N)
+    properties.normal[discs] = properties.normal_noise[discs] = found.normal
+    properties.tangent[discs] = found.tangent
+    properties.rubbed[discs] = found.rubbed
+    properties.tangent_noise[discs] = found.tangent + found.spring + found.rubbed
+
+
+def properties_of(surfaces: SurfaceTable) -> SurfaceProperties:
+    """Of each object: its material's, or the largest of its pieces' and of the ramps between them."""
+    materials = _material_properties(surfaces.materials)
+    properties = SurfaceProperties(*(values.copy() for values in materials.of(surfaces.objects["material"])))
+    _round(surfaces, properties)
+    patched = np.flatnonzero(surfaces.objects["piece_count"] > 0)
+    if len(patched) == 0:
+        return properties
+    # Where a material of stiffness K1 goes over into one of K2 over a width w, K' <= 3/2 |K2 - K1| / w and
+    # K'' <= 6 |K2 - K1| / w^2; the force is -grad(K/2 d^2), pressed so deep as PRESS_N does in the middle.
+    of = surfaces.pieces["material"]
+    stiffness = surfaces.materials["stiffness_n_per_m"][of]
+    before = np.concatenate((stiffness[:1], stiffness[:-1]))
+    ramp = 2.0 * surfaces.pieces["half_ramp_m"]
+    step = np.where(ramp > 0.0, np.abs(stiffness - before), 0.0)
+    ramp = np.where(ramp > 0.0, ramp, 1.0)
+    depth = PRESS_N / np.maximum(0.5 * (stiffness + before), 1e-3)
+    cross = 1.5 * step / ramp * depth
+    along = 3.0 * step / ramp**2 * depth**2 + cross
+    pieces = materials.of(of)
+    pieces = pieces._replace(
+        normal=np.maximum(pieces.normal, np.where(step > 0.0, before, 0.0)) + cross,
+        tangent=pieces.tangent + along,
+        normal_noise=np.maximum(pieces.normal_noise, np.where(step > 0.0, before, 0.0)) + cross,
+        tangent_noise=pieces.tangent_noise + along,
+    )
+    # The pieces of walls follow each other without gaps, in an order of their own.
+    order = patched[np.argsort(surfaces.objects["piece_first"][patched], kind="stable")]
+    starts = surfaces.objects["piece_first"][order].astype(np.int64)
+    for into, values in zip(properties, pieces, strict=True):
+        into[order] = np.maximum.reduceat(values, starts)
+    return properties
