@@ -239,7 +239,7 @@ def _device(config: Config) -> _Device:
 
 
 def _waveform_sound(waveform: Waveform, output: Output) -> Sound:
-    middle_hz, rate_hz = waveform.middle_hz, displayed_wave_rate(waveform, output)
+    middle_hz, rate_hz = waveform.curve.middle_hz, displayed_wave_rate(waveform, output)
     if rate_hz is None:
         return Sound("tap", middle_hz, None, None)
     error = None

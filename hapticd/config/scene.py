@@ -6,7 +6,7 @@ The workspace is a plane, x to the right and y up, in m. A normal points out of 
 import math
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from typing import Annotated, Final, Literal, NamedTuple, TypeAlias, get_args
+from typing import Annotated, Final, Literal, TypeAlias, get_args
 
 from pydantic import AfterValidator, Field, Strict, ValidationError
 
@@ -56,14 +56,6 @@ ForceComponent: TypeAlias = Annotated[float, Field(ge=-100, le=100)]
 ForceVector: TypeAlias = Annotated[tuple[ForceComponent, ForceComponent], Strict(False)]
 
 
-class Piece(NamedTuple):
-    """A stretch of a wall that is of one material, as they follow each other along it."""
-
-    from_m: float
-    """Where it begins; -inf for the first. It goes on to the beginning of the next, the last one for ever."""
-    material: str
-
-
 class Wall(Model):
     """A half-plane of material: everything behind the line through `point_m`."""
 
@@ -76,12 +68,9 @@ class Wall(Model):
         default=0.001, ge=1e-5, le=1, description="Over which one material goes over into the next, across the edge."
     )
 
-    def pieces(self) -> list[Piece]:
-        """The whole wall in rising order: patches and the base material between them. One piece without patches."""
-        return [Piece(*each) for each in zip(*self.stretches(), strict=True)]
-
     def stretches(self) -> tuple[list[float], list[str]]:
-        """As `pieces`: where they begin, and their materials."""
+        """The whole wall in rising order, patches and the base material between them: where each stretch begins, -inf
+        for the first, and its material. The last one has no end."""
         begins, materials = [-math.inf], [self.material]
         patches = patches_of(self.patches)
         for index in patches.order:

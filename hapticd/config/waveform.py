@@ -70,15 +70,6 @@ class Waveform(CheckedTogether):
         """The A of Q(t) = A s(t) for an amplitude that means A itself, or the largest magnitude of Q."""
         return amplitude if attack == "coefficient" else amplitude / self.curve.peak
 
-    def energy_above(self, frequency_hz: float) -> float:
-        """Share of the curve's energy above a frequency, 0 to 1."""
-        return self.curve.energy_above(frequency_hz)
-
-    @property
-    def middle_hz(self) -> float:
-        """The frequency below which half of the curve's energy lies."""
-        return self.curve.middle_hz
-
 
 class Curve:
     """Cubics between samples."""

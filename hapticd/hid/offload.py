@@ -155,7 +155,7 @@ class Offload:
 
     def _tell_tap(self, material: str, tap: Tap) -> Offloaded:
         if tap.waveform is not None:
-            hertz, why = tap.waveform.middle_hz, "it is a waveform, which no effect plays"
+            hertz, why = tap.waveform.curve.middle_hz, "it is a waveform, which no effect plays"
         elif tap.mode_table is not None:
             hertz, why = tap.mode.frequency_hz, "its mode follows the speed, an effect has one"
         else:

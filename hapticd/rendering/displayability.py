@@ -110,7 +110,7 @@ def waveform_of(material: Material) -> Waveform | None:
 def displayed_wave_rate(waveform: Waveform, output: Output) -> float | None:
     """Samples a second with which a waveform is played: its own, if half of its energy lies below 0.4 of the rate (the
     link's if that is lower). Otherwise it is muted (None), or slowed down until half of it does."""
-    highest, middle = DISPLAYABLE * output.carried_hz, waveform.middle_hz
+    highest, middle = DISPLAYABLE * output.carried_hz, waveform.curve.middle_hz
     if middle <= highest:
         return waveform.rate_hz
     return None if output.undisplayable == "mute" else waveform.rate_hz * highest / middle
@@ -156,7 +156,7 @@ def undisplayable(materials: Mapping[str, Material], output: Output) -> list[Und
                 found.append(Undisplayable(name, use, mode.frequency_hz, None if shown is None else shown.frequency_hz))
         waveform = waveform_of(material)
         if waveform is not None:
-            rate_hz, middle_hz = displayed_wave_rate(waveform, output), waveform.middle_hz
+            rate_hz, middle_hz = displayed_wave_rate(waveform, output), waveform.curve.middle_hz
             if rate_hz != waveform.rate_hz:
                 slowed_hz = None if rate_hz is None else middle_hz * rate_hz / waveform.rate_hz
                 found.append(Undisplayable(name, "tap", middle_hz, slowed_hz))
@@ -246,7 +246,7 @@ def _waveform_warnings(name: str, material: Material, output: Output) -> Iterato
     if waveform is None:
         return
     place = path_text(("materials", name, "tap", "waveform"))
-    above = waveform.energy_above(DISPLAYABLE * output.carried_hz)
+    above = waveform.curve.energy_above(DISPLAYABLE * output.carried_hz)
     if above > MAX_LOSS and displayed_wave_rate(waveform, output) == waveform.rate_hz:
         what = "the link's" if output.carried_hz < output.rate_hz else "a rate of"
         problem = (

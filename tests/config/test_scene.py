@@ -296,7 +296,7 @@ def test_patches_that_touch_after_rounding() -> None:
         "t", {**WALL, "patches": [patch(0.3, 0.5, "steel"), patch(0, edge), patch(-1e-5, 0, "wood")]}
     )
     assert isinstance(wall, Wall)
-    assert wall.pieces() == [
+    assert list(zip(*wall.stretches(), strict=True)) == [
         (-math.inf, "wood"),
         (-1e-5, "wood"),
         (0, "glass"),
@@ -308,10 +308,16 @@ def test_patches_that_touch_after_rounding() -> None:
 def test_pieces() -> None:
     wall = validate_object("t", {**WALL, "patches": [patch(2, 3), patch(-1, 1, "steel")]})
     assert isinstance(wall, Wall)
-    assert wall.pieces() == [(-math.inf, "wood"), (-1, "steel"), (1, "wood"), (2, "glass"), (3, "wood")]
+    assert list(zip(*wall.stretches(), strict=True)) == [
+        (-math.inf, "wood"),
+        (-1, "steel"),
+        (1, "wood"),
+        (2, "glass"),
+        (3, "wood"),
+    ]
     plain = validate_object("t", WALL)
     assert isinstance(plain, Wall)
-    assert plain.pieces() == [(-math.inf, "wood")]
+    assert list(zip(*plain.stretches(), strict=True)) == [(-math.inf, "wood")]
 
 
 @given(st.lists(st.integers(-1000, 1000), min_size=2, max_size=12, unique=True), st.randoms(use_true_random=False))
@@ -321,7 +327,7 @@ def test_any_order_of_patches_gives_the_same_pieces(edges: list[int], random: Ra
     shuffled = random.sample(patches, len(patches))
     wall = validate_object("t", {**WALL, "patches": list[Json](shuffled)})
     assert isinstance(wall, Wall)
-    assert wall.pieces() == [
+    assert list(zip(*wall.stretches(), strict=True)) == [
         (-math.inf, "wood"),
         *((a / 100, f"m{a}") for a in edges[:-1]),
         (edges[-1] / 100, "wood"),

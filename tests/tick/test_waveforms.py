@@ -104,8 +104,8 @@ def test_the_energy_above_a_frequency_is_that_of_the_fourier_integral() -> None:
     total = float(np.sum(values**2)) * step_s / 2
     for limit in (100.0, 400.0, 900.0):
         above = float(np.trapezoid(energy[frequency >= limit], dx=5.0)) / total
-        assert made.waveform.energy_above(limit) == pytest.approx(above, abs=1e-3)
-    assert made.waveform.energy_above(made.waveform.middle_hz) == pytest.approx(0.5)
+        assert made.waveform.curve.energy_above(limit) == pytest.approx(above, abs=1e-3)
+    assert made.waveform.curve.energy_above(made.waveform.curve.middle_hz) == pytest.approx(0.5)
 
 
 def test_of_spectra_only_what_was_found_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,13 +114,13 @@ def test_of_spectra_only_what_was_found_is_kept(monkeypatch: pytest.MonkeyPatch)
         Waveform(rate_hz=1e5, samples=(0.0, *np.random.default_rng(k).normal(size=40).tolist(), 0.0)) for k in range(4)
     ]
     tracemalloc.start()
-    found = [(waveform.middle_hz, waveform.energy_above(400.0)) for waveform in waveforms]
+    found = [(waveform.curve.middle_hz, waveform.curve.energy_above(400.0)) for waveform in waveforms]
     kept, _ = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert kept < 12e6
     with monkeypatch.context() as patch:
         patch.delattr(np.fft, "rfft")
-        assert found == [(waveform.middle_hz, waveform.energy_above(400.0)) for waveform in waveforms]
+        assert found == [(waveform.curve.middle_hz, waveform.curve.energy_above(400.0)) for waveform in waveforms]
 
 
 def test_what_was_found_of_a_waveform_is_kept_as_long_as_it(monkeypatch: pytest.MonkeyPatch) -> None:
