@@ -157,7 +157,7 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
 HD_RT static inline int left(const struct hd_context *context, uint32_t index, const struct hd_object *object,
                              const double position_m[2], const struct hd_contact_point *point) {
     const struct hd_feature feature = context->state->slots[index].feature;
-    return hd_shape_of(object)->left(&context->proxy, object, index, feature, position_m, point);
+    return hd_shape_is_left(&context->proxy, object, index, feature, position_m, point);
 }
 
 /* How much of the path since the last tick the probe was in contact, when at its end it has left. */
@@ -250,14 +250,16 @@ HD_RT static inline void add_noise(struct hd_context *context, uint32_t index,
                                    const struct hd_dominant_material *dominant, const struct hd_travel *travel,
                                    int changed) {
     struct hd_state *state = context->state;
-    if (dominant->material->texture != HD_TEXTURE_NOISE) {
-        struct hd_slot *slot = &state->slots[index];
+    struct hd_slot *slot = &state->slots[index];
+    if (dominant->material->texture == HD_TEXTURE_NOISE) {
+        if (state->show_vibration > 0.0) {
+            hd_surface_noise_sound(context, index, dominant, travel->point.normal, travel->tangent, changed);
+        }
+    } else if (slot->noise != 0) {
         if (changed) {
             hd_surface_noise_change(state, slot);
         }
         hd_surface_noise_end(state, slot);
-    } else if (state->show_vibration > 0.0) {
-        hd_surface_noise_sound(context, index, dominant, travel->point.normal, travel->tangent, changed);
     }
 }
 
@@ -267,7 +269,8 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     const struct hd_shape_operations *shape = hd_shape_of(object);
     struct hd_travel travel;
     find_point(context, slot, object, fraction > 0.0, &travel.point);
-    if (shape->membrane && hd_rupture_happens(context, index, object, &travel.point, fraction)) {
+    if (hd_rupture_depth_m(context, object) > 0.0 &&
+        hd_rupture_happens(context, index, object, &travel.point, fraction)) {
         return;
     }
     hd_tangent_of(slot, travel.point.normal, travel.tangent);
