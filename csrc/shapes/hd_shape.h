@@ -90,7 +90,7 @@ HD_RT static inline int hd_shape_is_left(const struct hd_proxy *proxy, const str
                                          struct hd_feature feature, const double position_m[2],
                                          const struct hd_contact_point *point) {
     const struct hd_shape_operations *shape = hd_shape_of(object);
-    return shape->left == NULL ? !(point->depth_m > 0.0) : shape->left(proxy, object, slot, feature, position_m, point);
+    return shape->left ? shape->left(proxy, object, slot, feature, position_m, point) : !(point->depth_m > 0.0);
 }
 
 #endif

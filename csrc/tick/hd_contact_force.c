@@ -38,7 +38,7 @@ HD_RT static inline void find_point(const struct hd_context *context, const stru
     const struct hd_shape_operations *shape = hd_shape_of(object);
     shape->contact_point(object, slot->feature, slot->last.normal, met ? NULL : context->proxy.from_m,
                          context->proxy.to_m, point);
-    if (shape->arc_length != NULL && needs_arc_length(context->table, object)) {
+    if (shape->arc_length && needs_arc_length(context->table, object)) {
         point->arc_m = shape->arc_length(object, point->normal);
     }
 }
@@ -49,7 +49,7 @@ HD_RT static void find_last(const struct hd_context *context, const struct hd_sl
     const struct hd_shape_operations *shape = hd_shape_of(object);
     const double *was_m = context->proxy.from_m;
     shape->contact_point(object, slot->feature, slot->last.normal, moved ? NULL : was_m, was_m, point);
-    if (shape->arc_length != NULL) {
+    if (shape->arc_length) {
         point->arc_m = shape->arc_length(object, point->normal);
     }
 }
@@ -127,7 +127,7 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     struct hd_contact_point point = slot->last;
-    const int round = hd_shape_of(object)->arc_length != NULL;
+    const int round = hd_shape_of(object)->arc_length ? 1 : 0;
     const int moved = slot->pose_version != object->pose_version;
     if (moved || round) { /* of a round surface, s may not be known */
         find_last(context, slot, object, moved, &point);
@@ -170,7 +170,7 @@ HD_RT static double until_left(const struct hd_slot *slot, const struct hd_objec
         /* A surface that was moved away was not pressed at all. */
         part = slot->last.depth_m > 0.0 && rise > 0.0 ? slot->last.depth_m / rise : 0.0;
     }
-    if (shape->half_length != NULL) {
+    if (shape->half_length) {
         const double end = hd_contact_until_end(slot, point, shape->half_length(object, slot->feature));
         part = end < part ? end : part;
     }
@@ -280,7 +280,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     travel.part = 1.0;
     struct hd_lever round;
     const struct hd_lever *lever = NULL;
-    if (shape->lever != NULL) {
+    if (shape->lever) {
         go_round(slot, object, &travel);
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;

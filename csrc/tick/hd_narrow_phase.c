@@ -44,7 +44,7 @@ HD_RT static void point_at_rest(const struct hd_context *context, const struct h
     const struct hd_shape_operations *shape = hd_shape_of(object);
     const double *position_m = context->input->position_m;
     shape->contact_point(object, feature, bearing, position_m, position_m, point);
-    if (shape->arc_length != NULL) {
+    if (shape->arc_length) {
         point->arc_m = shape->arc_length(object, point->normal);
     }
 }
@@ -163,7 +163,7 @@ HD_RT static int continues(const struct hd_context *context, const struct hd_obj
                            const struct hd_onset *onset) {
     const struct hd_state *state = context->state;
     const struct hd_shape_operations *shape = hd_shape_of(object);
-    if (shape->half_length == NULL ||
+    if (!shape->half_length ||
         hd_magnitude(onset->point.arc_m) < shape->half_length(object, onset->feature) - HD_RIM_M) {
         return 0;
     }
