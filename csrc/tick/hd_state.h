@@ -168,7 +168,7 @@ struct hd_strike {
 
 /* A strike that the device plays by itself. */
 struct hd_offload {
-    uint32_t effect; /* id of an hd_hid_offer */
+    uint32_t effect; /* id of a hd_device_effect */
     double force_n[2];
 };
 

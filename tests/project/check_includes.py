@@ -71,7 +71,9 @@ def faults(includes: Includes) -> list[str]:
     edges: dict[str, set[str]] = {}
     for file, all_of in includes.items():
         name = file.removesuffix(".c").removesuffix(".h")
-        others = {one.removesuffix(".c").removesuffix(".h") for one in all_of if one.split("/")[0] == file.split("/")[0]}
+        others = {
+            one.removesuffix(".c").removesuffix(".h") for one in all_of if one.split("/")[0] == file.split("/")[0]
+        }
         edges.setdefault(name, set()).update(others - {name})
     if circle := _circle(edges):
         found.append(f"these files of csrc/ include each other in a circle: {' -> '.join(circle)}")

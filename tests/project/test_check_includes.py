@@ -27,13 +27,21 @@ def test_a_sound_order_has_no_faults() -> None:
 @pytest.mark.parametrize(
     ("file", "included", "fault"),
     [
-        ("scene/hd_world.c", "tick/hd_tick.h", "csrc/scene/hd_world.c includes tick/hd_tick.h, of a room below its own"),
         (
-            "tick/hd_wave.c",
-            "scene/hd_index.h",
-            "csrc/tick/hd_wave.c includes scene/hd_index.h, an inner header; the door of scene/ is hd_world.h",
+            "scene/hd_world.c",
+            "tick/hd_tick.h",
+            "csrc/scene/hd_world.c includes tick/hd_tick.h, of a room below its own",
         ),
-        ("tick/hd_wave.c", "hd_wave.h", 'csrc/tick/hd_wave.c includes "hd_wave.h", which does not begin with a room'),
+        (
+            "tick/hd_waveform.c",
+            "scene/hd_index.h",
+            "csrc/tick/hd_waveform.c includes scene/hd_index.h, an inner header; the door of scene/ is hd_world.h",
+        ),
+        (
+            "tick/hd_waveform.c",
+            "hd_waveform.h",
+            'csrc/tick/hd_waveform.c includes "hd_waveform.h", which does not begin with a room',
+        ),
         (
             "tick/hd_state.c",
             "tick/hd_mode.h",
