@@ -33,6 +33,12 @@ HD_RT static inline double hd_root(double square) {
     HD_RT_FOREIGN_END
 }
 
+HD_RT static inline double hd_distance(const double a[2], const double b[2]) {
+    double step[2];
+    hd_difference(a, b, step);
+    return hd_root(hd_dot(step, step));
+}
+
 HD_RT static inline double hd_magnitude(double value) {
     return value < 0.0 ? -value : value;
 }

@@ -148,7 +148,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     double to[2];
     in_box(object, proxy->from_m, from);
     in_box(object, proxy->to_m, to);
-    onset->feature.side = 1;
+    onset->feature = (struct hd_feature){.side = 1};
     onset->slid = 0;
     onset->stood = 0;
     if (fresh || inside(object, from)) {

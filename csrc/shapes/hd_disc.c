@@ -62,13 +62,7 @@ HD_RT static double arc_length(const struct hd_object *object, const double norm
 HD_RT static void contact_point(const struct hd_object *object, struct hd_feature feature, const double bearing[2],
                                 const double from_m[2], const double position_m[2], struct hd_contact_point *point) {
     (void)feature;
-    double travel_m = MOVED;
-    if (from_m != NULL) {
-        double step[2];
-        hd_difference(position_m, from_m, step);
-        travel_m = hd_root(hd_dot(step, step));
-    }
-    point_at(object, bearing, travel_m, position_m, point);
+    point_at(object, bearing, from_m != NULL ? hd_distance(position_m, from_m) : MOVED, position_m, point);
 }
 
 HD_RT static void lever(const struct hd_object *object, double depth_m, struct hd_lever *lever) {
@@ -174,7 +168,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     double from[2];
     hd_difference(proxy->from_m, object->point_m, from);
     const double inner = object->half_m[0] - HD_RIM_M;
-    onset->feature.side = 1;
+    onset->feature = (struct hd_feature){.side = 1};
     onset->slid = 0;
     onset->stood = 0;
     if (fresh || hd_dot(from, from) < inner * inner) {
@@ -205,18 +199,12 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     return proxy->segments > 1 && follows(proxy, object, onset);
 }
 
-HD_RT static double distance_to_centre(const struct hd_object *object, const double point_m[2]) {
-    double offset[2];
-    hd_difference(point_m, object->point_m, offset);
-    return hd_root(hd_dot(offset, offset));
-}
-
 HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
-    return distance_to_centre(object, point_m) <= object->half_m[0] + HD_RIM_M;
+    return hd_distance(point_m, object->point_m) <= object->half_m[0] + HD_RIM_M;
 }
 
 HD_RT static double distance(const struct hd_object *object, const double point_m[2]) {
-    return distance_to_centre(object, point_m) - object->half_m[0];
+    return hd_distance(point_m, object->point_m) - object->half_m[0];
 }
 
 static int is_sized(const double half_m[2], double least_m, double most_m) {

@@ -81,6 +81,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
         }
         int8_t side;
         double straight;
+        onset->feature.face = 0;
         onset->silent = 0;
         onset->slid = 0;
         onset->stood = 0;

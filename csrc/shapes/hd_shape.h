@@ -49,14 +49,15 @@ struct hd_lever {
 
 struct hd_shape_operations {
     /* Whether the path of this tick meets the shape, and how. `fresh`: the object has just appeared, or contacts were
-     * cleared; a probe inside is met silently then, and nothing is crossed. */
+     * cleared; a probe inside is met silently then, and nothing is crossed. Where it does, all of the onset is set, but
+     * for the fraction of a silent one. */
     HD_RT int (*meets)(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset);
     /* Where `position_m` is on the feature that is in contact. `bearing` is the normal at `from_m`, where the probe was
      * then; NULL: the object is met, or was moved itself. Neither is read where the feature says it all. */
     HD_RT void (*contact_point)(const struct hd_object *object, struct hd_feature feature, const double bearing[2],
                                 const double from_m[2], const double position_m[2], struct hd_contact_point *point);
     /* Whether a probe at `position_m`, whose contact point is `point`, has left the shape. `slot`: the object's own, so
-     * that it does not count among the surfaces that are pressed. */
+     * that it does not count among the surfaces that are pressed. NULL: once it is not below the surface. */
     HD_RT int (*left)(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
                       struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point);
     /* Whether a solid holds a point, its rim included. */
@@ -82,6 +83,14 @@ extern const struct hd_shape_operations *const hd_shapes[HD_SHAPES];
 /* The operations of an object that is there. */
 HD_RT static inline const struct hd_shape_operations *hd_shape_of(const struct hd_object *object) {
     return hd_shapes[object->shape];
+}
+
+/* Whether a contact is over: see the operation `left`. */
+HD_RT static inline int hd_shape_is_left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                                         struct hd_feature feature, const double position_m[2],
+                                         const struct hd_contact_point *point) {
+    const struct hd_shape_operations *shape = hd_shape_of(object);
+    return shape->left ? shape->left(proxy, object, slot, feature, position_m, point) : !(point->depth_m > 0.0);
 }
 
 #endif

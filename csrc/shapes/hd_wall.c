@@ -32,7 +32,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     if (!(depth > 0.0)) {
         return 0;
     }
-    onset->feature.side = 1;
+    onset->feature = (struct hd_feature){.side = 1};
     onset->silent = 1;
     onset->slid = 0;
     onset->stood = 0;
@@ -49,16 +49,6 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
     return 1;
 }
 
-HD_RT static int left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
-                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
-    (void)proxy;
-    (void)object;
-    (void)slot;
-    (void)feature;
-    (void)position_m;
-    return !(point->depth_m > 0.0);
-}
-
 HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
     return height_of(object, point_m) <= HD_RIM_M;
 }
@@ -72,7 +62,6 @@ static int is_sized(const double half_m[2], double least_m, double most_m) {
 const struct hd_shape_operations hd_wall = {
     .meets = meets,
     .contact_point = contact_point,
-    .left = left,
     .holds = holds,
     .distance = height_of,
     .is_sized = is_sized,

@@ -11,7 +11,6 @@
 #define HD_CANDIDATES_MANY 16u /* more than so many in the circle, and it is made smaller */
 #define HD_CANDIDATES_SORTED \
     64u /* up to so many are visited in the order of their slots, however the index was filled */
-#define HD_CANDIDATES_MARGIN 1e-9
 
 HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t count) {
     for (uint32_t i = 1; i < count; i++) {
@@ -25,7 +24,7 @@ HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t coun
     }
 }
 
-HD_RT static void find_candidates(struct hd_context *context, double needed_m) {
+HD_RT void hd_broad_phase_query(struct hd_context *context, double needed_m) {
     struct hd_state *state = context->state;
     const double *center = context->input->position_m;
     /* Where it is crowded the last circle was small: most of what a large one holds would be left out again. */
@@ -54,32 +53,4 @@ HD_RT static void find_candidates(struct hd_context *context, double needed_m) {
     state->candidates_center_m[0] = center[0];
     state->candidates_center_m[1] = center[1];
     state->candidates_known = 1;
-}
-
-HD_RT static double distance(const double a[2], const double b[2]) {
-    double step[2];
-    hd_difference(a, b, step);
-    return hd_root(hd_dot(step, step));
-}
-
-HD_RT double hd_broad_phase(struct hd_context *context) {
-    struct hd_state *state = context->state;
-    const struct hd_proxy *proxy = &context->proxy;
-    /* The proxy lies as far from the probe as the probe is deep; twice that where two surfaces meet. */
-    double deepest = 0.0;
-    for (uint32_t i = 0; i < proxy->plane_count; i++) {
-        deepest = proxy->plane[i].depth_m > deepest ? proxy->plane[i].depth_m : deepest;
-    }
-    const double step = distance(proxy->from_m, proxy->to_m);
-    /* A surface is visited on the path into the depth from which it is tapped again. */
-    double margin = HD_CANDIDATES_MARGIN + context->table->rearm_m;
-    if (deepest > 0.0) {
-        margin += 2.0 * (deepest + step);
-    }
-    const double reach = distance(proxy->to_m, state->candidates_center_m) + step + margin;
-    if (context->new_table || !state->candidates_known || reach > state->candidates_radius_m) {
-        find_candidates(context, step + margin);
-        return step + margin;
-    }
-    return reach;
 }

@@ -38,7 +38,7 @@ HD_RT static inline void find_point(const struct hd_context *context, const stru
     const struct hd_shape_operations *shape = hd_shape_of(object);
     shape->contact_point(object, slot->feature, slot->last.normal, met ? NULL : context->proxy.from_m,
                          context->proxy.to_m, point);
-    if (shape->arc_length != NULL && needs_arc_length(context->table, object)) {
+    if (shape->arc_length && needs_arc_length(context->table, object)) {
         point->arc_m = shape->arc_length(object, point->normal);
     }
 }
@@ -49,7 +49,7 @@ HD_RT static void find_last(const struct hd_context *context, const struct hd_sl
     const struct hd_shape_operations *shape = hd_shape_of(object);
     const double *was_m = context->proxy.from_m;
     shape->contact_point(object, slot->feature, slot->last.normal, moved ? NULL : was_m, was_m, point);
-    if (shape->arc_length != NULL) {
+    if (shape->arc_length) {
         point->arc_m = shape->arc_length(object, point->normal);
     }
 }
@@ -127,7 +127,7 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     struct hd_contact_point point = slot->last;
-    const int round = hd_shape_of(object)->arc_length != NULL;
+    const int round = hd_shape_of(object)->arc_length ? 1 : 0;
     const int moved = slot->pose_version != object->pose_version;
     if (moved || round) { /* of a round surface, s may not be known */
         find_last(context, slot, object, moved, &point);
@@ -157,7 +157,7 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
 HD_RT static inline int left(const struct hd_context *context, uint32_t index, const struct hd_object *object,
                              const double position_m[2], const struct hd_contact_point *point) {
     const struct hd_feature feature = context->state->slots[index].feature;
-    return hd_shape_of(object)->left(&context->proxy, object, index, feature, position_m, point);
+    return hd_shape_is_left(&context->proxy, object, index, feature, position_m, point);
 }
 
 /* How much of the path since the last tick the probe was in contact, when at its end it has left. */
@@ -170,7 +170,7 @@ HD_RT static double until_left(const struct hd_slot *slot, const struct hd_objec
         /* A surface that was moved away was not pressed at all. */
         part = slot->last.depth_m > 0.0 && rise > 0.0 ? slot->last.depth_m / rise : 0.0;
     }
-    if (shape->half_length != NULL) {
+    if (shape->half_length) {
         const double end = hd_contact_until_end(slot, point, shape->half_length(object, slot->feature));
         part = end < part ? end : part;
     }
@@ -250,14 +250,16 @@ HD_RT static inline void add_noise(struct hd_context *context, uint32_t index,
                                    const struct hd_dominant_material *dominant, const struct hd_travel *travel,
                                    int changed) {
     struct hd_state *state = context->state;
-    if (dominant->material->texture != HD_TEXTURE_NOISE) {
-        struct hd_slot *slot = &state->slots[index];
+    struct hd_slot *slot = &state->slots[index];
+    if (dominant->material->texture == HD_TEXTURE_NOISE) {
+        if (state->show_vibration > 0.0) {
+            hd_surface_noise_sound(context, index, dominant, travel->point.normal, travel->tangent, changed);
+        }
+    } else if (slot->noise != 0) {
         if (changed) {
             hd_surface_noise_change(state, slot);
         }
         hd_surface_noise_end(state, slot);
-    } else if (state->show_vibration > 0.0) {
-        hd_surface_noise_sound(context, index, dominant, travel->point.normal, travel->tangent, changed);
     }
 }
 
@@ -267,7 +269,8 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     const struct hd_shape_operations *shape = hd_shape_of(object);
     struct hd_travel travel;
     find_point(context, slot, object, fraction > 0.0, &travel.point);
-    if (shape->membrane && hd_rupture_happens(context, index, object, &travel.point, fraction)) {
+    if (hd_rupture_depth_m(context, object) > 0.0 &&
+        hd_rupture_happens(context, index, object, &travel.point, fraction)) {
         return;
     }
     hd_tangent_of(slot, travel.point.normal, travel.tangent);
@@ -277,7 +280,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
     travel.part = 1.0;
     struct hd_lever round;
     const struct hd_lever *lever = NULL;
-    if (shape->lever != NULL) {
+    if (shape->lever) {
         go_round(slot, object, &travel);
         shape->lever(object, travel.point.depth_m, &round);
         lever = &round;

@@ -44,7 +44,7 @@ HD_RT static void point_at_rest(const struct hd_context *context, const struct h
     const struct hd_shape_operations *shape = hd_shape_of(object);
     const double *position_m = context->input->position_m;
     shape->contact_point(object, feature, bearing, position_m, position_m, point);
-    if (shape->arc_length != NULL) {
+    if (shape->arc_length) {
         point->arc_m = shape->arc_length(object, point->normal);
     }
 }
@@ -60,8 +60,9 @@ HD_RT static int still_pressed(struct hd_context *context, uint32_t index, const
         onset->feature.side = -1;
     }
     point_at_rest(context, object, onset->feature, slot->last.normal, &onset->point);
-    return onset->point.depth_m > 0.0 && !hd_rupture_is_beyond(context, object, onset->point.depth_m) &&
-           !shape->left(&context->proxy, object, index, onset->feature, context->input->position_m, &onset->point);
+    const double rupture_m = hd_rupture_depth_m(context, object);
+    return onset->point.depth_m > 0.0 && !(rupture_m > 0.0 && onset->point.depth_m > rupture_m) &&
+           !hd_shape_is_left(&context->proxy, object, index, onset->feature, context->proxy.to_m, &onset->point);
 }
 
 HD_RT static int meets(struct hd_context *context, const struct hd_object *object, int fresh, struct hd_onset *onset) {
@@ -83,7 +84,7 @@ HD_RT static void update_free(struct hd_context *context, uint32_t index, const 
         hd_shape_of(object)->distance(object, context->proxy.from_m) >= rearm_m * (1.0 - HD_REARM_ROUNDING)) {
         slot->disarmed = 0;
     }
-    struct hd_onset onset = {.silent = 0};
+    struct hd_onset onset;
     if (!(resumes && still_pressed(context, index, object, &onset)) && !meets(context, object, fresh, &onset)) {
         return;
     }
@@ -162,7 +163,7 @@ HD_RT static int continues(const struct hd_context *context, const struct hd_obj
                            const struct hd_onset *onset) {
     const struct hd_state *state = context->state;
     const struct hd_shape_operations *shape = hd_shape_of(object);
-    if (shape->half_length == NULL ||
+    if (!shape->half_length ||
         hd_magnitude(onset->point.arc_m) < shape->half_length(object, onset->feature) - HD_RIM_M) {
         return 0;
     }

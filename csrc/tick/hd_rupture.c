@@ -4,11 +4,6 @@
 #include "tick/hd_contact.h"
 #include "tick/hd_surface_noise.h"
 
-HD_RT int hd_rupture_is_beyond(const struct hd_context *context, const struct hd_object *object, double depth_m) {
-    const double limit_m = context->table->materials[object->material].rupture_depth_m;
-    return hd_shape_of(object)->membrane && limit_m > 0.0 && depth_m > limit_m;
-}
-
 /* Reports the puncture and strikes the mode of the rupture. */
 HD_RT static void strike(struct hd_context *context, uint32_t index, const struct hd_material *material,
                          const double normal[2], double fraction) {
@@ -40,9 +35,6 @@ HD_RT int hd_rupture_happens(struct hd_context *context, uint32_t index, const s
     struct hd_slot *slot = &state->slots[index];
     const struct hd_material *material = &context->table->materials[object->material];
     const double limit_m = material->rupture_depth_m;
-    if (!(limit_m > 0.0)) {
-        return 0;
-    }
     const double half_length_m = hd_shape_of(object)->half_length(object, slot->feature);
     const double leaves = hd_contact_until_end(slot, point, half_length_m);
     const double from_m = slot->last.depth_m;

@@ -6,7 +6,7 @@
 HD_RT static double point_on(const struct hd_context *context, const struct hd_slot *slot,
                              const struct hd_object *object, struct hd_contact_point *point) {
     const struct hd_shape_operations *shape = hd_shape_of(object);
-    if (shape->half_length == NULL) {
+    if (!shape->half_length) {
         return 0.0;
     }
     shape->contact_point(object, slot->feature, slot->last.normal, NULL, context->proxy.from_m, point);

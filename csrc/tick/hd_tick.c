@@ -117,8 +117,6 @@ HD_RT static inline int is_ringing(const struct hd_state *state) {
 
 /* What the stages of a tick hand on to each other. */
 struct tick {
-    struct hd_context context;
-    struct hd_ramped ramped;
     uint32_t flags;
     int steady;              /* nothing of a command or of the passivity controller is under way */
     int watches;             /* the passivity observer does */
@@ -131,6 +129,8 @@ struct tick {
     double vibration_n[2];   /* the same of noise and modes */
     double noise_still_n[2]; /* noise, if every ramp stood still, without the gains of `display` */
     double force_n[2];       /* the command, before its gain */
+    struct hd_ramped ramped;
+    struct hd_context context; /* last, because it is large: the others are near the top of the stack */
 };
 
 /* What this tick is of, and since when. */
