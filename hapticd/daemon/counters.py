@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from hapticd.base.core import HISTOGRAM_EDGES_NS, CData, Fault, ffi, lib
+from hapticd.config.configuration import Servo
 from hapticd.hid.signs import Told
 
 _NO_FAULT: Final = Fault(0)
+_MEMORY_KINDS: Final = ("none", "servo", "process")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +27,18 @@ class Granted:
     awake: bool
     missing: tuple[str, ...]
 
+    @classmethod
+    def of(cls, grant: CData, servo: Servo, awake: bool, missing: Sequence[str]) -> Granted:
+        """From a `struct hd_grant` and what else was asked for."""
+        return cls(
+            scheduler="fifo" if grant.priority else "other",
+            priority=grant.priority,
+            cpu=None if grant.affinity else servo.cpu,
+            memory=_MEMORY_KINDS[grant.memory_kind],
+            awake=awake,
+            missing=tuple(missing),
+        )
+
     def to_dict(self) -> dict[str, object]:
         return {
             "scheduler": self.scheduler,
@@ -32,6 +48,19 @@ class Granted:
             "idle_states_held": self.awake,
             "missing": list(self.missing),
         }
+
+
+def missing_of(grant: CData, servo: Servo) -> list[str]:
+    """What a `struct hd_grant` lacks of what was asked for, in words."""
+    missing = []
+    if grant.scheduler:
+        missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
+    if grant.affinity:
+        missing.append(f"processor {servo.cpu}: {os.strerror(grant.affinity)}")
+    if grant.memory:
+        kept = "only the servo's memory is locked" if grant.memory_kind else "nothing is locked"
+        missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
+    return missing
 
 
 class Energy(NamedTuple):

@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Final, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -38,18 +38,23 @@ from hapticd.base.core import (
     pointer,
 )
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.config.configuration import Config
+from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, material_names, used_materials
 from hapticd.daemon.commands import LOOK_EVERY_NS, Commands, RingFullError
-from hapticd.daemon.counters import Counters, Granted, Histogram, read_counters, read_faults, read_histograms
+from hapticd.daemon.counters import (
+    Counters,
+    Granted,
+    Histogram,
+    missing_of,
+    read_counters,
+    read_faults,
+    read_histograms,
+)
 from hapticd.daemon.plays import Play
 from hapticd.daemon.stability import Snapshot, StabilityEvaluation
-from hapticd.hid.connection import Connection, Link
-from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.signs import Check, SignsLog
-from hapticd.hid.sources import source_of
 from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.displayability_warnings import MaterialReport
@@ -69,6 +74,10 @@ from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable import Undisplayable
 from hapticd.system.idle_states import Awake
 
+if TYPE_CHECKING:
+    from hapticd.hid.connection import Connection, Link, Source
+    from hapticd.hid.offload import Offload, Offloaded
+
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
 
@@ -85,7 +94,6 @@ LEAST_RATE_HZ: Final = 1000.0
 
 _NO_FAULT: Final = Fault(0)
 _log = logging.getLogger("hapticd")
-_MEMORY_KINDS: Final = ("none", "servo", "process")
 
 
 class StaleRevisionError(HapticdError):
@@ -147,6 +155,9 @@ class Engine:
             hid = config.device.hid
             checked = config.device.kind == "hid" and hid.signs == "check"
             check = Check(hid.travel_m, hid.full_scale_force_n) if checked else None
+            # A simulated joystick needs none of this, and starts without it.
+            from hapticd.hid.connection import Connection
+
             self.connection = Connection(source_of(config.device), below_servo, stop_file, check)
             if config.device.hid.offload == "auto":
                 self._offload = self.connection.offload
@@ -270,14 +281,7 @@ class Engine:
 
     def _take_grant(self, status: int, grant: CData) -> Granted:
         servo = self.config.servo
-        missing = []
-        if grant.scheduler:
-            missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
-        if grant.affinity:
-            missing.append(f"processor {servo.cpu}: {os.strerror(grant.affinity)}")
-        if grant.memory:
-            kept = "only the servo's memory is locked" if grant.memory_kind else "nothing is locked"
-            missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
+        missing = missing_of(grant, servo)
         if servo.realtime != "off":
             try:
                 self._awake.hold()
@@ -294,14 +298,7 @@ class Engine:
             )
         if status != Status.OK:
             raise HapticdError(f"the servo thread does not start: {os.strerror(ffi.errno)}")
-        self.granted = Granted(
-            scheduler="fifo" if grant.priority else "other",
-            priority=grant.priority,
-            cpu=None if grant.affinity else servo.cpu,
-            memory=_MEMORY_KINDS[grant.memory_kind],
-            awake=self._awake.held,
-            missing=tuple(missing),
-        )
+        self.granted = Granted.of(grant, servo, self._awake.held, missing)
         return self.granted
 
     def stop(self) -> None:
@@ -676,6 +673,13 @@ class Engine:
             raise ValueError(f"room for records of {dtype}, not {room.dtype}")
         count = read(self._servo, pointer(ctype, room), len(room), self._dropped)
         return int(count), int(self._dropped[0])
+
+
+def source_of(device: Device) -> Source:
+    """Where a configured device that is no simulation comes from."""
+    from hapticd.hid import sources
+
+    return sources.source_of(device)
 
 
 def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
