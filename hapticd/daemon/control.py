@@ -152,7 +152,7 @@ class Control:
         """What clients cause in the log. Whoever calls also flushes it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._status = Status(engine, self._lease, self.intake, flight)
-        self._wish = engine.config.device.sim.start_m
+        self._reference_m = engine.config.device.sim.start_m
         self._brief = False
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
@@ -557,9 +557,9 @@ class Control:
         operator = parse_operator(params)
         engine.beat()
         grip = grip_of(engine.config.device.sim)
-        waypoints = operator.waypoints_for(self._target, grip, self._wish, engine.scene.objects)
+        waypoints = operator.waypoints_for(self._target, grip, self._reference_m, engine.scene.objects)
         tick = engine.set_operator(waypoints, operator.interpolation)
-        self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
+        self._reference_m = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
         where = None if operator.gesture is None else "gesture"
         warnings = operator_warnings(waypoints, engine.config.device.sim.workspace_m, where)
         return _with_warnings({"duration_s": float(waypoints[-1, 0]), "tick": tick}, warnings)

@@ -72,10 +72,11 @@ from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable import Undisplayable
-from hapticd.system.idle_states import Awake
+from hapticd.system.idle_states import IdleStateLock
 
 if TYPE_CHECKING:
-    from hapticd.hid.connection import Connection, Link, Source
+    from hapticd.hid.connection import Connection, Source
+    from hapticd.hid.link import Link
     from hapticd.hid.offload import Offload, Offloaded
 
 SAMPLE_CAPACITY: Final = 16384
@@ -144,7 +145,7 @@ class Engine:
         self._look_ns = 0
         self._suspends = 0
         self._signs = SignsLog()
-        self._awake = Awake()
+        self._idle_lock = IdleStateLock()
         self._sim: CData | None = None
         self.connection: Connection | None = None
         self._offload: Offload | None = None
@@ -188,7 +189,7 @@ class Engine:
         if refused:
             raise InvalidError(refused)
         if self._offload is not None:
-            self._offload.judge_by(self.output.carried_hz)
+            self._offload.evaluate_at(self.output.carried_hz)
         operators: deque[tuple[int, CData]] = deque()
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
@@ -284,7 +285,7 @@ class Engine:
         missing = missing_of(grant, servo)
         if servo.realtime != "off":
             try:
-                self._awake.hold()
+                self._idle_lock.hold()
             except OSError as error:
                 missing.append(f"processors kept out of deep idle states: {error.strerror} ({error.filename})")
         if self.connection is not None and self.connection.denied:
@@ -298,12 +299,12 @@ class Engine:
             )
         if status != Status.OK:
             raise HapticdError(f"the servo thread does not start: {os.strerror(ffi.errno)}")
-        self.granted = Granted.of(grant, servo, self._awake.held, missing)
+        self.granted = Granted.of(grant, servo, self._idle_lock.held, missing)
         return self.granted
 
     def stop(self) -> None:
         """Fades the force out over the ramp, puts zero, ends the thread and lets the device go."""
-        self._awake.release()
+        self._idle_lock.release()
         ended = lib.hd_servo_stop(self._servo)
         self._disconnect()
         if ended != Status.OK:
@@ -384,7 +385,7 @@ class Engine:
             set_rate(self._sim, self.config.device.sim, rate_hz)
         self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
         if self._offload is not None:
-            self._offload.judge_by(output.carried_hz)
+            self._offload.evaluate_at(output.carried_hz)
         self._compiler.turn_to(output)
         self._commands.plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
@@ -469,7 +470,7 @@ class Engine:
     def _snapshot(self, known_revision: int | None) -> Snapshot | None:
         if self.revision == known_revision or self._loop is None:
             return None
-        return Snapshot(self.revision, self.scene, self._compiler.parts(), self._compiler.names(), self._loop)
+        return Snapshot(self.revision, self.scene, self._compiler.surfaces(), self._compiler.names(), self._loop)
 
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that an event speaks of; None where no object is meant."""

@@ -10,7 +10,7 @@ from hapticd.base.core import CData, Status, ffi, invalid_reason, lib
 from hapticd.base.errors import HapticdError
 from hapticd.config.modes import Attack, Mode
 from hapticd.protocol.changes import Played
-from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.output import Output
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from hapticd.config.scene import Scene, field_ids
-from hapticd.rendering.contact_sets import Parts
-from hapticd.rendering.scene_stability import Stability, judge
+from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
+from hapticd.rendering.surface_table import SurfaceTable
 
 EVALUATED_AT_ONCE: Final = 512
 """Larger scenes are evaluated by a thread: nobody waits for it."""
@@ -22,18 +22,18 @@ class Snapshot(NamedTuple):
 
     revision: int
     scene: Scene
-    parts: Parts
+    surfaces: SurfaceTable
     names: Sequence[str]
     """Ids by slot."""
     loop: Loop
 
     def evaluated(self) -> Stability:
-        return judge(self.parts, self.names.__getitem__, lambda: field_ids(self.scene.objects), self.loop)
+        return evaluate(self.surfaces, self.names.__getitem__, lambda: field_ids(self.scene.objects), self.loop)
 
     @property
     def size(self) -> int:
         """Objects and patches."""
-        return int(np.count_nonzero(self.parts.objects["shape"])) + len(self.parts.pieces)
+        return int(np.count_nonzero(self.surfaces.objects["shape"])) + len(self.surfaces.pieces)
 
 
 class StabilityEvaluation:
