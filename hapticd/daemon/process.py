@@ -137,7 +137,7 @@ def _run(
         wake=router.wake,
     )
     stack.callback(control.end)  # what is being taken in is given up
-    gc.collect()
+    # What garbage there is by now is little; to look for it would hold up the first answer.
     gc.freeze()
     gc.enable()
     _log_ready(engine, granted, paths.command)
