@@ -831,14 +831,14 @@ struct hd_counters {
     uint64_t strikes;
     uint64_t glitches;
     uint64_t saturations;
-    uint32_t revision; /* in force */
+    uint64_t overloads; /* seconds in which more than the threshold was missed */
+    uint64_t suspends;  /* of the machine */
+    uint32_t revision;  /* in force */
     uint32_t faults;
     uint32_t forces_on;
     uint32_t running;
     uint32_t memory_refused; /* errno: tables have grown beyond what may be locked; 0: all is as granted */
     uint32_t overloaded;     /* the thread ended, or is about to, for hd_servo_restart */
-    uint64_t overloads;      /* seconds in which more than the threshold was missed */
-    uint64_t suspends;       /* of the machine */
     double missed_share;     /* of the last whole second's periods */
     uint32_t signs;          /* of a HID device: enum hd_signs_state, problem and axis above it */
     uint32_t unused;

@@ -5,26 +5,23 @@ A handler gets validated parameters and returns the result, or raises MethodErro
 
 from __future__ import annotations
 
-import json
 import logging
 import math
-import threading
 from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Annotated, Any, Final, NamedTuple, TypeAlias, cast
+from typing import Any, Final, NamedTuple, TypeAlias, cast
 
-from pydantic import Field, ValidationError
+from pydantic import ValidationError
 
 from hapticd.base import wording, worker_process
 from hapticd.base.codec import Encoded
 from hapticd.base.core import Fault, SignsState
 from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, path_text, quoted
-from hapticd.base.model import MAX_FAULTS, Model, Name, Position, problems_of
+from hapticd.base.model import MAX_FAULTS, Model, problems_of
 from hapticd.config.configuration import Config
 from hapticd.config.materials import Materials
-from hapticd.config.modes import ModeKeys
 from hapticd.config.operator import Target, parse_operator
 from hapticd.config.scene import (
     SceneObject,
@@ -36,20 +33,35 @@ from hapticd.config.scene import (
     validate_scene,
 )
 from hapticd.config.texture import Autoregressive
+from hapticd.daemon.commands import RingFullError, WaitTimeoutError
 from hapticd.daemon.engine import (
     Engine,
-    RingFullError,
     StaleRevisionError,
-    WaitTimeoutError,
     monotonic_ns,
 )
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.intake import GivenUpError, Intake, Work
-from hapticd.daemon.lease import MAX_DURATION_S, Lease, LeaseHeldError, LeaseLapsedError
+from hapticd.daemon.lease import Lease, LeaseHeldError, LeaseLapsedError
+from hapticd.daemon.params import (
+    ApplyParams,
+    ChangeParams,
+    GetStatusParams,
+    LeaseParams,
+    NoParams,
+    PlayParams,
+    ReloadParams,
+    ResetParams,
+    SetForcesParams,
+    SetMaterialsParams,
+    SetSceneParams,
+    UpdateMaterialsParams,
+    UpdateSceneParams,
+)
+from hapticd.daemon.reload import needing_restart, read_again
 from hapticd.daemon.status import Status
 from hapticd.hid.signs import CORRECT
 from hapticd.protocol.displayability_warnings import above_rate, change_warnings, operator_warnings
-from hapticd.protocol.encoded_scene import Told
+from hapticd.protocol.encoded_scene import EncodedScene
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.marks import Mark, MarkParams, checked_data
 from hapticd.protocol.messages import Code, decode_trusted
@@ -58,10 +70,6 @@ from hapticd.rendering.displayability import material_rate_faults, rate_faults
 from hapticd.rendering.joystick import grip_of, target_of
 from hapticd.system.repeated_lines import SHORTEST_S, Repeats
 
-LOAD_S: Final = 10.0
-"""So long the files of a configuration may take to be read. Commands and the end wait for it: the units' TimeoutStopSec
-and WatchdogSec are more."""
-_BEAT_S: Final = 0.1
 _log = logging.getLogger("hapticd")
 _FAULT_WORDS: Final = {
     Fault.NONFINITE: "a position or a force was not a number",
@@ -85,64 +93,6 @@ class MethodError(Exception):
         self.code = code
         self.message = message
         self.data = data
-
-
-class _NoParams(Model):
-    pass
-
-
-class _GetStatus(Model):
-    detail: bool = False
-
-
-class _Change(Model):
-    expect_revision: Annotated[int, Field(ge=0, le=0xFFFFFFFF)] | None = None
-    wait: bool = False
-
-
-class _SetScene(_Change):
-    scene: object
-
-
-class _UpdateScene(_Change):
-    objects: dict[str, object]
-
-
-class _UpdateMaterials(_Change):
-    materials: dict[str, object]
-
-
-class _SetMaterials(_Change):
-    materials: dict[str, object]
-
-
-class _Apply(_Change):
-    materials: dict[str, object] | None = None
-    scene: object = None
-
-
-class _Reload(_Change):
-    pass
-
-
-class _Play(Model):
-    direction: Position
-    amplitude_m_per_s2: float = Field(ge=0, le=1e5)
-    mode: ModeKeys | None = None
-    material: Name | None = None
-
-
-class _Reset(Model):
-    objects: Annotated[list[str], Field(max_length=1000)] | None = None
-
-
-class _SetForces(Model):
-    enabled: bool
-
-
-class _LeaseParams(Model):
-    duration_s: float = Field(ge=0, le=MAX_DURATION_S)
-    token: Annotated[str, Field(max_length=256)] | None = None
 
 
 class Changed(NamedTuple):
@@ -181,27 +131,6 @@ def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[s
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
 
 
-def _needing_restart(before: Config, after: Config) -> list[Problem]:
-    """What of a configuration is another, and cannot be taken while the servo runs."""
-    problems = []
-    for section in Config.model_fields:
-        if section not in ("scene", "materials"):
-            old, new = getattr(before, section).to_dict(), getattr(after, section).to_dict()
-            problems += _differences((section,), old, new)
-    return problems
-
-
-def _differences(path: Path, old: object, new: object) -> list[Problem]:
-    if isinstance(old, dict) and isinstance(new, dict):
-        keys = [*old, *(key for key in new if key not in old)]
-        return [problem for key in keys for problem in _differences((*path, key), old.get(key), new.get(key))]
-    # Where the simulated handle starts matters at the start alone.
-    if old == new or path == ("device", "sim", "start_m"):
-        return []
-    text = f"{json.dumps(new)} needs a restart of the daemon; it runs with {json.dumps(old)}"
-    return [Problem(path_text(path), text)]
-
-
 class Control:
     """Acts on one engine. One thread at a time."""
 
@@ -212,11 +141,11 @@ class Control:
         flight: Flight | None = None,
         ask_state: Callable[[], Future[dict[str, object]]] | None = None,
     ) -> None:
-        """`load` reads the configuration anew, for `reload`; `ask_state` asks telemetry for the newest sample."""
+        """`load` reads the configuration again, for `reload`; `ask_state` asks telemetry for the newest sample."""
         self._engine = engine
         self._load = load
         self.intake = Intake()
-        self._told = Told()
+        self._encoded = EncodedScene()
         self._flight = flight
         self._ask_state = ask_state
         self.repeats = Repeats()
@@ -319,23 +248,23 @@ class Control:
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
 
-    def _get_status(self, params: _GetStatus) -> Encoded:
+    def _get_status(self, params: GetStatusParams) -> Encoded:
         return self._status.encoded(params.detail)
 
-    def _get_state(self, _: _NoParams) -> Future[dict[str, object]]:
+    def _get_state(self, _: NoParams) -> Future[dict[str, object]]:
         if self._ask_state is None:
             raise MethodError(Code.INTERNAL, "this daemon has no telemetry")
         return self._ask_state()
 
-    def _get_config(self, _: _NoParams) -> dict[str, object]:
+    def _get_config(self, _: NoParams) -> dict[str, object]:
         config = self._engine.config
         return {"config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()}}
 
-    def _get_scene(self, _: _NoParams) -> dict[str, object]:
+    def _get_scene(self, _: NoParams) -> dict[str, object]:
         state = self._engine.state
-        return {"scene": self._told.scene(state.scene), "revision": state.revision}
+        return {"scene": self._encoded.scene(state.scene), "revision": state.revision}
 
-    def _set_scene(self, params: _SetScene) -> Changed:
+    def _set_scene(self, params: SetSceneParams) -> Changed:
         self._expect(params)
         scene = validate_scene(params.scene, ("scene",), self._engine.working)
         self._engine.working()  # the largest scenes take their time; every stage shows that somebody is at work
@@ -343,11 +272,11 @@ class Control:
         if problems:
             raise _faulty(problems)
         self._weigh(scene.objects, self._engine.materials)
-        self._told.prepare(scene.objects)
+        self._encoded.prepare(scene.objects)
         revision = self._engine.set_scene(scene, params.expect_revision)
         return Changed(revision, params.wait, self._warnings(scene.objects, ("scene", "objects")))
 
-    def _update_scene(self, params: _UpdateScene) -> Changed:
+    def _update_scene(self, params: UpdateSceneParams) -> Changed:
         self._expect(params)
         engine = self._engine
         changes = patched_objects(params.objects, engine.scene)
@@ -360,7 +289,7 @@ class Control:
             if problems:
                 raise _faulty(problems)
             self._weigh(others, engine.materials)
-        self._told.prepare(present)
+        self._encoded.prepare(present)
         revision = engine.update_objects(changes, params.expect_revision)
         return Changed(revision, params.wait, self._warnings(present, ("objects",)))
 
@@ -394,11 +323,11 @@ class Control:
                 break
         return problems[:MAX_FAULTS]
 
-    def _get_materials(self, _: _NoParams) -> dict[str, object]:
+    def _get_materials(self, _: NoParams) -> dict[str, object]:
         state = self._engine.state
-        return {"materials": self._told.materials(state.materials), "revision": state.revision}
+        return {"materials": self._encoded.materials(state.materials), "revision": state.revision}
 
-    def _set_materials(self, params: _SetMaterials) -> Changed:
+    def _set_materials(self, params: SetMaterialsParams) -> Changed:
         self._expect(params)
         engine = self._engine
         materials = whole_materials(params.materials, engine.materials, engine.working)
@@ -409,7 +338,7 @@ class Control:
         revision = engine.set_materials(materials, params.expect_revision)
         return Changed(revision, params.wait, self._material_warnings(params.materials))
 
-    def _apply(self, params: _Apply) -> Changed:
+    def _apply(self, params: ApplyParams) -> Changed:
         """Every fault of either part is told; materials and scene change at one tick, or neither does."""
         self._expect(params)
         engine = self._engine
@@ -436,13 +365,13 @@ class Control:
         if problems:
             raise _faulty(problems)
         self._weigh(scene.objects, materials)
-        self._told.prepare(scene.objects)
+        self._encoded.prepare(scene.objects)
         revision = engine.replace(scene, materials, params.expect_revision)
         objects = scene.objects if "scene" in params.model_fields_set else {}
         warnings = self._warnings(objects, ("scene", "objects"), params.materials or ())
         return Changed(revision, params.wait, warnings)
 
-    def _update_materials(self, params: _UpdateMaterials) -> Changed:
+    def _update_materials(self, params: UpdateMaterialsParams) -> Changed:
         self._expect(params)
         engine = self._engine
         materials, patched = patched_materials(params.materials, engine.materials, engine.working)
@@ -461,16 +390,16 @@ class Control:
         revision = engine.set_materials(materials, params.expect_revision)
         return Changed(revision, params.wait, self._material_warnings(patched))
 
-    def _reload(self, params: _Reload) -> Changed:
+    def _reload(self, params: ReloadParams) -> Changed:
         """All or nothing: what needs a restart refuses the rest, too."""
         self._expect(params)
         engine = self._engine
         if self._load is None:
             raise MethodError(Code.INTERNAL, "this daemon has no configuration to read")
         try:
-            config = self._read_anew(self._load)
+            config = read_again(self._load, engine.working, self.intake.ending)
             engine.working()
-            fixed = _needing_restart(engine.config, config)
+            fixed = needing_restart(engine.config, config)
             if fixed:
                 raise InvalidError(fixed)
             refused = rate_faults(config.scene.objects, config.materials, engine.output)
@@ -483,7 +412,7 @@ class Control:
                 self._expect(params)
                 revision = engine.revision
             else:
-                self._told.prepare(config.scene.objects)
+                self._encoded.prepare(config.scene.objects)
                 revision = engine.replace(config.scene, config.materials, params.expect_revision)
         except InvalidError as error:
             self._tell(logging.ERROR, f"not reloaded: {error}")
@@ -505,42 +434,12 @@ class Control:
             f"reload {level}", lambda since: _log.log(level, "%s%s", line, since.more), longest_s=SHORTEST_S
         )
 
-    def _read_anew(self, load: Callable[[], Config]) -> Config:
-        """Reads the files, for LOAD_S at most and until the daemon ends; meanwhile it says that it works, as large ones
-        take longer than the servo waits. Raises HapticdError."""
-        found: list[Config | BaseException] = []
-
-        computed = worker_process.used()
-
-        def read() -> None:
-            try:
-                with worker_process.using(computed):
-                    found.append(load())
-            except BaseException as error:
-                found.append(error)
-
-        # A daemon's thread: one that waits for a file for ever does not hold up the end of the process.
-        reader = threading.Thread(target=read, name="reload", daemon=True)
-        reader.start()
-        until_ns = monotonic_ns() + int(LOAD_S * 1e9)
-        while reader.is_alive():
-            if self.intake.ending.is_set():
-                raise HapticdError("the daemon ends")
-            if monotonic_ns() > until_ns:
-                raise HapticdError(f"the files of the configuration were not read within {LOAD_S:g} s")
-            self._engine.working()
-            reader.join(_BEAT_S)
-        (result,) = found
-        if isinstance(result, BaseException):
-            raise result
-        return result
-
-    def _dump_flight(self, _: _NoParams) -> dict[str, object]:
+    def _dump_flight(self, _: NoParams) -> dict[str, object]:
         if self._flight is None:
             raise MethodError(Code.INTERNAL, "this daemon has no flight recorder")
         return {"file": str(self._flight.dump())}
 
-    def _expect(self, params: _Change) -> None:
+    def _expect(self, params: ChangeParams) -> None:
         expected = params.expect_revision
         if expected is not None and expected != self._engine.revision:
             raise self._stale(expected)
@@ -563,7 +462,7 @@ class Control:
 
     # ---- Commands --------------------------------------------------------------------------------------------------
 
-    def _play(self, params: _Play) -> dict[str, object]:
+    def _play(self, params: PlayParams) -> dict[str, object]:
         if (params.mode is None) == (params.material is None):
             raise _faulty([Problem("", "needs exactly one of mode and material")])
         problems = []
@@ -600,7 +499,7 @@ class Control:
             warnings.append(Problem(where, above_rate(wanted_hz, shown_hz, self._engine.output)))
         return _with_warnings({"tick": tick, "displayed_hz": shown_hz}, warnings)
 
-    def _reset(self, params: _Reset) -> dict[str, object]:
+    def _reset(self, params: ResetParams) -> dict[str, object]:
         if params.objects is not None:
             objects = self._engine.scene.objects
             unknown = [
@@ -615,7 +514,7 @@ class Control:
     def _mark(self, params: MarkParams) -> dict[str, object]:
         return {"tick": self._engine.mark(Mark(params.text, checked_data(params.data)))}
 
-    def _set_forces(self, params: _SetForces) -> dict[str, object]:
+    def _set_forces(self, params: SetForcesParams) -> dict[str, object]:
         self._lease.forget_lapsed()
         tick = self._engine.set_forces(params.enabled)
         faults = self._engine.faults()
@@ -625,7 +524,7 @@ class Control:
         signs = self._engine.counters().signs
         return {**told, "signs": signs.to_dict()} if params.enabled and signs.holds_back else told
 
-    def _lease_request(self, params: _LeaseParams) -> dict[str, object]:
+    def _lease_request(self, params: LeaseParams) -> dict[str, object]:
         try:
             token = self._lease.request(params.duration_s, params.token)
         except LeaseHeldError:
@@ -692,22 +591,22 @@ class Control:
 
 # `set_operator` takes what an operator file holds, which hapticd.config.operator validates.
 _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
-    "get_status": (_GetStatus, Control._get_status),
-    "get_state": (_NoParams, Control._get_state),
-    "get_config": (_NoParams, Control._get_config),
-    "get_scene": (_NoParams, Control._get_scene),
-    "set_scene": (_SetScene, Control._set_scene),
-    "update_scene": (_UpdateScene, Control._update_scene),
-    "get_materials": (_NoParams, Control._get_materials),
-    "set_materials": (_SetMaterials, Control._set_materials),
-    "update_materials": (_UpdateMaterials, Control._update_materials),
-    "apply": (_Apply, Control._apply),
-    "play": (_Play, Control._play),
-    "reset": (_Reset, Control._reset),
+    "get_status": (GetStatusParams, Control._get_status),
+    "get_state": (NoParams, Control._get_state),
+    "get_config": (NoParams, Control._get_config),
+    "get_scene": (NoParams, Control._get_scene),
+    "set_scene": (SetSceneParams, Control._set_scene),
+    "update_scene": (UpdateSceneParams, Control._update_scene),
+    "get_materials": (NoParams, Control._get_materials),
+    "set_materials": (SetMaterialsParams, Control._set_materials),
+    "update_materials": (UpdateMaterialsParams, Control._update_materials),
+    "apply": (ApplyParams, Control._apply),
+    "play": (PlayParams, Control._play),
+    "reset": (ResetParams, Control._reset),
     "mark": (MarkParams, Control._mark),
-    "set_forces": (_SetForces, Control._set_forces),
+    "set_forces": (SetForcesParams, Control._set_forces),
     "set_operator": (None, Control._set_operator),
-    "lease": (_LeaseParams, Control._lease_request),
-    "reload": (_Reload, Control._reload),
-    "dump_flight": (_NoParams, Control._dump_flight),
+    "lease": (LeaseParams, Control._lease_request),
+    "reload": (ReloadParams, Control._reload),
+    "dump_flight": (NoParams, Control._dump_flight),
 }

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from hapticd.base.core import HISTOGRAM_EDGES_NS, CData, Fault, ffi, lib
+from hapticd.config.configuration import Servo
 from hapticd.hid.signs import Told
 
 _NO_FAULT: Final = Fault(0)
+_MEMORY_KINDS: Final = ("none", "servo", "process")
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +27,18 @@ class Granted:
     awake: bool
     missing: tuple[str, ...]
 
+    @classmethod
+    def of(cls, grant: CData, servo: Servo, awake: bool, missing: Sequence[str]) -> Granted:
+        """From a `struct hd_grant` and what else was asked for."""
+        return cls(
+            scheduler="fifo" if grant.priority else "other",
+            priority=grant.priority,
+            cpu=None if grant.affinity else servo.cpu,
+            memory=_MEMORY_KINDS[grant.memory_kind],
+            awake=awake,
+            missing=tuple(missing),
+        )
+
     def to_dict(self) -> dict[str, object]:
         return {
             "scheduler": self.scheduler,
@@ -31,6 +48,19 @@ class Granted:
             "idle_states_held": self.awake,
             "missing": list(self.missing),
         }
+
+
+def missing_of(grant: CData, servo: Servo) -> list[str]:
+    """What a `struct hd_grant` lacks of what was asked for, in words."""
+    missing = []
+    if grant.scheduler:
+        missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
+    if grant.affinity:
+        missing.append(f"processor {servo.cpu}: {os.strerror(grant.affinity)}")
+    if grant.memory:
+        kept = "only the servo's memory is locked" if grant.memory_kind else "nothing is locked"
+        missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
+    return missing
 
 
 class Energy(NamedTuple):
@@ -76,7 +106,8 @@ class Counters(NamedTuple):
     suspends: int
     """Times that the machine was suspended."""
     revision: int
-    faults: Fault
+    latched: int
+    """`faults` as a number."""
     forces_on: bool
     running: bool
     memory_refused: int
@@ -86,44 +117,42 @@ class Counters(NamedTuple):
     missed_share: float
     """Part of the periods of the last whole second that were missed."""
     signs_word: int
-    energy: Energy
-    """As of the last tick that was observed."""
+    energy_j: float
+    largest_j: float
+    contacts: int
+    restrained: int
+    acted: int
+
+    @property
+    def faults(self) -> Fault:
+        """Those that are latched."""
+        return Fault(self.latched) if self.latched else _NO_FAULT
 
     @property
     def signs(self) -> Told:
         """The check of a HID device's signs."""
         return Told.read(self.signs_word)
 
+    @property
+    def energy(self) -> Energy:
+        """As of the last tick that was observed."""
+        return Energy(self.energy_j, self.largest_j, self.contacts, self.restrained, self.acted)
+
 
 TOTALS: Final = Counters._fields[: Counters._fields.index("suspends") + 1]
 """Those that only grow, as `get_status` names them."""
+
+# All members in one call: each by itself, through cffi, would be a third of a status.
+_RECORD: Final = struct.Struct("<10Q2I?3x?3xI?3xdI4x2d3Q")
+if _RECORD.size != ffi.sizeof("struct hd_counters"):
+    raise ImportError("the record of hapticd.daemon.counters is not that of csrc/api/hd_api.h")
 
 
 def read_counters(servo: CData) -> Counters:
     """Those of a `struct hd_servo`. For any thread."""
     raw = ffi.new("struct hd_counters *")
     lib.hd_servo_counters(servo, raw)
-    return Counters(
-        raw.ticks,
-        raw.skipped,
-        raw.overruns,
-        raw.samples_dropped,
-        raw.events_dropped,
-        raw.strikes,
-        raw.glitches,
-        raw.saturations,
-        raw.overloads,
-        raw.suspends,
-        raw.revision,
-        Fault(raw.faults) if raw.faults else _NO_FAULT,
-        bool(raw.forces_on),
-        bool(raw.running),
-        raw.memory_refused,
-        bool(raw.overloaded),
-        raw.missed_share,
-        raw.signs,
-        energy_of(raw.energy),
-    )
+    return Counters._make(_RECORD.unpack(ffi.buffer(raw)))
 
 
 def energy_of(raw: CData) -> Energy:

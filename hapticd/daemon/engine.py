@@ -14,7 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,17 +38,23 @@ from hapticd.base.core import (
     pointer,
 )
 from hapticd.base.errors import HapticdError, InvalidError, Problem
-from hapticd.config.configuration import Config
+from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
-from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
-from hapticd.daemon.counters import Counters, Granted, Histogram, read_counters, read_faults, read_histograms
-from hapticd.daemon.plays import Play, Plays
-from hapticd.hid.connection import Connection
-from hapticd.hid.link import Link
-from hapticd.hid.offload import Offload, Offloaded
+from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, material_names, used_materials
+from hapticd.daemon.commands import LOOK_EVERY_NS, Commands, RingFullError
+from hapticd.daemon.counters import (
+    Counters,
+    Granted,
+    Histogram,
+    missing_of,
+    read_counters,
+    read_faults,
+    read_histograms,
+)
+from hapticd.daemon.plays import Play
+from hapticd.daemon.stability import Snapshot, StabilityEvaluation
 from hapticd.hid.signs import Check, SignsLog
-from hapticd.hid.sources import source_of
 from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
 from hapticd.protocol.displayability_warnings import MaterialReport
@@ -64,10 +70,15 @@ from hapticd.rendering.displayability import (
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
-from hapticd.rendering.scene_stability import Stability, evaluate
+from hapticd.rendering.scene_stability import Stability
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable import Undisplayable
 from hapticd.system.idle_states import IdleStateLock
+
+if TYPE_CHECKING:
+    from hapticd.hid.connection import Connection, Source
+    from hapticd.hid.link import Link
+    from hapticd.hid.offload import Offload, Offloaded
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -80,28 +91,11 @@ FROZEN_FORCE: Final = 0.1
 CHANGES: Final = 1024
 """Changes that wait to be told; older ones are given up."""
 
-WAIT_S: Final = 1.0
-"""How long a command waits for the servo to take it."""
-EVALUATED_AT_ONCE: Final = 512
-"""Larger scenes are judged by a thread: nobody waits for it."""
-
-LOOK_EVERY_NS: Final = 50_000_000
-"""So often the thread that serves commands looks whether the servo needs something."""
-
 LEAST_RATE_HZ: Final = 1000.0
 """The servo steps down to no less."""
 
 _NO_FAULT: Final = Fault(0)
 _log = logging.getLogger("hapticd")
-_MEMORY_KINDS: Final = ("none", "servo", "process")
-
-
-class RingFullError(HapticdError):
-    """The servo has not yet taken what was sent before; nothing of this was sent."""
-
-
-class WaitTimeoutError(HapticdError):
-    """The servo did not take a command or a revision in time."""
 
 
 class StaleRevisionError(HapticdError):
@@ -154,6 +148,9 @@ class Engine:
             hid = config.device.hid
             checked = config.device.kind == "hid" and hid.signs == "check"
             check = Check(hid.travel_m, hid.full_scale_force_n) if checked else None
+            # A simulated joystick needs none of this, and starts without it.
+            from hapticd.hid.connection import Connection
+
             self.connection = Connection(source_of(config.device), below_servo, stop_file, check)
             if config.device.hid.offload == "auto":
                 self._offload = self.connection.offload
@@ -178,23 +175,20 @@ class Engine:
         self.output = self._output_at(servo.rate_hz)
         self._loop = self._loop_at(self.output)
         self._compiling = threading.Lock()
-        self._evaluated: tuple[int, Stability] | None = None
-        self._evaluating = threading.Lock()
+        self._stability = StabilityEvaluation(self._compiling, self._snapshot)
         self._reports: dict[str, MaterialReport] = {}
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
         if self._offload is not None:
             self._offload.evaluate_at(self.output.carried_hz)
-        self._operators: deque[tuple[int, CData]] = deque()
+        operators: deque[tuple[int, CData]] = deque()
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
         self._marks = Marks()
-        self._plays = Plays()
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._dropped = ffi.new("uint64_t *")
         self._touched = ffi.new("struct hd_touched[]", lib.HD_TOUCHED_MAX)
-        self._sequence = ffi.new("uint64_t *")
         settings = ffi.new("struct hd_servo_config *")
         settings.rate_hz = servo.rate_hz
         settings.cpu = -1 if servo.cpu is None else servo.cpu
@@ -218,10 +212,11 @@ class Engine:
             raise HapticdError(invalid_reason())
 
         # The thread ends first: the destructor itself keeps alive what the thread uses until then.
-        def free(servo: CData, _used: tuple[object, ...] = (self._sim, hid, self._operators)) -> None:
+        def free(servo: CData, _used: tuple[object, ...] = (self._sim, hid, operators)) -> None:
             lib.hd_servo_free(servo)
 
         self._servo = ffi.gc(made, free)
+        self._commands = Commands(self._servo, operators, self.look_after)
         # Whoever compiles for seconds is at work all the while. (`made` itself keeps nothing alive.)
         self._working = _Working(lambda: lib.hd_servo_beat(made))
         self._compiler = Compiler(self.output, self._working, self._offload)
@@ -279,14 +274,7 @@ class Engine:
 
     def _take_grant(self, status: int, grant: CData) -> Granted:
         servo = self.config.servo
-        missing = []
-        if grant.scheduler:
-            missing.append(f"SCHED_FIFO priority {servo.priority}: {os.strerror(grant.scheduler)}")
-        if grant.affinity:
-            missing.append(f"processor {servo.cpu}: {os.strerror(grant.affinity)}")
-        if grant.memory:
-            kept = "only the servo's memory is locked" if grant.memory_kind else "nothing is locked"
-            missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
+        missing = missing_of(grant, servo)
         if servo.realtime != "off":
             try:
                 self._idle_lock.hold()
@@ -303,14 +291,7 @@ class Engine:
             )
         if status != Status.OK:
             raise HapticdError(f"the servo thread does not start: {os.strerror(ffi.errno)}")
-        self.granted = Granted(
-            scheduler="fifo" if grant.priority else "other",
-            priority=grant.priority,
-            cpu=None if grant.affinity else servo.cpu,
-            memory=_MEMORY_KINDS[grant.memory_kind],
-            awake=self._idle_lock.held,
-            missing=tuple(missing),
-        )
+        self.granted = Granted.of(grant, servo, self._idle_lock.held, missing)
         return self.granted
 
     def stop(self) -> None:
@@ -355,7 +336,7 @@ class Engine:
         if now_ns < self._look_ns:
             return
         self._look_ns = now_ns + LOOK_EVERY_NS
-        self._changes.extend(self._plays.taken(self._servo))
+        self._changes.extend(self._commands.plays.taken(self._servo))
         counters = self.counters()
         if counters.suspends != self._suspends:
             self._suspends = counters.suspends
@@ -398,7 +379,7 @@ class Engine:
         if self._offload is not None:
             self._offload.evaluate_at(output.carried_hz)
         self._compiler.turn_to(output)
-        self._plays.turn_to(self._servo, output)
+        self._commands.plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
         self._publish(self.scene, (), self.materials, revision)
         self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
@@ -435,7 +416,7 @@ class Engine:
 
     def wait_revision(self, revision: int) -> int:
         """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
-        return self._wait(
+        return self._commands.wait(
             lambda timeout_ns, tick: lib.hd_servo_wait_revision(self._servo, revision, timeout_ns, tick),
             f"revision {revision} was not in force",
         )
@@ -475,48 +456,13 @@ class Engine:
         return self._offload.told(materials_in(self.scene.objects, self.materials))
 
     def stability(self) -> Stability:
-        """Which sets of objects that act together are not safe, of the scene in force. For any thread.
+        """Which sets of objects that act together are not safe, of the scene in force. For any thread."""
+        return Stability(UNKNOWN_HANDLE, None) if self._loop is None else self._stability.find()
 
-        Found anew only where the scene changed. While another thread changes it, that of the scene before; of a scene
-        of more than EVALUATED_AT_ONCE objects and patches, until a thread has found it, which takes seconds at most.
-        """
-        if self._loop is None:
-            return Stability(UNKNOWN_HANDLE, None)
-        known = self._evaluated
-        # Nobody waits here for the filters of many textures; but the first one is always told.
-        if not self._compiling.acquire(blocking=known is None):
-            assert known is not None
-            return known[1]
-        try:
-            if known is not None and known[0] == self.revision:
-                return known[1]
-            revision, scene, parts = self.revision, self.scene, self._compiler.surfaces()
-            names = self._compiler.names()
-        finally:
-            self._compiling.release()
-        loop = self._loop
-
-        def find() -> Stability:
-            found = evaluate(parts, names.__getitem__, lambda: field_ids(scene.objects), loop)
-            self._evaluated = revision, found
-            return found
-
-        if known is None or np.count_nonzero(parts.objects["shape"]) + len(parts.pieces) <= EVALUATED_AT_ONCE:
-            return find()
-        if self._evaluating.acquire(blocking=False):
-
-            def run() -> None:
-                try:
-                    find()
-                finally:
-                    self._evaluating.release()
-
-            try:
-                threading.Thread(target=run, name="stability", daemon=True).start()
-            except RuntimeError:  # there may be no more threads: whoever asks finds it
-                self._evaluating.release()
-                return find()
-        return known[1]
+    def _snapshot(self, known_revision: int | None) -> Snapshot | None:
+        if self.revision == known_revision or self._loop is None:
+            return None
+        return Snapshot(self.revision, self.scene, self._compiler.surfaces(), self._compiler.names(), self._loop)
 
     def name_of(self, slot: int, generation: int) -> str | None:
         """The id of the object that an event speaks of; None where no object is meant."""
@@ -586,8 +532,8 @@ class Engine:
         while output is not self.output:
             output = self.output
             command.mode = play.record(output)
-            tick = self._send_and_wait([command], play=play)
-        self._changes.extend(self._plays.taken(self._servo))
+            tick = self._commands.send([command], play)
+        self._changes.extend(self._commands.plays.taken(self._servo))
         played_hz = None if self._offload is None else self._offload.shown_hz(mode)
         if played_hz is not None:
             return tick, played_hz
@@ -609,7 +555,7 @@ class Engine:
                     command = self._command(CommandKind.RESET)
                     command.slot, command.generation = place
                     commands.append(command)
-        tick = self._send_and_wait(commands)
+        tick = self._commands.send(commands) if commands else self.counters().ticks
         self._changes.append(Reset(tick, ids))
         return tick
 
@@ -617,7 +563,7 @@ class Engine:
         """Forces on (which clears latched faults whose cause is gone) or off; the tick that took it."""
         command = self._command(CommandKind.FORCES)
         command.value = enabled
-        return self._send_and_wait([command])
+        return self._commands.send([command])
 
     def set_operator(self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]) -> int:
         """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned.
@@ -629,10 +575,7 @@ class Engine:
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)
         command.path = path
-        tick = self._send_and_wait([command], keep=path)
-        # The servo uses the newest only.
-        while len(self._operators) > 1:
-            self._operators.popleft()
+        tick = self._commands.send_operator(command, path)
         self._operator_tick = tick
         return tick
 
@@ -661,7 +604,7 @@ class Engine:
         command = self._command(CommandKind.MARK)
         command.value = number
         try:
-            return self._send_and_wait([command])
+            return self._commands.send([command])
         except RingFullError:
             self._marks.take(number)
             raise
@@ -675,43 +618,7 @@ class Engine:
         lib.hd_servo_set_lease(self._servo, deadline_ns)
 
     def _command(self, kind: CommandKind) -> CData:
-        command = ffi.new("struct hd_command *")
-        command.kind = kind
-        command.revision = self.revision
-        return command
-
-    def _send_and_wait(self, commands: list[CData], keep: CData | None = None, play: Play | None = None) -> int:
-        if not commands:
-            return self.counters().ticks
-        batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
-        status = lib.hd_servo_send(self._servo, batch, len(commands), self._sequence)
-        if status == Status.ERR_FULL:
-            raise RingFullError(f"the command ring has no room for {len(commands)} more")
-        if status != Status.OK:
-            raise HapticdError(invalid_reason())
-        sequence = self._sequence[0]
-        if keep is not None:
-            self._operators.append((sequence, keep))
-        if play is not None:
-            self._plays.sent(sequence, play)
-        return self._wait(
-            lambda timeout_ns, tick: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, tick),
-            "the servo did not take the command",
-        )
-
-    def _wait(self, taken: Callable[[int, CData], int], late: str) -> int:
-        """The tick that took something; `taken` itself waits for at most the nanoseconds that it is given.
-
-        A servo that steps down goes on by this thread's doing, and would be waited for in vain if it did not look after
-        it. Raises WaitTimeoutError, which says what is `late`.
-        """
-        tick = ffi.new("uint64_t *")
-        until_ns = monotonic_ns() + int(WAIT_S * 1e9)
-        while taken(max(0, min(LOOK_EVERY_NS, until_ns - monotonic_ns())), tick) != Status.OK:
-            if monotonic_ns() >= until_ns:
-                raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
-            self.look_after()
-        return int(tick[0])
+        return self._commands.new(kind, self.revision)
 
     # ---- What the servo says ---------------------------------------------------------------------------------------
 
@@ -759,6 +666,13 @@ class Engine:
             raise ValueError(f"room for records of {dtype}, not {room.dtype}")
         count = read(self._servo, pointer(ctype, room), len(room), self._dropped)
         return int(count), int(self._dropped[0])
+
+
+def source_of(device: Device) -> Source:
+    """Where a configured device that is no simulation comes from."""
+    from hapticd.hid import sources
+
+    return sources.source_of(device)
 
 
 def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from hapticd.base.core import CData, Status, ffi, invalid_reason, lib
 from hapticd.base.errors import HapticdError
 from hapticd.config.modes import Attack, Mode
-from hapticd.hid.offload import EffectUse
 from hapticd.protocol.changes import Played
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.output import Output
+
+if TYPE_CHECKING:
+    from hapticd.hid.offload import EffectUse
 
 _MOST: Final = 4096
 """No less than the ring of commands holds."""

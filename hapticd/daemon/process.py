@@ -32,6 +32,7 @@ from hapticd.config.configuration import Config, chosen_config
 from hapticd.config.locations import Chosen, choose
 from hapticd.daemon import server
 from hapticd.daemon.control import Control
+from hapticd.daemon.counters import Granted
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine, monotonic_ns
 from hapticd.daemon.flight_recorder import Flight, directory_of
@@ -76,7 +77,7 @@ def run(
         sys.setswitchinterval(SWITCH_S)
         connections = open_files.settle()
         stack.enter_context(journal.attached(log_level))
-        stack.push(_told)
+        stack.push(_log_end)
         chosen = choose(config_paths)
         config = chosen_config(chosen)
         stack.callback(os.umask, os.umask(0o007))
@@ -117,12 +118,7 @@ def _run(
     granted = engine.start()
     stack.callback(control.intake.join)
     stack.callback(engine.stop)
-    _log.info("configuration: %s", chosen)
-    for missing in granted.missing:
-        _log.warning("not granted: %s", missing)
-    undisplayable, warnings = engine.limits()
-    for told in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
-        _log.warning("%s", told)
+    _log_limits(engine, granted, chosen)
     router = Router(mine.listen(paths.command), COMMAND_LIMITS.of(connections))
     stack.callback(router.close)
     watch = notify.Watch(lambda: _progress(engine))
@@ -141,37 +137,57 @@ def _run(
         wake=router.wake,
     )
     stack.callback(control.end)  # what is being taken in is given up
-    gc.collect()
+    # What garbage there is by now is little; to look for it would hold up the first answer.
     gc.freeze()
     gc.enable()
+    _log_ready(engine, granted, paths.command)
+    notify.ready(_progress(engine)[1])
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+    ended = _await_end(signals, dispatch)
+    notify.stopping()
+    if failures:
+        _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
+        return 1
+    _log.info("%s: stopping", ended.name)
+    mine.remove(paths.command)
+    return 0
+
+
+def _log_limits(engine: Engine, granted: Granted, chosen: Chosen) -> None:
+    """What was not granted, and what of the scene is not displayed as it was meant."""
+    _log.info("configuration: %s", chosen)
+    for missing in granted.missing:
+        _log.warning("not granted: %s", missing)
+    undisplayable, warnings = engine.limits()
+    for problem in (*undisplayable[:MAX_FAULTS], *warnings[:MAX_FAULTS], *engine.stability().problems()):
+        _log.warning("%s", problem)
+
+
+def _log_ready(engine: Engine, granted: Granted, command: Path) -> None:
     if engine.connection is not None:
         found = engine.connection.status()
         _log.info("device: %s at %s; forces are off until somebody turns them on", found["name"], found["path"])
     _log.info(
         "ready: %s at %s, %s%s, commands at %s",
-        config.device.kind,
-        wording.si(config.servo.rate_hz, "Hz"),
+        engine.config.device.kind,
+        wording.si(engine.config.servo.rate_hz, "Hz"),
         f"SCHED_FIFO {granted.priority}" if granted.priority else "no real-time priority",
         f", memory locked: {granted.memory}",
-        paths.command,
+        command,
     )
-    notify.ready(_progress(engine)[1])
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
+
+
+def _await_end(signals: socket.socket, dispatch: Dispatch) -> signal.Signals:
+    """The signal that ends the daemon; others have the configuration reloaded."""
     # Asked now: a terminal that is gone is none any more.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
     # Of signals that came together the end overtakes the reloads.
-    while not (ended := ends.intersection(received := signals.recv(4096))):
+    while not ends.intersection(received := signals.recv(4096)):
         dispatch.ask_reload()
-    notify.stopping()
-    if failures:
-        _log.error("a thread failed: %s: %s", type(failures[0]).__name__, failures[0])
-        return 1
-    _log.info("%s: stopping", signal.Signals(next(number for number in received if number in ended)).name)
-    mine.remove(paths.command)
-    return 0
+    return signal.Signals(next(number for number in received if number in ends))
 
 
-def _told(kind: type[BaseException] | None, *_: object) -> None:
+def _log_end(kind: type[BaseException] | None, *_: object) -> None:
     """The last line of the log, once everything is down; an error has a line of its own."""
     if kind is None:
         _log.info("stopped")

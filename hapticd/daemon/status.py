@@ -86,19 +86,25 @@ class Status:
     def _changing(self, counters: Counters) -> dict[str, object]:
         engine, taken_in = self._engine, self._intake.work
         connection, moment = engine.connection, clock.read()
-        energy = counters.energy
         return {
             "clock": {"monotonic_ns": moment.monotonic_ns, "realtime_ns": moment.realtime_ns},
             "state": "running" if counters.running else "stopped",
             "connection": None if connection is None else {**connection.status(), "signs": counters.signs.to_dict()},
             "tick": counters.ticks,
-            "forces": "faulted" if counters.faults else "on" if counters.forces_on else "off",
-            "faults": fault_names(counters.faults) if counters.faults else [],
+            "forces": "faulted" if counters.latched else "on" if counters.forces_on else "off",
+            "faults": fault_names(counters.faults) if counters.latched else [],
             "lease_s": self._lease.remaining_s,
             "intake": None if taken_in is None else taken_in.status(),
             "counters": dict(zip(TOTALS, counters)),  # noqa: B905 - the others are no totals
             "overruns": {**self._overruns, "missed_share": counters.missed_share},
-            "passivity": {"mode": engine.scene.passivity, **energy._asdict()},
+            "passivity": {
+                "mode": engine.scene.passivity,
+                "energy_j": counters.energy_j,
+                "largest_j": counters.largest_j,
+                "contacts": counters.contacts,
+                "restrained": counters.restrained,
+                "acted": counters.acted,
+            },
         }
 
     def _detail(self) -> dict[str, object]:

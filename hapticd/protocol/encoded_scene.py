@@ -1,4 +1,4 @@
-"""What scene and materials are told as, encoded: walls of many patches and materials that stay as they are, once.
+"""Scene and materials, encoded for answers: walls of many patches and materials that stay as they are, once.
 
 Who asks for a scene of 80,000 patches again and again would otherwise have all of them encoded each time, and everybody
 else would wait for it.
@@ -15,7 +15,7 @@ from hapticd.config.patches import Patches
 from hapticd.config.scene import Scene, SceneObject, Wall
 
 
-class Told:
+class EncodedScene:
     """Keeps what was encoded; it is let go with what it stands for. For any thread."""
 
     def __init__(self) -> None:
@@ -40,7 +40,7 @@ class Told:
             same = known is not None and known[0] is material
             found[name] = known if known and same else (material, encoded(material.to_dict()))
         self._materials = found
-        return encoded_map({name: told for name, (_, told) in found.items()})
+        return encoded_map({name: each for name, (_, each) in found.items()})
 
 
 def _object(item: SceneObject) -> object:

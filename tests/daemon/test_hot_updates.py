@@ -8,7 +8,7 @@ import pytest
 from hapticd.base.core import EventKind, Flag, lib
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import shipped_materials
-from hapticd.daemon.control import _needing_restart
+from hapticd.daemon.reload import needing_restart
 from tests.support.rig import FLOOR, SKIN, Rig, line, still
 
 RATE = 10_000
@@ -446,7 +446,7 @@ def test_what_else_could_move_the_force_needs_a_restart(other: dict[str, object]
     """So of a configuration only scene and materials are commands."""
     before, after = load_config({}), load_config(other)
     assert before != after
-    assert _needing_restart(before, after)
+    assert needing_restart(before, after)
 
 
 @pytest.mark.parametrize("modes", [("off", "control"), ("control", "off"), ("observe", "control")])

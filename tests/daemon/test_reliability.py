@@ -16,7 +16,7 @@ import pytest
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.modes import Mode
-from hapticd.daemon import control as control_module
+from hapticd.daemon import reload
 from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine, monotonic_ns
 from hapticd.protocol.changes import Played, Revised
@@ -494,7 +494,7 @@ def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPat
         over.wait()
         return engine.config
 
-    monkeypatch.setattr(control_module, "LOAD_S", 0.0)
+    monkeypatch.setattr(reload, "LOAD_S", 0.0)
     with pytest.raises(MethodError, match="were not read within 0 s"):
         Control(engine, load).call("reload", {})
     over.set()
@@ -503,7 +503,7 @@ def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPat
 @pytest.mark.parametrize("unit", ["hapticd.service", "hapticd.user.service"])
 def test_no_unit_gives_up_before_a_reload_does(unit: str) -> None:
     limits = dict(re.findall(r"^(TimeoutStopSec|WatchdogSec)=(\d+)$", (ROOT / "systemd" / unit).read_text(), re.M))
-    assert len(limits) == 2 and all(int(limit) > control_module.LOAD_S for limit in limits.values())
+    assert len(limits) == 2 and all(int(limit) > reload.LOAD_S for limit in limits.values())
 
 
 @pytest.mark.slow

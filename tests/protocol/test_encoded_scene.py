@@ -8,7 +8,7 @@ from hapticd.config.materials import Material, validate_materials
 from hapticd.config.patches import Patches
 from hapticd.config.scene import Scene, validate_scene
 from hapticd.protocol import messages
-from hapticd.protocol.encoded_scene import Told
+from hapticd.protocol.encoded_scene import EncodedScene
 
 
 def scene(count: int) -> Scene:
@@ -23,14 +23,14 @@ def scene(count: int) -> Scene:
 @pytest.mark.parametrize("count", [0, 3, 2000])
 def test_a_scene_is_told_as_it_is(count: int) -> None:
     made = scene(count)
-    assert msgpack.unpackb(bytes(Told().scene(made))) == made.to_dict()
+    assert msgpack.unpackb(bytes(EncodedScene().scene(made))) == made.to_dict()
 
 
 def test_many_patches_are_encoded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
     texts = Patches.texts
     monkeypatch.setattr(Patches, "texts", lambda self: asked.append(len(self)) or texts(self))
-    told, made = Told(), scene(2000)
+    told, made = EncodedScene(), scene(2000)
     first = told.scene(made)
     assert told.scene(made) == first
     assert told.scene(made.model_copy(update={"ramp_s": 0.1})) != first
@@ -51,7 +51,7 @@ def test_materials_are_encoded_once_and_let_go(monkeypatch: pytest.MonkeyPatch) 
         "to_dict",
         lambda self, **options: asked.append(self.stiffness_n_per_m) or to_dict(self, **options),
     )
-    told = Told()
+    told = EncodedScene()
     assert msgpack.unpackb(bytes(told.materials(materials))) == {
         name: to_dict(each) for name, each in materials.items()
     }

@@ -21,7 +21,7 @@ from hapticd.config.actuator import Actuator
 from hapticd.config.configuration import load_config
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.scene import validate_scene
-from hapticd.daemon import engine as engines
+from hapticd.daemon import stability as stability_module
 from hapticd.daemon.control import Control
 from hapticd.daemon.engine import Engine
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
@@ -502,9 +502,9 @@ def test_many_sets_are_counted_and_few_told() -> None:
     assert engine.stability() is stability
 
 
-def test_nobody_waits_until_a_large_scene_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nobody_waits_until_a_large_scene_is_evaluated(monkeypatch: pytest.MonkeyPatch) -> None:
     go_on, done = threading.Event(), threading.Event()
-    evaluate = engines.evaluate
+    evaluate = stability_module.evaluate
 
     def held(*args: Any) -> Any:
         assert go_on.wait(60)
@@ -515,16 +515,16 @@ def test_nobody_waits_until_a_large_scene_is_judged(monkeypatch: pytest.MonkeyPa
 
     discs = {
         f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 2e-4, "material": "m"}
-        for i in range(engines.EVALUATED_AT_ONCE + 2)
+        for i in range(stability_module.EVALUATED_AT_ONCE + 2)
     }
     engine = Engine(load_config({**LINKED, "materials": {"m": {"stiffness_n_per_m": 800}}}))
     before = engine.stability()
-    monkeypatch.setattr(engines, "evaluate", held)
+    monkeypatch.setattr(stability_module, "evaluate", held)
     engine.set_scene(validate_scene({"objects": discs}))
     assert engine.stability() is before and engine.stability() is before
     go_on.set()
     assert done.wait(60)
-    with engine._evaluating:  # until the thread that judged has ended
+    with engine._stability.under_way:  # until the thread that evaluated has ended
         pass
     assert engine.stability().sets == len(discs)
 

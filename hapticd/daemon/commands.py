@@ -1,0 +1,93 @@
+"""The way of commands to the servo: a ring that loses none, and the wait for the tick that takes them.
+
+For the thread that serves commands.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from hapticd.base.core import CData, CommandKind, Status, ffi, invalid_reason, lib
+from hapticd.base.errors import HapticdError
+from hapticd.daemon.plays import Play, Plays
+
+WAIT_S: Final = 1.0
+"""How long a command waits for the servo to take it."""
+LOOK_EVERY_NS: Final = 50_000_000
+"""So often the thread that serves commands looks whether the servo needs something."""
+
+
+class RingFullError(HapticdError):
+    """The servo has not yet taken what was sent before; nothing of this was sent."""
+
+
+class WaitTimeoutError(HapticdError):
+    """The servo did not take a command or a revision in time."""
+
+
+class Commands:
+    """Sends commands to one servo."""
+
+    def __init__(self, servo: CData, operators: deque[tuple[int, CData]], look_after: Callable[[], None]) -> None:
+        """`operators`: paths that the servo may use, each with its command's number; `look_after`: called while the
+        servo is waited for."""
+        self._servo, self._look_after = servo, look_after
+        self._operators = operators
+        self._sequence = ffi.new("uint64_t *")
+        self.plays = Plays()
+        """Modes that were sent to be struck."""
+
+    def new(self, kind: CommandKind, revision: int) -> CData:
+        """A `struct hd_command *` for this revision of the scene or a later one."""
+        command = ffi.new("struct hd_command *")
+        command.kind, command.revision = kind, revision
+        return command
+
+    def send(self, commands: list[CData], play: Play | None = None) -> int:
+        """The tick that took them all. `play`: what the command strikes. Raises RingFullError, WaitTimeoutError."""
+        sequence = self._put(commands)
+        if play is not None:
+            self.plays.sent(sequence, play)
+        return self._taken(sequence)
+
+    def send_operator(self, command: CData, path: CData) -> int:
+        """As `send`, of a path that the hand is to follow."""
+        sequence = self._put([command])
+        self._operators.append((sequence, path))
+        tick = self._taken(sequence)
+        # The servo uses the newest only.
+        while len(self._operators) > 1:
+            self._operators.popleft()
+        return tick
+
+    def _put(self, commands: list[CData]) -> int:
+        batch = ffi.new("struct hd_command[]", [command[0] for command in commands])
+        status = lib.hd_servo_send(self._servo, batch, len(commands), self._sequence)
+        if status == Status.ERR_FULL:
+            raise RingFullError(f"the command ring has no room for {len(commands)} more")
+        if status != Status.OK:
+            raise HapticdError(invalid_reason())
+        return int(self._sequence[0])
+
+    def _taken(self, sequence: int) -> int:
+        return self.wait(
+            lambda timeout_ns, tick: lib.hd_servo_wait_command(self._servo, sequence, timeout_ns, tick),
+            "the servo did not take the command",
+        )
+
+    def wait(self, taken: Callable[[int, CData], int], late: str) -> int:
+        """The tick that took something; `taken` itself waits for at most the nanoseconds that it is given.
+
+        A servo that steps down goes on by this thread's doing, and would be waited for in vain if it did not look after
+        it. Raises WaitTimeoutError, which says what is `late`.
+        """
+        tick = ffi.new("uint64_t *")
+        until_ns = time.monotonic_ns() + int(WAIT_S * 1e9)
+        while taken(max(0, min(LOOK_EVERY_NS, until_ns - time.monotonic_ns())), tick) != Status.OK:
+            if time.monotonic_ns() >= until_ns:
+                raise WaitTimeoutError(f"{late} within {WAIT_S:g} s")
+            self._look_after()
+        return int(tick[0])
