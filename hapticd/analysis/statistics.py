@@ -27,7 +27,7 @@ class FitError(HapticdError):
     """What the recordings do not support; one line, with the reason."""
 
 
-class MistakenError(FitError):
+class UnitError(FitError):
     """Recordings are in another unit or of another sign than they are taken to be: then all of a set are."""
 
 

@@ -32,7 +32,7 @@ from hapticd.cli.synthesize import synthesize_command
 if TYPE_CHECKING:
     from hapticd.config.materials import Material
     from hapticd.config.modes import Attack
-    from hapticd.fit.exclusions import LeftOut
+    from hapticd.fit.exclusions import Exclusions
     from hapticd.fit.provenance import Fit, Kind
     from hapticd.fit.recording import Recording
     from hapticd.fit.tap_kind import TapKind
@@ -57,7 +57,7 @@ class _Fitted:
 
 
 _Step: TypeAlias = "Callable[[str], None]"
-_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step, LeftOut], _Fitted]"
+_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step, Exclusions], _Fitted]"
 
 
 @click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
@@ -157,12 +157,12 @@ def tap_command(
                 f"{option} and --attack do not go together: leave out one, {option} is of coefficients"
             )
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, excluded: Exclusions) -> _Fitted:
         from hapticd.fit.provenance import estimates
         from hapticd.fit.tap_kind import fit_taps
         from hapticd.fit.waveform import WaveformFit
 
-        found = fit_taps(recordings, as_form, lambda recording: step(f"fitting {recording.name}"), left)
+        found = fit_taps(recordings, as_form, lambda recording: step(f"fitting {recording.name}"), excluded)
         if isinstance(found, WaveformFit):
             told = () if as_form == "waveform" else (AS_WAVEFORM,)
             return _Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
@@ -199,11 +199,11 @@ def tap_command(
 def grooves_command(**options: Any) -> None:
     """Spacing, mode and gains of grooves, from strokes over them."""
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, excluded: Exclusions) -> _Fitted:
         from hapticd.fit.grooves import fit_grooves
 
         step("fitting")
-        found = fit_grooves(recordings, left=left)
+        found = fit_grooves(recordings, excluded=excluded)
         return _Fitted(found, found.material())
 
     _run("grooves", fit, **options)
@@ -215,11 +215,11 @@ def grooves_command(**options: Any) -> None:
 def texture_command(autoregressive: bool, **options: Any) -> None:
     """Spectrum and loudness of a texture, from strokes over it."""
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, excluded: Exclusions) -> _Fitted:
         from hapticd.fit.texture import fit_texture
 
         step("fitting")
-        found = fit_texture(recordings, autoregressive=autoregressive, left=left)
+        found = fit_texture(recordings, autoregressive=autoregressive, excluded=excluded)
         return _Fitted(found, found.material())
 
     _run("texture", fit, **options)
@@ -230,11 +230,11 @@ def texture_command(autoregressive: bool, **options: Any) -> None:
 def puncture_command(**options: Any) -> None:
     """Stiffness, rupture and mode of a membrane, from recordings of punctures."""
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
+    def fit(recordings: Sequence[Recording], step: _Step, excluded: Exclusions) -> _Fitted:
         from hapticd.fit.puncture import fit_puncture
 
         step("fitting")
-        found = fit_puncture(recordings, left=left)
+        found = fit_puncture(recordings, excluded=excluded)
         return _Fitted(found, found.material())
 
     _run("puncture", fit, **options)
@@ -356,10 +356,10 @@ def _fit(
     files: Sequence[str], fit: _Fitting, per_file: int, strict: bool
 ) -> tuple[list[Recording], list[Recording], _Fitted]:
     """The recordings that were used, those that were left out, and what was made of them."""
-    from hapticd.fit.exclusions import LeftOut
+    from hapticd.fit.exclusions import Exclusions
     from hapticd.fit.recording import NoRecordingError, RecordingError, load
 
-    left = LeftOut(strict)
+    excluded = Exclusions(strict)
     with _progress(len(files) * per_file + (per_file == 1)) as step:
         recordings: list[Recording] = []
         for file in files:
@@ -369,17 +369,17 @@ def _fit(
             except RecordingError as error:
                 if len(files) == 1 or isinstance(error, NoRecordingError):
                     raise
-                left.add(error.name, error.reason)
+                excluded.add(error.name, error.reason)
         if not recordings:
-            raise left.refused(f"none of {len(files)} recordings can be read")
+            raise excluded.refused(f"none of {len(files)} recordings can be read")
         # What comes of a division by zero and the like is no number, and no material takes one.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
-            fitted = fit(recordings, step, left)
+            fitted = fit(recordings, step, excluded)
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:
-        (unused if recording.name in left.recordings else used).append(recording)
+        (unused if recording.name in excluded.recordings else used).append(recording)
     return used, unused, fitted
 
 

@@ -17,8 +17,8 @@ from hapticd.analysis.statistics import Estimate, FitError
 from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
-from hapticd.fit.exclusions import RECORDING, Left
-from hapticd.fit.invalid_samples import without_impossible
+from hapticd.fit.exclusions import RECORDING, Exclusion
+from hapticd.fit.invalid_samples import without_invalid_samples
 from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording
 from hapticd.fit.report import Curve, Page, Panel
@@ -63,7 +63,7 @@ def page_of(
 def _kept(recording: Recording, kind: Kind) -> Recording:
     """As it was fitted: without samples that cannot be."""
     try:
-        return without_impossible(recording, kind).recording
+        return without_invalid_samples(recording, kind).recording
     except FitError:
         return recording
 
@@ -191,7 +191,7 @@ def _ringing(fit: TapFit) -> Iterator[Row]:
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
     """What was left out: where it is in a recording of which more was used, and the first of it as it was recorded."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
-    left: list[Left] = [each for each in fit.left_out if each.recording in seen]
+    left: list[Exclusion] = [each for each in fit.left_out if each.recording in seen]
     if not left:
         return
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
@@ -209,7 +209,7 @@ def _in_rows(every: Iterable[_T]) -> Iterator[tuple[_T, ...]]:
         yield row
 
 
-def _marked(recording: Recording, used: Sequence[tuple[str, float]], left: Sequence[Left]) -> Panel:
+def _marked(recording: Recording, used: Sequence[tuple[str, float]], left: Sequence[Exclusion]) -> Panel:
     """A recording, with marks above what was used and what was left out."""
     seen = recording.acceleration_m_per_s2
     assert seen is not None
@@ -226,7 +226,7 @@ def _marked(recording: Recording, used: Sequence[tuple[str, float]], left: Seque
     return Panel(os.path.basename(recording.name), "s", ACCELERATION, (Curve("recording", time_s, seen), *marks))
 
 
-def _not_used(recording: Recording, left: Left) -> Panel:
+def _not_used(recording: Recording, left: Exclusion) -> Panel:
     """What was recorded about the time of an event that is left out, or all of a recording that is."""
     seen, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     assert seen is not None

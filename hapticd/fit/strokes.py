@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, student_t
-from hapticd.fit.invalid_samples import SPEED, Kept
+from hapticd.analysis.statistics import Estimate, FitError, Floats, UnitError, student_t
+from hapticd.fit.invalid_samples import SPEED, Cleaned
 from hapticd.fit.recording import Recording
 from hapticd.fit.verdict import Doubts
 
@@ -61,9 +61,7 @@ def force_of(recording: Recording) -> Floats:
         raise FitError(f"{recording.name}: the force is 0 throughout: was the sensor connected?")
     largest = float(np.percentile(np.abs(values), 99.9))
     if largest < LEAST_FORCE_N:
-        raise MistakenError(
-            f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?"
-        )
+        raise UnitError(f"{recording.name}: a force of {largest:.2g} N at most is too small to be felt: is it in kN?")
     return values
 
 
@@ -71,9 +69,9 @@ def pressed(recording: Recording) -> Floats:
     """A force that presses for most of the time. FitError where it pulls, or swings about zero."""
     values = force_of(recording)
     if np.median(values) < 0:
-        raise MistakenError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
+        raise UnitError(f"{recording.name}: the force is mostly negative: pressing must be positive (scale -1?)")
     if np.mean(values < -0.1 * np.std(values)) > 0.2:
-        raise MistakenError(f"{recording.name}: the force swings about 0: is it swapped with the acceleration?")
+        raise UnitError(f"{recording.name}: the force swings about 0: is it swapped with the acceleration?")
     return values
 
 
@@ -89,35 +87,35 @@ def gravity_of(recording: Recording) -> list[str]:
     return []
 
 
-def tell_gravity(recordings: Sequence[Recording], doubts: Doubts) -> None:
+def report_gravity(recordings: Sequence[Recording], doubts: Doubts) -> None:
     """What rest values tell of the unit."""
     for recording in recordings:
         for line in gravity_of(recording):
-            doubts.tell(line)
+            doubts.doubt(line)
 
 
-def told_of(kept: Sequence[Kept], doubts: Doubts) -> None:
+def report_cleaning(kept: Sequence[Cleaned], doubts: Doubts) -> None:
     """What was left out of recordings, and where that is a doubt."""
-    for line in (line for each in kept for line in each.told):
-        doubts.note(line)
+    for line in (line for each in kept for line in each.warnings):
+        doubts.warn(line)
     count = sum(each.replaced.size for each in kept)
     part = sum(int(np.count_nonzero(each.replaced)) for each in kept) / max(1, count)
     doubts.at_most("part left out", part, f"{100 * part:.0f} % of the samples are left out")
 
 
-def varied_force(recordings: Sequence[Recording], force: Floats, doubts: Doubts) -> None:
+def check_force_varies(recordings: Sequence[Recording], force: Floats, doubts: Doubts) -> None:
     """FitError where every sample of all recordings has the same force; told where they hardly differ."""
     every = [recording.force_n for recording in recordings if recording.force_n is not None]
     if max(float(each.max()) for each in every) == min(float(each.min()) for each in every):
         raise FitError(f"the force is {every[0][0]:g} N in every sample: was the sensor connected?")
     if float(np.ptp(force)) < HARDLY * abs(float(np.mean(force))):
-        doubts.tell(
+        doubts.doubt(
             f"the force hardly varies ({force.min():.3g} to {force.max():.3g} N): its gain takes in all that does not "
             "go with speed"
         )
 
 
-def too_slow(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
+def undersampled(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> str:
     """Why what rings at a frequency is not fitted at a rate, with fewer than `least` samples in a cycle; empty where it
     is."""
     if rate_hz >= least * frequency_hz:
@@ -128,7 +126,7 @@ def too_slow(rate_hz: float, frequency_hz: float, least: float = LEAST_RATE) -> 
     )
 
 
-def tell_few_samples(recordings: Sequence[Recording], frequency_hz: float, doubts: Doubts) -> None:
+def report_sampling(recordings: Sequence[Recording], frequency_hz: float, doubts: Doubts) -> None:
     """Where the slowest recording has few samples in a cycle."""
     slowest = min(recording.rate_hz for recording in recordings)
     doubts.at_least(
@@ -173,7 +171,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
         _refuse_speed(recording, column)
         return Motion(np.concatenate(([0.0], np.cumsum((column[1:] + column[:-1]) / 2))) / recording.rate_hz, column)
     if np.ptp(position) > FARTHEST_M:
-        raise MistakenError(f"{recording.name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
+        raise UnitError(f"{recording.name}: a stroke of {np.ptp(position):.4g} m is not a hand's: is it in mm?")
     if not np.ptp(position) > 0:
         raise FitError(f"{recording.name}: the position along the surface never moves: is it the wrong column?")
     found = slope_of(position, recording.rate_hz, SPEED_WINDOW_S)
@@ -181,7 +179,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
     if column is not None:
         usual, said = float(np.median(np.abs(found))), float(np.median(np.abs(column)))
         if not 0.5 * usual <= said <= 2 * usual:
-            raise MistakenError(
+            raise UnitError(
                 f"{recording.name}: the position moves at {usual:.3g} m/s, the speed says {said:.3g} m/s: "
                 "one of them has the wrong unit or column"
             )
@@ -191,7 +189,7 @@ def motion_of(recording: Recording, samples: int) -> Motion:
 def _refuse_speed(recording: Recording, speed: Floats) -> None:
     usual = float(np.percentile(np.abs(speed), 90))
     if usual > FASTEST_M_PER_S:
-        raise MistakenError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
+        raise UnitError(f"{recording.name}: a speed of {usual:.4g} m/s is not a hand's: is it in mm/s?")
     fastest = int(np.argmax(np.abs(speed)))
     if not abs(speed[fastest]) <= FASTEST_M_PER_S:
         at_s = fastest / recording.rate_hz
@@ -200,9 +198,7 @@ def _refuse_speed(recording: Recording, speed: Floats) -> None:
             f"{FASTEST_M_PER_S:g}): what is the position there?"
         )
     if usual < SLOWEST_M_PER_S:
-        raise MistakenError(
-            f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?"
-        )
+        raise UnitError(f"{recording.name}: a speed of {usual:.2g} m/s is none: is it in km/s, or of another column?")
 
 
 def slope_of(values: Floats, rate_hz: float, window_s: float) -> Floats:
@@ -331,7 +327,7 @@ def _scales(off: Floats, modelled: Floats, unknowns: int) -> Floats:
     return scaled
 
 
-def told_apart(columns: Floats, worst: float = 100.0) -> bool:
+def well_conditioned(columns: Floats, worst: float = 100.0) -> bool:
     """Whether columns differ by enough for their coefficients: by the condition number of the columns, scaled."""
     norms = np.linalg.norm(columns, axis=0)
     return bool((norms > 0).all()) and float(np.linalg.cond(columns / norms)) < worst

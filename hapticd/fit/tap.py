@@ -17,17 +17,17 @@ import numpy as np
 from hapticd.analysis.statistics import Estimate, FitError, common, require_scipy, through_origin, with_offset
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Attack, Mode
-from hapticd.fit.duplicates import refuse_twins
-from hapticd.fit.exclusions import Left, LeftOut, most_are_left_out
+from hapticd.fit.duplicates import refuse_duplicates
+from hapticd.fit.exclusions import Exclusion, Exclusions, mostly_excluded
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.spectral_lines import Line, lines_beside, tell_lines
-from hapticd.fit.strokes import tell_few_samples
+from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
+from hapticd.fit.strokes import report_sampling
 from hapticd.fit.taps.amplitude import Law, LawKind, Power, doubt_the_law, law_of
 from hapticd.fit.taps.events import hits_of
 from hapticd.fit.taps.hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit, check_speeds
-from hapticd.fit.taps.lack_of_fit import misfit
+from hapticd.fit.taps.lack_of_fit import lack_of_fit
 from hapticd.fit.taps.law import TABLE as TABLE
-from hapticd.fit.taps.law import Amplitudes, check_hardness, check_slope, json_table, one_astray
+from hapticd.fit.taps.law import Amplitudes, check_hardness, check_slope, json_table, single_outlier
 from hapticd.fit.taps.modes import Modes, modes_of
 from hapticd.fit.taps.second_mode import SecondMode, as_pairs, second_mode
 from hapticd.fit.verdict import Doubts, Verdict
@@ -68,7 +68,7 @@ class TapFit:
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
     judged: Verdict
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -191,19 +191,19 @@ class TapFit:
 def fit_tap(
     recordings: Sequence[Recording],
     progress: Callable[[Recording], None] | None = None,
-    left: LeftOut | None = None,
+    excluded: Exclusions | None = None,
 ) -> TapFit:
     """Fits the taps of one material; `progress` is called after each recording. Recordings and taps that cannot be used
-    are told to `left`.
+    are reported in `excluded`.
 
     Raises FitError (one line) for what they do not support: no onset, too few taps, all at one speed, clipped, sampled
     too slowly, units that cannot be.
     """
     require_scipy()
     warnings: list[str] = []
-    left = LeftOut() if left is None else left
-    hits, second = _found(recordings, progress, warnings, left)
-    warnings = left.lines() + warnings
+    excluded = Exclusions() if excluded is None else excluded
+    hits, second = _found(recordings, progress, warnings, excluded)
+    warnings = excluded.lines() + warnings
     taps = tuple(tap for tap, _ in hits)
     check_speeds(taps)
     figures = Figures.of(hits)
@@ -221,21 +221,21 @@ def fit_tap(
     _check_ringing(frequency.value, math.exp(-decay.value), taps)
     if second is None:
         second = second_mode(hits, explained)
-    astray = one_astray(taps, figures.speeds, figures.amplitudes, figures.noise)
+    astray = single_outlier(taps, figures.speeds, figures.amplitudes, figures.noise)
     law = law_of(figures.speeds, figures.amplitudes, figures.of_amplitude, "line" if astray else None)
     doubts = Doubts()
     of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
-    tell_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed), doubts)
-    tell_few_samples(of_taps, frequency.value, doubts)
+    report_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed), doubts)
+    report_sampling(of_taps, frequency.value, doubts)
     _doubt_the_mode(doubts, hits, second, explained, warnings)
     decay_time = decay.mapped(lambda log: math.exp(-log))
     modes = modes_of(figures, frequency, decay_time)
     if modes is None:
-        doubts.known("decay time", decay_time)
+        doubts.check_interval("decay time", decay_time)
     _doubt_the_speed(doubts, figures, modes)
     _doubt_the_law(doubts, law, astray, line.r_squared)
-    doubts.add(False, most_are_left_out(left, len(taps), "tap"))
-    warnings += doubts.told
+    doubts.add(False, mostly_excluded(excluded, len(taps), "tap"))
+    warnings += doubts.warnings
     return TapFit(
         taps=taps,
         slope_per_s=slope,
@@ -257,7 +257,7 @@ def fit_tap(
             f"{_modes(second)} {100 * explained:.1f} % of {len(taps)} taps",
             f"A(v) is {law.named} (r^2 {law.r_squared if law.kind != 'line' else line.r_squared:.3f})",
         ),
-        left_out=tuple(left.items),
+        left_out=tuple(excluded.items),
     )
 
 
@@ -265,24 +265,24 @@ def _found(
     recordings: Sequence[Recording],
     progress: Callable[[Recording], None] | None,
     warnings: list[str],
-    left: LeftOut,
+    excluded: Exclusions,
 ) -> tuple[list[Hit], SecondMode | None]:
     """The taps of all recordings, all of which begin the same way, and their second mode where one does not do."""
-    refuse_twins(recordings)
+    refuse_duplicates(recordings)
 
     def hits_in(recording: Recording) -> list[Hit]:
-        found = hits_of(recording, warnings, left)
+        found = hits_of(recording, warnings, excluded)
         if progress is not None:
             progress(recording)
         return found
 
-    hits, second = as_pairs([hit for found in left.each(recordings, hits_in) for hit in found], left)
+    hits, second = as_pairs([hit for found in excluded.each(recordings, hits_in) for hit in found], excluded)
     if len(hits) < LEAST_TAPS:
-        raise left.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
-    return _upright(hits, warnings, left), second
+        raise excluded.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
+    return _of_one_sign(hits, warnings, excluded), second
 
 
-def _lines(recording: Recording, taps: Sequence[TapHit], needed: int) -> list[Line]:
+def _lines(recording: Recording, taps: Sequence[TapHit], needed: int) -> list[SpectralLine]:
     """Of what the taps leave of a recording."""
     seen = recording.acceleration_m_per_s2
     assert seen is not None
@@ -292,7 +292,7 @@ def _lines(recording: Recording, taps: Sequence[TapHit], needed: int) -> list[Li
         begin = round(tap.begin_s * tap.rate_hz)
         sign = 1.0 if np.dot(seen[begin : begin + len(tap.measured)], tap.measured) >= 0 else -1.0
         model[begin : begin + len(tap.measured)] = sign * tap.modelled
-    return lines_beside(seen, model, recording.rate_hz, needed)
+    return lines_in_residual(seen, model, recording.rate_hz, needed)
 
 
 def _modes(second: SecondMode | None) -> str:
@@ -320,7 +320,7 @@ def _doubt_the_mode(
     elif explained < WELL_EXPLAINED:
         doubts.add(True, "the rest is of another kind", "")
     else:
-        doubts.add(False, *misfit(hits))
+        doubts.add(False, *lack_of_fit(hits))
 
 
 def _doubt_the_speed(doubts: Doubts, figures: Figures, modes: Modes | None) -> None:
@@ -334,7 +334,7 @@ def _doubt_the_speed(doubts: Doubts, figures: Figures, modes: Modes | None) -> N
         "is it one material, held alike?",
     )
     if modes is not None:
-        doubts.note(f"{modes.why}; the material has a table of modes over the speed")
+        doubts.warn(f"{modes.why}; the material has a table of modes over the speed")
 
 
 def _doubt_the_law(doubts: Doubts, law: Law, astray: str, r_squared: float) -> None:
@@ -343,11 +343,11 @@ def _doubt_the_law(doubts: Doubts, law: Law, astray: str, r_squared: float) -> N
         doubts.add(False, astray, "is its speed right?")
         return
     if law.kind != "line":
-        doubts.note(f"A(v) is {law.named}, no line through the origin: {law.why}")
+        doubts.warn(f"A(v) is {law.named}, no line through the origin: {law.why}")
     doubt_the_law(doubts, law, r_squared)
 
 
-def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:
+def _of_one_sign(hits: list[Hit], warnings: list[str], excluded: Exclusions) -> list[Hit]:
     """With positive coefficients."""
     signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap, _ in hits]
     usual = 1.0 if sum(signs) >= 0 else -1.0
@@ -356,7 +356,7 @@ def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:
     found = []
     for sign, (tap, ringing) in zip(signs, hits, strict=True):
         if sign != usual:
-            left.add(tap.recording, "it begins the other way than most", "tap", tap.onset_s)
+            excluded.add(tap.recording, "it begins the other way than most", "tap", tap.onset_s)
             continue
         found.append((tap if usual > 0 else tap.turned(), ringing))
     other = len(hits) - len(found)

@@ -18,7 +18,7 @@ import numpy as np
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
-from hapticd.fit.exclusions import Left, LeftOut, most_are_left_out
+from hapticd.fit.exclusions import Exclusion, Exclusions, mostly_excluded
 from hapticd.fit.recording import Source
 from hapticd.fit.taps.amplitude import doubt_the_law, law_of
 from hapticd.fit.taps.hit import check_speeds
@@ -115,7 +115,7 @@ class WaveformFit:
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
     judged: Verdict
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -361,15 +361,17 @@ def _coarser(
         samples, placed, rate_hz = tried, found, half_hz
 
 
-def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str], left: LeftOut) -> WaveformFit:
+def fit_waveform(
+    pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str], excluded: Exclusions
+) -> WaveformFit:
     """The waveform of taps that are pulses; `told` are warnings of how the pulses were found. Taps that cannot be used
-    are told to `left`.
+    are reported in `excluded`.
 
     Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
     with the speed.
     """
-    pulses, shape = _alike(list(pulses), told, left)
-    warnings = [*left.lines(), *told]
+    pulses, shape = _alike(list(pulses), told, excluded)
+    warnings = [*excluded.lines(), *told]
     doubts = Doubts()
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
@@ -408,8 +410,8 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
     doubt_the_law(doubts, law, line.r_squared)
-    doubts.add(False, most_are_left_out(left, len(hits), "tap"))
-    warnings += doubts.told
+    doubts.add(False, mostly_excluded(excluded, len(hits), "tap"))
+    warnings += doubts.warnings
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
@@ -429,7 +431,7 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {line.r_squared if law.kind == 'line' else law.r_squared:.3f})",
         ),
-        left_out=tuple(left.items),
+        left_out=tuple(excluded.items),
     )
 
 
@@ -443,10 +445,10 @@ def _wider(estimate: Estimate, part: float) -> Estimate:
     )
 
 
-def _alike(pulses: list[Pulse], told: Sequence[str], left: LeftOut) -> tuple[list[Pulse], Shape]:
-    """The pulses that have a shape in common; the others are told to `left`."""
+def _alike(pulses: list[Pulse], told: Sequence[str], excluded: Exclusions) -> tuple[list[Pulse], Shape]:
+    """The pulses that have a shape in common; the others are reported in `excluded`."""
     if len(pulses) < LEAST_PULSES:
-        reasons = [*left.lines(), *told]
+        reasons = [*excluded.lines(), *told]
         why = f" ({'; '.join(reasons[:3])})" if reasons else ""
         raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
     shape = shape_of(pulses)
@@ -460,7 +462,7 @@ def _alike(pulses: list[Pulse], told: Sequence[str], left: LeftOut) -> tuple[lis
         else:
             kept.append(pulse)
             continue
-        left.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
+        excluded.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape
     if len(kept) < max(LEAST_PULSES, len(pulses) / 2):

@@ -26,7 +26,7 @@ from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.texture import Autoregressive, Grooves
-from hapticd.fit.exclusions import Left
+from hapticd.fit.exclusions import Exclusion
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
 from hapticd.fit.verdict import Verdict
@@ -58,7 +58,7 @@ class FakeFit:
     nothing: Estimate | None = None
     warnings: tuple[str, ...] = ("the first tap is weak",)
     judged: Verdict = JUDGED
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
     found: tuple[tuple[str, object], ...] = ()
     linear: bool = True
     second: object = None

@@ -14,12 +14,12 @@ import numpy as np
 from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.config.modes import Mode
-from hapticd.fit.invalid_samples import Kept
-from hapticd.fit.spectral_lines import Line, lines_beside
+from hapticd.fit.invalid_samples import Cleaned
+from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual
 from hapticd.fit.strikes.free_ringing import Complexes, FreeRinging
 from hapticd.fit.strikes.onsets import LEAST_STRIKES, loudest_frequency, pick_strikes, ringing_steps, unit_strike
 from hapticd.fit.strikes.spacing import row_of, slope_of_row
-from hapticd.fit.strokes import Ints, Motion, acceleration_of, motion_of, pressed, running_mean, too_slow
+from hapticd.fit.strokes import Ints, Motion, acceleration_of, motion_of, pressed, running_mean, undersampled
 from hapticd.fit.verdict import AT_LEAST
 
 GROUP: Final = 8
@@ -68,9 +68,9 @@ class Stroke:
     variance_accounted_for: float
     spacing_m: float
 
-    def lines(self, needed: int) -> list[Line]:
+    def lines(self, needed: int) -> list[SpectralLine]:
         """Of what the model leaves."""
-        return lines_beside(self.acceleration_m_per_s2, self.model_m_per_s2, self.rate_hz, needed)
+        return lines_in_residual(self.acceleration_m_per_s2, self.model_m_per_s2, self.rate_hz, needed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class Group:
 class StrokeFit:
     """The strikes of one recording, and the mode that they ring with."""
 
-    def __init__(self, kept: Kept) -> None:
+    def __init__(self, kept: Cleaned) -> None:
         self.kept = kept
         recording = kept.recording
         self._replaced = np.concatenate(([0], np.cumsum(kept.replaced)))
@@ -97,7 +97,7 @@ class StrokeFit:
         self._motion: Motion = motion_of(recording, len(self._seen))
         self._time_s = np.arange(len(self._seen)) / self._rate_hz
         rough = loudest_frequency(self._seen, self._rate_hz)
-        if slow := too_slow(self._rate_hz, rough):
+        if slow := undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._begun(2 * math.pi * rough)
         mode, onsets = self._settled(mode, onsets)
