@@ -107,7 +107,7 @@ class Fits:
     def __init__(self) -> None:
         self.recordings: list[Sequence[Recording]] = []
         self.options: list[dict[str, object]] = []
-        self.left: list[object] = []
+        self.excluded: list[object] = []
         self.answer: FakeFit | HapticdError = FIT
 
     def fit(
@@ -116,7 +116,7 @@ class Fits:
         for recording in recordings if progress is not None else ():
             progress(recording)
         self.recordings.append(recordings)
-        self.left.append(options.pop("left"))
+        self.excluded.append(options.pop("excluded"))
         self.options.append(options)
         if isinstance(self.answer, HapticdError):
             raise self.answer
@@ -133,8 +133,8 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
         monkeypatch.setitem(sys.modules, module.__name__, module)
     kinds = ModuleType("hapticd.fit.tap_kind")
 
-    def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, left: object) -> FakeFit:
-        return found.fit(recordings, progress, left=left)
+    def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, excluded: object) -> FakeFit:
+        return found.fit(recordings, progress, excluded=excluded)
 
     kinds.fit_taps = fit_taps  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, kinds.__name__, kinds)
