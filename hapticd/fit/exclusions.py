@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final, TypeVar
 
 from hapticd.analysis.statistics import FitError, UnitError
-from hapticd.base.yaml_source import Json
 from hapticd.fit.recording import Recording
 from hapticd.fit.verdict import Doubts
 
@@ -35,9 +34,6 @@ class Exclusion:
         if self.time_s is None:
             return f"{self.recording}: a {self.what} is left out: {self.reason}"
         return f"{self.recording}: the {self.what} at {self.time_s:.4g} s is left out: {self.reason}"
-
-    def to_dict(self) -> dict[str, Json]:
-        return {"recording": self.recording, "reason": self.reason, "what": self.what, "time_s": self.time_s}
 
 
 class StrictError(FitError):

@@ -22,27 +22,19 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares
+from hapticd.analysis.robust import Robust, robust
+from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares, well_conditioned
 from hapticd.config.modes import Mode
 from hapticd.fit.duplicates import refuse_duplicates
 from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
 from hapticd.fit.invalid_samples import without_invalid_samples
+from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
 from hapticd.fit.spectral_lines import report_lines
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strikes.spacing import slope_of_row
 from hapticd.fit.strikes.stroke import GROUP, Group, Strike, Stroke, StrokeFit
-from hapticd.fit.strokes import (
-    Robust,
-    check_force_varies,
-    excludes_zero,
-    plain,
-    report_cleaning,
-    report_gravity,
-    report_sampling,
-    robust,
-    well_conditioned,
-)
+from hapticd.fit.strokes import check_force_varies, report_cleaning, report_gravity, report_sampling
 from hapticd.fit.verdict import Doubts, Verdict
 
 LEAST_S: Final = 0.1
@@ -281,7 +273,7 @@ def _offset(points: _Points, doubts: Doubts) -> Estimate | None:
     if len(columns) <= 3 or not well_conditioned(columns):
         return None
     offset = robust(columns, points.amplitude, points.shifts).coefficients[2]
-    if excludes_zero(offset):
+    if offset.excludes_zero:
         doubts.at_most(
             "offset",
             abs(offset.value) / float(points.amplitude.mean()),
@@ -360,7 +352,7 @@ def _moved(groups: Sequence[Group], frequency_hz: float, doubts: Doubts) -> tupl
     by_speed, by_force, _ = least_squares(columns, frequencies).coefficients
     for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
         change = slope.value * float(np.ptp(values))
-        if excludes_zero(slope) and abs(change) > MOVES * frequency_hz:
+        if slope.excludes_zero and abs(change) > MOVES * frequency_hz:
             doubts.doubt(
                 f"the frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
                 f"{values.max():.3g} {unit}; "

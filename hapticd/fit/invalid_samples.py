@@ -205,9 +205,9 @@ class _Column:
             return
         low, high = found[0]
         value = f"{self.values[low]:.6g} {self._unit}"
-        told = f"{self._what} stands still at {value} from {self._at(low)} to {self._at(high - 1)}"
+        finding = f"{self._what} stands still at {value} from {self._at(low)} to {self._at(high - 1)}"
         self._replace(found)
-        self._report(told + _more(found))
+        self._report(finding + _more(found))
 
     def alone(self, above_all: bool) -> None:
         """Up to WIDEST samples far above those beside them and, with `above_all`, far above everything else: a tap that
@@ -299,9 +299,11 @@ class _Column:
             return
         low, high = found[0]
         peak = low + int(np.argmax(np.abs(self.values[low:high] - np.median(self.values))))
-        told = f"{self._what} {does} {self.values[peak]:.6g} {self._unit} at {self._at(peak)} and back" + _more(found)
+        finding = f"{self._what} {does} {self.values[peak]:.6g} {self._unit} at {self._at(peak)} and back" + _more(
+            found
+        )
         self._replace(found)
-        self._report(told)
+        self._report(finding)
 
     def _replace(self, spans: Spans) -> None:
         """By straight lines between the samples on either side."""

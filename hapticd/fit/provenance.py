@@ -129,10 +129,10 @@ def material(
     try:
         return validate_materials({name: data})[name]
     except InvalidError as error:
-        told = [
+        problems = [
             Problem(problem.where, f"{problem.problem}: no material has what was found") for problem in error.problems
         ]
-        raise InvalidError(told) from None
+        raise InvalidError(problems) from None
 
 
 def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[str, object]:

@@ -19,14 +19,13 @@ from hapticd.analysis.statistics import Estimate, FitError, Floats, UnitError, c
 from hapticd.fit.duplicates import refuse_duplicates
 from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
 from hapticd.fit.invalid_samples import Cleaned, without_invalid_samples
+from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.stretches import gaps_told, in_gap
+from hapticd.fit.stretches import gaps_in_words, in_gap
 from hapticd.fit.strokes import (
     acceleration_of,
-    excludes_zero,
     force_of,
-    plain,
     report_cleaning,
     report_gravity,
     report_sampling,
@@ -229,7 +228,7 @@ def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doub
         return None
     by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
     change = by_speed.value * float(np.ptp(speed))
-    if excludes_zero(by_speed) and abs(change) > 0.1 * amplitude.value:
+    if by_speed.excludes_zero and abs(change) > 0.1 * amplitude.value:
         doubts.doubt(
             f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to "
             f"{speed.max():.3g} m/s; "
@@ -439,7 +438,7 @@ def _ringing(kept: Cleaned, seen: Floats, push: _Push, begin: int) -> Ringing:
             "a wider range"
         )
     if in_gap(kept.recording, begin, end):
-        raise FitError(f"{name}: {gaps_told(kept.recording)}: between the touch and the end of the ringing")
+        raise FitError(f"{name}: {gaps_in_words(kept.recording)}: between the touch and the end of the ringing")
     try:
         # A slow sensor of force tells the rupture late.
         ringing = min(

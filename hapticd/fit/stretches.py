@@ -49,7 +49,7 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
         levels = " and ".join(f"{level:.4g}" for level in np.unique(acceleration[cut]))
         reasons.append(f"clipped at {levels} m/s^2 in {places} {'place' if places == 1 else 'places'}")
     if recording.gaps:
-        reasons.append(gaps_told(recording))
+        reasons.append(gaps_in_words(recording))
     reason = ", ".join(reasons)
     if there < LEAST_PART * samples:
         raise FitError(
@@ -60,8 +60,8 @@ def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) 
     return [_part(recording, begin, end, samples) for begin, end in kept]
 
 
-def gaps_told(recording: Recording) -> str:
-    """Where samples are missing, in words."""
+def gaps_in_words(recording: Recording) -> str:
+    """Where samples are missing."""
     (begin, end), more = recording.gaps[0], len(recording.gaps) - 1
     others = f", and in {more} more {'place' if more == 1 else 'places'}" if more else ""
     return f"{end - begin} samples are missing at {begin / recording.rate_hz:.4g} s{others}"

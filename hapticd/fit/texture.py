@@ -15,26 +15,18 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate, FitError, Floats, least_squares, student_t
+from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, least_squares, student_t, well_conditioned
 from hapticd.fit.autoregressive import ArModel, model_rate, models_of
 from hapticd.fit.duplicates import refuse_duplicates
 from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
 from hapticd.fit.invalid_samples import without_invalid_samples
+from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
 from hapticd.fit.spectral_distance import spectral_distance_db
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
 from hapticd.fit.spectrum_peak import LOW_HZ, Peak, jackknifed, peak_of
 from hapticd.fit.stretches import stretches_of
-from hapticd.fit.strokes import (
-    LEAST_RATE,
-    Ints,
-    acceleration_of,
-    check_force_varies,
-    plain,
-    report_cleaning,
-    report_gravity,
-    well_conditioned,
-)
+from hapticd.fit.strokes import LEAST_RATE, acceleration_of, check_force_varies, report_cleaning, report_gravity
 from hapticd.fit.texture_blocks import BLOCK_S, StrokeBlocks, Tail, blocks_of, centroid_of, slices_of, top_of
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
@@ -400,8 +392,8 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
 class _TwoTextures(FitError):
     """A recording is of more than one texture, or of none."""
 
-    def __init__(self, name: str, told: str) -> None:
-        super().__init__(told)
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(reason)
         self.name = name
 
 

@@ -19,6 +19,7 @@ from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_er
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
 from hapticd.fit.exclusions import Exclusion, Exclusions, mostly_excluded
+from hapticd.fit.plain_data import end_of, fields_of
 from hapticd.fit.recording import Source
 from hapticd.fit.taps.amplitude import doubt_the_law, law_of
 from hapticd.fit.taps.hit import check_speeds
@@ -81,13 +82,7 @@ class PulseHit:
     modelled: Floats
 
     def to_dict(self) -> dict[str, Json]:
-        return {
-            "recording": self.recording,
-            "onset_s": self.onset_s,
-            "speed_m_per_s": self.speed_m_per_s,
-            "peak_m_per_s2": self.peak_m_per_s2,
-            "variance_accounted_for": self.variance_accounted_for,
-        }
+        return fields_of(self, "recording", "onset_s", "speed_m_per_s", "peak_m_per_s2", "variance_accounted_for")
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,15 +144,9 @@ class WaveformFit:
                 "samples": list(self.samples),
                 "half_of_the_interval": list(self.deviations),
             },
-            "length_s": self.length_s,
-            "samples_a_period": self.samples_a_period,
-            "r_squared": self.r_squared,
-            "variance_accounted_for": self.variance_accounted_for,
+            **fields_of(self, "length_s", "samples_a_period", "r_squared", "variance_accounted_for"),
             "taps": [tap.to_dict() for tap in self.taps],
-            "left_out": [each.to_dict() for each in self.left_out],
-            "warnings": list(self.warnings),
-            "verdict": self.verdict,
-            "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},
+            **end_of(self),
         }
 
 
@@ -362,16 +351,16 @@ def _coarser(
 
 
 def fit_waveform(
-    pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str], excluded: Exclusions
+    pulses: Sequence[Pulse], sources: Sequence[Source], earlier: Sequence[str], excluded: Exclusions
 ) -> WaveformFit:
-    """The waveform of taps that are pulses; `told` are warnings of how the pulses were found. Taps that cannot be used
-    are reported in `excluded`.
+    """The waveform of taps that are pulses; `earlier` are warnings of how the pulses were found. Taps that cannot be
+    used are reported in `excluded`.
 
     Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
     with the speed.
     """
-    pulses, shape = _alike(list(pulses), told, excluded)
-    warnings = [*excluded.lines(), *told]
+    pulses, shape = _alike(list(pulses), earlier, excluded)
+    warnings = [*excluded.lines(), *earlier]
     doubts = Doubts()
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
@@ -387,25 +376,8 @@ def fit_waveform(
     slope = _wider(line.coefficients[0], part)
     check_slope(slope)
     share = float(np.median(shape.others.explained))
-    doubts.at_least(
-        "variance that a waveform explains",
-        share,
-        f"a waveform explains {100 * share:.1f} % of a tap",
-        "the taps differ in shape",
-    )
-    if shape.faded:
-        doubts.add(
-            False,
-            f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
-            f"the waveform is faded out over its last {100 * FADED:.0f} %",
-        )
     resolved = min(pulse.rate_hz for pulse in pulses) / shape.curve.middle_hz
-    doubts.at_least(
-        "samples in a period of a waveform",
-        resolved,
-        f"{resolved:.1f} samples of the recordings are a period of its middle frequency",
-        "the waveform is not resolved: record faster",
-    )
+    _doubt_the_shape(doubts, shape, share, resolved)
     law = law_of(speeds, peaks, variances)
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
@@ -435,6 +407,28 @@ def fit_waveform(
     )
 
 
+def _doubt_the_shape(doubts: Doubts, shape: Shape, share: float, resolved: float) -> None:
+    """Whether all taps have it, whether it is whole, and whether the samples resolve it."""
+    doubts.at_least(
+        "variance that a waveform explains",
+        share,
+        f"a waveform explains {100 * share:.1f} % of a tap",
+        "the taps differ in shape",
+    )
+    if shape.faded:
+        doubts.add(
+            False,
+            f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
+            f"the waveform is faded out over its last {100 * FADED:.0f} %",
+        )
+    doubts.at_least(
+        "samples in a period of a waveform",
+        resolved,
+        f"{resolved:.1f} samples of the recordings are a period of its middle frequency",
+        "the waveform is not resolved: record faster",
+    )
+
+
 def _wider(estimate: Estimate, part: float) -> Estimate:
     """With a further error, half of whose interval is this part of the value."""
     further = (part * estimate.value) ** 2
@@ -445,10 +439,10 @@ def _wider(estimate: Estimate, part: float) -> Estimate:
     )
 
 
-def _alike(pulses: list[Pulse], told: Sequence[str], excluded: Exclusions) -> tuple[list[Pulse], Shape]:
+def _alike(pulses: list[Pulse], earlier: Sequence[str], excluded: Exclusions) -> tuple[list[Pulse], Shape]:
     """The pulses that have a shape in common; the others are reported in `excluded`."""
     if len(pulses) < LEAST_PULSES:
-        reasons = [*excluded.lines(), *told]
+        reasons = [*excluded.lines(), *earlier]
         why = f" ({'; '.join(reasons[:3])})" if reasons else ""
         raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
     shape = shape_of(pulses)

@@ -12,14 +12,14 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.statistics import FitError, Floats
+from hapticd.analysis.statistics import FitError, Floats, Ints
 from hapticd.config.modes import Mode
 from hapticd.fit.invalid_samples import Cleaned
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual
 from hapticd.fit.strikes.free_ringing import Complexes, FreeRinging
 from hapticd.fit.strikes.onsets import LEAST_STRIKES, loudest_frequency, pick_strikes, ringing_steps, unit_strike
 from hapticd.fit.strikes.spacing import row_of, slope_of_row
-from hapticd.fit.strokes import Ints, Motion, acceleration_of, motion_of, pressed, running_mean, undersampled
+from hapticd.fit.strokes import Motion, acceleration_of, motion_of, pressed, running_mean, undersampled
 from hapticd.fit.verdict import AT_LEAST
 
 GROUP: Final = 8
@@ -289,34 +289,21 @@ class StrokeFit:
         return min(tried, key=lambda each: float(np.sum(windows.solved(each)[1] ** 2)))
 
     def _refined(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> Mode:
-        """Gauss and Newton's steps in log B and log w over these intervals."""
+        """Least squares in log B and log w over these intervals."""
+        from scipy.optimize import least_squares
+
         place = np.log([mode.decay_rate_per_s, mode.angular_frequency_rad_per_s])
         # The intervals stay as they are while the mode moves, so that sums of squares compare.
         windows = self._windows(mode, intervals)
         if len(windows.used) == 0:
             raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
-        low, high = place + np.log([[0.02, 0.3], [50.0, 3.0]])
 
         def left(at: Floats) -> Floats:
             return windows.solved(Mode(math.exp(at[0]), math.exp(at[1])))[1].ravel()
 
-        now = left(place)
-        for _ in range(12):
-            step = 1e-5
-            slopes = np.stack([(left(place + step * unit) - now) / step for unit in np.eye(2)], axis=1)
-            move = np.clip(np.linalg.lstsq(slopes, -now, rcond=None)[0], -0.3, 0.3)
-            for _ in range(6):
-                there = np.clip(place + move, low, high)
-                after = left(there)
-                if after @ after < now @ now:
-                    break
-                move = move / 2
-            else:
-                break
-            place, now = there, after
-            if float(np.abs(move).max()) < 1e-6:
-                break
-        return Mode(math.exp(place[0]), math.exp(place[1]))
+        bounds = place + np.log([[0.02, 0.3], [50.0, 3.0]])
+        found = least_squares(left, place, bounds=bounds, xtol=1e-6, ftol=None, gtol=None, max_nfev=40).x
+        return Mode(math.exp(found[0]), math.exp(found[1]))
 
     # ---- What comes of it
 

@@ -15,6 +15,7 @@ from hapticd.analysis.statistics import Estimate, Floats, common, improbable, th
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Mode
 from hapticd.fit.exclusions import Exclusions
+from hapticd.fit.plain_data import fields_of
 from hapticd.fit.taps.hit import (
     CHANCE,
     COLOURED,
@@ -72,18 +73,9 @@ class SecondMode:
     """Whether the material has it without being asked: one mode explains too little."""
 
     def to_dict(self) -> dict[str, Json]:
-        return {
-            "frequency_hz": self.frequency_hz.to_dict(),
-            "decay_time_s": self.decay_time_s.to_dict(),
-            "ratio": self.ratio.to_dict(),
-            "first_slope_per_s": self.first_slope_per_s.to_dict(),
-            "first_frequency_hz": self.first_frequency_hz.to_dict(),
-            "first_decay_time_s": self.first_decay_time_s.to_dict(),
-            "amplitudes": json_table(self.amplitudes),
-            "variance_accounted_for": self.variance_accounted_for,
-            "variance_by_one_mode": self.alone,
-            "kept": self.kept,
-        }
+        figures = fields_of(self)
+        alone = figures.pop("alone")
+        return {**figures, "amplitudes": json_table(self.amplitudes), "variance_by_one_mode": alone}
 
 
 def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor | None) -> Ringing | None:
