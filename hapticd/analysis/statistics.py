@@ -20,6 +20,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.base.yaml_source import Json
 
 Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
 LEVEL: Final = 0.95
 
 
@@ -27,7 +28,7 @@ class FitError(HapticdError):
     """What the recordings do not support; one line, with the reason."""
 
 
-class MistakenError(FitError):
+class UnitError(FitError):
     """Recordings are in another unit or of another sign than they are taken to be: then all of a set are."""
 
 
@@ -47,10 +48,21 @@ class Estimate:
     low: float
     high: float
 
+    @classmethod
+    def from_error(cls, value: float, error: float, freedom: float) -> Estimate:
+        """A number with 95 % bounds from its standard error, of so many degrees of freedom."""
+        reach = student_t(freedom) * error
+        return cls(float(value), float(value - reach), float(value + reach))
+
     def mapped(self, function: Callable[[float], float]) -> Estimate:
         """Through a function that only rises or only falls between the ends."""
         low, high = sorted((function(self.low), function(self.high)))
         return Estimate(function(self.value), low, high)
+
+    @property
+    def excludes_zero(self) -> bool:
+        """Whether 0 lies outside of the interval."""
+        return self.low > 0 or self.high < 0
 
     def to_dict(self) -> dict[str, Json]:
         return {"value": self.value, "low": self.low, "high": self.high}
@@ -169,6 +181,12 @@ def jackknife_error(without: Floats) -> Floats:
     """Standard errors (...) of figures from what they are without each of n points, or groups of them, (n, ...)."""
     count = len(without)
     return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
+
+
+def well_conditioned(columns: Floats, worst: float = 100.0) -> bool:
+    """Whether columns differ by enough for their coefficients: by the condition number of the columns, scaled."""
+    norms = np.linalg.norm(columns, axis=0)
+    return bool((norms > 0).all()) and float(np.linalg.cond(columns / norms)) < worst
 
 
 def _correlation(one: Floats, other: Floats) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.base.lattice import coefficients_of
-from hapticd.fit.spectral_distance import apart_db
+from hapticd.fit.spectral_distance import spectral_distance_db
 from hapticd.rendering.filter_design import power_spectrum
 
 SAME_PLACE: Final = 0.1
@@ -106,7 +106,7 @@ def _model(
         force,
         coefficients_of(reflection),
         math.sqrt(float(correlation[0])),
-        apart_db(frequency, model, power),
+        spectral_distance_db(frequency, model, power),
     )
 
 

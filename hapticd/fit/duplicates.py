@@ -8,7 +8,7 @@ from hapticd.analysis.statistics import FitError
 from hapticd.fit.recording import Recording
 
 
-def refuse_twins(recordings: Sequence[Recording]) -> None:
+def refuse_duplicates(recordings: Sequence[Recording]) -> None:
     """Raises FitError for two recordings of the same file, or of files with the same bytes."""
     seen: dict[str, str] = {}
     for recording in recordings:

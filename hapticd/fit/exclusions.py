@@ -6,20 +6,19 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
-from hapticd.analysis.statistics import FitError, MistakenError
-from hapticd.base.yaml_source import Json
+from hapticd.analysis.statistics import FitError, UnitError
 from hapticd.fit.recording import Recording
 from hapticd.fit.verdict import Doubts
 
 _T = TypeVar("_T")
 RECORDING: Final = "recording"
 PART: Final = "part"
-TOLD: Final = 3
+REASONS: Final = 3
 """So many reasons are in a refusal."""
 
 
 @dataclass(frozen=True, slots=True)
-class Left:
+class Exclusion:
     """A recording, a part of one, or one event of it, that was not used."""
 
     recording: str
@@ -36,37 +35,34 @@ class Left:
             return f"{self.recording}: a {self.what} is left out: {self.reason}"
         return f"{self.recording}: the {self.what} at {self.time_s:.4g} s is left out: {self.reason}"
 
-    def to_dict(self) -> dict[str, Json]:
-        return {"recording": self.recording, "reason": self.reason, "what": self.what, "time_s": self.time_s}
 
-
-class Strict(FitError):
+class StrictError(FitError):
     """Something would be left out, and nothing may be."""
 
 
-class LeftOut:
-    """Collects what is left out. With `strict` the first one raises Strict instead."""
+class Exclusions:
+    """Collects what is left out. With `strict` the first one raises StrictError instead."""
 
     def __init__(self, strict: bool = False) -> None:
-        self.items: list[Left] = []
+        self.items: list[Exclusion] = []
         self.unused: set[str] = set()
         """Names of recordings all of whose events were left out."""
         self._strict = strict
 
     def add(self, recording: str, reason: str, what: str = RECORDING, time_s: float | None = None) -> None:
-        left = Left(recording, reason.removeprefix(f"{recording}: "), what, time_s)
+        left = Exclusion(recording, reason.removeprefix(f"{recording}: "), what, time_s)
         if self._strict:
-            raise Strict(f"{left}; --strict refuses that")
+            raise StrictError(f"{left}; --strict refuses that")
         self.items.append(left)
 
-    def apart(self) -> LeftOut:
+    def copy(self) -> Exclusions:
         """For a fit that may not be taken: what was left out before it, and never strict."""
-        other = LeftOut()
+        other = Exclusions()
         other.items, other.unused = list(self.items), set(self.unused)
         return other
 
-    def take(self, other: LeftOut) -> None:
-        """What the fit left out that is taken, after `apart`."""
+    def merge(self, other: Exclusions) -> None:
+        """What the fit left out that is taken, after `copy`."""
         for left in other.items[len(self.items) :]:
             self.add(left.recording, left.reason, left.what, left.time_s)
         self.unused |= other.unused
@@ -74,13 +70,13 @@ class LeftOut:
     def each(self, recordings: Iterable[Recording], fitted: Callable[[Recording], _T]) -> list[_T]:
         """What `fitted` makes of every recording; one that it refuses is left out with its reason.
 
-        MistakenError goes on: whoever mistakes the unit of one recording mistakes that of all.
+        UnitError goes on: whoever mistakes the unit of one recording mistakes that of all.
         """
         found = []
         for recording in recordings:
             try:
                 found.append(fitted(recording))
-            except (Strict, MistakenError):
+            except (StrictError, UnitError):
                 raise
             except FitError as error:
                 self.add(recording.name, str(error))
@@ -96,29 +92,29 @@ class LeftOut:
         whole = [left for left in self.items if left.what == RECORDING]
         if len(self.items) == len(whole) == 1:
             return FitError(f"{whole[0].recording}: {whole[0].reason}")
-        return FitError(f"{few}{self.told()}")
+        return FitError(f"{few}{self.summary()}")
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """The first reasons in brackets; empty where nothing is left out."""
         if not self.items:
             return ""
-        more = f"; and {len(self.items) - TOLD} more" if len(self.items) > TOLD else ""
-        return f" ({'; '.join(map(str, self.items[:TOLD]))}{more})"
+        more = f"; and {len(self.items) - REASONS} more" if len(self.items) > REASONS else ""
+        return f" ({'; '.join(map(str, self.items[:REASONS]))}{more})"
 
     def lines(self) -> list[str]:
         """One for each."""
         return [str(left) for left in self.items]
 
 
-def weigh(left: LeftOut, recordings: Sequence[Recording], doubts: Doubts) -> None:
+def report_exclusions(excluded: Exclusions, recordings: Sequence[Recording], doubts: Doubts) -> None:
     """Tells what is left out, before everything else, and doubts where that is a large part of the recordings."""
-    doubts.told[:0] = left.lines()
-    gone, every = left.recordings, {recording.name for recording in recordings} | left.recordings
+    doubts.warnings[:0] = excluded.lines()
+    unused, every = excluded.recordings, {recording.name for recording in recordings} | excluded.recordings
     count = max(len(every), len(recordings))
-    doubts.at_most("part left out", len(gone) / count, f"{len(gone)} of {count} recordings are left out")
+    doubts.at_most("part left out", len(unused) / count, f"{len(unused)} of {count} recordings are left out")
 
 
-def most_are_left_out(left: LeftOut, used: int, what: str) -> str:
+def mostly_excluded(excluded: Exclusions, used: int, what: str) -> str:
     """Where more of the events were left out than were used, what to tell of it; otherwise empty."""
-    events = sum(each.what == what for each in left.items)
+    events = sum(each.what == what for each in excluded.items)
     return f"{events} of {events + used} {what}s are left out" if events > used else ""

@@ -13,7 +13,7 @@ from hapticd.base.yaml_source import load_path, one_line
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
 from hapticd.config.modes import Attack
-from hapticd.fit.exclusions import LeftOut
+from hapticd.fit.exclusions import Exclusions
 from hapticd.fit.provenance import Fit, estimates
 from hapticd.fit.recording import NoRecordingError, Recording, RecordingError, load
 from hapticd.fit.tap import TapFit
@@ -38,15 +38,15 @@ class Fitted:
     """Figures that say nothing of the material, as it is taken."""
 
 
-Fitting: TypeAlias = Callable[[Sequence[Recording], Step, LeftOut], Fitted]
+Fitting: TypeAlias = Callable[[Sequence[Recording], Step, Exclusions], Fitted]
 
 
 def of_one_kind(fit: Callable[..., Fit]) -> Fitting:
     """A fit whose every figure goes into the material."""
 
-    def fitted(recordings: Sequence[Recording], step: Step, left: LeftOut) -> Fitted:
+    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
         step("fitting")
-        found = fit(recordings, left=left)
+        found = fit(recordings, excluded=excluded)
         return Fitted(found, found.material())
 
     return fitted
@@ -57,8 +57,8 @@ def of_taps(
 ) -> Fitting:
     """A fit of taps, of which the material has what is asked for; None: as the taps have it."""
 
-    def fitted(recordings: Sequence[Recording], step: Step, left: LeftOut) -> Fitted:
-        found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), left)
+    def fitted(recordings: Sequence[Recording], step: Step, excluded: Exclusions) -> Fitted:
+        found = fit_taps(recordings, form, lambda recording: step(f"fitting {recording.name}"), excluded)
         if isinstance(found, WaveformFit):
             told = () if form == "waveform" else (AS_WAVEFORM,)
             return Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
@@ -102,7 +102,7 @@ def fitted_files(
     files: Sequence[str], fit: Fitting, step: Step, strict: bool
 ) -> tuple[list[Recording], list[Recording], Fitted]:
     """The recordings that were used, those that were left out, and what was made of them."""
-    left = LeftOut(strict)
+    excluded = Exclusions(strict)
     recordings: list[Recording] = []
     for file in files:
         step(f"reading {Path(file).name}")
@@ -111,17 +111,17 @@ def fitted_files(
         except RecordingError as error:
             if len(files) == 1 or isinstance(error, NoRecordingError):
                 raise
-            left.add(error.name, error.reason)
+            excluded.add(error.name, error.reason)
     if not recordings:
-        raise left.refused(f"none of {len(files)} recordings can be read")
+        raise excluded.refused(f"none of {len(files)} recordings can be read")
     # What comes of a division by zero and the like is no number, and no material takes one.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        fitted = fit(recordings, step, left)
+        fitted = fit(recordings, step, excluded)
     used: list[Recording] = []
     unused: list[Recording] = []
     for recording in recordings:
-        (unused if recording.name in left.recordings else used).append(recording)
+        (unused if recording.name in excluded.recordings else used).append(recording)
     return used, unused, fitted
 
 

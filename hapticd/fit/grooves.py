@@ -22,27 +22,19 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares
+from hapticd.analysis.robust import Robust, robust
+from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares, well_conditioned
 from hapticd.config.modes import Mode
-from hapticd.fit.duplicates import refuse_twins
-from hapticd.fit.exclusions import Left, LeftOut, weigh
-from hapticd.fit.invalid_samples import without_impossible
+from hapticd.fit.duplicates import refuse_duplicates
+from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
+from hapticd.fit.invalid_samples import without_invalid_samples
+from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
-from hapticd.fit.spectral_lines import tell_lines
+from hapticd.fit.spectral_lines import report_lines
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strikes.spacing import slope_of_row
 from hapticd.fit.strikes.stroke import GROUP, Group, Strike, Stroke, StrokeFit
-from hapticd.fit.strokes import (
-    Robust,
-    excludes_zero,
-    plain,
-    robust,
-    tell_few_samples,
-    tell_gravity,
-    told_apart,
-    told_of,
-    varied_force,
-)
+from hapticd.fit.strokes import check_force_varies, report_cleaning, report_gravity, report_sampling
 from hapticd.fit.verdict import Doubts, Verdict
 
 LEAST_S: Final = 0.1
@@ -79,7 +71,7 @@ class GroovesFit:
     strokes: tuple[Stroke, ...]
     warnings: tuple[str, ...]
     judged: Verdict
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -109,19 +101,19 @@ class GroovesFit:
         return {**found, "verdict": self.verdict}
 
 
-def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) -> GroovesFit:
+def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> GroovesFit:
     """Of strokes at several speeds and forces, one or more to a recording. FitError where they do not say it.
 
-    Recordings, and stretches of them, that cannot be used are told to `left`.
+    Recordings, and stretches of them, that cannot be used are reported in `excluded`.
     """
-    left = LeftOut() if left is None else left
+    excluded = Exclusions() if excluded is None else excluded
     doubts = Doubts()
-    fits = _fitted_strokes(recordings, left, doubts)
+    fits = _fitted_strokes(recordings, excluded, doubts)
     recordings = [each.kept.recording for each in fits]
     modes = [_mean_mode(each.groups) for each in fits]
     groups = [group for each in fits for group in each.groups]
     if len(groups) < 2:
-        raise left.refused(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
+        raise excluded.refused(f"{len(groups)} group of strikes has no interval: needs {2 * GROUP} strikes")
     frequency = common(np.array([group.mode.frequency_hz for group in groups]))
     decay = common(np.array([group.mode.decay_time_s for group in groups]))
     strikes = tuple(strike for each, mode in zip(fits, modes, strict=True) for strike in each.strikes(mode))
@@ -131,13 +123,13 @@ def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) ->
     points = _Points.of(strikes, np.concatenate([one.shifts(mode) for one, mode in zip(fits, modes, strict=True)], 1))
     points.check(recordings, doubts)
     gains = _gains(points, doubts)
-    _tell_outliers(gains.law, strikes, doubts)
+    _report_outliers(gains.law, strikes, doubts)
     offset = _offset(points, doubts)
     _doubt_the_correlation(gains.correlation, doubts)
     by_speed, by_force = _moved(groups, frequency.value, doubts)
     accounted = _accounted(strokes, doubts)
     for what, figure in (("spacing", spacing), ("frequency", frequency), ("decay time", decay)):
-        doubts.known(what, figure)
+        doubts.check_interval(what, figure)
     summary = (
         f"{len(strikes)} strikes {1e3 * spacing.value:.4g} mm apart, {frequency.value:.4g} Hz, decay time "
         f"{1e3 * decay.value:.3g} ms, amplitudes with a correlation of {gains.correlation:.2f}"
@@ -155,24 +147,24 @@ def fit_grooves(recordings: Sequence[Recording], left: LeftOut | None = None) ->
         variance_accounted_for=accounted,
         strikes=strikes,
         strokes=strokes,
-        warnings=tuple(doubts.told),
+        warnings=tuple(doubts.warnings),
         judged=doubts.judged(summary),
-        left_out=tuple(left.items),
+        left_out=tuple(excluded.items),
     )
 
 
 # ---- Stages, in their order ----------------------------------------------------------------------------------------
 
 
-def _fitted_strokes(recordings: Sequence[Recording], left: LeftOut, doubts: Doubts) -> list[StrokeFit]:
+def _fitted_strokes(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[StrokeFit]:
     """Every stretch of a stroke by itself. FitError where none can be used, or where they are of different grooves."""
-    refuse_twins(recordings)
-    stretches = stretches_of(recordings, LEAST_S, left)
-    fits = left.each(stretches, lambda each: StrokeFit(without_impossible(each, "grooves")))
+    refuse_duplicates(recordings)
+    stretches = stretches_of(recordings, LEAST_S, excluded)
+    fits = excluded.each(stretches, lambda each: StrokeFit(without_invalid_samples(each, "grooves")))
     if not fits:
-        raise left.refused(f"none of {len(recordings)} recordings can be used")
-    told_of([each.kept for each in fits], doubts)
-    weigh(left, recordings, doubts)
+        raise excluded.refused(f"none of {len(recordings)} recordings can be used")
+    report_cleaning([each.kept for each in fits], doubts)
+    report_exclusions(excluded, recordings, doubts)
     _refuse_others(fits)
     return fits
 
@@ -185,8 +177,8 @@ def _doubt_the_recordings(
     doubts: Doubts,
 ) -> None:
     """Wrong units, hum, strikes that follow one another too soon, and a rate that is too low."""
-    tell_gravity(recordings, doubts)
-    tell_lines(len(strokes), lambda place, needed: strokes[place].lines(needed), doubts)
+    report_gravity(recordings, doubts)
+    report_lines(len(strokes), lambda place, needed: strokes[place].lines(needed), doubts)
     for each in fits:
         doubts.at_least(
             "cycles from strike to strike",
@@ -194,7 +186,7 @@ def _doubt_the_recordings(
             f"{each.name}: strikes follow within {each.cycles:.1f} cycles: their mode is hard to tell",
             "stroke more slowly",
         )
-    tell_few_samples(recordings, frequency.value, doubts)
+    report_sampling(recordings, frequency.value, doubts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,8 +225,8 @@ class _Points:
             raise FitError(
                 f"strikes of {self.usual:.3g} m/s^2 are no grooves' ({least:g} to {most:g}): is its unit another one?"
             )
-        varied_force(recordings, self.force, doubts)
-        if not told_apart(self.both, 20):
+        check_force_varies(recordings, self.force, doubts)
+        if not well_conditioned(self.both, 20):
             raise FitError(
                 f"speed ({self.speed.min():.3g} to {self.speed.max():.3g} m/s) and force ({self.force.min():.3g} to "
                 f"{self.force.max():.3g} N) rise and fall together or not at all, so that their gains cannot be told "
@@ -264,9 +256,9 @@ def _gains(points: _Points, doubts: Doubts) -> _Gains:
                 "strikes that weaken are not of this model; is a column swapped?"
             )
         if gain.low <= 0:
-            doubts.tell(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+            doubts.doubt(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
         else:
-            doubts.gain(name, gain, float(np.median(points.both[:, which])), points.usual)
+            doubts.check_gain(name, gain, float(np.median(points.both[:, which])), points.usual)
         if gain.value < 0:
             alone = robust(points.both[:, [1 - which]], points.amplitude, points.shifts)
             kept, none = alone.coefficients[0], Estimate(0.0, 0.0, max(0.0, gain.high))
@@ -278,10 +270,10 @@ def _gains(points: _Points, doubts: Doubts) -> _Gains:
 def _offset(points: _Points, doubts: Doubts) -> Estimate | None:
     """A constant beside the two gains, which the model does not have; None where it cannot be told from them."""
     columns = np.column_stack((points.both, np.ones_like(points.speed)))
-    if len(columns) <= 3 or not told_apart(columns):
+    if len(columns) <= 3 or not well_conditioned(columns):
         return None
     offset = robust(columns, points.amplitude, points.shifts).coefficients[2]
-    if excludes_zero(offset):
+    if offset.excludes_zero:
         doubts.at_most(
             "offset",
             abs(offset.value) / float(points.amplitude.mean()),
@@ -321,12 +313,12 @@ def _mean_mode(groups: Sequence[Group]) -> Mode:
     )
 
 
-def _tell_outliers(law: Robust, strikes: Sequence[Strike], doubts: Doubts) -> None:
+def _report_outliers(law: Robust, strikes: Sequence[Strike], doubts: Doubts) -> None:
     """Strikes that have no weight in the law."""
     if law.outliers:
         first = strikes[law.outliers[0]]
         reason = f"{len(law.outliers)} of {len(strikes)} strikes are far off the others and do not count"
-        doubts.note(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
+        doubts.warn(f"{reason}; the first: {first.recording} at {first.time_s:.4g} s")
         doubts.at_most("part left out", len(law.outliers) / len(strikes), reason)
 
 
@@ -353,15 +345,15 @@ def _moved(groups: Sequence[Group], frequency_hz: float, doubts: Doubts) -> tupl
     speed = np.array([group.speed_m_per_s for group in groups])
     force = np.array([group.force_n for group in groups])
     columns = np.column_stack((speed, force, np.ones_like(speed)))
-    if len(groups) < 6 or not told_apart(columns):
-        doubts.note("too few strokes at different speeds and forces to tell whether the frequency moves with them")
+    if len(groups) < 6 or not well_conditioned(columns):
+        doubts.warn("too few strokes at different speeds and forces to tell whether the frequency moves with them")
         return None, None
     frequencies = np.array([group.mode.frequency_hz for group in groups])
     by_speed, by_force, _ = least_squares(columns, frequencies).coefficients
     for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
         change = slope.value * float(np.ptp(values))
-        if excludes_zero(slope) and abs(change) > MOVES * frequency_hz:
-            doubts.tell(
+        if slope.excludes_zero and abs(change) > MOVES * frequency_hz:
+            doubts.doubt(
                 f"the frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
                 f"{values.max():.3g} {unit}; "
                 "the material has the mean"

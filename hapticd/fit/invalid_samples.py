@@ -1,4 +1,4 @@
-"""Samples that cannot be: found in every column that a fit uses, and replaced by straight lines, or refused.
+"""Invalid samples: found in every column that a fit uses, and replaced by straight lines, or refused.
 
     beyond a limit    no hand presses with more than 200 N; a sample that is NaN is beyond every limit
     a spike           of force or speed, that comes and goes within SPIKE_S and is far beyond the usual values; of
@@ -7,7 +7,7 @@
     a leap            of a position from one sample to the next: out and back it is a spike, after a standstill the
                       samples were lost, otherwise an encoder wrapped or slipped and all later positions are moved back
 
-A recording of which more than MOST cannot be is refused: then it is a unit or a column. Every finding is one line with
+A recording of which more than MOST is invalid is refused: then it is a unit or a column. Every finding is one line with
 file, time and value.
 """
 
@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.recordings.spans import Bools, Spans, spans_of
-from hapticd.analysis.statistics import FitError, Floats, MistakenError
+from hapticd.analysis.statistics import FitError, Floats, UnitError
 from hapticd.fit.provenance import Kind
 from hapticd.fit.recording import Recording
 
@@ -87,22 +87,22 @@ ACCELERATION: Final[Mapping[Kind, Limit]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
-    """A recording whose samples all can be."""
+class Cleaned:
+    """A recording without invalid samples."""
 
     recording: Recording
     replaced: Bools
     """(n,) samples that were not measured so."""
-    told: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
-def without_impossible(recording: Recording, kind: Kind) -> Kept:
-    """The recording with straight lines in place of what cannot be, for a fit of this kind. FitError where that is too
-    much of it."""
+def without_invalid_samples(recording: Recording, kind: Kind) -> Cleaned:
+    """The recording with straight lines in place of its invalid samples, for a fit of this kind. FitError where there
+    are too many."""
     columns = {name: each for name in UNITS if isinstance(each := getattr(recording, name), np.ndarray)}
     count = max((each.size for each in columns.values()), default=0)
     replaced = np.zeros(count, dtype=np.bool_)
-    told: list[str] = []
+    warnings: list[str] = []
     changed: dict[str, Floats] = {}
     limits = {"force_n": FORCE, "speed_m_per_s": SPEED[kind], "acceleration_m_per_s2": ACCELERATION[kind]}
     for name, values in columns.items():
@@ -112,13 +112,13 @@ def without_impossible(recording: Recording, kind: Kind) -> Kept:
         column = _Column(recording.name, name, values, recording.rate_hz)
         column.beyond(limits.get(name))
         column.look(kind, SPEED[kind].most)
-        if column.told:
+        if column.warnings:
             changed[name] = column.values
             replaced |= column.bad
-            told += column.told
+            warnings += column.warnings
     if changed:
         recording = dataclasses.replace(recording, **changed)  # type: ignore[arg-type]
-    return Kept(recording, replaced, tuple(told))
+    return Cleaned(recording, replaced, tuple(warnings))
 
 
 class _Column:
@@ -127,7 +127,7 @@ class _Column:
     def __init__(self, file: str, name: str, values: Floats, rate_hz: float) -> None:
         self.values = values
         self.bad: Bools = np.zeros(len(values), dtype=np.bool_)
-        self.told: list[str] = []
+        self.warnings: list[str] = []
         self._file, self._name, self._rate_hz = file, name, rate_hz
         self._what, self._unit = WORDS[name], UNITS[name]
 
@@ -162,13 +162,13 @@ class _Column:
         bound = "" if limit is None else f" (at most {most:g})"
         if np.mean(over) > MOST or len(spans) > MOST_FINDINGS:
             ask = "" if limit is None else f": {limit.ask}"
-            raise MistakenError(
+            raise UnitError(
                 f"{self._file}: {self._what} of {value} is not a hand's{bound}, nor is that of "
                 f"{100 * np.mean(over):.3g} % of the samples{ask}"
             )
         samples = int(np.count_nonzero(over))
         self._replace(spans)
-        self._tell(
+        self._report(
             f"{self._what} of {value} cannot be{bound}"
             + (f", nor can that of {samples - 1} more samples" if samples > 1 else "")
         )
@@ -205,9 +205,9 @@ class _Column:
             return
         low, high = found[0]
         value = f"{self.values[low]:.6g} {self._unit}"
-        told = f"{self._what} stands still at {value} from {self._at(low)} to {self._at(high - 1)}"
+        finding = f"{self._what} stands still at {value} from {self._at(low)} to {self._at(high - 1)}"
         self._replace(found)
-        self._tell(told + _more(found))
+        self._report(finding + _more(found))
 
     def alone(self, above_all: bool) -> None:
         """Up to WIDEST samples far above those beside them and, with `above_all`, far above everything else: a tap that
@@ -254,13 +254,13 @@ class _Column:
             )
         spikes, lost, steps_taken = self._sorted(leaps, usual)
         if spikes:
-            self._tell(f"{self._what} leaps to {spikes[0][2]} and back{_more(spikes)}")
+            self._report(f"{self._what} leaps to {spikes[0][2]} and back{_more(spikes)}")
         if lost:
             begin = self._at(lost[0][0] - 1)
-            self._tell(f"{self._what} stands still from {begin}, and leaps to {lost[0][2]}{_more(lost)}")
+            self._report(f"{self._what} stands still from {begin}, and leaps to {lost[0][2]}{_more(lost)}")
         if steps_taken:
             value = f"by {steps_taken[0][1]:.4g} {self._unit} to {steps_taken[0][2]}"
-            self._tell(f"{self._what} leaps {value}{_more(steps_taken)}", "the leap is taken out")
+            self._report(f"{self._what} leaps {value}{_more(steps_taken)}", "the leap is taken out")
             shift = np.zeros(len(self.values))
             for at, leap, _ in steps_taken:
                 shift[at] = leap
@@ -299,9 +299,11 @@ class _Column:
             return
         low, high = found[0]
         peak = low + int(np.argmax(np.abs(self.values[low:high] - np.median(self.values))))
-        told = f"{self._what} {does} {self.values[peak]:.6g} {self._unit} at {self._at(peak)} and back" + _more(found)
+        finding = f"{self._what} {does} {self.values[peak]:.6g} {self._unit} at {self._at(peak)} and back" + _more(
+            found
+        )
         self._replace(found)
-        self._tell(told)
+        self._report(finding)
 
     def _replace(self, spans: Spans) -> None:
         """By straight lines between the samples on either side."""
@@ -314,8 +316,8 @@ class _Column:
         self.values = np.where(bad, np.interp(at, at[~bad], self.values[~bad]), self.values)
         self.bad |= bad
 
-    def _tell(self, found: str, done: str = "left out") -> None:
-        self.told.append(f"{self._file}: {found}; {done}")
+    def _report(self, found: str, done: str = "left out") -> None:
+        self.warnings.append(f"{self._file}: {found}; {done}")
 
     def _at(self, sample: int) -> str:
         return f"{sample / self._rate_hz:.6g} s"

@@ -17,8 +17,8 @@ from hapticd.analysis.statistics import Estimate, FitError
 from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
-from hapticd.fit.exclusions import RECORDING, Left
-from hapticd.fit.invalid_samples import without_impossible
+from hapticd.fit.exclusions import RECORDING, Exclusion
+from hapticd.fit.invalid_samples import without_invalid_samples
 from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording
 from hapticd.fit.report import Curve, Page, Panel
@@ -63,7 +63,7 @@ def page_of(
 def _kept(recording: Recording, kind: Kind) -> Recording:
     """As it was fitted: without samples that cannot be."""
     try:
-        return without_impossible(recording, kind).recording
+        return without_invalid_samples(recording, kind).recording
     except FitError:
         return recording
 
@@ -85,12 +85,12 @@ def overlay(name: str, rate_hz: float, recorded: Floats, model: Floats) -> Row:
     `model` is NaN where it says nothing. The spectra are of the longest stretch of which it says something, and the
     time is LOOK_S about that.
     """
-    told = np.flatnonzero(np.isfinite(model))
-    if len(told) == 0:
+    modelled = np.flatnonzero(np.isfinite(model))
+    if len(modelled) == 0:
         return ()
-    stretch = max(np.split(told, np.flatnonzero(np.diff(told) > 1) + 1), key=len)
+    stretch = max(np.split(modelled, np.flatnonzero(np.diff(modelled) > 1) + 1), key=len)
     around = max(0, round(LOOK_S * rate_hz) - len(stretch)) // 2
-    first, last = max(int(told[0]), int(stretch[0]) - around), min(int(told[-1]), int(stretch[-1]) + around)
+    first, last = max(int(modelled[0]), int(stretch[0]) - around), min(int(modelled[-1]), int(stretch[-1]) + around)
     here = slice(first, last + 1)
     ms: Floats = np.asarray(1e3 * np.arange(first, last + 1) / rate_hz, dtype=np.float64)
     lines = (Curve("recording", ms, recorded[here]), Curve("model", ms, model[here]))
@@ -191,14 +191,14 @@ def _ringing(fit: TapFit) -> Iterator[Row]:
 def _left_out(fit: Fit, recordings: Sequence[Recording]) -> Iterator[Row]:
     """What was left out: where it is in a recording of which more was used, and the first of it as it was recorded."""
     seen = {each.name: each for each in recordings if each.acceleration_m_per_s2 is not None}
-    left: list[Left] = [each for each in fit.left_out if each.recording in seen]
-    if not left:
+    excluded: list[Exclusion] = [each for each in fit.left_out if each.recording in seen]
+    if not excluded:
         return
     used = [(tap.recording, tap.onset_s) for tap in getattr(fit, "taps", ())]
-    both = dict.fromkeys(each.recording for each in left if each.recording in {name for name, _ in used})
+    both = dict.fromkeys(each.recording for each in excluded if each.recording in {name for name, _ in used})
     for row in _in_rows(islice(both, DRAWN)):
-        yield tuple(_marked(seen[name], used, left) for name in row)
-    whole = [each for each in left if each.what == RECORDING or each.time_s is not None]
+        yield tuple(_marked(seen[name], used, excluded) for name in row)
+    whole = [each for each in excluded if each.what == RECORDING or each.time_s is not None]
     for part in _in_rows(islice(whole, 2 * DRAWN)):
         yield tuple(_not_used(seen[each.recording], each) for each in part)
 
@@ -209,7 +209,7 @@ def _in_rows(every: Iterable[_T]) -> Iterator[tuple[_T, ...]]:
         yield row
 
 
-def _marked(recording: Recording, used: Sequence[tuple[str, float]], left: Sequence[Left]) -> Panel:
+def _marked(recording: Recording, used: Sequence[tuple[str, float]], excluded: Sequence[Exclusion]) -> Panel:
     """A recording, with marks above what was used and what was left out."""
     seen = recording.acceleration_m_per_s2
     assert seen is not None
@@ -217,7 +217,8 @@ def _marked(recording: Recording, used: Sequence[tuple[str, float]], left: Seque
     top = float(seen.max()) + 0.08 * float(np.ptp(seen))
     used_s = np.array([at_s for name, at_s in used if name == recording.name], dtype=np.float64)
     left_s = np.array(
-        [each.time_s for each in left if each.recording == recording.name and each.time_s is not None], dtype=np.float64
+        [each.time_s for each in excluded if each.recording == recording.name and each.time_s is not None],
+        dtype=np.float64,
     )
     marks = (
         Curve("fitted", used_s, np.full(len(used_s), top), points=True),
@@ -226,17 +227,19 @@ def _marked(recording: Recording, used: Sequence[tuple[str, float]], left: Seque
     return Panel(os.path.basename(recording.name), "s", ACCELERATION, (Curve("recording", time_s, seen), *marks))
 
 
-def _not_used(recording: Recording, left: Left) -> Panel:
+def _not_used(recording: Recording, exclusion: Exclusion) -> Panel:
     """What was recorded about the time of an event that is left out, or all of a recording that is."""
     seen, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     assert seen is not None
     first, last = 0, len(seen)
-    if left.time_s is not None:
-        first = max(0, round((left.time_s - LEFT_S[0]) * rate_hz))
-        last = min(last, round((left.time_s + LEFT_S[1]) * rate_hz) + 1)
+    if exclusion.time_s is not None:
+        first = max(0, round((exclusion.time_s - LEFT_S[0]) * rate_hz))
+        last = min(last, round((exclusion.time_s + LEFT_S[1]) * rate_hz) + 1)
     ms: Floats = np.asarray(1e3 * np.arange(first, last) / rate_hz, dtype=np.float64)
     name = os.path.basename(recording.name)
-    return Panel(f"{name} left out: {left.reason}", "ms", ACCELERATION, (Curve("recording", ms, seen[first:last]),))
+    return Panel(
+        f"{name} left out: {exclusion.reason}", "ms", ACCELERATION, (Curve("recording", ms, seen[first:last]),)
+    )
 
 
 def _number(figure: float | Estimate) -> float:

@@ -13,7 +13,7 @@ from hapticd._version import __version__
 from hapticd.analysis.statistics import Estimate
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.config.materials import MAX_REASON, MAX_REASONS, Material, validate_materials
-from hapticd.fit.exclusions import Left
+from hapticd.fit.exclusions import Exclusion
 from hapticd.fit.recording import Recording
 from hapticd.fit.verdict import Verdict
 
@@ -42,7 +42,7 @@ class Fit(Protocol):
     def judged(self) -> Verdict: ...
 
     @property
-    def left_out(self) -> tuple[Left, ...]: ...
+    def left_out(self) -> tuple[Exclusion, ...]: ...
 
     def material(self) -> Mapping[str, object]: ...
 
@@ -129,10 +129,10 @@ def material(
     try:
         return validate_materials({name: data})[name]
     except InvalidError as error:
-        told = [
+        problems = [
             Problem(problem.where, f"{problem.problem}: no material has what was found") for problem in error.problems
         ]
-        raise InvalidError(told) from None
+        raise InvalidError(problems) from None
 
 
 def _joined(kind: Kind, before: object, origin: Mapping[str, object]) -> dict[str, object]:

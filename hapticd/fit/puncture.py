@@ -15,24 +15,23 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
-from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, common, with_offset
-from hapticd.fit.duplicates import refuse_twins
-from hapticd.fit.exclusions import Left, LeftOut, weigh
-from hapticd.fit.invalid_samples import Kept, without_impossible
+from hapticd.analysis.statistics import Estimate, FitError, Floats, UnitError, common, with_offset
+from hapticd.fit.duplicates import refuse_duplicates
+from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
+from hapticd.fit.invalid_samples import Cleaned, without_invalid_samples
+from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
-from hapticd.fit.spectral_lines import Line, lines_beside, tell_lines
-from hapticd.fit.stretches import gaps_told, in_gap
+from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
+from hapticd.fit.stretches import gaps_in_words, in_gap
 from hapticd.fit.strokes import (
     acceleration_of,
-    excludes_zero,
     force_of,
-    plain,
+    report_cleaning,
+    report_gravity,
+    report_sampling,
     running_mean,
     slope_of,
-    tell_few_samples,
-    tell_gravity,
-    told_of,
-    too_slow,
+    undersampled,
 )
 from hapticd.fit.taps.ringing import Ringing, fit_ringing
 from hapticd.fit.verdict import Doubts, Verdict
@@ -61,7 +60,7 @@ AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
 """Of a rupture; less is not felt."""
 ACCOUNTED: Final = 0.7
 """A ringing of which one mode explains less is none."""
-ASTRAY: Final = (3.0, 0.25)
+OUTLYING: Final = (3.0, 0.25)
 """A ringing that is off the median of all by this factor is left out, and told; this part of them at most."""
 SPOILT: Final = 0.02
 """Of the samples from the touch to the end of the ringing, replaced, and a recording is left out."""
@@ -102,7 +101,7 @@ class PunctureFit:
     ruptures: tuple[Rupture, ...]
     warnings: tuple[str, ...]
     judged: Verdict
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -126,14 +125,14 @@ class PunctureFit:
         return {**found, "verdict": self.verdict}
 
 
-def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -> PunctureFit:
+def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = None) -> PunctureFit:
     """Of one puncture to a recording, at least two. FitError where there are fewer, or they cannot be fitted.
 
-    Recordings that cannot be used, as those without a puncture, are told to `left`.
+    Recordings that cannot be used, as those without a puncture, are reported in `excluded`.
     """
-    left = LeftOut() if left is None else left
+    excluded = Exclusions() if excluded is None else excluded
     doubts = Doubts()
-    ruptures = _ruptures(recordings, left, doubts)
+    ruptures = _ruptures(recordings, excluded, doubts)
     used = [recording for recording in recordings if recording.name in {each.recording for each in ruptures}]
     _doubt_the_recordings(used, ruptures, doubts)
 
@@ -143,7 +142,7 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
     _check_amplitudes(ruptures)
     stiffness, depth, amplitude = mean("stiffness_n_per_m"), mean("depth_m"), mean("amplitude_m_per_s2")
     frequency, decay = mean("frequency_hz"), mean("decay_rate_per_s")
-    tell_few_samples(used, frequency.value, doubts)
+    report_sampling(used, frequency.value, doubts)
     by_speed = _amplitude_over_speed(ruptures, amplitude, doubts)
     for what, figure in (("stiffness", stiffness), ("amplitude", amplitude), ("decay rate", decay)):
         if figure.low <= 0:
@@ -151,7 +150,7 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
                 f"the punctures do not agree on the {what}: {figure.value:.3g} ({figure.low:.3g} to {figure.high:.3g})"
             )
     if depth.low <= 0 or depth.high - depth.low > depth.value:
-        doubts.note(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
+        doubts.warn(f"the rupture depth is uncertain: {1e3 * depth.low:.3g} to {1e3 * depth.high:.3g} mm")
     for what, figure in (
         ("rupture depth", depth),
         ("stiffness", stiffness),
@@ -159,7 +158,7 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
         ("frequency", frequency),
         ("decay rate", decay),
     ):
-        doubts.known(what, figure)
+        doubts.check_interval(what, figure)
     _doubt_the_mode(ruptures, doubts)
     summary = (
         f"{len(ruptures)} punctures at {1e3 * depth.value:.4g} mm, {stiffness.value:.4g} N/m, ringing at "
@@ -174,37 +173,37 @@ def fit_puncture(recordings: Sequence[Recording], left: LeftOut | None = None) -
         decay_rate_per_s=decay,
         amplitude_per_speed_per_s=by_speed,
         ruptures=tuple(ruptures),
-        warnings=tuple(doubts.told),
+        warnings=tuple(doubts.warnings),
         judged=doubts.judged(summary),
-        left_out=tuple(left.items),
+        left_out=tuple(excluded.items),
     )
 
 
 # ---- What the punctures have in common -----------------------------------------------------------------------------
 
 
-def _ruptures(recordings: Sequence[Recording], left: LeftOut, doubts: Doubts) -> list[Rupture]:
+def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[Rupture]:
     """Two or more, each fitted by itself; doubts are of those that are used. FitError where there are fewer."""
-    refuse_twins(recordings)
-    found = left.each(recordings, _rupture)
+    refuse_duplicates(recordings)
+    found = excluded.each(recordings, _rupture)
     if not found:
-        raise left.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
-    ruptures = _together([rupture for rupture, _ in found], left)
+        raise excluded.refused(f"none of {len(recordings)} recordings can be used" if recordings else "no recordings")
+    ruptures = _without_outliers([rupture for rupture, _ in found], excluded)
     if len(ruptures) < 2:
-        raise left.refused("one puncture has no interval: needs two recordings of a puncture at least")
+        raise excluded.refused("one puncture has no interval: needs two recordings of a puncture at least")
     used = {each.recording for each in ruptures}
     for rupture, own in found:
         if rupture.recording in used:
-            doubts.take(own)
-    weigh(left, recordings, doubts)
+            doubts.merge(own)
+    report_exclusions(excluded, recordings, doubts)
     return ruptures
 
 
 def _doubt_the_recordings(recordings: Sequence[Recording], ruptures: Sequence[Rupture], doubts: Doubts) -> None:
     """Wrong units, hum, and few of them."""
-    tell_gravity(recordings, doubts)
+    report_gravity(recordings, doubts)
     by_name = {recording.name: recording for recording in recordings}
-    tell_lines(
+    report_lines(
         len(ruptures), lambda place, needed: _lines(by_name[ruptures[place].recording], ruptures[place], needed), doubts
     )
     count = len(ruptures)
@@ -229,8 +228,8 @@ def _amplitude_over_speed(ruptures: Sequence[Rupture], amplitude: Estimate, doub
         return None
     by_speed = with_offset(speed, np.array([each.amplitude_m_per_s2 for each in ruptures])).coefficients[0]
     change = by_speed.value * float(np.ptp(speed))
-    if excludes_zero(by_speed) and abs(change) > 0.1 * amplitude.value:
-        doubts.tell(
+    if by_speed.excludes_zero and abs(change) > 0.1 * amplitude.value:
+        doubts.doubt(
             f"the amplitude moves with speed: by {change:+.3g} m/s^2 from {speed.min():.3g} to "
             f"{speed.max():.3g} m/s; "
             "the material has the mean"
@@ -262,8 +261,8 @@ def _doubt_the_mode(ruptures: Sequence[Rupture], doubts: Doubts) -> None:
 def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
     """The puncture of a recording, and what speaks against it. FitError where there is none, or it cannot be fitted."""
     doubts = Doubts()
-    kept = without_impossible(recording, "puncture")
-    told_of([kept], doubts)
+    kept = without_invalid_samples(recording, "puncture")
+    report_cleaning([kept], doubts)
     push = _Push.of(kept.recording)
     seen = acceleration_of(kept.recording)
     loading = _loading(push, doubts)
@@ -273,7 +272,7 @@ def _rupture(recording: Recording) -> tuple[Rupture, Doubts]:
     _doubt_force_left(push, loading, doubts)
     _refuse_second_rupture(push, loading)
     if ringing.variance_accounted_for < 0.8:
-        doubts.note(f"{push.name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
+        doubts.warn(f"{push.name}: one mode accounts for {100 * ringing.variance_accounted_for:.0f} % of the ringing")
     found = Rupture(
         recording=push.name,
         time_s=(push.at + 0.5) / push.rate_hz,
@@ -313,11 +312,11 @@ class _Push:
         if place is None:
             raise FitError(f"{name}: has no position along the normal, which this fit needs")
         if np.ptp(place) > FARTHEST_M:
-            raise MistakenError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
+            raise UnitError(f"{name}: a way of {np.ptp(place):.4g} m is not a puncture's: is it in mm?")
         if not np.ptp(place) > 0:
             raise FitError(f"{name}: the position never moves: is it the wrong column?")
         if float(np.median(force)) < 0 and -float(force.min()) > float(force.max()):
-            raise MistakenError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
+            raise UnitError(f"{name}: the force is mostly negative: pressing must be positive (scale -1?)")
         at = _drop(force, rate_hz)
         if at is None:
             raise _no_puncture(name)
@@ -366,7 +365,7 @@ def _loading(push: _Push, doubts: Doubts) -> _Loading:
     near = way < np.median(way)
     below, above = (float(np.polyfit(way[part], pressed[part], 1)[0]) for part in (near, ~near))
     if abs(above - below) > BENT * stiffness:
-        doubts.case(
+        doubts.doubt_recording(
             "the stiffness changes on the way",
             f"{push.name}: stiffness goes from {below:.4g} to {above:.4g} N/m as the membrane is drawn in",
         )
@@ -378,7 +377,7 @@ def _loading(push: _Push, doubts: Doubts) -> _Loading:
         quiet = push.force[: max(0, int(free[-1]) - 2 * half if len(free) else 0)]
         rest = float(np.median(quiet)) if len(quiet) >= 20 else 0.0
     if len(quiet) < 20:
-        doubts.case(
+        doubts.doubt_recording(
             "begun in contact", f"{push.name}: begins in contact: what the sensor reads without force is taken to be 0"
         )
     return _Loading(begin, highest, stiffness, surface, rest)
@@ -390,13 +389,9 @@ def _check_stiffness(name: str, way: Floats, pressed: Floats, stiffness: float) 
     if float(np.corrcoef(way, pressed)[0, 1]) ** 2 < STRAIGHT:
         raise FitError(f"{name}: force does not go with position before it falls: are columns swapped?")
     if stiffness < 0:
-        raise MistakenError(
-            f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)"
-        )
+        raise UnitError(f"{name}: force falls with position, which must grow as the membrane is drawn in (scale -1?)")
     if not low <= stiffness <= high:
-        raise MistakenError(
-            f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?"
-        )
+        raise UnitError(f"{name}: a stiffness of {stiffness:.3g} N/m is no membrane's: is a unit off by a thousand?")
 
 
 def _doubt_the_touch(push: _Push, loading: _Loading, doubts: Doubts) -> None:
@@ -410,7 +405,7 @@ def _doubt_the_touch(push: _Push, loading: _Loading, doubts: Doubts) -> None:
     due = loading.surface_m + soft / loading.stiffness_n_per_m
     early_m = due - float(np.mean(push.place[max(0, touched[0] - half) : touched[0] + half + 1]))
     if early_m > SOFT[1] * load / loading.stiffness_n_per_m:
-        doubts.case(
+        doubts.doubt_recording(
             "softer at first",
             f"{push.name}: it is softer at first: the line of its stiffness begins {1e3 * early_m:.3g} mm or more "
             "behind the touch, and depth is counted from there",
@@ -430,7 +425,7 @@ def _rupture_place(push: _Push) -> tuple[float, float]:
     return float(fitted[0] + 0.5 * fitted[1]), speed
 
 
-def _ringing(kept: Kept, seen: Floats, push: _Push, begin: int) -> Ringing:
+def _ringing(kept: Cleaned, seen: Floats, push: _Push, begin: int) -> Ringing:
     """The mode that the rupture strikes. FitError where it was not measured, or does not ring with one mode."""
     name, at, rate_hz = push.name, push.at, push.rate_hz
     first = max(0, at - round(BEFORE_S * rate_hz))
@@ -443,7 +438,7 @@ def _ringing(kept: Kept, seen: Floats, push: _Push, begin: int) -> Ringing:
             "a wider range"
         )
     if in_gap(kept.recording, begin, end):
-        raise FitError(f"{name}: {gaps_told(kept.recording)}: between the touch and the end of the ringing")
+        raise FitError(f"{name}: {gaps_in_words(kept.recording)}: between the touch and the end of the ringing")
     try:
         # A slow sensor of force tells the rupture late.
         ringing = min(
@@ -455,7 +450,7 @@ def _ringing(kept: Kept, seen: Floats, push: _Push, begin: int) -> Ringing:
         )
     except FitError as error:
         raise FitError(f"{name}: the rupture has no ringing: {error}") from None
-    if slow := too_slow(rate_hz, float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)):
+    if slow := undersampled(rate_hz, float(ringing.angular_frequency_rad_per_s[0]) / (2 * math.pi)):
         raise FitError(f"{name}: {slow}")
     if ringing.variance_accounted_for < ACCOUNTED:
         raise FitError(
@@ -470,7 +465,7 @@ def _doubt_force_left(push: _Push, loading: _Loading, doubts: Doubts) -> None:
     load = loading.highest_n - loading.rest_n
     left = float(np.median(push.force[push.at + 2 * push.half : push.at + 6 * push.half])) - loading.rest_n
     if left > HELD * load:
-        doubts.case(
+        doubts.doubt_recording(
             "force is left after the rupture",
             f"{push.name}: {100 * left / load:.0f} % of the force is left after the rupture: something holds "
             "what went in; the model has none of it",
@@ -493,27 +488,27 @@ def _refuse_second_rupture(push: _Push, loading: _Loading) -> None:
             )
 
 
-def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[Line]:
+def _lines(recording: Recording, rupture: Rupture, needed: int) -> list[SpectralLine]:
     """Of the acceleration before the rupture."""
     seen = recording.acceleration_m_per_s2
     assert seen is not None
     model = np.full(len(seen), math.nan)
     until = max(0, round((rupture.time_s - BEFORE_S) * recording.rate_hz))
     model[:until] = np.median(seen[:until]) if until else 0.0
-    return lines_beside(seen, model, recording.rate_hz, needed)
+    return lines_in_residual(seen, model, recording.rate_hz, needed)
 
 
-def _together(ruptures: list[Rupture], left: LeftOut) -> list[Rupture]:
-    """Without the few whose ringing is far off the others', which are told to `left`."""
+def _without_outliers(ruptures: list[Rupture], excluded: Exclusions) -> list[Rupture]:
+    """Without the few whose ringing is far off the others', which are reported in `excluded`."""
     ringing = np.array([[each.amplitude_m_per_s2, each.frequency_hz, each.decay_rate_per_s] for each in ruptures])
     usual = np.median(ringing, axis=0)
-    factor, most = ASTRAY
+    factor, most = OUTLYING
     off = np.maximum(ringing / usual, usual / ringing).max(axis=1) > factor
     if np.count_nonzero(off) > most * len(ruptures):
         return ruptures
     for each, far in zip(ruptures, off, strict=True):
         if far:
-            left.add(
+            excluded.add(
                 each.recording,
                 f"rings with {each.amplitude_m_per_s2:.3g} m/s^2, {each.frequency_hz:.4g} Hz and a decay rate of "
                 f"{each.decay_rate_per_s:.3g} 1/s, the others with {usual[0]:.3g}, {usual[1]:.4g} and {usual[2]:.3g}",

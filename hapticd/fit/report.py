@@ -208,10 +208,10 @@ def _draw(axes: Axes, panel: Panel) -> None:
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
     axes.grid(alpha=0.3)
-    told = len(panel.curves) > 1
+    several = len(panel.curves) > 1
     # Beside the curves there may be no room: what they are stands between them and the title.
-    axes.set_title(_short(panel.title), fontsize=10, pad=22 if told else 6)
-    if told:
+    axes.set_title(_short(panel.title), fontsize=10, pad=22 if several else 6)
+    if several:
         axes.legend(
             loc="lower center",
             bbox_to_anchor=(0.5, 1.0),
@@ -271,14 +271,14 @@ def _html(page: Page) -> str:
         f'{base64.b64encode(_picture([row])).decode()}"></p>'
         for row in page.rows
     )
-    told = "\n".join(f'<p class="warning">{html.escape(text)}</p>' for text in page.warnings)
+    warned = "\n".join(f'<p class="warning">{html.escape(text)}</p>' for text in page.warnings)
     return f"""<!DOCTYPE html>
 <html lang="en">
 <head><meta charset="utf-8"><title>{html.escape(page.title)}</title><style>{_STYLE}</style></head>
 <body>
 <h1>{html.escape(page.title)}</h1>
 <p><b>{html.escape(page.verdict)}</b></p>
-{told}
+{warned}
 {table(("figure", "value", "95 % interval", "unit"), figure_rows(page.figures, page.plain))}
 {pictures}
 <h2>Recordings</h2>

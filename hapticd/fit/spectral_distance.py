@@ -14,7 +14,7 @@ COMPARED_DB: Final = 20.0
 """Spectra are compared where the recorded one is within this of its peak."""
 
 
-def apart_db(frequency: Floats, model: Floats, power: Floats) -> float:
+def spectral_distance_db(frequency: Floats, model: Floats, power: Floats) -> float:
     """RMS difference of two densities (n,) over bands of a twelfth of an octave, as a periodogram itself scatters."""
     loud = (frequency >= LOW_HZ) & (smoothed(power, 2) > 10 ** (-COMPARED_DB / 10) * smoothed(power, 2).max())
     band = np.round(12 * np.log2(np.maximum(frequency, 1.0))).astype(int)

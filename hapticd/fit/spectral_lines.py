@@ -37,14 +37,14 @@ TOLD: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class SpectralLine:
     """A tone, and which part of the power above LOWEST_HZ it holds."""
 
     frequency_hz: float
     share: float
 
 
-def lines_of(seen: Floats, rate_hz: float, needed: int = 1) -> list[Line]:
+def spectral_lines(seen: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
     """Of one recording (n,), by falling share; so many recordings are `needed` to have a line."""
     from scipy.special import fdtri
 
@@ -64,7 +64,7 @@ def lines_of(seen: Floats, rate_hz: float, needed: int = 1) -> list[Line]:
     # That so many recordings have it within SPREAD bins of each other is as improbable as it may be.
     chance = CHANCE / len(power) if needed == 1 else min(OFTEN, (CHANCE / len(power)) ** (1 / needed) / SPREAD)
     factor = float(fdtri(2, 2 * beside, 1 - chance))
-    found: list[Line] = []
+    found: list[SpectralLine] = []
     left = power.copy()
     left[(frequency < LOWEST_HZ) | (np.arange(len(power)) < outer)] = 0.0
     left[max(0, len(power) - outer) :] = 0.0
@@ -80,27 +80,27 @@ def lines_of(seen: Floats, rate_hz: float, needed: int = 1) -> list[Line]:
         if power[place] > factor * mean and share > LEAST_SHARE:
             near = slice(place - 1, place + 2)
             middle = float(power[near] @ frequency[near]) / float(power[near].sum())
-            found.append(Line(middle, share))
+            found.append(SpectralLine(middle, share))
         left[place - inner : place + inner + 1] = 0.0
     return sorted(found, key=lambda line: -line.share)
 
 
-def lines_beside(seen: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[Line]:
+def lines_in_residual(seen: Floats, modelled: Floats, rate_hz: float, needed: int = 1) -> list[SpectralLine]:
     """Of a recording (n,) whose events are modelled, where `modelled` is no NaN: lines of the rest, with their share of
     the power of all."""
     left = np.where(np.isfinite(modelled), seen - modelled, 0.0)
     part = float(np.var(left) / np.var(seen)) if np.var(seen) > 0 else 0.0
-    return [Line(line.frequency_hz, part * line.share) for line in lines_of(left, rate_hz, needed)]
+    return [SpectralLine(line.frequency_hz, part * line.share) for line in spectral_lines(left, rate_hz, needed)]
 
 
-def common_lines(count: int, lines_in: Callable[[int, int], Sequence[Line]]) -> list[Line]:
+def common_lines(count: int, lines_in: Callable[[int, int], Sequence[SpectralLine]]) -> list[SpectralLine]:
     """Lines that at least half of `count` recordings have, with their mean share, by frequency. `lines_in` gives those
     of one, by its number and by how many are needed."""
     needed = max(1, math.ceil(count / 2))
     recordings = [lines_in(place, needed) for place in range(count)]
     every = [(place, line) for place, lines in enumerate(recordings) for line in lines]
     every.sort(key=lambda each: each[1].frequency_hz)
-    found: list[Line] = []
+    found: list[SpectralLine] = []
     while every:
         first = every[0][1].frequency_hz
         alike = [each for each in every if each[1].frequency_hz - first < APART_HZ]
@@ -110,17 +110,17 @@ def common_lines(count: int, lines_in: Callable[[int, int], Sequence[Line]]) -> 
         weight = sum(line.share for _, line in alike)
         middle = sum(line.frequency_hz * line.share for _, line in alike) / weight
         if weight / len(recordings) > LEAST_SHARE:
-            found.append(Line(middle, weight / len(recordings)))
+            found.append(SpectralLine(middle, weight / len(recordings)))
     return found
 
 
-def tell_lines(count: int, lines_in: Callable[[int, int], Sequence[Line]], doubts: Doubts) -> None:
+def report_lines(count: int, lines_in: Callable[[int, int], Sequence[SpectralLine]], doubts: Doubts) -> None:
     """A doubt where there are lines, as of `common_lines`."""
     if hum := common_lines(count, lines_in):
-        doubts.tell(told(hum))
+        doubts.doubt(described(hum))
 
 
-def told(lines: Sequence[Line]) -> str:
+def described(lines: Sequence[SpectralLine]) -> str:
     """In words; empty where there are none."""
     if not lines:
         return ""
@@ -134,6 +134,6 @@ def told(lines: Sequence[Line]) -> str:
     return f"{what}: hum, or another tone, which the figures take in"
 
 
-def _hz(line: Line) -> str:
+def _hz(line: SpectralLine) -> str:
     # A bin is a fraction of a hertz wide.
     return f"{round(line.frequency_hz, 1):.10g}"

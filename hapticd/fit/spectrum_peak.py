@@ -21,8 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate, Floats, jackknife_error
-from hapticd.fit.strokes import Ints, about
+from hapticd.analysis.statistics import Estimate, Floats, Ints, jackknife_error
 
 LOW_HZ: Final = 20.0
 GROUPS: Final = 20
@@ -77,7 +76,7 @@ def jackknifed(figure: Callable[[Floats], float], shape: Floats, strokes: Ints) 
         wider, fewer = _left_out(figure, shape, by_stroke)
         if wider > error * math.sqrt(float(fdtri(fewer, freedom, DIFFER))):
             error, freedom = wider, fewer
-    return about(value, error, freedom)
+    return Estimate.from_error(value, error, freedom)
 
 
 def groups_of(blocks: int) -> list[Ints]:

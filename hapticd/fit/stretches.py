@@ -11,7 +11,7 @@ import numpy as np
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.spans import spans_of
 from hapticd.analysis.statistics import FitError, Floats
-from hapticd.fit.exclusions import PART, LeftOut
+from hapticd.fit.exclusions import PART, Exclusions
 from hapticd.fit.recording import Recording
 
 LEAST_PART: Final = 0.5
@@ -24,10 +24,10 @@ def between_gaps(recording: Recording, samples: int) -> list[tuple[int, int]]:
     return [(begin, end) for begin, end in zip(edges[::2], edges[1::2], strict=True) if end > begin]
 
 
-def whole_stretches(recording: Recording, least_s: float, left: LeftOut) -> list[Recording]:
+def whole_stretches(recording: Recording, least_s: float, excluded: Exclusions) -> list[Recording]:
     """The recording, or its stretches of at least this length without gaps and clipped samples, as recordings.
 
-    What falls out is told to `left`. Raises FitError where that is too much.
+    What falls out is reported in `excluded`. Raises FitError where that is too much.
     """
     acceleration = recording.acceleration_m_per_s2
     lengths = [len(values) for values in _columns(recording) if values is not None]
@@ -49,19 +49,19 @@ def whole_stretches(recording: Recording, least_s: float, left: LeftOut) -> list
         levels = " and ".join(f"{level:.4g}" for level in np.unique(acceleration[cut]))
         reasons.append(f"clipped at {levels} m/s^2 in {places} {'place' if places == 1 else 'places'}")
     if recording.gaps:
-        reasons.append(gaps_told(recording))
+        reasons.append(gaps_in_words(recording))
     reason = ", ".join(reasons)
     if there < LEAST_PART * samples:
         raise FitError(
             f"{recording.name}: {reason}: {100 * there / samples:.0f} % of it is whole in stretches of {least_s:g} s, "
             f"{100 * LEAST_PART:.0f} % are wanted"
         )
-    left.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", PART)
+    excluded.add(recording.name, f"{(samples - there) / rate_hz:.3g} of {samples / rate_hz:.3g} s, {reason}", PART)
     return [_part(recording, begin, end, samples) for begin, end in kept]
 
 
-def gaps_told(recording: Recording) -> str:
-    """Where samples are missing, in words."""
+def gaps_in_words(recording: Recording) -> str:
+    """Where samples are missing."""
     (begin, end), more = recording.gaps[0], len(recording.gaps) - 1
     others = f", and in {more} more {'place' if more == 1 else 'places'}" if more else ""
     return f"{end - begin} samples are missing at {begin / recording.rate_hz:.4g} s{others}"
@@ -93,6 +93,10 @@ def _part(recording: Recording, begin: int, end: int, samples: int) -> Recording
     )
 
 
-def stretches_of(recordings: Sequence[Recording], least_s: float, left: LeftOut) -> list[Recording]:
+def stretches_of(recordings: Sequence[Recording], least_s: float, excluded: Exclusions) -> list[Recording]:
     """The whole stretches of all recordings; one that is not whole enough is left out."""
-    return [part for parts in left.each(recordings, lambda one: whole_stretches(one, least_s, left)) for part in parts]
+    return [
+        part
+        for parts in excluded.each(recordings, lambda one: whole_stretches(one, least_s, excluded))
+        for part in parts
+    ]

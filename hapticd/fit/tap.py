@@ -14,20 +14,29 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate, FitError, common, require_scipy, through_origin, with_offset
+from hapticd.analysis.statistics import (
+    Estimate,
+    FitError,
+    Regression,
+    common,
+    require_scipy,
+    through_origin,
+    with_offset,
+)
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Attack, Mode
-from hapticd.fit.duplicates import refuse_twins
-from hapticd.fit.exclusions import Left, LeftOut, most_are_left_out
+from hapticd.fit.duplicates import refuse_duplicates
+from hapticd.fit.exclusions import Exclusion, Exclusions, mostly_excluded
+from hapticd.fit.plain_data import end_of, fields_of
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.spectral_lines import Line, lines_beside, tell_lines
-from hapticd.fit.strokes import tell_few_samples
+from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
+from hapticd.fit.strokes import report_sampling
 from hapticd.fit.taps.amplitude import Law, LawKind, Power, doubt_the_law, law_of
 from hapticd.fit.taps.events import hits_of
 from hapticd.fit.taps.hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit, check_speeds
-from hapticd.fit.taps.lack_of_fit import misfit
+from hapticd.fit.taps.lack_of_fit import lack_of_fit
 from hapticd.fit.taps.law import TABLE as TABLE
-from hapticd.fit.taps.law import Amplitudes, check_hardness, check_slope, json_table, one_astray
+from hapticd.fit.taps.law import Amplitudes, check_hardness, check_slope, json_table, single_outlier
 from hapticd.fit.taps.modes import Modes, modes_of
 from hapticd.fit.taps.second_mode import SecondMode, as_pairs, second_mode
 from hapticd.fit.verdict import Doubts, Verdict
@@ -68,7 +77,7 @@ class TapFit:
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
     judged: Verdict
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -77,8 +86,8 @@ class TapFit:
     @property
     def choices(self) -> dict[str, str]:
         """What was chosen of several models, and why."""
-        told = {"amplitude": f"{self.law.named}: {self.law.why}"}
-        return told if self.modes is None else {**told, "mode_table": self.modes.why}
+        chosen = {"amplitude": f"{self.law.named}: {self.law.why}"}
+        return chosen if self.modes is None else {**chosen, "mode_table": self.modes.why}
 
     @property
     def linear(self) -> bool:
@@ -134,7 +143,7 @@ class TapFit:
             slope = self.slope_per_s if attack == "coefficient" else self.first_peak_slope_per_s
             if second is not None:
                 slope = second.first_slope_per_s
-            told: dict[str, Json] = {"attack_slope_per_s": slope.value}
+            tap: dict[str, Json] = {"attack_slope_per_s": slope.value}
         else:
             if law == "power" and self.law.power is None:
                 raise FitError("no power law was found: the amplitude does not rise with the speed")
@@ -153,100 +162,71 @@ class TapFit:
                     for speed, _ in points
                 )
             ]
-            told = {
+            tap = {
                 "amplitudes": [[speed, part * each.value] for part, (speed, each) in zip(parts, points, strict=True)]
             }
-        return told if attack == "coefficient" else {**told, "attack": attack}
+        return tap if attack == "coefficient" else {**tap, "attack": attack}
 
     def to_dict(self) -> dict[str, Json]:
         """As JSON has it, without the stretches."""
-        told: dict[str, Json] = {}
-        for name in (
-            "slope_per_s",
-            "first_peak_slope_per_s",
-            "frequency_hz",
-            "decay_time_s",
-            "offset_slope_per_s",
-            "offset_m_per_s2",
-        ):
-            told[name] = getattr(self, name).to_dict()
-        told |= {
-            "r_squared": self.r_squared,
-            "r_squared_offset": self.r_squared_offset,
-            "variance_accounted_for": self.variance_accounted_for,
+        figures = ("slope_per_s", "first_peak_slope_per_s", "frequency_hz", "decay_time_s", "offset_slope_per_s")
+        shares = ("r_squared", "r_squared_offset", "variance_accounted_for")
+        return {
+            **fields_of(self, *figures, "offset_m_per_s2", *shares),
             "linear": self.linear,
             "law": self.law.to_dict(),
             "modes": None if self.modes is None else self.modes.to_dict(),
             "amplitudes": json_table(self.amplitudes),
             "second": None if self.second is None else self.second.to_dict(),
             "taps": [tap.to_dict() for tap in self.taps],
-            "left_out": [each.to_dict() for each in self.left_out],
-            "warnings": list(self.warnings),
-            "verdict": self.verdict,
-            "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},
+            **end_of(self),
         }
-        return told
 
 
 def fit_tap(
     recordings: Sequence[Recording],
     progress: Callable[[Recording], None] | None = None,
-    left: LeftOut | None = None,
+    excluded: Exclusions | None = None,
 ) -> TapFit:
     """Fits the taps of one material; `progress` is called after each recording. Recordings and taps that cannot be used
-    are told to `left`.
+    are reported in `excluded`.
 
     Raises FitError (one line) for what they do not support: no onset, too few taps, all at one speed, clipped, sampled
     too slowly, units that cannot be.
     """
     require_scipy()
+    excluded = Exclusions() if excluded is None else excluded
     warnings: list[str] = []
-    left = LeftOut() if left is None else left
-    hits, second = _found(recordings, progress, warnings, left)
-    warnings = left.lines() + warnings
+    hits, second = _found(recordings, progress, warnings, excluded)
+    warnings = excluded.lines() + warnings
     taps = tuple(tap for tap, _ in hits)
     check_speeds(taps)
     figures = Figures.of(hits)
-    decay = common(figures.decays, figures.of_decay)
-    angular = common(figures.angulars, figures.of_angular)
-    # Taps differ by parts of their amplitudes.
-    over = (figures.speeds, figures.amplitudes, figures.of_amplitude, figures.speeds**2)
-    line, shifted = through_origin(*over), with_offset(*over)
-    peak_line = through_origin(figures.speeds, figures.peaks, figures.of_peak, figures.speeds**2)
-    slope = line.coefficients[0]
-    check_slope(slope)
-    check_hardness(slope.value, math.exp(angular.value), "the angular frequency")
-    frequency = angular.mapped(lambda log: math.exp(log) / (2 * math.pi))
+    lines = _Lines.of(figures)
+    frequency, decay_time = _common_mode(figures, lines.slope, taps)
     explained = float(np.median([tap.variance_accounted_for for tap in taps]))
-    _check_ringing(frequency.value, math.exp(-decay.value), taps)
     if second is None:
         second = second_mode(hits, explained)
-    astray = one_astray(taps, figures.speeds, figures.amplitudes, figures.noise)
-    law = law_of(figures.speeds, figures.amplitudes, figures.of_amplitude, "line" if astray else None)
+    outlier = single_outlier(taps, figures.speeds, figures.amplitudes, figures.noise)
+    law = law_of(figures.speeds, figures.amplitudes, figures.of_amplitude, "line" if outlier else None)
     doubts = Doubts()
-    of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
-    tell_lines(len(of_taps), lambda place, needed: _lines(of_taps[place], taps, needed), doubts)
-    tell_few_samples(of_taps, frequency.value, doubts)
+    _doubt_the_recordings(doubts, recordings, taps, frequency)
     _doubt_the_mode(doubts, hits, second, explained, warnings)
-    decay_time = decay.mapped(lambda log: math.exp(-log))
-    modes = modes_of(figures, frequency, decay_time)
-    if modes is None:
-        doubts.known("decay time", decay_time)
-    _doubt_the_speed(doubts, figures, modes)
-    _doubt_the_law(doubts, law, astray, line.r_squared)
-    doubts.add(False, most_are_left_out(left, len(taps), "tap"))
-    warnings += doubts.told
+    modes = _modes_over_speed(doubts, figures, frequency, decay_time)
+    _doubt_the_law(doubts, law, outlier, lines.through_origin.r_squared)
+    doubts.add(False, mostly_excluded(excluded, len(taps), "tap"))
+    warnings += doubts.warnings
     return TapFit(
         taps=taps,
-        slope_per_s=slope,
-        first_peak_slope_per_s=peak_line.coefficients[0],
+        slope_per_s=lines.slope,
+        first_peak_slope_per_s=lines.of_peaks.coefficients[0],
         frequency_hz=frequency,
         decay_time_s=decay_time,
         modes=modes,
-        r_squared=line.r_squared,
-        offset_slope_per_s=shifted.coefficients[0],
-        offset_m_per_s2=shifted.coefficients[1],
-        r_squared_offset=shifted.r_squared,
+        r_squared=lines.through_origin.r_squared,
+        offset_slope_per_s=lines.with_offset.coefficients[0],
+        offset_m_per_s2=lines.with_offset.coefficients[1],
+        r_squared_offset=lines.with_offset.r_squared,
         variance_accounted_for=explained,
         law=law,
         power=law.power if law.kind == "power" else None,
@@ -255,9 +235,9 @@ def fit_tap(
         warnings=tuple(warnings),
         judged=doubts.judged(
             f"{_modes(second)} {100 * explained:.1f} % of {len(taps)} taps",
-            f"A(v) is {law.named} (r^2 {law.r_squared if law.kind != 'line' else line.r_squared:.3f})",
+            f"A(v) is {law.named} (r^2 {(law if law.kind != 'line' else lines.through_origin).r_squared:.3f})",
         ),
-        left_out=tuple(left.items),
+        left_out=tuple(excluded.items),
     )
 
 
@@ -265,24 +245,68 @@ def _found(
     recordings: Sequence[Recording],
     progress: Callable[[Recording], None] | None,
     warnings: list[str],
-    left: LeftOut,
+    excluded: Exclusions,
 ) -> tuple[list[Hit], SecondMode | None]:
     """The taps of all recordings, all of which begin the same way, and their second mode where one does not do."""
-    refuse_twins(recordings)
+    refuse_duplicates(recordings)
 
     def hits_in(recording: Recording) -> list[Hit]:
-        found = hits_of(recording, warnings, left)
+        found = hits_of(recording, warnings, excluded)
         if progress is not None:
             progress(recording)
         return found
 
-    hits, second = as_pairs([hit for found in left.each(recordings, hits_in) for hit in found], left)
+    hits, second = as_pairs([hit for found in excluded.each(recordings, hits_in) for hit in found], excluded)
     if len(hits) < LEAST_TAPS:
-        raise left.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
-    return _upright(hits, warnings, left), second
+        raise excluded.refused(f"{len(hits)} taps are too few: needs {LEAST_TAPS}, better ten, at different speeds")
+    return _of_one_sign(hits, warnings, excluded), second
 
 
-def _lines(recording: Recording, taps: Sequence[TapHit], needed: int) -> list[Line]:
+@dataclass(frozen=True, slots=True)
+class _Lines:
+    """Amplitudes over the speed: a line through the origin, one with an offset, and one of the first peaks."""
+
+    through_origin: Regression
+    with_offset: Regression
+    of_peaks: Regression
+
+    @classmethod
+    def of(cls, figures: Figures) -> _Lines:
+        """FitError where the amplitude does not rise with the speed."""
+        # Taps differ by parts of their amplitudes.
+        over = (figures.speeds, figures.amplitudes, figures.of_amplitude, figures.speeds**2)
+        of_peaks = through_origin(figures.speeds, figures.peaks, figures.of_peak, figures.speeds**2)
+        found = cls(through_origin(*over), with_offset(*over), of_peaks)
+        check_slope(found.slope)
+        return found
+
+    @property
+    def slope(self) -> Estimate:
+        """Of the line through the origin."""
+        return self.through_origin.coefficients[0]
+
+
+def _common_mode(figures: Figures, slope: Estimate, taps: Sequence[TapHit]) -> tuple[Estimate, Estimate]:
+    """Frequency and decay time of all taps. FitError where they are no touch's."""
+    decay = common(figures.decays, figures.of_decay)
+    angular = common(figures.angulars, figures.of_angular)
+    check_hardness(slope.value, math.exp(angular.value), "the angular frequency")
+    frequency = angular.mapped(lambda log: math.exp(log) / (2 * math.pi))
+    decay_time = decay.mapped(lambda log: math.exp(-log))
+    _check_ringing(frequency.value, decay_time.value, taps)
+    return frequency, decay_time
+
+
+def _doubt_the_recordings(
+    doubts: Doubts, recordings: Sequence[Recording], taps: Sequence[TapHit], frequency: Estimate
+) -> None:
+    """Hum, and a rate that is too low."""
+    of_taps = [each for each in recordings if any(tap.recording == each.name for tap in taps)]
+    report_lines(len(of_taps), lambda place, needed: _lines_in_rest(of_taps[place], taps, needed), doubts)
+    report_sampling(of_taps, frequency.value, doubts)
+
+
+def _lines_in_rest(recording: Recording, taps: Sequence[TapHit], needed: int) -> list[SpectralLine]:
     """Of what the taps leave of a recording."""
     seen = recording.acceleration_m_per_s2
     assert seen is not None
@@ -292,7 +316,7 @@ def _lines(recording: Recording, taps: Sequence[TapHit], needed: int) -> list[Li
         begin = round(tap.begin_s * tap.rate_hz)
         sign = 1.0 if np.dot(seen[begin : begin + len(tap.measured)], tap.measured) >= 0 else -1.0
         model[begin : begin + len(tap.measured)] = sign * tap.modelled
-    return lines_beside(seen, model, recording.rate_hz, needed)
+    return lines_in_residual(seen, model, recording.rate_hz, needed)
 
 
 def _modes(second: SecondMode | None) -> str:
@@ -320,13 +344,16 @@ def _doubt_the_mode(
     elif explained < WELL_EXPLAINED:
         doubts.add(True, "the rest is of another kind", "")
     else:
-        doubts.add(False, *misfit(hits))
+        doubts.add(False, *lack_of_fit(hits))
 
 
-def _doubt_the_speed(doubts: Doubts, figures: Figures, modes: Modes | None) -> None:
-    """Whether frequency and decay are the same for all speeds."""
-    told = math.nan if modes is None else modes.frequency_at(figures.speeds)
-    scatter = float(np.std(figures.angulars - (0.0 if modes is None else np.log(told))))
+def _modes_over_speed(doubts: Doubts, figures: Figures, frequency: Estimate, decay_time: Estimate) -> Modes | None:
+    """Frequency and decay over the speed, where they change with it; else they should be the same for all."""
+    modes = modes_of(figures, frequency, decay_time)
+    if modes is None:
+        doubts.check_interval("decay time", decay_time)
+    expected = 0.0 if modes is None else np.log(modes.frequency_at(figures.speeds))
+    scatter = float(np.std(figures.angulars - expected))
     doubts.at_most(
         "scatter of the frequency",
         scatter,
@@ -334,20 +361,21 @@ def _doubt_the_speed(doubts: Doubts, figures: Figures, modes: Modes | None) -> N
         "is it one material, held alike?",
     )
     if modes is not None:
-        doubts.note(f"{modes.why}; the material has a table of modes over the speed")
+        doubts.warn(f"{modes.why}; the material has a table of modes over the speed")
+    return modes
 
 
-def _doubt_the_law(doubts: Doubts, law: Law, astray: str, r_squared: float) -> None:
+def _doubt_the_law(doubts: Doubts, law: Law, outlier: str, r_squared: float) -> None:
     """Whether the speed says what the amplitude is; `r_squared` of the line."""
-    if astray:
-        doubts.add(False, astray, "is its speed right?")
+    if outlier:
+        doubts.add(False, outlier, "is its speed right?")
         return
     if law.kind != "line":
-        doubts.note(f"A(v) is {law.named}, no line through the origin: {law.why}")
+        doubts.warn(f"A(v) is {law.named}, no line through the origin: {law.why}")
     doubt_the_law(doubts, law, r_squared)
 
 
-def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:
+def _of_one_sign(hits: list[Hit], warnings: list[str], excluded: Exclusions) -> list[Hit]:
     """With positive coefficients."""
     signs = [math.copysign(1.0, tap.coefficient_m_per_s2) for tap, _ in hits]
     usual = 1.0 if sum(signs) >= 0 else -1.0
@@ -356,7 +384,7 @@ def _upright(hits: list[Hit], warnings: list[str], left: LeftOut) -> list[Hit]:
     found = []
     for sign, (tap, ringing) in zip(signs, hits, strict=True):
         if sign != usual:
-            left.add(tap.recording, "it begins the other way than most", "tap", tap.onset_s)
+            excluded.add(tap.recording, "it begins the other way than most", "tap", tap.onset_s)
             continue
         found.append((tap if usual > 0 else tap.turned(), ringing))
     other = len(hits) - len(found)

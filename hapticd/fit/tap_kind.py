@@ -14,13 +14,13 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from hapticd.analysis.statistics import FitError, MistakenError, require_scipy
+from hapticd.analysis.statistics import FitError, UnitError, require_scipy
 from hapticd.config.waveform import LONGEST_S
-from hapticd.fit.duplicates import refuse_twins
-from hapticd.fit.exclusions import LeftOut
+from hapticd.fit.duplicates import refuse_duplicates
+from hapticd.fit.exclusions import Exclusions
 from hapticd.fit.recording import Recording
 from hapticd.fit.tap import TapFit, fit_tap
-from hapticd.fit.taps.events import LEAST_REST, Loud, No, loud_in
+from hapticd.fit.taps.events import LEAST_REST, Events, Unusable, events_of
 from hapticd.fit.taps.law import check_hardness
 from hapticd.fit.taps.pulse_shape import Pulse
 from hapticd.fit.verdict import AT_LEAST
@@ -41,22 +41,22 @@ def fit_taps(
     recordings: Sequence[Recording],
     kind: TapKind = "auto",
     progress: Callable[[Recording], None] | None = None,
-    left: LeftOut | None = None,
+    excluded: Exclusions | None = None,
 ) -> TapFit | WaveformFit:
-    """Fits the taps of one material by modes or by a waveform; `progress` and `left` as of fit_tap.
+    """Fits the taps of one material by modes or by a waveform; `progress` and `excluded` as of fit_tap.
 
     Raises FitError (one line) for what they do not support; where neither fits, of the mode.
     """
     require_scipy()
-    refuse_twins(recordings)
-    left = LeftOut() if left is None else left
+    refuse_duplicates(recordings)
+    excluded = Exclusions() if excluded is None else excluded
     if kind == "mode":
-        return fit_tap(recordings, progress, left)
+        return fit_tap(recordings, progress, excluded)
     if kind == "waveform":
         warnings: list[str] = []
-        return _waveform(pulses_of(recordings, warnings, left), recordings, warnings, left)
+        return _waveform(pulses_of(recordings, warnings, excluded), recordings, warnings, excluded)
     # What the form that is not taken leaves out does not matter.
-    of_mode, of_waveform = left.apart(), left.apart()
+    of_mode, of_waveform = excluded.copy(), excluded.copy()
     ringing: TapFit | FitError
     try:
         ringing = fit_tap(recordings, progress, of_mode)
@@ -64,23 +64,23 @@ def fit_taps(
         ringing = error
     found = _other(ringing, recordings, of_waveform)
     if found is not None:
-        left.take(of_waveform)
+        excluded.merge(of_waveform)
         return found
-    left.take(of_mode)
+    excluded.merge(of_mode)
     if isinstance(ringing, FitError):
         raise ringing
     return ringing
 
 
-def _other(ringing: TapFit | FitError, recordings: Sequence[Recording], left: LeftOut) -> WaveformFit | None:
+def _other(ringing: TapFit | FitError, recordings: Sequence[Recording], excluded: Exclusions) -> WaveformFit | None:
     """The waveform, where it says more of the taps than the modes do."""
-    if isinstance(ringing, MistakenError):
+    if isinstance(ringing, UnitError):
         return None
     warnings: list[str] = []
     try:
-        pulses = pulses_of(recordings, warnings, left)
+        pulses = pulses_of(recordings, warnings, excluded)
         if isinstance(ringing, FitError):
-            found = _waveform(pulses, recordings, warnings, left)
+            found = _waveform(pulses, recordings, warnings, excluded)
             explains = found.variance_accounted_for >= AT_LEAST["variance that a waveform explains"].poor
             resolved = found.samples_a_period >= AT_LEAST["samples in a period of a waveform"].poor
             return found if explains and resolved else None
@@ -91,52 +91,52 @@ def _other(ringing: TapFit | FitError, recordings: Sequence[Recording], left: Le
         by_mode = float(np.median([by_mode] * len(ringing.taps) + [0.0] * (len(pulses) - len(ringing.taps))))
         if rings and by_mode >= ENOUGH:
             return None
-        found = _waveform(pulses, recordings, warnings, left)
+        found = _waveform(pulses, recordings, warnings, excluded)
     except FitError:
         return None
     return found if 1 - found.variance_accounted_for < LEAVES * (1 - by_mode) else None
 
 
 def _waveform(
-    pulses: Sequence[Pulse], recordings: Sequence[Recording], warnings: Sequence[str], left: LeftOut
+    pulses: Sequence[Pulse], recordings: Sequence[Recording], warnings: Sequence[str], excluded: Exclusions
 ) -> WaveformFit:
     """Of the pulses of these recordings."""
-    found = fit_waveform(pulses, tuple(recording.source for recording in recordings), warnings, left)
+    found = fit_waveform(pulses, tuple(recording.source for recording in recordings), warnings, excluded)
     angular = 2.0 * math.pi * found.curve.middle_hz
     check_hardness(found.first_peak_slope_per_s.value, angular, "the angular frequency of the pulses")
     return found
 
 
-def pulses_of(recordings: Sequence[Recording], warnings: list[str], left: LeftOut) -> list[Pulse]:
-    """The taps of recordings, each with the rest before it; what cannot be used is told to `left`."""
-    return [pulse for found in left.each(recordings, lambda each: _of(each, warnings, left)) for pulse in found]
+def pulses_of(recordings: Sequence[Recording], warnings: list[str], excluded: Exclusions) -> list[Pulse]:
+    """The taps of recordings, each with the rest before it; what cannot be used is reported in `excluded`."""
+    return [pulse for found in excluded.each(recordings, lambda each: _of(each, warnings, excluded)) for pulse in found]
 
 
-def _of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Pulse]:
-    loud = loud_in(recording, warnings)
+def _of(recording: Recording, warnings: list[str], excluded: Exclusions) -> list[Pulse]:
+    loud = events_of(recording, warnings)
     found = []
     for index, event in enumerate(loud.events):
         try:
             found.append(_pulse(loud, index))
-        except No as no:
-            left.add(recording.name, str(no), "tap", event.first / recording.rate_hz)
+        except Unusable as no:
+            excluded.add(recording.name, str(no), "tap", event.first / recording.rate_hz)
     if not found:
-        left.unused.add(recording.name)
+        excluded.unused.add(recording.name)
     return found
 
 
-def _pulse(loud: Loud, index: int) -> Pulse:
-    """Raises No."""
+def _pulse(loud: Events, index: int) -> Pulse:
+    """Raises Unusable."""
     recording, first, (before, after) = loud.recording, loud.events[index].first, loud.room(index)
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     assert acceleration is not None
     begin = max(before, first - max(LEAST_REST, round(REST_S * rate_hz)))
     end = min(after, first + round(LONGEST_S * rate_hz))
     if first - begin < LEAST_REST:
-        raise No(f"{first - begin} samples of rest before it, {LEAST_REST} are wanted")
+        raise Unusable(f"{first - begin} samples of rest before it, {LEAST_REST} are wanted")
     if loud.clipped[begin:end].any():
-        raise No(f"it is clipped at {np.abs(acceleration[begin:end][loud.clipped[begin:end]]).max():.4g} m/s^2")
+        raise Unusable(f"it is clipped at {np.abs(acceleration[begin:end][loud.clipped[begin:end]]).max():.4g} m/s^2")
     if loud.replaced[begin:end].any():
-        raise No(f"{np.count_nonzero(loud.replaced[begin:end])} of its samples cannot be, and none may")
+        raise Unusable(f"{np.count_nonzero(loud.replaced[begin:end])} of its samples cannot be, and none may")
     speed = loud.speed(index, first / rate_hz)
     return Pulse(recording.name, begin / rate_hz, (first - begin) / rate_hz, speed, rate_hz, acceleration[begin:end])

@@ -15,26 +15,18 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import Estimate, FitError, Floats, least_squares, student_t
+from hapticd.analysis.statistics import Estimate, FitError, Floats, Ints, least_squares, student_t, well_conditioned
 from hapticd.fit.autoregressive import ArModel, model_rate, models_of
-from hapticd.fit.duplicates import refuse_twins
-from hapticd.fit.exclusions import Left, LeftOut, weigh
-from hapticd.fit.invalid_samples import without_impossible
+from hapticd.fit.duplicates import refuse_duplicates
+from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
+from hapticd.fit.invalid_samples import without_invalid_samples
+from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
-from hapticd.fit.spectral_distance import apart_db
-from hapticd.fit.spectral_lines import lines_of, tell_lines
+from hapticd.fit.spectral_distance import spectral_distance_db
+from hapticd.fit.spectral_lines import report_lines, spectral_lines
 from hapticd.fit.spectrum_peak import LOW_HZ, Peak, jackknifed, peak_of
 from hapticd.fit.stretches import stretches_of
-from hapticd.fit.strokes import (
-    LEAST_RATE,
-    Ints,
-    acceleration_of,
-    plain,
-    tell_gravity,
-    told_apart,
-    told_of,
-    varied_force,
-)
+from hapticd.fit.strokes import LEAST_RATE, acceleration_of, check_force_varies, report_cleaning, report_gravity
 from hapticd.fit.texture_blocks import BLOCK_S, StrokeBlocks, Tail, blocks_of, centroid_of, slices_of, top_of
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
@@ -87,7 +79,7 @@ class TextureFit:
     blocks: tuple[Block, ...]
     warnings: tuple[str, ...]
     judged: Verdict
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -125,33 +117,33 @@ class TextureFit:
 
 
 def fit_texture(
-    recordings: Sequence[Recording], autoregressive: bool = False, left: LeftOut | None = None
+    recordings: Sequence[Recording], autoregressive: bool = False, excluded: Exclusions | None = None
 ) -> TextureFit:
     """Of strokes at several speeds and forces. FitError where they do not say it.
 
-    Recordings, and stretches of them, that cannot be used are told to `left`.
+    Recordings, and stretches of them, that cannot be used are reported in `excluded`.
     """
-    left = LeftOut() if left is None else left
-    refuse_twins(recordings)
+    excluded = Exclusions() if excluded is None else excluded
+    refuse_duplicates(recordings)
     rate_hz = _usual_rate(recordings)
-    stretches = stretches_of(recordings, BLOCK_S, left)
+    stretches = stretches_of(recordings, BLOCK_S, excluded)
     while True:
         try:
-            return _fitted(stretches, rate_hz, autoregressive, left)
+            return _fitted(stretches, rate_hz, autoregressive, excluded)
         except _TwoTextures as two:
-            left.add(two.name, str(two))
-            gone = {each.recording for each in left.items}
+            excluded.add(two.name, str(two))
+            gone = {each.recording for each in excluded.items}
             stretches = [recording for recording in stretches if recording.name not in gone]
 
 
-def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, left: LeftOut) -> TextureFit:
+def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool, excluded: Exclusions) -> TextureFit:
     """Of stretches of strokes. _TwoTextures where one of them is of more than one."""
     doubts = Doubts()
-    strokes = _cut(stretches, rate_hz, left, doubts)
+    strokes = _cut(stretches, rate_hz, excluded, doubts)
     recordings = [each.kept.recording for each in strokes]
-    blocks = _Blocks.of(strokes, left)
+    blocks = _Blocks.of(strokes, excluded)
     _doubt_the_recordings(recordings, rate_hz, doubts)
-    varied_force(recordings, blocks.force, doubts)
+    check_force_varies(recordings, blocks.force, doubts)
     loudness = _loudness(blocks, autoregressive, doubts)
     # Not by each block's own power, which goes with its peak.
     shape = blocks.density / (loudness.rms**2)[:, None]
@@ -170,7 +162,7 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         ar_rate = model_rate(blocks.frequency, shape.mean(axis=0), rate_hz)
         models = models_of(blocks.frequency, blocks.density, blocks.speed, blocks.force, members, BLOCK_S, ar_rate)
     _doubt_the_peak(peak, autoregressive, doubts)
-    doubts.known("mean frequency", mean)
+    doubts.check_interval("mean frequency", mean)
     if peak.resolved and not autoregressive:
         _compare(blocks.frequency, shape.mean(axis=0), peak.hz.value, mean.value, rate_hz, doubts)
     return TextureFit(
@@ -184,23 +176,25 @@ def _fitted(stretches: Sequence[Recording], rate_hz: float, autoregressive: bool
         mean_per_force_hz_per_n=by_force,
         ar_rate_hz=ar_rate,
         ar_models=models,
-        blocks=blocks.told(centroid),
-        warnings=tuple(doubts.told),
+        blocks=blocks.reported(centroid),
+        warnings=tuple(doubts.warnings),
         judged=doubts.judged(_summary(len(centroid), peak, mean, len(models))),
-        left_out=tuple(left.items),
+        left_out=tuple(excluded.items),
     )
 
 
 # ---- Stages, in their order ----------------------------------------------------------------------------------------
 
 
-def _cut(stretches: Sequence[Recording], rate_hz: float, left: LeftOut, doubts: Doubts) -> list[StrokeBlocks]:
+def _cut(stretches: Sequence[Recording], rate_hz: float, excluded: Exclusions, doubts: Doubts) -> list[StrokeBlocks]:
     """Every stretch in blocks. FitError where none can be used."""
-    strokes = left.each(stretches, lambda each: blocks_of(without_impossible(each, "texture"), rate_hz, doubts))
+    strokes = excluded.each(
+        stretches, lambda each: blocks_of(without_invalid_samples(each, "texture"), rate_hz, doubts)
+    )
     if not strokes:
-        raise left.refused("none of the recordings can be used")
-    told_of([each.kept for each in strokes], doubts)
-    weigh(left, [each.kept.recording for each in strokes], doubts)
+        raise excluded.refused("none of the recordings can be used")
+    report_cleaning([each.kept for each in strokes], doubts)
+    report_exclusions(excluded, [each.kept.recording for each in strokes], doubts)
     dropped = sum(each.lost for each in strokes)
     lost = dropped / (dropped + sum(len(each.density) for each in strokes))
     doubts.at_most("part left out", lost, f"{100 * lost:.0f} % of the strokes are left out")
@@ -225,11 +219,11 @@ class _Blocks:
     rms: Floats
 
     @classmethod
-    def of(cls, strokes: Sequence[StrokeBlocks], left: LeftOut) -> _Blocks:
+    def of(cls, strokes: Sequence[StrokeBlocks], excluded: Exclusions) -> _Blocks:
         """FitError for too few of them, and for an RMS that is no texture's."""
         density = np.concatenate([each.density for each in strokes])
         if len(density) < LEAST_BLOCKS:
-            raise left.refused(
+            raise excluded.refused(
                 f"{len(density) * BLOCK_S:g} s of strokes are too few: at least {LEAST_BLOCKS * BLOCK_S:g} s are needed"
             )
         names = [each.name for each in strokes for _ in each.density]
@@ -265,7 +259,7 @@ class _Blocks:
         """Mean frequency of a density (frequencies,), in Hz."""
         return centroid_of(self.frequency, density, self.tail)
 
-    def told(self, centroid: Floats) -> tuple[Block, ...]:
+    def reported(self, centroid: Floats) -> tuple[Block, ...]:
         """What the report says of each."""
         figures = zip(self.names, self.speed, self.force, self.rms, centroid, strict=True)
         return tuple(Block(name, float(v), float(f), float(r), float(c)) for name, v, f, r, c in figures)
@@ -273,9 +267,11 @@ class _Blocks:
 
 def _doubt_the_recordings(recordings: Sequence[Recording], rate_hz: float, doubts: Doubts) -> None:
     """Wrong units, and hum."""
-    tell_gravity(recordings, doubts)
-    tell_lines(
-        len(recordings), lambda place, needed: lines_of(acceleration_of(recordings[place]), rate_hz, needed), doubts
+    report_gravity(recordings, doubts)
+    report_lines(
+        len(recordings),
+        lambda place, needed: spectral_lines(acceleration_of(recordings[place]), rate_hz, needed),
+        doubts,
     )
 
 
@@ -291,14 +287,14 @@ class _Loudness:
 def _loudness(blocks: _Blocks, autoregressive: bool, doubts: Doubts) -> _Loudness:
     """The law over speed and force; where these do not vary apart, the mean of each stroke, if models need no law."""
     speed, force = blocks.speed, blocks.force
-    if told_apart(np.column_stack((speed, force)), 20):
+    if well_conditioned(np.column_stack((speed, force)), 20):
         return _law(blocks.moments, blocks.rms, doubts)
     if not autoregressive:
         raise FitError(
             f"speed ({speed.min():.3g} to {speed.max():.3g} m/s) and force ({force.min():.3g} to {force.max():.3g} N) "
             "rise and fall together or not at all, so that their gains cannot be told apart: vary them on their own"
         )
-    doubts.note("speed and force vary too little, or together: no gains")
+    doubts.warn("speed and force vary too little, or together: no gains")
     means = np.array([np.mean(blocks.rms[blocks.stroke == each]) for each in np.unique(blocks.stroke)])
     return _Loudness(means[blocks.stroke], (None, None), math.nan)
 
@@ -306,13 +302,13 @@ def _loudness(blocks: _Blocks, autoregressive: bool, doubts: Doubts) -> _Loudnes
 def _doubt_the_peak(peak: Peak, autoregressive: bool, doubts: Doubts) -> None:
     """Whether there is one; autoregressive models have the spectrum as it is."""
     if not peak.resolved:
-        tell = doubts.note if autoregressive else doubts.tell
+        tell = doubts.warn if autoregressive else doubts.doubt
         tell(
             f"the peak is not resolved: the spectrum is broad, or highest below {LOW_HZ:g} Hz; it lies between 0 and "
             f"{peak.hz.high:.3g} Hz, and {peak.hz.value:.3g} Hz is a guess (--ar needs no peak)"
         )
     elif not autoregressive:
-        doubts.known("peak frequency", peak.hz)
+        doubts.check_interval("peak frequency", peak.hz)
 
 
 def _compare(
@@ -321,7 +317,7 @@ def _compare(
     """The recorded spectrum with that of the material, which knows peak and mean alone."""
     model = power_spectrum(stochastic_filter(peak_hz, mean_hz, rate_hz), frequency, rate_hz)
     power = density / (density.sum() * frequency[1])
-    apart = apart_db(frequency, model, np.maximum(power, 1e-6 * power.max()))
+    apart = spectral_distance_db(frequency, model, np.maximum(power, 1e-6 * power.max()))
     doubts.at_most(
         "decibels between the spectra",
         apart,
@@ -369,11 +365,11 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
     law = np.sqrt(np.einsum("i,kij,j->k", gains, squares, gains))
     for name, gain, square in (("velocity", velocity_gain, moments[:, 0]), ("force", force_gain, moments[:, 2])):
         if gain.high < 0:
-            doubts.tell(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
+            doubts.doubt(f"the {name} gain is negative: {gain.low:.3g} to {gain.high:.3g}")
         elif gain.low <= 0:
-            doubts.tell(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
+            doubts.doubt(f"the {name} gain may be 0: {gain.low:.3g} to {gain.high:.3g}")
         else:
-            doubts.gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
+            doubts.check_gain(name, gain, float(np.sqrt(np.median(square))), float(np.median(rms)))
     if max(velocity_gain.value, force_gain.value) <= 0:
         raise FitError("neither speed nor force makes it louder: is a column swapped?")
     scatter = float(np.std(np.log(rms / law)))
@@ -396,8 +392,8 @@ def _law(moments: Floats, rms: Floats, doubts: Doubts) -> _Loudness:
 class _TwoTextures(FitError):
     """A recording is of more than one texture, or of none."""
 
-    def __init__(self, name: str, told: str) -> None:
-        super().__init__(told)
+    def __init__(self, name: str, reason: str) -> None:
+        super().__init__(reason)
         self.name = name
 
 
@@ -430,8 +426,8 @@ def _moved(
 ) -> tuple[Estimate | None, Estimate | None]:
     """Slopes of the mean frequency over speed and force."""
     columns = np.column_stack((speed, force, np.ones_like(speed)))
-    if not told_apart(columns):
-        doubts.note("too few speeds and forces to tell whether the frequency moves with them")
+    if not well_conditioned(columns):
+        doubts.warn("too few speeds and forces to tell whether the frequency moves with them")
         return None, None
     line = least_squares(columns, centroid)
     by_speed, by_force, _ = line.coefficients
@@ -440,7 +436,7 @@ def _moved(
     for slope, values, name, unit in ((by_speed, speed, "speed", "m/s"), (by_force, force, "force", "N")):
         change = slope.value * float(np.ptp(values))
         if abs(slope.value) > wider * (slope.high - slope.value) and abs(change) > MOVES * mean_hz:
-            doubts.tell(
+            doubts.doubt(
                 f"the mean frequency moves with {name}: by {change:+.3g} Hz from {values.min():.3g} to "
                 f"{values.max():.3g} {unit}"
             )

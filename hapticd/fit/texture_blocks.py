@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import FitError, Floats
-from hapticd.fit.invalid_samples import Kept
+from hapticd.fit.invalid_samples import Cleaned
 from hapticd.fit.spectrum_peak import LOW_HZ, smoothed
 from hapticd.fit.strokes import acceleration_of, motion_of, pressed
 from hapticd.fit.verdict import Doubts
@@ -51,7 +51,7 @@ class StrokeBlocks:
     floor: float
     lost: int
     """Blocks that do not count, as of `_spoilt`."""
-    kept: Kept
+    kept: Cleaned
 
 
 def slices_of(cut: Sequence[StrokeBlocks]) -> Iterator[tuple[StrokeBlocks, slice]]:
@@ -62,7 +62,7 @@ def slices_of(cut: Sequence[StrokeBlocks]) -> Iterator[tuple[StrokeBlocks, slice
         start += len(each.density)
 
 
-def blocks_of(kept: Kept, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
+def blocks_of(kept: Cleaned, usual_hz: float, doubts: Doubts) -> StrokeBlocks:
     """A recording in blocks. FitError where its rate is another one, and where it is no texture."""
     recording = kept.recording
     if recording.rate_hz != usual_hz:
@@ -151,7 +151,7 @@ def _without_hiss(name: str, frequency: Floats, density: Floats, rate_hz: float)
     return density - floor, floor
 
 
-def _spoilt(kept: Kept, seen: Floats, block: int, doubts: Doubts) -> set[int]:
+def _spoilt(kept: Cleaned, seen: Floats, block: int, doubts: Doubts) -> set[int]:
     """First samples of the blocks that do not count: much of them was not measured so, or something knocked."""
     starts = range(0, len(seen) - block + 1, block)
     lost = {start for start in starts if np.mean(kept.replaced[start : start + block]) > SPOILT}
@@ -164,7 +164,7 @@ def _spoilt(kept: Kept, seen: Floats, block: int, doubts: Doubts) -> set[int]:
     if 0 < len(knocks) <= max(1, KNOCKED * len(starts)):
         at = knocks[0] + int(np.argmax(np.abs(seen[knocks[0] : knocks[0] + block])))
         value = f"{seen[at]:.4g} m/s^2 at {at / kept.recording.rate_hz:.6g} s"
-        doubts.note(
+        doubts.warn(
             f"{kept.recording.name}: the acceleration of {value} is a knock: {len(knocks) * BLOCK_S:g} s about such "
             "are left out"
         )

@@ -65,8 +65,7 @@ class Verdict:
 class Doubts:
     """What keeps a fit from being good."""
 
-    told: list[str] = field(default_factory=list)
-    """Lines for the warnings."""
+    warnings: list[str] = field(default_factory=list)
     reasons: list[str] = field(default_factory=list)
     cases: dict[str, int] = field(default_factory=dict)
     """How many recordings have what."""
@@ -79,25 +78,25 @@ class Doubts:
         self.poor |= poor
         self.reasons.append(reason)
         if more:
-            self.told.append(f"{reason}; {more}")
+            self.warnings.append(f"{reason}; {more}")
 
-    def tell(self, line: str, poor: bool = False) -> None:
+    def doubt(self, line: str, poor: bool = False) -> None:
         """A reason that is a warning as it stands."""
         self.add(poor, line)
-        self.told.append(line)
+        self.warnings.append(line)
 
-    def case(self, what: str, line: str) -> None:
+    def doubt_recording(self, what: str, line: str) -> None:
         """A warning about one recording; all that have the same are one reason."""
         self.cases[what] = self.cases.get(what, 0) + 1
-        self.told.append(line)
+        self.warnings.append(line)
 
-    def note(self, line: str) -> None:
+    def warn(self, line: str) -> None:
         """A warning that is no reason: the fit is as good with it."""
-        self.told.append(line)
+        self.warnings.append(line)
 
-    def take(self, other: Doubts) -> None:
+    def merge(self, other: Doubts) -> None:
         """Those of one recording, which is used."""
-        self.told += other.told
+        self.warnings += other.warnings
         self.reasons += other.reasons
         self.poor |= other.poor
         for what, count in other.cases.items():
@@ -115,14 +114,14 @@ class Doubts:
         if not value <= bound.fair:
             self.add(not value <= bound.poor, reason, more)
 
-    def known(self, what: str, figure: Estimate) -> None:
+    def check_interval(self, what: str, figure: Estimate) -> None:
         """A reason where half of the figure's interval is too large a part of the figure."""
         half = max(figure.high - figure.value, figure.value - figure.low)
         part = half / abs(figure.value) if figure.value else math.inf
         within = f"{100 * part:.0f} %" if part < 10 else f"{figure.low:.3g} to {figure.high:.3g}"
         self.at_most("half of a figure's interval", part, f"the {what} is uncertain: {within}")
 
-    def gain(self, what: str, gain: Estimate, usual: float, loudness: float) -> None:
+    def check_gain(self, what: str, gain: Estimate, usual: float, loudness: float) -> None:
         """A reason where the interval of a gain of a law is too large a part of the usual loudness, at the usual speed
         or force."""
         half = max(gain.high - gain.value, gain.value - gain.low)

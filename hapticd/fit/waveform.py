@@ -18,7 +18,8 @@ import numpy as np
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
-from hapticd.fit.exclusions import Left, LeftOut, most_are_left_out
+from hapticd.fit.exclusions import Exclusion, Exclusions, mostly_excluded
+from hapticd.fit.plain_data import end_of, fields_of
 from hapticd.fit.recording import Source
 from hapticd.fit.taps.amplitude import doubt_the_law, law_of
 from hapticd.fit.taps.hit import check_speeds
@@ -81,13 +82,7 @@ class PulseHit:
     modelled: Floats
 
     def to_dict(self) -> dict[str, Json]:
-        return {
-            "recording": self.recording,
-            "onset_s": self.onset_s,
-            "speed_m_per_s": self.speed_m_per_s,
-            "peak_m_per_s2": self.peak_m_per_s2,
-            "variance_accounted_for": self.variance_accounted_for,
-        }
+        return fields_of(self, "recording", "onset_s", "speed_m_per_s", "peak_m_per_s2", "variance_accounted_for")
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +110,7 @@ class WaveformFit:
     sources: tuple[Source, ...]
     warnings: tuple[str, ...]
     judged: Verdict
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     @property
     def verdict(self) -> str:
@@ -149,15 +144,9 @@ class WaveformFit:
                 "samples": list(self.samples),
                 "half_of_the_interval": list(self.deviations),
             },
-            "length_s": self.length_s,
-            "samples_a_period": self.samples_a_period,
-            "r_squared": self.r_squared,
-            "variance_accounted_for": self.variance_accounted_for,
+            **fields_of(self, "length_s", "samples_a_period", "r_squared", "variance_accounted_for"),
             "taps": [tap.to_dict() for tap in self.taps],
-            "left_out": [each.to_dict() for each in self.left_out],
-            "warnings": list(self.warnings),
-            "verdict": self.verdict,
-            "judged": {"quality": self.judged.quality, "reasons": list(self.judged.reasons)},
+            **end_of(self),
         }
 
 
@@ -361,15 +350,17 @@ def _coarser(
         samples, placed, rate_hz = tried, found, half_hz
 
 
-def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Sequence[str], left: LeftOut) -> WaveformFit:
-    """The waveform of taps that are pulses; `told` are warnings of how the pulses were found. Taps that cannot be used
-    are told to `left`.
+def fit_waveform(
+    pulses: Sequence[Pulse], sources: Sequence[Source], earlier: Sequence[str], excluded: Exclusions
+) -> WaveformFit:
+    """The waveform of taps that are pulses; `earlier` are warnings of how the pulses were found. Taps that cannot be
+    used are reported in `excluded`.
 
     Raises FitError (one line) for too few, for pulses that have nothing in common, and for amplitudes that do not grow
     with the speed.
     """
-    pulses, shape = _alike(list(pulses), told, left)
-    warnings = [*left.lines(), *told]
+    pulses, shape = _alike(list(pulses), earlier, excluded)
+    warnings = [*excluded.lines(), *earlier]
     doubts = Doubts()
     peaks = np.array([each.amplitude for each in shape.placed])
     if float(np.median(peaks)) < 0:
@@ -385,31 +376,14 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
     slope = _wider(line.coefficients[0], part)
     check_slope(slope)
     share = float(np.median(shape.others.explained))
-    doubts.at_least(
-        "variance that a waveform explains",
-        share,
-        f"a waveform explains {100 * share:.1f} % of a tap",
-        "the taps differ in shape",
-    )
-    if shape.faded:
-        doubts.add(
-            False,
-            f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
-            f"the waveform is faded out over its last {100 * FADED:.0f} %",
-        )
     resolved = min(pulse.rate_hz for pulse in pulses) / shape.curve.middle_hz
-    doubts.at_least(
-        "samples in a period of a waveform",
-        resolved,
-        f"{resolved:.1f} samples of the recordings are a period of its middle frequency",
-        "the waveform is not resolved: record faster",
-    )
+    _doubt_the_shape(doubts, shape, share, resolved)
     law = law_of(speeds, peaks, variances)
     if law.kind != "line":
         warnings.append(f"A(v) is {law.named}, no line through the origin: {law.why}")
     doubt_the_law(doubts, law, line.r_squared)
-    doubts.add(False, most_are_left_out(left, len(hits), "tap"))
-    warnings += doubts.told
+    doubts.add(False, mostly_excluded(excluded, len(hits), "tap"))
+    warnings += doubts.warnings
     return WaveformFit(
         taps=hits,
         first_peak_slope_per_s=slope,
@@ -429,7 +403,29 @@ def fit_waveform(pulses: Sequence[Pulse], sources: Sequence[Source], told: Seque
             f"a waveform explains {100 * share:.1f} % of {len(pulses)} taps",
             f"A(v) is {law.named} (r^2 {line.r_squared if law.kind == 'line' else law.r_squared:.3f})",
         ),
-        left_out=tuple(left.items),
+        left_out=tuple(excluded.items),
+    )
+
+
+def _doubt_the_shape(doubts: Doubts, shape: Shape, share: float, resolved: float) -> None:
+    """Whether all taps have it, whether it is whole, and whether the samples resolve it."""
+    doubts.at_least(
+        "variance that a waveform explains",
+        share,
+        f"a waveform explains {100 * share:.1f} % of a tap",
+        "the taps differ in shape",
+    )
+    if shape.faded:
+        doubts.add(
+            False,
+            f"the pulses are not over after {1e3 * shape.curve.length_s:.3g} ms",
+            f"the waveform is faded out over its last {100 * FADED:.0f} %",
+        )
+    doubts.at_least(
+        "samples in a period of a waveform",
+        resolved,
+        f"{resolved:.1f} samples of the recordings are a period of its middle frequency",
+        "the waveform is not resolved: record faster",
     )
 
 
@@ -443,10 +439,10 @@ def _wider(estimate: Estimate, part: float) -> Estimate:
     )
 
 
-def _alike(pulses: list[Pulse], told: Sequence[str], left: LeftOut) -> tuple[list[Pulse], Shape]:
-    """The pulses that have a shape in common; the others are told to `left`."""
+def _alike(pulses: list[Pulse], earlier: Sequence[str], excluded: Exclusions) -> tuple[list[Pulse], Shape]:
+    """The pulses that have a shape in common; the others are reported in `excluded`."""
     if len(pulses) < LEAST_PULSES:
-        reasons = [*left.lines(), *told]
+        reasons = [*excluded.lines(), *earlier]
         why = f" ({'; '.join(reasons[:3])})" if reasons else ""
         raise FitError(f"{len(pulses)} taps are too few: needs {LEAST_PULSES}, better ten, at different speeds{why}")
     shape = shape_of(pulses)
@@ -460,7 +456,7 @@ def _alike(pulses: list[Pulse], told: Sequence[str], left: LeftOut) -> tuple[lis
         else:
             kept.append(pulse)
             continue
-        left.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
+        excluded.add(pulse.recording, reason, "tap", pulse.begin_s + placed.onset_s)
     if len(kept) == len(pulses):
         return pulses, shape
     if len(kept) < max(LEAST_PULSES, len(pulses) / 2):

@@ -76,7 +76,7 @@ def test_a_linear_device_by_scipy() -> None:
     for which, truth in ((0, mass), (1, damping), (3, stiffness)):
         estimate = found.estimate(which)
         assert off(estimate, truth) < 0.01
-        assert estimate.bound < 0.02 * truth
+        assert estimate.high - estimate.value < 0.02 * truth
     assert found.friction_n < 0.003
     assert abs(found.delay_s) < 2e-5
     assert found.residual_m == pytest.approx(STEP_M / math.sqrt(12), rel=0.1)
@@ -216,7 +216,7 @@ def test_bounds_hold_the_truth() -> None:
         found = fit(record_of(force, quantised(motion[:, 0]), bursts, 1000.0, held=True))
         for which, truth in enumerate((mass, damping, friction, stiffness)):
             estimate = found.estimate(which)
-            inside.append(estimate.value - estimate.bound <= truth <= estimate.value + estimate.bound)
+            inside.append(2 * estimate.value - estimate.high <= truth <= estimate.high)
     # Of 100 with 95 %, less than 87 have a probability of 5e-4, if they were independent.
     assert 87 <= sum(inside) < 100
 
@@ -232,7 +232,7 @@ def test_difference_adds_variances() -> None:
     found = difference(held, free, 0)
     assert found.value == pytest.approx(0.01)
     freedom = 25e-8**2 / (9e-8**2 / 20 + 16e-8**2 / 20)
-    assert found.bound == pytest.approx(5e-4 * stats.t.ppf(0.975, freedom), rel=1e-3)
+    assert found.high - found.value == pytest.approx(5e-4 * stats.t.ppf(0.975, freedom), rel=1e-3)
 
 
 # ---- Whole calibrations of the simulated joystick ----------------------------------------------------------------
@@ -267,14 +267,14 @@ def test_it_recovers_the_simulated_joystick(
         found.handle, (truth.handle_mass_kg, truth.handle_damping_n_s_per_m, truth.friction_n), strict=True
     ):
         assert off(estimate, value) < 0.02
-        assert estimate.bound < 0.04 * value
+        assert estimate.high - estimate.value < 0.04 * value
     for estimate, value in zip(
         found.grip,
         (truth.grip_mass_kg, truth.grip_damping_n_s_per_m, truth.grip_stiffness_n_per_m),
         strict=True,
     ):
         assert off(estimate, value) < 0.05
-        assert estimate.bound < 0.1 * value
+        assert estimate.high - estimate.value < 0.1 * value
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.texture import Autoregressive, Grooves
-from hapticd.fit.exclusions import Left
+from hapticd.fit.exclusions import Exclusion
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
 from hapticd.fit.verdict import Verdict
@@ -57,7 +57,7 @@ class FakeFit:
     nothing: Estimate | None = None
     warnings: tuple[str, ...] = ("the first tap is weak",)
     judged: Verdict = JUDGED
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
     found: tuple[tuple[str, object], ...] = ()
     linear: bool = True
     second: object = None
@@ -106,7 +106,7 @@ class Fits:
     def __init__(self) -> None:
         self.recordings: list[Sequence[Recording]] = []
         self.options: list[dict[str, object]] = []
-        self.left: list[object] = []
+        self.excluded: list[object] = []
         self.answer: FakeFit | HapticdError = FIT
 
     def fit(
@@ -115,7 +115,7 @@ class Fits:
         for recording in recordings if progress is not None else ():
             progress(recording)
         self.recordings.append(recordings)
-        self.left.append(options.pop("left"))
+        self.excluded.append(options.pop("excluded"))
         self.options.append(options)
         if isinstance(self.answer, HapticdError):
             raise self.answer
@@ -129,8 +129,8 @@ def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
     for kind in ("grooves", "texture", "puncture"):
         monkeypatch.setattr(f"hapticd.fit.{kind}.fit_{kind}", found.fit)
 
-    def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, left: object) -> FakeFit:
-        return found.fit(recordings, progress, left=left)
+    def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, excluded: object) -> FakeFit:
+        return found.fit(recordings, progress, excluded=excluded)
 
     monkeypatch.setattr("hapticd.fit.from_files.fit_taps", fit_taps)
     for name, seed in (("a.csv", 1), ("b.csv", 2)):

@@ -6,11 +6,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from hapticd.analysis.robust import robust
 from hapticd.analysis.statistics import FitError, least_squares
 from hapticd.config.materials import Material, validate_materials
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.recording import Recording
-from hapticd.fit.strokes import robust
 from hapticd.fit.synthesize import Stylus
 from hapticd.fit.synthesize_strokes import Hand, grooves, texture
 

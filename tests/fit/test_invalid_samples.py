@@ -12,7 +12,7 @@ import pytest
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.fit.grooves import fit_grooves
-from hapticd.fit.invalid_samples import without_impossible
+from hapticd.fit.invalid_samples import without_invalid_samples
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.synthesize import Stylus, taps
@@ -98,8 +98,8 @@ def test_what_cannot_be_is_named_with_its_place_and_replaced(which: str) -> None
     """By what was there, within its noise: of a smooth column the straight line is that."""
     name, change, told, samples = FOUND[which]
     clean = stroke()
-    kept = without_impossible(spoilt(clean, name, change), "texture")
-    (line,) = kept.told
+    kept = without_invalid_samples(spoilt(clean, name, change), "texture")
+    (line,) = kept.warnings
     assert line.startswith("a: ")
     assert told in line
     assert np.count_nonzero(kept.replaced) == samples
@@ -131,8 +131,8 @@ def test_what_can_be_is_left_alone(kind: str) -> None:
         {"force_n": rupture} if kind in ("tap", "puncture") else {},
     ):
         recording = dataclasses.replace(plain, **changed)  # type: ignore[arg-type]
-        kept = without_impossible(recording, kind)  # type: ignore[arg-type]
-        assert kept.told == ()
+        kept = without_invalid_samples(recording, kind)  # type: ignore[arg-type]
+        assert kept.warnings == ()
         assert kept.recording is recording
 
 
@@ -147,7 +147,7 @@ def test_what_can_be_is_left_alone(kind: str) -> None:
 def test_what_cannot_be_and_is_much_of_it_is_refused(name: str, told: str) -> None:
     value = 9e7 if name == "acceleration_m_per_s2" else 900.0
     with pytest.raises(FitError) as caught:
-        without_impossible(spoilt(stroke(), name, at(value, 30)), "grooves")
+        without_invalid_samples(spoilt(stroke(), name, at(value, 30)), "grooves")
     assert told in str(caught.value)
 
 
@@ -156,7 +156,7 @@ def test_a_position_that_leaps_again_and_again_is_refused() -> None:
     place += 0.05 * np.cumsum(np.random.default_rng(1).random(20_000) < 0.006)
     recording = stroke()
     with pytest.raises(FitError, match=r"a: the position along the surface leaps in \d+ places, first by 0.0501 m at "):
-        without_impossible(
+        without_invalid_samples(
             dataclasses.replace(
                 recording,
                 acceleration_m_per_s2=None,

@@ -15,7 +15,7 @@ from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
-from hapticd.fit.exclusions import LeftOut
+from hapticd.fit.exclusions import Exclusions
 from hapticd.fit.grooves import fit_grooves
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
@@ -131,8 +131,10 @@ def test_a_gap_in_a_tap_leaves_that_tap_out() -> None:
     assert recording.acceleration_m_per_s2 is not None
     spoilt = np.array(recording.acceleration_m_per_s2)
     spoilt[8220:8260] = np.linspace(spoilt[8219], spoilt[8260], 40)
-    left = LeftOut()
-    fit = fit_tap([dataclasses.replace(recording, acceleration_m_per_s2=spoilt, gaps=((8220, 8260),))], left=left)
+    excluded = Exclusions()
+    fit = fit_tap(
+        [dataclasses.replace(recording, acceleration_m_per_s2=spoilt, gaps=((8220, 8260),))], excluded=excluded
+    )
     assert [tap.speed_m_per_s for tap in fit.taps] == [0.1, 0.2, 0.15, 0.25] or len(fit.taps) == 5
     whole = fit_tap([recording])
     assert fit.slope_per_s.value == pytest.approx(whole.slope_per_s.value, rel=0.01)
@@ -157,10 +159,10 @@ def of(columns: Columns, name: str = "one", rate_hz: float = RATE_HZ) -> Recordi
 
 
 def refusals(recordings: list[Recording]) -> list[str]:
-    left = LeftOut()
+    excluded = Exclusions()
     with contextlib.suppress(FitError):
-        fit_tap(recordings, left=left)
-    return [each.reason for each in left.items]
+        fit_tap(recordings, excluded=excluded)
+    return [each.reason for each in excluded.items]
 
 
 def test_a_strong_tap_that_is_no_ringing_is_not_called_weak() -> None:
@@ -217,7 +219,7 @@ def test_taps_that_are_left_out_weigh_on_the_verdict() -> None:
     assert len(fit.left_out) > len(fit.taps) >= 3
     assert f"{len(fit.left_out)} of 8 taps are left out" in fit.verdict and fit.verdict.startswith("fair")
     with pytest.raises(FitError, match="--strict refuses that"):
-        fit_tap([low], left=LeftOut(strict=True))
+        fit_tap([low], excluded=Exclusions(strict=True))
 
 
 # ---- Parts ----------------------------------------------------------------------------------------------------------
@@ -248,17 +250,17 @@ def test_whole_stretches_are_between_gaps_and_clipped_samples() -> None:
     recording = Recording(
         "one", 1e3, seen, np.arange(10_000.0), None, None, 0.1, Source("", ""), gaps=((6000, 6010), (9800, 9900))
     )
-    left = LeftOut()
-    parts = whole_stretches(recording, 0.5, left)
+    excluded = Exclusions()
+    parts = whole_stretches(recording, 0.5, excluded)
     assert [part.name for part in parts] == ["one from 0 s", "one from 3.004 s", "one from 6.01 s"]
     lengths = [len(part.force_n) for part in parts if part.force_n is not None]
     assert lengths == [3000, 2996, 3790]
     assert parts[1].force_n is not None and parts[1].force_n[0] == 3004.0
-    (told,) = left.items
+    (told,) = excluded.items
     assert "clipped at 9 m/s^2 in 1 place, 10 samples are missing at 6 s, and in 1 more place" in told.reason
     assert "0.214 of 10 s" in told.reason
     with pytest.raises(FitError, match=r"0 % of it is whole in stretches of 5 s, 50 % are wanted"):
-        whole_stretches(recording, 5.0, LeftOut())
+        whole_stretches(recording, 5.0, Exclusions())
 
 
 @pytest.mark.parametrize("fit", [fit_tap, fit_grooves, fit_texture, fit_puncture])

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from hapticd.analysis.statistics import Estimate
-from hapticd.fit.exclusions import Left
+from hapticd.fit.exclusions import Exclusion
 from hapticd.fit.panels import compared, density, law, level, overlay, page_of
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.report import Curve, Panel
@@ -35,7 +35,7 @@ class Fitted:
     parts: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ("careful",)
     judged: Verdict = JUDGED
-    left_out: tuple[Left, ...] = ()
+    left_out: tuple[Exclusion, ...] = ()
 
     def material(self) -> Mapping[str, object]:
         return self.figures
@@ -210,7 +210,11 @@ def test_what_is_left_out_is_drawn_with_its_reason() -> None:
         "offset_slope_per_s": Estimate(290.0, 280.0, 300.0),
         "offset_m_per_s2": Estimate(2.0, 0.0, 4.0),
     }
-    left = (Left("folder/a", "it is clipped", "tap", 0.5), Left("b", "no onset"), Left("c", "cannot be read"))
+    left = (
+        Exclusion("folder/a", "it is clipped", "tap", 0.5),
+        Exclusion("b", "no onset"),
+        Exclusion("c", "cannot be read"),
+    )
     fit = Fitted({}, parts, left_out=left)
     page = page_of("tap", "pine: tap", fit, [recording("folder/a", seen)], [recording("b", seen[:50])])
     marked, (tap, whole) = page.rows[-2:]

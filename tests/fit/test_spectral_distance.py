@@ -8,7 +8,7 @@ from scipy import signal
 
 from hapticd.analysis.statistics import Floats
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.spectral_distance import apart_db
+from hapticd.fit.spectral_distance import spectral_distance_db
 from hapticd.fit.texture import fit_texture
 
 RATE_HZ = 2500.0
@@ -18,11 +18,11 @@ PLACES = ((0.05, 0.6), (0.05, 2.0), (0.15, 0.6), (0.15, 2.0), (0.1, 1.0))
 def test_decibels_are_those_of_the_densities() -> None:
     frequency = np.arange(0.0, 1000.0, 2.0)
     power = 1.0 / (1.0 + ((frequency - 200.0) / 100.0) ** 2)
-    assert apart_db(frequency, power, power) == 0.0
-    assert apart_db(frequency, 2.0 * power, power) == pytest.approx(10 * np.log10(2.0))
+    assert spectral_distance_db(frequency, power, power) == 0.0
+    assert spectral_distance_db(frequency, 2.0 * power, power) == pytest.approx(10 * np.log10(2.0))
     # What lies 20 dB below the peak is not compared.
     other = np.where(power < 0.005, 100.0 * power, power)
-    assert apart_db(frequency, other, power) == 0.0
+    assert spectral_distance_db(frequency, other, power) == 0.0
 
 
 def resonance(white: Floats, hertz: float, quality: float) -> Floats:

@@ -39,7 +39,7 @@ def test_a_law_that_explains_little_is_fair_or_poor(value: float, quality: str) 
 @pytest.mark.parametrize(("half", "quality"), [(0.2, "good"), (0.3, "fair"), (0.6, "poor")])
 def test_a_figure_that_is_uncertain_is_a_reason(half: float, quality: str) -> None:
     doubts = Doubts()
-    doubts.known("depth", Estimate(2.0, 2.0 - 2.0 * half, 2.1))
+    doubts.check_interval("depth", Estimate(2.0, 2.0 - 2.0 * half, 2.1))
     judged = doubts.judged("so much")
     assert judged.quality == quality
     assert judged.reasons == (() if quality == "good" else (f"the depth is uncertain: {100 * half:.0f} %",))
@@ -48,13 +48,13 @@ def test_a_figure_that_is_uncertain_is_a_reason(half: float, quality: str) -> No
 def test_a_verdict_in_words() -> None:
     doubts = Doubts()
     assert str(doubts.judged("ten taps", "on a line")) == "good: ten taps, on a line"
-    doubts.note("as good with it")
+    doubts.warn("as good with it")
     assert doubts.judged("ten taps").quality == "good"
     for name in "ab":
-        doubts.case("softer at first", f"{name}: softer by 1 mm")
-    doubts.tell("hum")
+        doubts.doubt_recording("softer at first", f"{name}: softer by 1 mm")
+    doubts.doubt("hum")
     assert str(doubts.judged("ten taps", "on a line")) == "fair: ten taps, but hum; softer at first (in 2 recordings)"
-    assert doubts.told == ["as good with it", "a: softer by 1 mm", "b: softer by 1 mm", "hum"]
+    assert doubts.warnings == ["as good with it", "a: softer by 1 mm", "b: softer by 1 mm", "hum"]
 
 
 def test_the_material_keeps_the_verdict() -> None:

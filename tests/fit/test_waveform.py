@@ -14,7 +14,7 @@ import hapticd
 from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.materials import shipped_materials, validate_materials
-from hapticd.fit.exclusions import LeftOut
+from hapticd.fit.exclusions import Exclusions
 from hapticd.fit.recording import Recording, Source, save
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import TapFit
@@ -246,7 +246,7 @@ def test_a_tap_that_is_another_is_left_out_and_told() -> None:
     assert [line for line in found.warnings if "is left out: it pushes the other way" in line]
     assert len(found.left_out) == 2
     with pytest.raises(FitError, match="--strict refuses that"):
-        fit_taps([recording], "waveform", left=LeftOut(strict=True))
+        fit_taps([recording], "waveform", excluded=Exclusions(strict=True))
 
 
 @pytest.mark.slow

@@ -30,6 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.calibration.sweep import LEAD_S, Burst, Floats, Record
+from hapticd.analysis.statistics import Estimate
 from hapticd.base.core import ffi, invalid_reason, lib, pointer
 from hapticd.base.errors import HapticdError
 
@@ -51,27 +52,6 @@ FIRST_S: Final = 0.01
 _GLOBALS: Final = 5
 _BURSTS_LEAST: Final = 6
 _WIDE_M: Final = 100.0
-
-
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """A number and the half width of its 95 % bounds."""
-
-    value: float
-    bound: float
-    least: float = 0.0
-    """What the number cannot be below."""
-
-    @property
-    def low(self) -> float:
-        return max(self.least, self.value - self.bound)
-
-    @property
-    def high(self) -> float:
-        return self.value + self.bound
-
-    def to_dict(self) -> dict[str, float]:
-        return {"value": self.value, "low": self.low, "high": self.high}
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +92,9 @@ class Fit:
         s = 2j * math.pi * frequency_hz
         return np.asarray(1.0 / (self.mass_kg * s**2 + self.damping_n_s_per_m * s + self.stiffness_n_per_m))
 
-    def estimate(self, which: int) -> Estimate:
-        """Of `values`, with bounds."""
-        return Estimate(self.values[which], self.error[which] * student_t(self.freedom))
+    def estimate(self, which: int, least: float = 0.0) -> Estimate:
+        """Of `values`, with bounds; the lower one is not below `least`."""
+        return bounded(self.values[which], self.error[which], self.freedom, least)
 
 
 def difference(held: Fit, free: Fit, which: int) -> Estimate:
@@ -123,7 +103,13 @@ def difference(held: Fit, free: Fit, which: int) -> Estimate:
     total = sum(variances)
     parts = variances[0] ** 2 / held.freedom + variances[1] ** 2 / free.freedom
     freedom = total**2 / parts if parts > 0 else min(held.freedom, free.freedom)
-    return Estimate(held.values[which] - free.values[which], math.sqrt(total) * student_t(freedom))
+    return bounded(held.values[which] - free.values[which], math.sqrt(total), freedom)
+
+
+def bounded(value: float, error: float, freedom: float, least: float = 0.0) -> Estimate:
+    """A number with 95 % bounds from its standard error; the lower one is not below `least`."""
+    half = error * student_t(freedom)
+    return Estimate(value, max(least, value - half), value + half)
 
 
 def student_t(freedom: float) -> float:

@@ -11,10 +11,11 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.calibration.accelerometer import Heard, compare, load_recording
-from hapticd.analysis.calibration.fit import Estimate, Fit, difference, fit
+from hapticd.analysis.calibration.fit import Fit, difference, fit
 from hapticd.analysis.calibration.plot import Curve
 from hapticd.analysis.calibration.rig import rig_of
 from hapticd.analysis.calibration.sweep import HIGHEST_HZ, Axis, Record, Sweep, sweep_config, travel_m
+from hapticd.analysis.statistics import Estimate
 from hapticd.config.actuator import MOST_HZ
 from hapticd.config.configuration import Config
 from hapticd.rendering.rearm import Resting, at_rest
@@ -91,8 +92,7 @@ class Calibration:
         """For a table."""
         names = ("handle mass", "handle damping", "handle friction", "grip mass", "grip damping", "grip stiffness")
         units = ("kg", "N s/m", "N", "kg", "N s/m", "N/m")
-        delay = self.free.estimate(_DELAY)
-        in_ms = Estimate(1e3 * delay.value, 1e3 * delay.bound, -np.inf)
+        in_ms = self.free.estimate(_DELAY, -math.inf).mapped(lambda seconds: 1e3 * seconds)
         return [*zip(names, (*self.handle, *self.grip), units, strict=True), ("delay", in_ms, "ms")]
 
     def notes(self) -> list[str]:

@@ -56,8 +56,8 @@ def _check_columns(found: dict[Quantity, Floats]) -> None:
     # Of taps the speeds may be fewer than samples.
     lengths = {NAMES[quantity]: len(values) for quantity, values in found.items() if quantity != "speed"}
     if len(set(lengths.values())) != 1:
-        told = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise ValueError(f"the columns are of different length: {told}")
+        counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ValueError(f"the columns are of different length: {counts}")
     samples = next(iter(lengths.values()))
     if not LEAST_SAMPLES <= samples <= MAX_SAMPLES:
         raise ValueError(f"{samples} samples are no recording: it has {LEAST_SAMPLES} to {MAX_SAMPLES}")

@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.statistics import Floats
+from hapticd.analysis.statistics import Floats, Ints
 from hapticd.config.modes import Mode
-from hapticd.fit.strokes import Ints
 
 Complexes: TypeAlias = npt.NDArray[np.complex128]
 

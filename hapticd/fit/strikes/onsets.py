@@ -7,10 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import FitError, Floats
+from hapticd.analysis.statistics import FitError, Floats, Ints
 from hapticd.config.modes import Mode
 from hapticd.fit.strikes.free_ringing import Complexes
-from hapticd.fit.strokes import Ints
 
 LEAST_STRIKES: Final = 8
 MOST_STRIKES: Final = 2000

@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from hapticd.analysis.statistics import FitError, Floats
-from hapticd.fit.strokes import Ints
+from hapticd.analysis.statistics import FitError, Floats, Ints
 
 FEW: Final = 300
 """Strikes that a spacing is first looked for with."""

@@ -12,14 +12,14 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.statistics import FitError, Floats
+from hapticd.analysis.statistics import FitError, Floats, Ints
 from hapticd.config.modes import Mode
-from hapticd.fit.invalid_samples import Kept
-from hapticd.fit.spectral_lines import Line, lines_beside
+from hapticd.fit.invalid_samples import Cleaned
+from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual
 from hapticd.fit.strikes.free_ringing import Complexes, FreeRinging
 from hapticd.fit.strikes.onsets import LEAST_STRIKES, loudest_frequency, pick_strikes, ringing_steps, unit_strike
 from hapticd.fit.strikes.spacing import row_of, slope_of_row
-from hapticd.fit.strokes import Ints, Motion, acceleration_of, motion_of, pressed, running_mean, too_slow
+from hapticd.fit.strokes import Motion, acceleration_of, motion_of, pressed, running_mean, undersampled
 from hapticd.fit.verdict import AT_LEAST
 
 GROUP: Final = 8
@@ -68,9 +68,9 @@ class Stroke:
     variance_accounted_for: float
     spacing_m: float
 
-    def lines(self, needed: int) -> list[Line]:
+    def lines(self, needed: int) -> list[SpectralLine]:
         """Of what the model leaves."""
-        return lines_beside(self.acceleration_m_per_s2, self.model_m_per_s2, self.rate_hz, needed)
+        return lines_in_residual(self.acceleration_m_per_s2, self.model_m_per_s2, self.rate_hz, needed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class Group:
 class StrokeFit:
     """The strikes of one recording, and the mode that they ring with."""
 
-    def __init__(self, kept: Kept) -> None:
+    def __init__(self, kept: Cleaned) -> None:
         self.kept = kept
         recording = kept.recording
         self._replaced = np.concatenate(([0], np.cumsum(kept.replaced)))
@@ -97,7 +97,7 @@ class StrokeFit:
         self._motion: Motion = motion_of(recording, len(self._seen))
         self._time_s = np.arange(len(self._seen)) / self._rate_hz
         rough = loudest_frequency(self._seen, self._rate_hz)
-        if slow := too_slow(self._rate_hz, rough):
+        if slow := undersampled(self._rate_hz, rough):
             raise FitError(f"{self.name}: {slow}")
         mode, onsets = self._begun(2 * math.pi * rough)
         mode, onsets = self._settled(mode, onsets)
@@ -289,34 +289,21 @@ class StrokeFit:
         return min(tried, key=lambda each: float(np.sum(windows.solved(each)[1] ** 2)))
 
     def _refined(self, mode: Mode, intervals: Sequence[tuple[int, int, float]]) -> Mode:
-        """Gauss and Newton's steps in log B and log w over these intervals."""
+        """Least squares in log B and log w over these intervals."""
+        from scipy.optimize import least_squares
+
         place = np.log([mode.decay_rate_per_s, mode.angular_frequency_rad_per_s])
         # The intervals stay as they are while the mode moves, so that sums of squares compare.
         windows = self._windows(mode, intervals)
         if len(windows.used) == 0:
             raise FitError(f"{self.name}: the strikes follow one another within half a cycle: stroke more slowly")
-        low, high = place + np.log([[0.02, 0.3], [50.0, 3.0]])
 
         def left(at: Floats) -> Floats:
             return windows.solved(Mode(math.exp(at[0]), math.exp(at[1])))[1].ravel()
 
-        now = left(place)
-        for _ in range(12):
-            step = 1e-5
-            slopes = np.stack([(left(place + step * unit) - now) / step for unit in np.eye(2)], axis=1)
-            move = np.clip(np.linalg.lstsq(slopes, -now, rcond=None)[0], -0.3, 0.3)
-            for _ in range(6):
-                there = np.clip(place + move, low, high)
-                after = left(there)
-                if after @ after < now @ now:
-                    break
-                move = move / 2
-            else:
-                break
-            place, now = there, after
-            if float(np.abs(move).max()) < 1e-6:
-                break
-        return Mode(math.exp(place[0]), math.exp(place[1]))
+        bounds = place + np.log([[0.02, 0.3], [50.0, 3.0]])
+        found = least_squares(left, place, bounds=bounds, xtol=1e-6, ftol=None, gtol=None, max_nfev=40).x
+        return Mode(math.exp(found[0]), math.exp(found[1]))
 
     # ---- What comes of it
 

@@ -154,10 +154,10 @@ def law_of(speeds: Floats, amplitudes: Floats, variances: Floats, only: LawKind 
 
 def doubt_the_law(doubts: Doubts, law: Law, r_squared: float) -> None:
     """Whether the speed says what the amplitude is; `r_squared` of the line."""
-    told = r_squared if law.kind == "line" else law.r_squared
+    share = r_squared if law.kind == "line" else law.r_squared
     # Where the amplitude hardly depends on the speed, r^2 says nothing: what counts is how far taps are from it.
     if law.kind == "line" or law.left > WELL_KNOWN:
-        doubts.at_least("r^2 of the law of taps", told, f"the speed says little of the amplitude (r^2 {told:.2f})")
+        doubts.at_least("r^2 of the law of taps", share, f"the speed says little of the amplitude (r^2 {share:.2f})")
 
 
 def _weights(speeds: Floats, amplitudes: Floats, variances: Floats) -> Floats:

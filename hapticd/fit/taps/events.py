@@ -12,13 +12,13 @@ import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.spans import Bools
-from hapticd.analysis.statistics import FitError, Floats, MistakenError
+from hapticd.analysis.statistics import FitError, Floats, UnitError
 from hapticd.config.modes import Mode
-from hapticd.fit.exclusions import LeftOut
-from hapticd.fit.invalid_samples import ACCELERATION, without_impossible
+from hapticd.fit.exclusions import Exclusions
+from hapticd.fit.invalid_samples import ACCELERATION, without_invalid_samples
 from hapticd.fit.recording import Recording
 from hapticd.fit.stretches import between_gaps
-from hapticd.fit.strokes import force_of, gravity_of, too_slow
+from hapticd.fit.strokes import force_of, gravity_of, undersampled
 from hapticd.fit.taps.hit import LEAST_SPEED_M_PER_S, LEAST_TAPS, NO_NOISE, WELL_EXPLAINED, Hit, TapHit
 from hapticd.fit.taps.ringing import Ringing, fit_ringing
 from hapticd.fit.taps.second_mode import EXPLAINED, pair_of
@@ -84,7 +84,7 @@ class Event:
     """Something loud in a recording."""
 
     first: int
-    """Loud sample."""
+    """Events sample."""
     last: int
     noise: float
     """Standard deviation of what is quiet in its stretch of the recording, m/s^2."""
@@ -93,7 +93,7 @@ class Event:
 
 
 @dataclass(frozen=True, slots=True)
-class Loud:
+class Events:
     """What is loud in a recording, without what bounced."""
 
     recording: Recording
@@ -117,21 +117,21 @@ class Loud:
         return begin, end
 
     def speed(self, index: int, onset_s: float) -> float:
-        """Of the approach, m/s. Raises No."""
+        """Of the approach, m/s. Raises Unusable."""
         if self.speeds is not None:
             return float(self.speeds[index])
         return _speed_of(self.recording, onset_s, self.room(index)[0])
 
 
-def loud_in(recording: Recording, warnings: list[str]) -> Loud:
+def events_of(recording: Recording, warnings: list[str]) -> Events:
     """Raises FitError for a recording that is none of taps."""
-    whole = without_impossible(recording, "tap")
+    whole = without_invalid_samples(recording, "tap")
     recording = whole.recording
-    warnings += whole.told
+    warnings += whole.warnings
     acceleration = _checked(recording)
     warnings += gravity_of(recording)
     above = acceleration - _base(acceleration, recording.rate_hz)
-    events = _events(recording, above)
+    events = _loud_events(recording, above)
     speeds = _given_speeds(recording, events, above)
     if speeds is not None and len(speeds) != len(events):
         # One of many thousand samples of noise may be loud by itself.
@@ -147,57 +147,57 @@ def loud_in(recording: Recording, warnings: list[str]) -> Loud:
             warnings.append(f"{recording.name}: {len(events) - len(kept)} bounces after taps are left out")
         events = kept
     noise = min((event.noise for event in events), default=0.0)
-    return Loud(recording, events, speeds, clipped(acceleration, noise), whole.replaced)
+    return Events(recording, events, speeds, clipped(acceleration, noise), whole.replaced)
 
 
-def hits_of(recording: Recording, warnings: list[str], left: LeftOut) -> list[Hit]:
-    """The taps of a recording; those that cannot be used are told to `left`. FitError where none of it can be."""
-    loud = loud_in(recording, warnings)
+def hits_of(recording: Recording, warnings: list[str], excluded: Exclusions) -> list[Hit]:
+    """The taps of a recording; those that cannot be used are reported in `excluded`. FitError where it has none."""
+    loud = events_of(recording, warnings)
     recording, events = loud.recording, loud.events
     found: list[Hit] = []
-    refused: list[tuple[Event, No]] = []
+    refused: list[tuple[Event, Unusable]] = []
     for index, event in enumerate(events):
         try:
             found.append(_hit_of(loud, index))
-        except No as no:
+        except Unusable as no:
             refused.append((event, no))
         _check_kind(recording.name, [no for _, no in refused], len(found), index + 1)
-    for kind, least in ((_TooFast, 1), (_Wayless, LEAST_TAPS)):
+    for kind, least in ((_Undersampled, 1), (_NoApproach, LEAST_TAPS)):
         alike = [no for _, no in refused if isinstance(no, kind)]
         if len(alike) >= least and len(alike) > len(found):
             count = f"{len(alike)} of {len(events)} taps cannot be used"
             raise FitError(f"{recording.name}: {count}: {kind.hint} Of the first: {alike[0]}")
     for event, reason in refused:
-        left.add(recording.name, str(reason), "tap", event.first / recording.rate_hz)
+        excluded.add(recording.name, str(reason), "tap", event.first / recording.rate_hz)
     if not found:
-        left.unused.add(recording.name)
+        excluded.unused.add(recording.name)
     return found
 
 
-def _check_kind(name: str, refused: Sequence[No], found: int, tried: int) -> None:
+def _check_kind(name: str, refused: Sequence[Unusable], found: int, tried: int) -> None:
     """Raises FitError where most of what was tried of a recording has the shape of no tap."""
     count = sum(isinstance(no, _NoTap) for no in refused)
     if count >= MANY and count > found:
         raise FitError(f"{name}: most of what stands out is no tap, {count} of the first {tried}; of one: {refused[0]}")
 
 
-class No(FitError):
+class Unusable(FitError):
     """Why a tap cannot be used, without its place."""
 
 
-class _TooFast(No):
+class _Undersampled(Unusable):
     """It rings too fast for the sampling rate."""
 
     hint = "record faster."
 
 
-class _Wayless(No):
+class _NoApproach(Unusable):
     """The position does not tell its speed."""
 
     hint = "is the position the right column?"
 
 
-class _NoTap(No):
+class _NoTap(Unusable):
     """It has the shape of no tap."""
 
 
@@ -222,26 +222,26 @@ def _checked(recording: Recording) -> Floats:
     return acceleration
 
 
-def _hit_of(loud: Loud, index: int) -> Hit:
-    """A tap fitted within its room. Raises No, with what was measured and what is wanted."""
+def _hit_of(loud: Events, index: int) -> Hit:
+    """A tap fitted within its room. Raises Unusable, with what was measured and what is wanted."""
     recording, event, room = loud.recording, loud.events[index], loud.room(index)
     acceleration, rate_hz = recording.acceleration_m_per_s2, recording.rate_hz
     assert acceleration is not None
     rest = event.first - room[0]
     if rest < LEAST_REST:
-        raise No(f"{rest} samples of rest before it, {LEAST_REST} are wanted")
+        raise Unusable(f"{rest} samples of rest before it, {LEAST_REST} are wanted")
     try:
         ringing, begin = _fitted(recording, event.first, event.last, *room)
     except FitError as error:
-        raise No(str(error)) from None
+        raise Unusable(str(error)) from None
     span = slice(begin, begin + len(ringing.residual))
     if loud.clipped[span].any():
         level = float(np.abs(acceleration[span][loud.clipped[span]]).max())
-        raise No(f"it is clipped at {level:.4g} m/s^2")
+        raise Unusable(f"it is clipped at {level:.4g} m/s^2")
     if loud.replaced[span].any():
-        raise No(f"{np.count_nonzero(loud.replaced[span])} of its samples cannot be, and none may")
+        raise Unusable(f"{np.count_nonzero(loud.replaced[span])} of its samples cannot be, and none may")
     share = ringing.variance_accounted_for
-    fault: No | None = None
+    fault: Unusable | None = None
     if share < EXPLAINED:
         fault = _NoTap(f"a decaying sinusoid explains {100 * share:.0f} % of it, {100 * EXPLAINED:.0f} % are wanted")
     else:
@@ -253,7 +253,7 @@ def _hit_of(loud: Loud, index: int) -> Hit:
         off = math.sqrt(float(ringing.covariance[-1, -1])) * rate_hz
         place = begin - room[0] + ringing.onset_s * rate_hz
         if place < 0 or off > CLEAR:
-            raise No(
+            raise Unusable(
                 f"{rest} samples of rest before it, and its onset is {place:.1f} samples behind the first of them, "
                 f"give or take {off:.2g}: {REST} samples are wanted, or an onset that is uncertain by {CLEAR:g} at most"
             )
@@ -262,24 +262,24 @@ def _hit_of(loud: Loud, index: int) -> Hit:
     return dataclasses.replace(tap, pair=pair, alone=fault is None), ringing
 
 
-def _fault_of(recording: Recording, event: Event, ringing: Ringing) -> No | None:
+def _fault_of(recording: Recording, event: Event, ringing: Ringing) -> Unusable | None:
     """Why the modes are none that a tap could have."""
     for angular in ringing.angular_frequency_rad_per_s:
-        if slow := too_slow(recording.rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
-            return _TooFast(f"it {slow}")
+        if slow := undersampled(recording.rate_hz, float(angular) / (2 * math.pi), LEAST_RATE):
+            return _Undersampled(f"it {slow}")
     uncertain, figure = _uncertainty(ringing)
     if not uncertain < UNCERTAIN:
         times = event.peak / event.noise if event.noise > 0 else math.inf
         known = f"its {figure} is uncertain by {100 * uncertain:.0f} %, {100 * UNCERTAIN:.0f} % is the most"
         if times > FAINT * OUTSTANDING:
             return _NoTap(f"its shape is no ringing: it stands {times:.0f} times out of the noise, but {known}")
-        return No(
+        return Unusable(
             f"it is too weak for its noise: it stands {times:.1f} times out of it, {FAINT * OUTSTANDING:g} are wanted, "
             f"and {known}"
         )
     lasts = recording.rate_hz / float(ringing.decay_rate_per_s.max())
     if lasts < GLITCH:
-        return No(f"a glitch: it falls to 1/e within {lasts:.2g} samples, {GLITCH:g} are wanted")
+        return Unusable(f"a glitch: it falls to 1/e within {lasts:.2g} samples, {GLITCH:g} are wanted")
     return None
 
 
@@ -299,7 +299,7 @@ def _check_force(name: str, force: Floats) -> None:
     if not np.ptp(force) > 0:
         raise FitError(f"{name}: the force is {force[0]:g} N throughout: was the sensor connected?")
     if not force.max() > 0:
-        raise MistakenError(f"{name}: the force is never positive: pressing must be (scale -1?)")
+        raise UnitError(f"{name}: the force is never positive: pressing must be (scale -1?)")
 
 
 def _base(acceleration: Floats, rate_hz: float) -> Floats:
@@ -317,7 +317,7 @@ def _base(acceleration: Floats, rate_hz: float) -> Floats:
     return np.asarray(np.interp(np.arange(len(acceleration)), middles, [np.median(block) for block in blocks]))
 
 
-def _events(recording: Recording, above: Floats) -> list[Event]:
+def _loud_events(recording: Recording, above: Floats) -> list[Event]:
     """What is loud, by stretches without gaps. Raises FitError where nothing stands out."""
     found: list[Event] = []
     refused: list[FitError] = []
@@ -428,11 +428,11 @@ def _fitted(recording: Recording, first: int, last: int, least: int, most: int) 
         start = dataclasses.replace(ringing, onset_s=ringing.onset_s + (begin - again) / rate_hz)
         return fit_ringing(acceleration[again:end], rate_hz, start=start, sensor=recording.sensor), again
     except FitError as error:
-        raise No(str(error)) from None
+        raise Unusable(str(error)) from None
 
 
 def _speed_of(recording: Recording, onset_s: float, least: int) -> float:
-    """The speed, from the position's samples from `least` on where there is no other. Raises No."""
+    """The speed, from the position's samples from `least` on where there is no other. Raises Unusable."""
     if recording.speed_m_per_s is not None:
         assert not isinstance(recording.speed_m_per_s, np.ndarray)
         return abs(recording.speed_m_per_s)
@@ -441,7 +441,9 @@ def _speed_of(recording: Recording, onset_s: float, least: int) -> float:
     wanted = _samples(APPROACH_S, recording.rate_hz, LEAST_WAY)
     begin = max(least, end - wanted)
     if end - begin < LEAST_WAY:
-        raise No(f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted")
+        raise Unusable(
+            f"its speed is not seen: {end - begin} samples of the position before it, {LEAST_WAY} are wanted"
+        )
     way = recording.position_m[begin:end]
     time_s = np.arange(len(way)) / recording.rate_hz
     line = np.polyfit(time_s, way - way[0], 1)
@@ -449,7 +451,7 @@ def _speed_of(recording: Recording, onset_s: float, least: int) -> float:
     whole = float(np.sum((way - way.mean()) ** 2))
     if float(off @ off) > UNEVEN * whole:
         share = 100 * float(off @ off) / whole
-        raise _Wayless(
+        raise _NoApproach(
             f"it has no even way before it to tell its speed: a straight line leaves {share:.0f} % of the position's "
             f"variance, {100 * UNEVEN:.0f} % is the most"
         )

@@ -14,6 +14,7 @@ from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Mode
+from hapticd.fit.plain_data import fields_of
 from hapticd.fit.taps.ringing import Ringing
 
 LEAST_TAPS: Final = 3
@@ -70,12 +71,9 @@ class TapHit:
         )
 
     def to_dict(self) -> dict[str, Json]:
+        names = ("recording", "onset_s", "speed_m_per_s", "coefficient_m_per_s2", "first_peak_m_per_s2")
         return {
-            "recording": self.recording,
-            "onset_s": self.onset_s,
-            "speed_m_per_s": self.speed_m_per_s,
-            "coefficient_m_per_s2": self.coefficient_m_per_s2,
-            "first_peak_m_per_s2": self.first_peak_m_per_s2,
+            **fields_of(self, *names),
             "frequency_hz": self.angular_frequency_rad_per_s / (2 * math.pi),
             "decay_time_s": 1 / self.decay_rate_per_s,
             "variance_accounted_for": self.variance_accounted_for,

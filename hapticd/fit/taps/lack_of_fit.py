@@ -15,16 +15,16 @@ MISSHAPEN: Final = 0.02
 """RMS over that of the ringing, from which on a shape of what is left over is told."""
 
 
-def misfit(hits: Sequence[Hit]) -> tuple[str, str]:
+def lack_of_fit(hits: Sequence[Hit]) -> tuple[str, str]:
     """Whether what is left over has a shape that all taps have, and is no noise: the score test of the shapes that
     ringing.py tries beside the mode. Empty where it has none."""
     more = "the figures may be farther off than their intervals say"
     coloured = float(np.median([colour(tap, ringing) for tap, ringing in hits]))
-    size = len(hits[0][1].misfit[0])
+    size = len(hits[0][1].lack_of_fit[0])
     score, squares, heard, samples = np.zeros(size), np.zeros((size, size)), 0.0, 0
     for tap, ringing in hits:
-        score += ringing.misfit[0] / tap.noise_m_per_s2**2
-        squares += ringing.misfit[1] / tap.noise_m_per_s2**2
+        score += ringing.lack_of_fit[0] / tap.noise_m_per_s2**2
+        squares += ringing.lack_of_fit[1] / tap.noise_m_per_s2**2
         modelled = tap.modelled - np.median(tap.modelled)
         heard += float(modelled @ modelled) / tap.noise_m_per_s2**2
         samples += len(tap.measured) - 6

@@ -28,7 +28,7 @@ TABLE: Final = 8
 """Speeds of a table of amplitudes, at most."""
 APART: Final = 0.02
 """And they are apart by so much."""
-ASTRAY: Final = 0.25
+OUTLYING: Final = 0.25
 """A tap this far off the line of the others is told."""
 SOFTEST: Final = 0.003
 HARDEST: Final = 10.0
@@ -117,7 +117,7 @@ def check_hardness(slope_per_s: float, angular: float, named: str) -> None:
         )
 
 
-def one_astray(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
+def single_outlier(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise: Floats) -> str:
     """The one tap without which A(v) is a line through the origin; empty where there is none."""
     if len(speeds) < LEAST_TAPS + 3:
         return ""
@@ -137,7 +137,7 @@ def one_astray(taps: Sequence[TapHit], speeds: Floats, amplitudes: Floats, noise
     assert found is not None
     chance, index, off = found
     others = np.delete(np.arange(len(speeds)), index)
-    if chance > CHANCE or abs(off) < ASTRAY or bends(speeds[others], amplitudes[others], noise[others]):
+    if chance > CHANCE or abs(off) < OUTLYING or bends(speeds[others], amplitudes[others], noise[others]):
         return ""
     side = "above" if off > 0 else "below"
     return (

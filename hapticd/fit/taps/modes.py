@@ -10,6 +10,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, Regression, aicc, least_squares
 from hapticd.base.yaml_source import Json
+from hapticd.fit.plain_data import fields_of
 from hapticd.fit.taps.hit import Figures
 from hapticd.fit.taps.law import MOVED_DECAY, MOVED_FREQUENCY, knots_of, moves
 
@@ -41,12 +42,7 @@ class Modes:
         }
 
     def to_dict(self) -> dict[str, Json]:
-        return {
-            "speeds_m_per_s": list(self.speeds_m_per_s),
-            "frequencies_hz": [each.to_dict() for each in self.frequencies_hz],
-            "decay_times_s": [each.to_dict() for each in self.decay_times_s],
-            "why": self.why,
-        }
+        return fields_of(self)
 
 
 def modes_of(figures: Figures, frequency_hz: Estimate, decay_time_s: Estimate) -> Modes | None:

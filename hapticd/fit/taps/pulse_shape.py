@@ -70,7 +70,7 @@ class Placed:
     onset_s: float
     """After the beginning of the stretch."""
     squares: float
-    """Left over."""
+    """Exclusion over."""
 
     def modelled(self, shape: Curve, pulse: Pulse) -> Floats:
         """(n,): the pulse by the shape."""

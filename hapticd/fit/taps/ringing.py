@@ -62,7 +62,7 @@ class Ringing:
     """1 - (squares left over)/(squares above the line), while the modes ring: five decay times from the onset."""
     noise_m_per_s2: float
     """RMS of what is left over."""
-    misfit: tuple[Floats, Floats]
+    lack_of_fit: tuple[Floats, Floats]
     """Of one mode: what is left over times shapes that it does not have (PROBES), (k,), and those shapes' squares,
     (k, k). The shapes are as large as the mode, without what the fit can take up. Empty for more modes."""
 
@@ -290,10 +290,12 @@ class _Search:
             residual=left,
             variance_accounted_for=1.0 - float(left[rings] @ left[rings]) / heard if heard > 0 else 0.0,
             noise_m_per_s2=noise,
-            misfit=self._misfit(place, float(coefficients[0]), jacobian / norms, left) if modes == 1 else _NONE,
+            lack_of_fit=self._lack_of_fit(place, float(coefficients[0]), jacobian / norms, left)
+            if modes == 1
+            else _NONE,
         )
 
-    def _misfit(self, place: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:
+    def _lack_of_fit(self, place: Floats, coefficient: float, taken: Floats, left: Floats) -> tuple[Floats, Floats]:
         since = np.maximum(self._time_s - place[-1], 0.0)
         begun = self._time_s >= place[-1]
         decay, angular = math.exp(place[0]), math.exp(place[1])

@@ -14,7 +14,8 @@ from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.statistics import Estimate, Floats, common, improbable, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Mode
-from hapticd.fit.exclusions import LeftOut
+from hapticd.fit.exclusions import Exclusions
+from hapticd.fit.plain_data import fields_of
 from hapticd.fit.taps.hit import (
     CHANCE,
     COLOURED,
@@ -72,18 +73,9 @@ class SecondMode:
     """Whether the material has it without being asked: one mode explains too little."""
 
     def to_dict(self) -> dict[str, Json]:
-        return {
-            "frequency_hz": self.frequency_hz.to_dict(),
-            "decay_time_s": self.decay_time_s.to_dict(),
-            "ratio": self.ratio.to_dict(),
-            "first_slope_per_s": self.first_slope_per_s.to_dict(),
-            "first_frequency_hz": self.first_frequency_hz.to_dict(),
-            "first_decay_time_s": self.first_decay_time_s.to_dict(),
-            "amplitudes": json_table(self.amplitudes),
-            "variance_accounted_for": self.variance_accounted_for,
-            "variance_by_one_mode": self.alone,
-            "kept": self.kept,
-        }
+        figures = fields_of(self)
+        alone = figures.pop("alone")
+        return {**figures, "amplitudes": json_table(self.amplitudes), "variance_by_one_mode": alone}
 
 
 def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor | None) -> Ringing | None:
@@ -99,14 +91,14 @@ def pair_of(measured: Floats, rate_hz: float, ringing: Ringing, sensor: Sensor |
     return pair if improbable(one, freedom, two, freedom - 3) < CHANCE and turns > math.pi else None
 
 
-def as_pairs(hits: list[Hit], left: LeftOut) -> tuple[list[Hit], SecondMode | None]:
+def as_pairs(hits: list[Hit], excluded: Exclusions) -> tuple[list[Hit], SecondMode | None]:
     """Where one mode explains too little of the median tap and most have the same two: the taps as these two have
     them, the louder one first, and what they have in common. Elsewhere those taps that one mode does for."""
     alone = float(np.median([ringing.variance_accounted_for for _, ringing in hits])) if hits else 1.0
     usual = None if alone >= WELL_EXPLAINED else _usual(hits)
     kept = [hit for hit in hits if hit[0].alone]
     if usual is None:
-        _tell(hits, left)
+        _exclude(hits, excluded)
         return kept, None
     paired: list[Hit] = []
     pairs: list[tuple[TapHit, Ringing]] = []
@@ -121,22 +113,23 @@ def as_pairs(hits: list[Hit], left: LeftOut) -> tuple[list[Hit], SecondMode | No
             paired.append((tap, ringing))
         else:
             others.append(tap)
-    upright = _upright(pairs)
-    second = _pair_of(upright, _together(upright), alone, True) if len(upright) >= LEAST_TAPS else None
+    upright = _of_one_sign(pairs)
+    second = _pair_of(upright, _median_explained(upright), alone, True) if len(upright) >= LEAST_TAPS else None
     if second is None:
-        _tell(hits, left)
+        _exclude(hits, excluded)
         return kept, None
     for tap in others:
-        left.add(tap.recording, "it has not the two modes of the others", "tap", tap.onset_s)
+        excluded.add(tap.recording, "it has not the two modes of the others", "tap", tap.onset_s)
     return paired, second
 
 
-def _tell(hits: list[Hit], left: LeftOut) -> None:
+def _exclude(hits: list[Hit], excluded: Exclusions) -> None:
+    """Taps that one mode does not do for."""
     for tap, ringing in hits:
         if not tap.alone:
             share = 100 * ringing.variance_accounted_for
             reason = f"a decaying sinusoid explains {share:.0f} % of it, and the others do not have the two that it has"
-            left.add(tap.recording, reason, "tap", tap.onset_s)
+            excluded.add(tap.recording, reason, "tap", tap.onset_s)
 
 
 def _usual(hits: Sequence[Hit]) -> Floats | None:
@@ -208,7 +201,7 @@ def _first_of(tap: TapHit, pair: Ringing) -> Hit:
     return hit, first
 
 
-def _upright(pairs: Sequence[Hit]) -> list[Hit]:
+def _of_one_sign(pairs: Sequence[Hit]) -> list[Hit]:
     """Those whose first modes begin as most do, with positive coefficients."""
     signs = np.sign([tap.coefficient_m_per_s2 for tap, _ in pairs])
     usual = 1.0 if np.sum(signs) >= 0 else -1.0
@@ -216,7 +209,7 @@ def _upright(pairs: Sequence[Hit]) -> list[Hit]:
     return [(tap, tap.pair) for tap in found if tap.pair is not None]
 
 
-def _together(both: Sequence[Hit]) -> float:
+def _median_explained(both: Sequence[Hit]) -> float:
     return float(np.median([pair.variance_accounted_for for _, pair in both]))
 
 
@@ -233,7 +226,7 @@ def second_mode(hits: list[Hit], explained: float) -> SecondMode | None:
         return None
     logs = np.log([pair.angular_frequency_rad_per_s for _, pair in both])
     alike = np.all(np.abs(logs - np.median(logs, axis=0)) < ALIKE, axis=1)
-    together = _together(both)
+    together = _median_explained(both)
     if np.mean(alike) < AGREEING or np.sum(alike) < LEAST_TAPS or together < explained + SECOND_GAIN:
         return None
     return _pair_of([one for one, same in zip(both, alike, strict=True) if same], together, explained, False)
