@@ -19,10 +19,10 @@ from hapticd.cli import main
 from hapticd.cli.common import print_result
 from hapticd.cli.failure import asks_for_json, tell
 from hapticd.cli.shell import PHRASES, in_shell_words
-from hapticd.cli.status import FAULTS, lines, text_of
 from hapticd.client.methods import patch_tree
 from hapticd.daemon.control import _FAULT_WORDS
 from hapticd.daemon.counters import Granted
+from hapticd.daemon.status_text import FAULTS, lines, text_of
 from hapticd.hid.signs import Told
 from hapticd.protocol.calls import DaemonNotRunning, RemoteError, result_of
 from hapticd.protocol.events import fault_names
