@@ -88,7 +88,7 @@ class Connecting:
         try:
             if self._wait_s > 0:
                 await _await_ready(place, self._wait_s)
-                # A runtime directory that was made meanwhile is looked at again.
+                # The runtime directory may have been made meanwhile.
                 place = self._find()
             await asyncio.to_thread(places.probe, place, self._timeout_s)
         except DaemonNotRunning as error:
@@ -275,7 +275,7 @@ class Client(ClientBase):
         except BaseException:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
-            with contextlib.suppress(HapticdError):  # what went wrong in the block is what is told
+            with contextlib.suppress(HapticdError):  # what went wrong in the block is reported
                 await self.lease(0, token)
             raise
         task.cancel()
@@ -300,7 +300,7 @@ class Client(ClientBase):
             await asyncio.to_thread(recorder.begin)
             yield recorder
         except BaseException:
-            with contextlib.suppress(HapticdError):  # what went wrong in the block is what is told
+            with contextlib.suppress(HapticdError):  # what went wrong in the block is reported
                 await asyncio.to_thread(recorder.end)
             raise
         await asyncio.to_thread(recorder.end)
@@ -342,7 +342,7 @@ class Subscription(FeedSocket[T], Generic[T]):
             self._first += () if self._feed.on_demand else items
 
     async def _drain(self) -> None:
-        """Of a subscription to the newest: what is left of the last time goes."""
+        """Of a subscription to the newest: what came since the last item is dropped."""
         while self._feed.on_demand and not self.closed and await self._socket.poll(0):
             await self._socket.recv_multipart()
 

@@ -97,7 +97,7 @@ class Client(ClientBase):
         try:
             if wait_s > 0:
                 places.await_ready(place, wait_s)
-                # A runtime directory that was made meanwhile is looked at again.
+                # The runtime directory may have been made meanwhile.
                 place = places.place_of(runtime_dir, key, server_key)
             self._begin(place, timeout_s)
         except DaemonNotRunning as error:
@@ -251,7 +251,7 @@ class Client(ClientBase):
         except BaseException:
             stop.set()
             thread.join()
-            with suppress(HapticdError):  # what went wrong in the block is what is told
+            with suppress(HapticdError):  # what went wrong in the block is reported
                 self.lease(0, token)
             raise
         stop.set()
@@ -277,7 +277,7 @@ class Client(ClientBase):
             recorder.begin()
             yield recorder
         except BaseException:
-            with suppress(HapticdError):  # what went wrong in the block is what is told
+            with suppress(HapticdError):  # what went wrong in the block is reported
                 recorder.end()
             raise
         recorder.end()
@@ -327,7 +327,7 @@ class Subscription(FeedSocket[T], Generic[T]):
         return self._accept(self._socket.recv_multipart())
 
     def _drain(self) -> None:
-        """Of a subscription to the newest: what is left of the last time goes."""
+        """Of a subscription to the newest: what came since the last item is dropped."""
         with suppress(zmq.Again):
             while self._feed.on_demand:
                 self._socket.recv_multipart(zmq.NOBLOCK)

@@ -54,7 +54,7 @@ PatchSource: TypeAlias = "Mapping[str, object] | str | os.PathLike[str]"
 """A merge patch: the mapping itself, or the path of a YAML file."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Call(Generic[R]):
     """A call of the protocol, whose result is an R."""
 
@@ -62,7 +62,7 @@ class Call(Generic[R]):
     params: Mapping[str, object] | None = None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Listen(Generic[R]):
     """A subscription to telemetry, whose items are R."""
 

@@ -326,7 +326,7 @@ class _Session:
 class _Scenes:
     """What the daemon renders: all of it at the start, and then what each change says.
 
-    Where changes were lost, or one is too large to be told, all is read again. What samples were rendered with
+    Where changes were lost, or one is too large to be sent, all is read again. What samples were rendered with
     meanwhile is missing in the recording, which says so.
     """
 
@@ -382,7 +382,7 @@ class _Scenes:
             self._read_again()
 
     def _read_again(self) -> None:
-        # What cannot be read is missing, and told as that; silence will tell where the daemon is gone.
+        # What cannot be read is missing, and reported as that; silence will tell where the daemon is gone.
         with suppress(HapticdError):
             read = self._read()
             if read is not None and read[0] not in self._known:

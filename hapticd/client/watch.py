@@ -259,46 +259,46 @@ def _label(text: str) -> Text:
 def event_line(event: Mapping[str, object]) -> str:
     """An event in words: its kind, its object, and its other members."""
     kind, about = str(event.get("event", "event")), event.get("object")
-    told = [kind.replace("_", " "), *([str(about)] if about is not None else [])]
+    words = [kind.replace("_", " "), *([str(about)] if about is not None else [])]
     match kind:
         case "contact" if not event.get("appeared"):
-            told.append(
+            words.append(
                 f"at {_number(event, 'speed_m_per_s'):.3f} m/s, {_number(event, 'amplitude_m_per_s2'):.1f} m/s²"
             )
             if _number(event, "scale", 1.0) == 0:
-                told.append("not displayed")
+                words.append("not displayed")
             elif _number(event, "scale", 1.0) < 1:
-                told.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")
+                words.append(f"scaled to {_number(event, 'scale'):.2f} by the force limit")
         case "contact":
-            told.append("inside it when it appeared")
+            words.append("inside it when it appeared")
         case "groove":
-            told.append(f"{_number(event, 'grooves'):.0f} struck in this contact")
+            words.append(f"{_number(event, 'grooves'):.0f} struck in this contact")
         case "puncture":
-            told.append(f"at {1e3 * _number(event, 'depth_m'):.2f} mm")
+            words.append(f"at {1e3 * _number(event, 'depth_m'):.2f} mm")
         case "saturation":
-            told.append(f"wanted {_number(event, 'wanted_n'):.2f} N")
+            words.append(f"wanted {_number(event, 'wanted_n'):.2f} N")
         case "overrun":
-            told.append(f"{wording.count(round(_number(event, 'missed')), 'period')} missed")
+            words.append(f"{wording.count(round(_number(event, 'missed')), 'period')} missed")
         case "glitch":
-            told.append(f"a jump of {_number(event, 'speed_m_per_s'):.0f} m/s")
+            words.append(f"a jump of {_number(event, 'speed_m_per_s'):.0f} m/s")
         case "fault":
             faults = event.get("faults")
-            told.append(", ".join(map(str, faults)) if isinstance(faults, list) and faults else "cleared")
+            words.append(", ".join(map(str, faults)) if isinstance(faults, list) and faults else "cleared")
         case "overload":
-            told.append(f"{wording.percent(_number(event, 'missed_share'), 2)} of a second's periods missed")
+            words.append(f"{wording.percent(_number(event, 'missed_share'), 2)} of a second's periods missed")
         case "rate":
-            told.append(f"{wording.si(_number(event, 'rate_hz'), 'Hz')} from now on")
+            words.append(f"{wording.si(_number(event, 'rate_hz'), 'Hz')} from now on")
         case "resumed":
-            told.append(f"after {wording.duration(round(_number(event, 'suspended_s')))} of suspend")
+            words.append(f"after {wording.duration(round(_number(event, 'suspended_s')))} of suspend")
         case "memory_refused":
-            told.append(str(event.get("problem")))
+            words.append(str(event.get("problem")))
         case "mark":
-            told.append(str(event.get("text")))
+            words.append(str(event.get("text")))
         case "gesture_end":
-            told.append("as it was meant" if event.get("completed") else "replaced by another")
+            words.append("as it was meant" if event.get("completed") else "replaced by another")
         case "revision":
-            told.append(str(event.get("revision")))
-    return " ".join(told)
+            words.append(str(event.get("revision")))
+    return " ".join(words)
 
 
 def _number(event: Mapping[str, object], key: str, default: float = 0.0) -> float:

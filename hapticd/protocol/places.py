@@ -103,16 +103,18 @@ def _try_connect(path: Path) -> None:
 
 def _not_ours(paths: RuntimePaths) -> str:
     """Why the sockets may not be used, and whom they belong to."""
-    told = f"{paths.command}: permission denied"
+    refused = f"{paths.command}: permission denied"
     try:
         status = os.stat(paths.directory)
     except OSError:  # a folder above it is closed
-        return told
+        return refused
     owner = f"user {_name_of(pwd.getpwuid, status.st_uid)}"
     if not status.st_mode & stat.S_IXGRP:
-        return f"{told}: the daemon is {owner}'s alone"
+        return f"{refused}: the daemon is {owner}'s alone"
     group = _name_of(grp.getgrgid, status.st_gid)
-    return f"{told}: the daemon is {owner}'s and for the group {group}; join it (adduser YOU {group}) and log in again"
+    return (
+        f"{refused}: the daemon is {owner}'s and for the group {group}; join it (adduser YOU {group}) and log in again"
+    )
 
 
 def _name_of(look_up: Callable[[int], Sequence[object]], number: int) -> str:

@@ -51,11 +51,11 @@ class CsvWriter(RecordingWriter):
         files: dict[Path, PartialFile] = {}
         try:
             files[events] = self._written("events", self._event_lines())
-            told = self._with_changes(texts)
-            if told:
-                files[about] = self._written("about", [json.dumps(told, indent=1) + "\n"])
+            found = self._with_changes(texts)
+            if found:
+                files[about] = self._written("about", [json.dumps(found, indent=1) + "\n"])
             self._publish({**files, samples: self._partial})
-            if not told and self._overwrite:
+            if not found and self._overwrite:
                 self._remove(about.name)  # of the recording that was replaced
         except OSError:
             for file in files.values():

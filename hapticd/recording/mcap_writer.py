@@ -19,23 +19,8 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from mcap import records as mcap
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    Message,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from hapticd._version import __version__
 from hapticd.base.errors import HapticdError
@@ -101,10 +86,10 @@ class _Contents:
 
     end: int
     """Bytes of whole records."""
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    chunks: list[mcap.ChunkIndex] = field(default_factory=list)
     messages: Counter[int] = field(default_factory=Counter)
     """How many, by channel."""
-    attachments: list[AttachmentIndex] = field(default_factory=list)
+    attachments: list[mcap.AttachmentIndex] = field(default_factory=list)
 
 
 class McapWriter(RecordingWriter):
@@ -123,7 +108,7 @@ class McapWriter(RecordingWriter):
         super().__init__(target, overwrite=overwrite, resume=resume)
         if resume is None:
             try:
-                self._partial.append(MAGIC + packed(Header(profile="", library=f"hapticd {__version__}")))
+                self._partial.append(MAGIC + packed(mcap.Header(profile="", library=f"hapticd {__version__}")))
             except OSError as error:
                 self._fail(error)  # nothing was recorded that could be kept
 
@@ -132,7 +117,13 @@ class McapWriter(RecordingWriter):
         for name, value in texts.items():
             data = json.dumps(value).encode()
             with self._naming_errors():
-                self._partial.append(packed(Attachment(0, 0, f"{name}.json", "application/json", data)))
+                self._partial.append(
+                    packed(
+                        mcap.Attachment(
+                            create_time=0, log_time=0, name=f"{name}.json", media_type="application/json", data=data
+                        )
+                    )
+                )
 
     # ---- Messages --------------------------------------------------------------------------------------------------
 
@@ -182,7 +173,15 @@ class McapWriter(RecordingWriter):
             self._add_json(channel, self.last_time_ns, value)
 
     def _add_json(self, channel: int, time_ns: int, value: Mapping[str, object]) -> None:
-        message = packed(Message(channel, time_ns, json.dumps(value).encode(), time_ns, 0))
+        message = packed(
+            mcap.Message(
+                channel_id=channel,
+                log_time=time_ns,
+                publish_time=time_ns,
+                sequence=0,
+                data=json.dumps(value).encode(),
+            )
+        )
         self._pending.add(channel, np.array([time_ns], np.uint64), message)
 
     def _declare(self, dtype: np.dtype[np.void]) -> None:
@@ -197,7 +196,7 @@ class McapWriter(RecordingWriter):
         pending = self._pending
         places = {channel: np.concatenate(parts) for channel, parts in pending.index.items()}
         data = b"".join(pending.data)
-        chunk = Chunk(
+        chunk = mcap.Chunk(
             compression="zstd",
             data=self._compressor.compress(data),
             message_start_time=min(int(each[:, 0].min()) for each in places.values()),
@@ -243,13 +242,15 @@ class McapWriter(RecordingWriter):
         at, data, indexes = self._partial.size, b"", []
         for name, value in metadata.items():
             members = value if isinstance(value, dict) else {name: value}
-            record = packed(Metadata(name, {key: json.dumps(member) for key, member in members.items()}))
-            indexes.append(MetadataIndex(at + len(data), len(record), name))
+            record = packed(
+                mcap.Metadata(name=name, metadata={key: json.dumps(member) for key, member in members.items()})
+            )
+            indexes.append(mcap.MetadataIndex(offset=at + len(data), length=len(record), name=name))
             data += record
-        data += packed(DataEnd(0))
+        data += packed(mcap.DataEnd(0))
         start = at + len(data)
         chunks, messages = contents.chunks, contents.messages
-        statistics = Statistics(
+        statistics = mcap.Statistics(
             attachment_count=len(contents.attachments),
             channel_count=len(TOPICS),
             channel_message_counts=messages,
@@ -271,9 +272,14 @@ class McapWriter(RecordingWriter):
         summary, places = b"", []
         for opcode, group in groups.items():
             if group:
-                places.append(SummaryOffset(opcode, start + len(summary), len(group)))
+                places.append(
+                    mcap.SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
+                )
                 summary += group
-        offsets, footer = packed(*places), Footer(start, start + len(summary), 0)
+        offsets, footer = (
+            packed(*places),
+            mcap.Footer(summary_start=start, summary_offset_start=start + len(summary), summary_crc=0),
+        )
         # The checksum is of all of the summary, and of the footer up to itself.
         footer.summary_crc = zlib.crc32(summary + offsets + packed(footer)[:-4])
         return b"".join((data, summary, offsets, packed(footer), MAGIC))
@@ -287,8 +293,17 @@ class McapWriter(RecordingWriter):
                 size = 9 + len(body)
                 if opcode == Opcode.CHUNK:
                     first_ns, last_ns, uncompressed = struct.unpack_from("<QQQ", body)
-                    compressed = len(body) - _CHUNK_HEAD
-                    chunk = ChunkIndex(size, at, "zstd", compressed, last_ns, 0, {}, first_ns, uncompressed)
+                    chunk = mcap.ChunkIndex(
+                        chunk_start_offset=at,
+                        chunk_length=size,
+                        compression="zstd",
+                        compressed_size=len(body) - _CHUNK_HEAD,
+                        uncompressed_size=uncompressed,
+                        message_start_time=first_ns,
+                        message_end_time=last_ns,
+                        message_index_length=0,
+                        message_index_offsets={},
+                    )
                     messages = Counter()
                 elif opcode == Opcode.MESSAGE_INDEX and chunk is not None:
                     channel, length = struct.unpack_from("<HI", body)
@@ -300,9 +315,17 @@ class McapWriter(RecordingWriter):
                         chunk, found.end = None, at + size
                 else:
                     if opcode == Opcode.ATTACHMENT:
-                        one: Attachment = unpacked("Attachment", body)
+                        one: mcap.Attachment = unpacked("Attachment", body)
                         found.attachments.append(
-                            AttachmentIndex(at, size, 0, 0, len(one.data), one.name, one.media_type)
+                            mcap.AttachmentIndex(
+                                offset=at,
+                                length=size,
+                                create_time=one.create_time,
+                                log_time=one.log_time,
+                                data_size=len(one.data),
+                                name=one.name,
+                                media_type=one.media_type,
+                            )
                         )
                     found.end = at + size
         return found
@@ -331,12 +354,16 @@ def _records(file: IO[bytes]) -> Iterator[tuple[int, int, bytes]]:
 
 def _schemas(dtype: np.dtype[np.void]) -> bytes:
     """Of each channel the schema of its messages."""
-    schemas = [Schema(SAMPLES, sample_schema(dtype).encode(), "ros2msg", SAMPLE_TYPE)]
+    schemas = [mcap.Schema(id=SAMPLES, name=SAMPLE_TYPE, encoding="ros2msg", data=sample_schema(dtype).encode())]
     for channel, (name, members) in JSON_SCHEMAS.items():
         shape = {"$schema": "http://json-schema.org/draft-07/schema#", "type": "object", "properties": members}
-        schemas.append(Schema(channel, json.dumps(shape).encode(), "jsonschema", name))
+        schemas.append(mcap.Schema(id=channel, name=name, encoding="jsonschema", data=json.dumps(shape).encode()))
     return packed(*schemas)
 
 
 def _channels() -> bytes:
-    return packed(*(Channel(id, topic, "cdr" if id == SAMPLES else "json", {}, id) for id, topic in TOPICS.items()))
+    channels = []
+    for id, topic in TOPICS.items():
+        encoding = "cdr" if id == SAMPLES else "json"
+        channels.append(mcap.Channel(id=id, topic=topic, message_encoding=encoding, metadata={}, schema_id=id))
+    return packed(*channels)

@@ -103,8 +103,8 @@ class Recording:
     @property
     def ended_because(self) -> str | None:
         """Why it ended early; None where it did not."""
-        told = self._about.get("ended_because", self._about.get("ended"))
-        return told if isinstance(told, str) else None
+        reason = self._about.get("ended_because", self._about.get("ended"))
+        return reason if isinstance(reason, str) else None
 
     @property
     def rate_hz(self) -> float:
@@ -120,9 +120,9 @@ class Recording:
     @cached_property
     def missed_periods(self) -> int:
         """Periods in which the servo rendered no tick though one was due, between the first sample and the last."""
-        told = self._about.get("missed_periods")
-        if type(told) is int:
-            return told
+        counted = self._about.get("missed_periods")
+        if type(counted) is int:
+            return counted
         return missed_periods(self.samples, rates_of(self.samples, self.changes, self.rate_hz))
 
     def utc(self) -> npt.NDArray[np.datetime64]:

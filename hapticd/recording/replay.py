@@ -1,9 +1,9 @@
-"""Recordings rendered again: the servo's own tick, told what the recorded ticks were told.
+"""Recordings rendered again: the servo's own tick, with the input of the recorded ticks.
 
 A tick is a function of scene, state and input. Samples hold the input (position, velocity, time, whether forces were
 on), a recording holds the scenes and what was played and reset, and the state is that of a servo as long as it began
 from the same. So a replay begins where nothing was left of what had been before: at tick 0, or at a tick at which
-nothing is touched, rings or ramps. It begins anew where ticks are missing, after a fault, and at another rate. What it
+nothing is touched, rings or ramps. It begins again where ticks are missing, after a fault, and at another rate. What it
 renders should be the recorded forces, bit for bit. Where it is not, something was not as the recording says it.
 
 Files of the flight recorder tell the scene at their beginning and what changed since, as recordings do. What was before
@@ -93,7 +93,7 @@ class Replay:
     """Revisions whose scene is not in the recording; their ticks were not rendered again."""
     left_out: Mapping[str, int]
     """Why ticks were not rendered again, and how many: `fault` (one was latched), `scene` (it is not in the recording),
-    `begun_before` (what was touched, rang or ramped began before, or what was played before is not told)."""
+    `begun_before` (what was touched, rang or ramped began before, or what was played before is not in the file)."""
     doubts: tuple[str, ...]
     """What the recording does not say, and may be why forces are others; none where all are as recorded."""
     settled: bool
@@ -268,7 +268,7 @@ def _difference(between: npt.NDArray[np.float64]) -> Difference:
 
 
 def _complete_from(texts: Mapping[str, Any]) -> int:
-    """The tick from which on every command is told; of what `hapticd record` wrote, all are."""
+    """The tick from which on every command is in the file; of what `hapticd record` wrote, all are."""
     flight = texts.get("flight")
     return int(flight.get("complete_from", 0)) if isinstance(flight, dict) else 0
 
@@ -361,7 +361,7 @@ def _turn(rerun: Rerun, revisions: list[_Revision], place: int, to: int) -> int:
     return to
 
 
-# ---- Where it begins, and what each tick was told ------------------------------------------------------------------
+# ---- Where it begins, and the input of each tick -------------------------------------------------------------------
 
 
 def _stretches(
