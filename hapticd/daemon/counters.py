@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 from hapticd.base.core import HISTOGRAM_EDGES_NS, CData, Fault, ffi, lib
-from hapticd.hid.signs import Told
+from hapticd.hid.signs import SignsStatus
 
 _NO_FAULT: Final = Fault(0)
 
@@ -90,9 +90,9 @@ class Counters(NamedTuple):
     """As of the last tick that was observed."""
 
     @property
-    def signs(self) -> Told:
+    def signs(self) -> SignsStatus:
         """The check of a HID device's signs."""
-        return Told.read(self.signs_word)
+        return SignsStatus.read(self.signs_word)
 
 
 TOTALS: Final = Counters._fields[: Counters._fields.index("suspends") + 1]

@@ -74,13 +74,13 @@ class _Live:
     since_s: float
     """time.monotonic()"""
 
-    def resets_seen(self, told: bool) -> bool | None:
-        """Whether a reset by another program would be seen; None: not known yet, or it has no effects to lose. `told`:
-        the device has said that an effect of ours plays."""
+    def resets_seen(self, has_played: bool) -> bool | None:
+        """Whether a reset by another program would be seen; None: not known yet, or it has no effects to lose.
+        `has_played`: the device has said that an effect of ours plays."""
         if self.plan.foreign_s is None:
             return None
         asked = self.plan.effects is not None and time.monotonic() - self.since_s < TELL_S
-        return True if told else None if asked else False
+        return True if has_played else None if asked else False
 
 
 class Connection:
@@ -151,7 +151,7 @@ class Connection:
         self._let_go(orderly=True)
 
     def suspect(self) -> None:
-        """The device may have lost what it was told, as in a suspend: it is set up anew. For any thread."""
+        """The device may have lost what it was sent, as in a suspend: it is set up anew. For any thread."""
         lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:
@@ -211,7 +211,7 @@ class Connection:
             self._count()
 
     def _try(self, work: Callable[[], object]) -> None:
-        """What goes wrong is told once for each reason, and ends the connection."""
+        """What goes wrong is logged once for each reason, and ends the connection."""
         try:
             work()
         except HapticdError as error:
@@ -331,8 +331,8 @@ class Connection:
             lib.hd_hid_clear_reset(self.hid)
             self._problem = None
         elif self._problem is None:
-            self._problem = told = "the device keeps its actuators off"
-            self._repeats.note("actuators", lambda since: _log.warning("%s%s", told, since.more))
+            self._problem = problem = "the device keeps its actuators off"
+            self._repeats.note("actuators", lambda since: _log.warning("%s%s", problem, since.more))
 
     def _actuators(self) -> bool | None:
         """Whether the device says that its actuators are on; None where it says nothing."""

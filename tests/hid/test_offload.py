@@ -292,7 +292,7 @@ def test_a_device_that_leaves_in_the_middle_of_it_is_an_error() -> None:
 
 def offload(count: int = 2, carried_hz: float = 250.0) -> Offload:
     made = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    made.judge_by(carried_hz)
+    made.set_carried(carried_hz)
     made.attach(periodic(FINE, count), "")
     return made
 
@@ -334,34 +334,34 @@ def test_a_device_with_other_effects_plays_none() -> None:
     assert held.take(wood) is not None and held.shown_hz(wood) is not None
     material = {"wood": shipped_materials()["wood"]}
     held.detach()
-    assert held.shown_hz(wood) is None and held.told(material)[0].refused == "the device is not connected"
+    assert held.shown_hz(wood) is None and held.outcomes(material)[0].refused == "the device is not connected"
     held.attach(periodic(Joystick(), 2), "")
-    assert held.told(material)[0].refused == "the device that is connected now plays other effects"
+    assert held.outcomes(material)[0].refused == "the device that is connected now plays other effects"
     held.detach()
     held.attach(periodic(FINE, 2), "")
-    assert held.shown_hz(wood) is not None and held.told(material)[0].refused is None
+    assert held.shown_hz(wood) is not None and held.outcomes(material)[0].refused is None
 
 
 def test_what_is_told_and_why() -> None:
     materials: dict[str, Material] = {name: shipped_materials()[name] for name in ("wood", "steel", "cellophane")}
     coarse = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    coarse.judge_by(10_000.0)
+    coarse.set_carried(10_000.0)
     coarse.attach(periodic(Joystick()), "")
     for name in materials:
         coarse.take(mode_of(name))
-    wood, steel, cellophane = coarse.told(materials)
+    wood, steel, cellophane = coarse.outcomes(materials)
     assert (wood.material, wood.mode, wood.frequency_hz) == ("wood", "tap", pytest.approx(67.0))
     assert wood.refused == "streamed it is nearer, 1.2 %"
     assert steel.refused is not None and steel.refused.startswith("the nearest effect is 8")
     assert steel.shown_hz == 1000.0 and steel.streamed_error_percent < 100.0
     assert cellophane.mode == "rupture"
     assert wood.period_resolution_s == wood.envelope_resolution_s == pytest.approx(1e-3)
-    coarse.judge_by(250.0)
-    assert [told.refused for told in coarse.told(materials)][1:] == [
+    coarse.set_carried(250.0)
+    assert [told.refused for told in coarse.outcomes(materials)][1:] == [
         steel.refused,
         "the device has no more than 8 effects for this",
     ]
-    assert coarse.told(materials)[1].streamed_error_percent == 100.0
+    assert coarse.outcomes(materials)[1].streamed_error_percent == 100.0
 
 
 # ---- A whole engine --------------------------------------------------------------------------------------------------

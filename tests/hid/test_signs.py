@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hapticd.base.core import CData, SignsProblem, SignsState, ffi, lib
-from hapticd.hid.signs import Check, Told
+from hapticd.hid.signs import Check, SignsStatus
 
 RATE_HZ = 1000
 TRAVEL_M = 0.05
@@ -86,21 +86,21 @@ class Run:
         self.force = ffi.new("double[2]")
         self.ticks = 0
 
-    def tick(self) -> Told:
+    def tick(self) -> SignsStatus:
         self.input.position_m = self.handle.report()
-        told = Told.read(lib.hd_signs_try(self.signs, self.of, self.input, self.force))
+        told = SignsStatus.read(lib.hd_signs_try(self.signs, self.of, self.input, self.force))
         self.handle.move((self.force[0], self.force[1]), self.ticks / RATE_HZ)
         self.ticks += 1
         return told
 
-    def until(self, *states: SignsState, at_most_s: float = 30.0) -> Told:
+    def until(self, *states: SignsState, at_most_s: float = 30.0) -> SignsStatus:
         for _ in range(round(at_most_s * RATE_HZ)):
             told = self.tick()
             if told.state in states:
                 return told
         raise AssertionError(told)
 
-    def end(self) -> Told:
+    def end(self) -> SignsStatus:
         return self.until(SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR)
 
 
@@ -230,7 +230,7 @@ def test_it_waits_while_the_handle_moves_and_says_so() -> None:
     handle = Handle(held=True)
     run = Run(handle)
 
-    def swung() -> Told:
+    def swung() -> SignsStatus:
         handle.position_m[0] = 0.02 * math.sin(2 * math.pi * run.ticks / RATE_HZ)
         return run.tick()
 

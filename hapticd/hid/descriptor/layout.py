@@ -310,7 +310,7 @@ def _read(group: Group, stands: _Stands) -> tuple[Report | None, list[str]]:
     """The report; None, and what it lacks, unless all that it needs is here."""
     needed, others = _rows(stands.report)
     found: dict[str, Any] = {}
-    # Numbers before choices: problems are told in this order.
+    # Numbers before choices: problems are listed in this order.
     for name, row in sorted(needed.items(), key=lambda named: isinstance(named[1], OneOf)):
         found[name] = row.find(group)
         if not stands.is_needed and row.lacking(found[name]):
@@ -378,7 +378,7 @@ class _Finder:
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
     def _put(self, groups: dict[tuple[int, int], Group], key: tuple[int, int], field: ReportField) -> None:
-        """Adds the field to its group, unless its report cannot be told apart."""
+        """Adds the field to its group, unless its report cannot be identified."""
         if field.report_id == 0 and self._descriptor.numbered(field.kind):
             self._problems.append(
                 f"{field.kind} report without an id, bit {field.bit_offset}: other {field.kind} reports have one"

@@ -42,7 +42,7 @@ MAX_DEPTH: Final = 64
 _LONG_ITEM: Final = 0xFE
 _MAX_USAGES: Final = 12288
 """Linux takes no more of one field."""
-_MOST_TOLD: Final = 16
+_MOST_LISTED: Final = 16
 
 
 class DescriptorError(HapticdError):
@@ -430,10 +430,10 @@ class _Parser:
             raise _error(self._opened[-1], "Collection", f"still open where the descriptor ends (byte {end})")
         if not self._collections:
             raise DescriptorError("the report descriptor declares no collection, so there is no device in it")
-        told = self._skipped[:_MOST_TOLD]
-        if len(self._skipped) > _MOST_TOLD:
-            told.append(f"{len(self._skipped) - _MOST_TOLD} more items")
-        return Descriptor(tuple(self._fields), tuple(self._collections), self._bits, tuple(told))
+        skipped = self._skipped[:_MOST_LISTED]
+        if len(self._skipped) > _MOST_LISTED:
+            skipped.append(f"{len(self._skipped) - _MOST_LISTED} more items")
+        return Descriptor(tuple(self._fields), tuple(self._collections), self._bits, tuple(skipped))
 
     # ---- usages ------------------------------------------------------------------------------------------------------
 
@@ -467,8 +467,8 @@ class _Parser:
         end = last.first
         if end < first.first or end >> 16 != first.first >> 16:
             end = min(first.first | 0xFFFF, first.first + _MAX_USAGES - 1)
-            told = f"the range from {first.first:#x} to {last.first:#x} is none: it is taken to go on to {end:#x}"
-            self._skip(at, "Usage Maximum", told)
+            what = f"the range from {first.first:#x} to {last.first:#x} is none: it is taken to go on to {end:#x}"
+            self._skip(at, "Usage Maximum", what)
         found = _Usage(first.first, end, last.page)
         if local.open_since is None or local.delimited is None:
             local.usages.append(found)
@@ -489,7 +489,7 @@ class _Parser:
             local.open_since = local.delimited = None
 
     def _end_locals(self) -> None:
-        """What usages stand before a main item is known now; what was left open is told."""
+        """What usages stand before a main item is known now; what was left open is listed."""
         local = self._local
         if local.open_since is not None:
             self._skip(local.open_since, "Delimiter", "the set is open at the next main item: it ends there")

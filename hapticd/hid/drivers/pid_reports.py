@@ -217,7 +217,7 @@ def envelope_report(to: SetEnvelope, index: int) -> bytes:
 
 
 def shared_report(layout: Layout, *, with_periodic: bool = False) -> str | None:
-    """Which output reports of a device have one id, so that sending one sets the others to zero; None: each has its own.
+    """Which output reports of a device share an id, so that sending one sets the others to zero; None: none do.
     `with_periodic`: periodic effects are sent, too."""
     sent = {
         "Set Effect": layout.set_effect,
