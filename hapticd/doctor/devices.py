@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs
-from hapticd.hid.nodes import event_nodes, is_for_others
+from hapticd.hid.event_nodes import event_nodes, is_for_others
 from hapticd.hid.texts import unseen_text
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError
 from hapticd.hid.discovery import Found
-from hapticd.hid.nodes import event_nodes, is_for_others
+from hapticd.hid.event_nodes import event_nodes, is_for_others
 
 RULES: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
 """It sorts behind 70-uaccess, which hands joysticks to whoever sits at the seat, and before 73-seat-late."""
