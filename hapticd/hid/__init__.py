@@ -10,7 +10,7 @@ From a plugged-in device to a force, in this order:
         pid_plan         two effects, one with a direction, or one axis; what is sent afterwards
         pid_reports      each report encoded: Set Effect, Set Constant Force, Effect Operation, Device Control, ...
         pid_directions   the counts of an angle, and what of a force comes out across it
-        pid_periodic     effects that a device plays by itself; pid_pool: how many there is room for
+        pid_periodic     effects that a device plays itself; pid_pool: how many there is room for
         vendor           devices with reports of their own, as device.hid.report describes them
     plan             what a connection does, as data, handed to C as struct hd_hid_plan
     sources, device  what opens a device: a hidraw node; or a recording that stands in for one (replay)

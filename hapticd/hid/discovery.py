@@ -153,7 +153,7 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
     evaluated = [item.evaluated_by(hid) for item in meant]
     usable = [item for item in evaluated if item.usable]
     if not usable:
-        # What lacks nothing by itself does not suit the configuration: whoever opens it says why.
+        # A device whose descriptor lacks nothing does not suit the configuration; opening it gives the reason.
         near = [item for item in evaluated if hid.report is not None or (item.layout and item.layout.usable)]
         usable = near if len(near) == 1 else []
     if not usable:

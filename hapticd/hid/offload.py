@@ -1,4 +1,4 @@
-"""Modes that a device plays by itself: which mode has which of the device's effects, and what became of the others.
+"""Modes that a device plays itself: which mode has which of the device's effects, and what became of the others.
 
 The nearest effect to a mode is found in nearest_effect.py. `Offload` is used by two threads: the one that changes the
 scene, and the one that looks after the connection.
@@ -22,7 +22,7 @@ from hapticd.hid.plan import Message, Periodic, Scale, Value, fill_message
 from hapticd.hid.texts import offload_text
 
 MOST_ERROR: Final = 0.2
-"""An effect that differs by more from its mode (RMS of the difference over RMS) is none of it."""
+"""An effect that differs by more from its mode (RMS of the difference over RMS) is not used."""
 
 
 class EffectUse(NamedTuple):

@@ -203,7 +203,7 @@ class PeriodicBlock:
 
 @dataclass(frozen=True, slots=True)
 class Periodic:
-    """Periodic effects that the device plays by itself."""
+    """Periodic effects that the device plays itself."""
 
     numbers: Numbers
     blocks: tuple[PeriodicBlock, ...]

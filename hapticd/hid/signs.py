@@ -125,7 +125,7 @@ class SignsStatus:
 
 
 class SignsLog:
-    """Lines of the log: where the check has come to something, or waits for somebody; none of them twice running."""
+    """Lines of the log: where the check has come to something, or waits for somebody; no line twice in a row."""
 
     def __init__(self) -> None:
         self._last: SignsStatus | None = None

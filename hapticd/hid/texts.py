@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 
 def offload_text(outcome: Mapping[str, object]) -> str:
-    """What a person reads of a tap or rupture that the device was to play by itself: an `offload` of the protocol."""
+    """What a person reads of a tap or rupture that the device was to play itself: an `offload` of the protocol."""
     name = f"{outcome['mode']} of {outcome['material']}, {outcome['frequency_hz']:g} Hz"
     if outcome["refused"] is not None:
         return f"{name}: streamed, {outcome['refused']}"

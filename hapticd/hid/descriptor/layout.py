@@ -148,7 +148,7 @@ class CreateNewEffect(Report):
 class BlockLoad(Report):
     effect_index: _EffectIndex
     status: Annotated[Choice | None, OneOf("", LOAD_STATUS, (("success", "Block Load Success"),))]
-    """One that could never say that an effect is loaded is none: the index says it."""
+    """One that cannot report success is ignored: the index shows whether the effect is loaded."""
     ram_pool_available: Annotated[Field | None, Number("RAM Pool Available", 0xAC)]
 
 
@@ -423,7 +423,7 @@ class _Finder:
 
 
 def _indices(fields: Iterable[Field]) -> tuple[int, int] | None:
-    """The block indices that all of them can carry; 0 is none."""
+    """The block indices that all of them can carry; 0 means no effect."""
     fields = tuple(fields)
     first = max((field.logical_min for field in fields), default=0)
     last = min((field.logical_max for field in fields), default=0)

@@ -13,7 +13,8 @@ we do:
   are fewer, the last one repeats; if there are more, the rest is dropped.
 - Of the usages between delimiters the first is the preferred one; the others are kept as its aliases.
 - A collection has the first of the usages before it.
-- A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is none, and the logical one counts.
+- A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is absent, and the logical
+  one counts.
 
 Skipped are reserved items (type 3), unknown local items, unknown main items (which end the local state as any main item
 does), long items (the specification defines none; Linux refuses them) and a Usage Minimum without its maximum. A Usage

@@ -52,7 +52,7 @@ class Pool:
         return most if most > 0 else None
 
     def warn(self, text: str) -> None:
-        """Says in the log what is wrong with it: once, and as a sum of a device that is found anew all the time."""
+        """Says in the log what is wrong with it: once, and as a count for a device that is found again and again."""
         if not self._warned:
             self._warned = True
             _repeats.note(text, lambda since: _log.warning("%s%s", text, since.more))
