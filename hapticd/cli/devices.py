@@ -52,7 +52,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
     from hapticd.hid.discovery import find
 
     hid = _hid_of(configs)
-    found = [item.evaluated_with(hid) for item in find()]
+    found = [item.evaluated_by(hid) for item in find()]
     claimed = Claims().names()
     if as_json:
         print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])
@@ -96,8 +96,8 @@ def _verdict(item: Found) -> str:
     said = "can be driven"
     if item.out_interval_s:
         said += f", a report every {wording.si(item.out_interval_s, 's')}"
-    if item.verdict.plan is not None and item.verdict.plan.leak_told:
-        said += f"; {item.verdict.plan.leak_told}"
+    if item.verdict.plan is not None and item.verdict.plan.leak_text:
+        said += f"; {item.verdict.plan.leak_text}"
     return said + (f"; but no permission: {RULE}" if item.permission == "denied" else "")
 
 
@@ -167,7 +167,7 @@ def claim_command(device: str | None, as_json: bool) -> None:
     claims, found = Claims(), find()
     item = _one(device, [one for one in found if one.usable] if device is None else found, "can be driven")
     driver = claims.claim(item)
-    _tell_driver(claims, item, driver, as_json, "claimed: other programs have no access to its event nodes")
+    _print_driver(claims, item, driver, as_json, "claimed: other programs have no access to its event nodes")
 
 
 @devices_command.command("release", short_help="Let other programs at a device again.")
@@ -183,10 +183,10 @@ def release_command(device: str | None, as_json: bool) -> None:
     names = claims.names()
     item = _one(device, [one for one in found if one.hid_name in names] if device is None else found, "is claimed")
     driver = claims.release(item)
-    _tell_driver(claims, item, driver, as_json, "released: other programs may use it")
+    _print_driver(claims, item, driver, as_json, "released: other programs may use it")
 
 
-def _tell_driver(claims: Claims, item: Found, driver: str, as_json: bool, what: str) -> None:
+def _print_driver(claims: Claims, item: Found, driver: str, as_json: bool, what: str) -> None:
     path = claims.path(item.hid_name)
     if as_json:
         print_json({"device": item.hid_name, "path": path, "driver": driver})
@@ -245,7 +245,7 @@ def calibrate_command(
         },
     }
     text = yaml_text(section)
-    # Whatever becomes of the file, what was found is told.
+    # Whatever becomes of the file, what was found is printed.
     if as_json:
         print_json(section)
     else:
@@ -318,7 +318,7 @@ def _lines(verdict: Verdict) -> list[str]:
     """What a person wants to know of a layout."""
     layout = verdict.layout
     if verdict.plan is not None:
-        lines = ["can be driven", f"forces: {_forces(verdict.plan)}", *filter(None, [verdict.plan.leak_told])]
+        lines = ["can be driven", f"forces: {_forces(verdict.plan)}", *filter(None, [verdict.plan.leak_text])]
     elif verdict.is_lacking and layout is not None:
         lines = [f"cannot be driven; missing: {', '.join(layout.missing)}"]
     else:

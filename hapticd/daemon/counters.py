@@ -10,7 +10,7 @@ from typing import Final, Literal, NamedTuple
 
 from hapticd.base.core import HISTOGRAM_EDGES_NS, CData, Fault, ffi, lib
 from hapticd.config.configuration import Servo
-from hapticd.hid.signs import Told
+from hapticd.hid.signs import SignsStatus
 
 _NO_FAULT: Final = Fault(0)
 _MEMORY_KINDS: Final = ("none", "servo", "process")
@@ -129,9 +129,9 @@ class Counters(NamedTuple):
         return Fault(self.latched) if self.latched else _NO_FAULT
 
     @property
-    def signs(self) -> Told:
+    def signs(self) -> SignsStatus:
         """The check of a HID device's signs."""
-        return Told.read(self.signs_word)
+        return SignsStatus.read(self.signs_word)
 
     @property
     def energy(self) -> Energy:

@@ -181,7 +181,7 @@ class Engine:
         if refused:
             raise InvalidError(refused)
         if self._offload is not None:
-            self._offload.evaluate_at(self.output.carried_hz)
+            self._offload.set_carried(self.output.carried_hz)
         operators: deque[tuple[int, CData]] = deque()
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
@@ -377,7 +377,7 @@ class Engine:
             set_rate(self._sim, self.config.device.sim, rate_hz)
         self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
         if self._offload is not None:
-            self._offload.evaluate_at(output.carried_hz)
+            self._offload.set_carried(output.carried_hz)
         self._compiler.turn_to(output)
         self._commands.plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
@@ -453,7 +453,7 @@ class Engine:
         """What became of the scene's taps and ruptures, where the device was to play them by itself. For any thread."""
         if self._offload is None:
             return []
-        return self._offload.told(materials_in(self.scene.objects, self.materials))
+        return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
 
     def stability(self) -> Stability:
         """Which sets of objects that act together are not safe, of the scene in force. For any thread."""

@@ -1,7 +1,7 @@
 """`hapticd doctor`: what of this machine is ready for the daemon, and what to do about the rest.
 
 Nothing is changed: files are read, systemd and the daemon are asked, each with a time limit. What cannot be read is
-told as not known, never as well.
+reported as not known, never as well.
 """
 
 from __future__ import annotations

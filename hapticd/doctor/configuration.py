@@ -19,5 +19,5 @@ def taken(chosen: Chosen) -> tuple[Config, Finding]:
     try:
         return chosen_config(chosen), Finding("config", "ok", str(chosen))
     except HapticdError as error:
-        told = Finding("config", "fail", str(error), "the lines below hold for the built-in configuration")
-        return default_config(), told
+        finding = Finding("config", "fail", str(error), "the lines below hold for the built-in configuration")
+        return default_config(), finding

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs
-from hapticd.hid.nodes import event_nodes, is_for_others
+from hapticd.hid.event_nodes import event_nodes, is_for_others
 from hapticd.hid.texts import unseen_text
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ _SHOWN: Final = 4
 def evaluated(machine: Machine, needs: Needs) -> list[Found]:
     """The HID devices, each evaluated by the configuration if that may mean it."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
-    return devices if needs.device is None else [device.evaluated_with(needs.device) for device in devices]
+    return devices if needs.device is None else [device.evaluated_by(needs.device) for device in devices]
 
 
 def drivable(machine: Machine, needs: Needs) -> list[Found]:

@@ -46,7 +46,7 @@ class Finding:
 
 
 def unknown(name: str, where: str) -> Finding:
-    """What cannot be told."""
+    """What cannot be found out."""
     return Finding(name, "warn", f"not known: {where}")
 
 
@@ -97,7 +97,7 @@ class Holder:
 
 
 def holder(path: Path) -> Holder | None:
-    """Who listens on a Unix socket; None where nobody does, or it cannot be told. Waits for nothing.
+    """Who listens on a Unix socket; None where nobody does, or it cannot be found out. Waits for nothing.
 
     Raises HapticdError where no more connections may wait there.
     """

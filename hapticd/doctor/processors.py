@@ -73,9 +73,9 @@ def governor(machine: Machine, needs: Needs) -> Iterator[Finding]:
     elif not slow:
         yield Finding("governor", "ok", "performance")
     else:
-        told = ", ".join(f"{text} on {listed(numbers)}" for text, numbers in slow.items())
+        which = ", ".join(f"{text} on {listed(numbers)}" for text, numbers in slow.items())
         yield Finding(
-            "governor", "warn", told, "cpupower frequency-set -g performance: a slow processor makes ticks late"
+            "governor", "warn", which, "cpupower frequency-set -g performance: a slow processor makes ticks late"
         )
 
 
@@ -108,7 +108,7 @@ def idle_states(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _deepest_us(machine: Machine, cpu: int | None) -> int | None:
-    """What the slowest idle state that is not switched off takes to leave; None where that is not told."""
+    """What the slowest idle state that is not switched off takes to leave; None where that is not known."""
     names = machine.names(_CPU, r"cpu\d+") if cpu is None else [f"cpu{cpu}"]
     found = []
     for name in names:

@@ -20,20 +20,20 @@ def unit(machine: Machine, needs: Needs) -> Iterator[Finding]:
     if said is None:
         yield unknown("service", "systemctl is not here, or does not answer")
         return
-    told = dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
-    state, restarts = told.get("ActiveState", "?"), told.get("NRestarts", "0")
+    properties = dict(line.split("=", 1) for line in said.splitlines() if "=" in line)
+    state, restarts = properties.get("ActiveState", "?"), properties.get("NRestarts", "0")
     after = f", after {restarts} restarts" if restarts not in ("", "0") else ""
-    at_start = told.get("UnitFileState", "")
-    if told.get("LoadState") != "loaded":
+    at_start = properties.get("UnitFileState", "")
+    if properties.get("LoadState") != "loaded":
         yield Finding(
-            "service", "warn", f"hapticd.service: {told.get('LoadState') or 'unknown'}", "hapticd install-service"
+            "service", "warn", f"hapticd.service: {properties.get('LoadState') or 'unknown'}", "hapticd install-service"
         )
     elif state == "active":
         yield Finding(
             "service", "warn" if after else "ok", f"hapticd.service is active, {at_start}{after}", _log(after)
         )
     elif state == "failed" or after:
-        yield Finding("service", "fail", f"hapticd.service: {state}, {told.get('Result')}{after}", _log("failed"))
+        yield Finding("service", "fail", f"hapticd.service: {state}, {properties.get('Result')}{after}", _log("failed"))
     else:
         yield Finding("service", "warn", f"hapticd.service is {state}, {at_start}", "systemctl enable --now hapticd")
 

@@ -7,7 +7,7 @@ a device is claimed in this order:
 1. a udev rule below /run, for this device alone, takes these nodes from everybody but root (kept until a reboot);
 2. the device is taken from its driver, by which every node that a program has open ends;
 3. it is bound to hid-generic if that takes it (the driver of a vendor may insist), else to whichever driver does: the
-   nodes are made anew, and hidden from the start.
+   nodes are made again, and hidden from the start.
 
 To release it, the rule goes and the device is bound again to the driver that the kernel chooses.
 """
@@ -25,7 +25,7 @@ from typing import Final
 
 from hapticd.base.errors import HapticdError
 from hapticd.hid.discovery import Found
-from hapticd.hid.nodes import event_nodes, is_for_others
+from hapticd.hid.event_nodes import event_nodes, is_for_others
 
 RULES: Final = Path("run/udev/rules.d/71-hapticd-claimed.rules")
 """It sorts behind 70-uaccess, which hands joysticks to whoever sits at the seat, and before 73-seat-late."""

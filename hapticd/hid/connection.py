@@ -1,4 +1,4 @@
-"""Keeps a device connected: sets it up, hands it to C, waits, sets it up anew after a reset, and looks for it when it
+"""Keeps a device connected: sets it up, hands it to C, waits, sets it up again after a reset, and looks for it when it
 has gone.
 
 A thread does that while the daemon runs; C's reader and writer threads (csrc/device/hd_hid_reader.c and
@@ -29,9 +29,9 @@ from hapticd.system.repeated_lines import STATE_S, Repeats
 RETRY_S: Final = 0.25
 """A device that is gone is looked for so often."""
 RECOVERY_S: Final = 0.25
-"""A device that was set up anew has this long to say that it is ready."""
+"""A device that was set up again has this long to say that it is ready."""
 SETTLE_S: Final = 0.02
-"""So long what it says of its own set-up may be under way."""
+"""Reports about its set-up may be under way so long."""
 LISTEN_S: Final = 0.15
 """So long a device is listened to, to find out whether it reports without being moved."""
 TELL_S: Final = 1.0
@@ -74,13 +74,13 @@ class _Live:
     since_s: float
     """time.monotonic()"""
 
-    def resets_seen(self, told: bool) -> bool | None:
-        """Whether a reset by another program would be seen; None: not known yet, or it has no effects to lose. `told`:
-        the device has said that an effect of ours plays."""
+    def resets_seen(self, has_played: bool) -> bool | None:
+        """Whether a reset by another program would be seen; None: not known yet, or it has no effects to lose.
+        `has_played`: the device has said that an effect of ours plays."""
         if self.plan.foreign_s is None:
             return None
         asked = self.plan.effects is not None and time.monotonic() - self.since_s < TELL_S
-        return True if told else None if asked else False
+        return True if has_played else None if asked else False
 
 
 class Connection:
@@ -96,7 +96,7 @@ class Connection:
             raise MemoryError("no memory for a connection")
         self.hid: CData = ffi.gc(made, lib.hd_hid_free)
         self.offload = Offload(self.hid)
-        """What the device plays by itself."""
+        """The effects that the device plays itself."""
         self.denied = False
         """Whether C's threads were refused their priority."""
         self._source = source
@@ -151,7 +151,7 @@ class Connection:
         self._let_go(orderly=True)
 
     def suspect(self) -> None:
-        """The device may have lost what it was told, as in a suspend: it is set up anew. For any thread."""
+        """The device may have lost what it was sent, as in a suspend: it is set up again. For any thread."""
         lib.hd_hid_suspect(self.hid)
 
     def status(self) -> dict[str, object]:
@@ -211,7 +211,7 @@ class Connection:
             self._count()
 
     def _try(self, work: Callable[[], object]) -> None:
-        """What goes wrong is told once for each reason, and ends the connection."""
+        """What goes wrong is logged once for each reason, and ends the connection."""
         try:
             work()
         except HapticdError as error:
@@ -306,8 +306,8 @@ class Connection:
             raise DeviceError(f"{device.path}: cannot be connected: {Status(result).name.lower()}")
 
     def _recover(self) -> None:
-        """Sets a device up anew that was reset. As long as its effects have the same numbers, the servo sees nothing of
-        that but forces that did not arrive. A device that keeps its actuators off is tried again and again."""
+        """Sets up again a device that was reset. If its effects have the same numbers, the servo notices only
+        forces that did not arrive. A device that keeps its actuators off is tried again and again."""
         live = self._live
         assert live is not None
         if self._problem is None:
@@ -331,8 +331,8 @@ class Connection:
             lib.hd_hid_clear_reset(self.hid)
             self._problem = None
         elif self._problem is None:
-            self._problem = told = "the device keeps its actuators off"
-            self._repeats.note("actuators", lambda since: _log.warning("%s%s", told, since.more))
+            self._problem = problem = "the device keeps its actuators off"
+            self._repeats.note("actuators", lambda since: _log.warning("%s%s", problem, since.more))
 
     def _actuators(self) -> bool | None:
         """Whether the device says that its actuators are on; None where it says nothing."""

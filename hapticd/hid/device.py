@@ -152,7 +152,7 @@ def _why(error: OSError) -> str:
 
 def _last(hidapi: object) -> str:
     try:
-        told = hidapi.error()  # type: ignore[attr-defined]
+        reason = hidapi.error()  # type: ignore[attr-defined]
     except (OSError, ValueError):
         return "the device is gone"
-    return " ".join(str(told).split()) or "no reason given"
+    return " ".join(str(reason).split()) or "no reason given"

@@ -23,7 +23,7 @@ SYSFS: Final = Path("/sys/class/hidraw")
 DEV: Final = Path("/dev")
 
 _BUSES: Final = {3: "USB", 5: "Bluetooth", 6: "virtual", 24: "I2C"}
-_TOLD: Final = 3
+_MOST_LISTED: Final = 3
 _HERE: Final = "`hapticd devices` lists what is there"
 
 
@@ -97,7 +97,7 @@ class Found:
         """Whether it is no device of the PID class at all, or none that can be read."""
         return self.layout is None or self.layout.constant_force is None
 
-    def evaluated_with(self, hid: Hid) -> Found:
+    def evaluated_by(self, hid: Hid) -> Found:
         """The same, evaluated by a configuration if that may mean it."""
         return replace(self, hid=hid) if hid != self.hid and is_meant(hid, self) else self
 
@@ -150,20 +150,20 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
     if not meant:
         others = f"; there are {_listed(found)}" if found and wanted else ""
         raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
-    evaluated = [item.evaluated_with(hid) for item in meant]
+    evaluated = [item.evaluated_by(hid) for item in meant]
     usable = [item for item in evaluated if item.usable]
     if not usable:
-        # What lacks nothing by itself does not suit the configuration: whoever opens it says why.
+        # A device whose descriptor lacks nothing does not suit the configuration; opening it gives the reason.
         near = [item for item in evaluated if hid.report is not None or (item.layout and item.layout.usable)]
         usable = near if len(near) == 1 else []
     if not usable:
         if len(evaluated) == 1:
             hint = "; a device with reports of its own needs device.hid.report" if evaluated[0].is_other else ""
-            told = f"{evaluated[0]} cannot be driven: {evaluated[0].verdict.why_not}{hint}"
-            raise DeviceError(told) if evaluated[0].is_other and not hid.names_one else UndrivableError(told)
+            why = f"{evaluated[0]} cannot be driven: {evaluated[0].verdict.why_not}{hint}"
+            raise DeviceError(why) if evaluated[0].is_other and not hid.names_one else UndrivableError(why)
         if near:
-            told = "; ".join(f"{item}: {item.verdict.why_not}" for item in near[:_TOLD])
-            raise UndrivableError(f"no HID device{text} can be driven: {told}; {_HERE}")
+            why = "; ".join(f"{item}: {item.verdict.why_not}" for item in near[:_MOST_LISTED])
+            raise UndrivableError(f"no HID device{text} can be driven: {why}; {_HERE}")
         nearly = [f"; {item}: {item.verdict.why_not}" for item in evaluated if not item.is_other]
         raise DeviceError(
             f"no HID device{text} can be driven: none of {_listed(evaluated)} is a force-feedback device"
@@ -196,26 +196,26 @@ def is_meant(hid: Hid, item: Found) -> bool:
 
 def _look(entry: Path, node: Path) -> Found:
     device = entry / "device"
-    told = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
-    bus, vendor, product = (int(part, 16) for part in told.get("HID_ID", "0:0:0").split(":"))
+    uevent = dict(line.split("=", 1) for line in _text(device / "uevent").splitlines() if "=" in line)
+    bus, vendor, product = (int(part, 16) for part in uevent.get("HID_ID", "0:0:0").split(":"))
     descriptor = (device / "report_descriptor").read_bytes()
     intervals = _intervals(device.resolve().parent)
     absent = not node.exists()
     denied = not absent and not os.access(node, os.R_OK | os.W_OK)
     return Found(
         path=str(node),
-        name=told.get("HID_NAME", ""),
+        name=uevent.get("HID_NAME", ""),
         vendor=vendor & 0xFFFF,
         product=product & 0xFFFF,
-        serial=told.get("HID_UNIQ", ""),
+        serial=uevent.get("HID_UNIQ", ""),
         bus=_BUSES.get(bus, f"bus {bus}"),
-        driver=told.get("DRIVER", ""),
+        driver=uevent.get("DRIVER", ""),
         descriptor=descriptor,
         in_interval_s=intervals.get("in"),
         out_interval_s=intervals.get("out"),
         permission="absent" if absent else "denied" if denied else "ok",
         hid_name=device.resolve().name,
-        port=told.get("HID_PHYS", ""),
+        port=uevent.get("HID_PHYS", ""),
     )
 
 

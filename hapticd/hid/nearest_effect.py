@@ -1,4 +1,4 @@
-"""The nearest effect to a mode, of those that a device can play by itself.
+"""The nearest effect to a mode, of those that a device can play itself.
 
 A sine of the PID class has a period, and an envelope of straight lines: from the attack level to the magnitude over the
 attack time, and from there to the fade level over the fade time, at the end of its duration. Levels are absolute, as

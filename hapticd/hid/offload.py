@@ -1,4 +1,4 @@
-"""Modes that a device plays by itself: which mode has which of the device's effects, and what became of the others.
+"""Modes that a device plays itself: which mode has which of the device's effects, and what became of the others.
 
 The nearest effect to a mode is found in nearest_effect.py. `Offload` is used by two threads: the one that changes the
 scene, and the one that looks after the connection.
@@ -22,7 +22,7 @@ from hapticd.hid.plan import Message, Periodic, Scale, Value, fill_message
 from hapticd.hid.texts import offload_text
 
 MOST_ERROR: Final = 0.2
-"""An effect that differs by more from its mode (RMS of the difference over RMS) is none of it."""
+"""An effect that differs by more from its mode (RMS of the difference over RMS) is not used."""
 
 
 class EffectUse(NamedTuple):
@@ -80,7 +80,7 @@ class Offload:
         self._last_id = 0
         self._changed = False
         self.version = 0
-        """Raised whenever what `told` says may be another."""
+        """Raised whenever what `outcomes` says may be another."""
 
     # ---- The connection's thread ---------------------------------------------------------------------------------
 
@@ -107,7 +107,7 @@ class Offload:
 
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
-    def evaluate_at(self, carried_hz: float) -> None:
+    def set_carried(self, carried_hz: float) -> None:
         """How many forces a second are streamed otherwise."""
         self._carried_hz = carried_hz
 
@@ -143,27 +143,27 @@ class Offload:
             held = self._held.get(mode) if self._attached else None
             return None if held is None else held.effect.frequency_hz
 
-    def told(self, materials: Mapping[str, Material]) -> list[Offloaded]:
+    def outcomes(self, materials: Mapping[str, Material]) -> list[Offloaded]:
         """What became of the taps and ruptures of these materials, which are all used."""
         found: list[Offloaded] = []
         for name, material in materials.items():
             if material.tap is not None:
-                found.append(self._tell_tap(name, material.tap))
+                found.append(self._outcome_of_tap(name, material.tap))
             if material.rupture is not None:
-                found.append(self._tell(name, "rupture", material.rupture.mode))
+                found.append(self._outcome(name, "rupture", material.rupture.mode))
         return found
 
-    def _tell_tap(self, material: str, tap: Tap) -> Offloaded:
+    def _outcome_of_tap(self, material: str, tap: Tap) -> Offloaded:
         if tap.waveform is not None:
             hertz, why = tap.waveform.curve.middle_hz, "it is a waveform, which no effect plays"
         elif tap.mode_table is not None:
             hertz, why = tap.mode.frequency_hz, "its mode follows the speed, an effect has one"
         else:
-            return self._tell(material, "tap", tap.mode)
+            return self._outcome(material, "tap", tap.mode)
         streamed = 100.0 * streamed_error(Mode(1.0, 2.0 * math.pi * hertz), self._carried_hz)
         return Offloaded(material, "tap", hertz, None, None, None, None, streamed, why)
 
-    def _tell(self, material: str, use: str, mode: Mode) -> Offloaded:
+    def _outcome(self, material: str, use: str, mode: Mode) -> Offloaded:
         with self._lock:
             periodic = self._periodic
             streamed = 100.0 * streamed_error(mode, self._carried_hz)

@@ -203,7 +203,7 @@ class PeriodicBlock:
 
 @dataclass(frozen=True, slots=True)
 class Periodic:
-    """Periodic effects that the device plays by itself."""
+    """Periodic effects that the device plays itself."""
 
     numbers: Numbers
     blocks: tuple[PeriodicBlock, ...]
@@ -227,7 +227,7 @@ class Plan:
     """What another program may have changed of the effects: sent one by one, in turn, to a device that does not say
     that they play."""
     effects: PlayingBits | None = None
-    """What tells that the device has forgotten an effect; None: nothing does."""
+    """Where the device reports that it has forgotten an effect; None: nowhere."""
     states: tuple[StateBit, ...] = ()
     on_change: bool = False
     """The device reports only what changes."""
@@ -256,7 +256,7 @@ class Plan:
         return max(abs(self.x.m_per_count), abs(self.y.m_per_count))
 
     @property
-    def leak_told(self) -> str:
+    def leak_text(self) -> str:
         """What `leak` means, for a person; empty where it is below a thousandth."""
         if self.leak < 1e-3:
             return ""

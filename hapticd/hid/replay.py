@@ -176,7 +176,7 @@ def record(
 class ReplayDevice:
     """A device that reports what a recording holds, in a thread of its own, and takes every force.
 
-    At the end it begins anew, or is gone, as if it had been unplugged.
+    At the end it begins again, or is gone, as if it had been unplugged.
     """
 
     def __init__(self, recording: Recording, replay: Replay) -> None:

@@ -126,7 +126,7 @@ class _Pusher:
         self.put(0.0, 0.0)
         return moved
 
-    def told(self, along: int) -> str:
+    def sent(self, along: int) -> str:
         """What the device was sent for the last push along an axis (0 or 1): its effect, and the reports in hex."""
         quantities = ((HidQuantity.X, HidQuantity.Y)[along], HidQuantity.MAGNITUDE)
         carried = [m.data for m in self._plan.force if any(value.quantity in quantities for value in m.values)]
@@ -177,7 +177,7 @@ def calibrate(
             if max(map(abs, moved[name])) < MOVED * half_m:
                 raise DeviceError(
                     f"the handle did not move along any axis when {force_n:g} N pushed along the device's {name} axis, "
-                    f"nor for -{force_n:g} N: {pusher.told(along)} (hex, id first); is a hand on it, or does it take "
+                    f"nor for -{force_n:g} N: {pusher.sent(along)} (hex, id first); is a hand on it, or does it take "
                     f"these reports otherwise? Else try more with --force{_alone(moved)}"
                 )
         return Calibration(_found(moved), moved)

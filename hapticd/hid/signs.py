@@ -1,5 +1,5 @@
 """The check of a device's signs before the first force of the scene: csrc/device/hd_signs.h does it, here is what it
-is told and what it says."""
+is given and what it reports."""
 
 from __future__ import annotations
 
@@ -74,15 +74,15 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What the servo says of the check."""
+class SignsStatus:
+    """What the servo reports of the check."""
 
     state: SignsState
     problem: SignsProblem
     axis: str
 
     @classmethod
-    def read(cls, word: int) -> Told:
+    def read(cls, word: int) -> SignsStatus:
         """From `signs` of struct hd_counters."""
         problem = word >> lib.HD_SIGNS_PROBLEM_SHIFT & 0xFF
         axis = word >> lib.HD_SIGNS_AXIS_SHIFT & 0xFF
@@ -125,20 +125,20 @@ class Told:
 
 
 class SignsLog:
-    """Lines of the log: where the check has come to something, or waits for somebody; none of them twice running."""
+    """Lines of the log: where the check has come to something, or waits for somebody; no line twice in a row."""
 
     def __init__(self) -> None:
-        self._last: Told | None = None
+        self._last: SignsStatus | None = None
 
-    def note(self, told: Told) -> None:
+    def note(self, status: SignsStatus) -> None:
         """How far the check is now."""
-        line = told.line()
-        if told == self._last or (line is None and told.state != SignsState.RIGHT):
+        line = status.line()
+        if status == self._last or (line is None and status.state != SignsState.RIGHT):
             return
-        self._last = told
+        self._last = status
         if line is None:
             _log.info("signs of the device checked: forces move the handle the right way")
-        elif told.state == SignsState.WRONG:
+        elif status.state == SignsState.WRONG:
             _log.error("signs of the device are wrong, forces stay off: %s", line)
         else:
             _log.warning("signs of the device are not known yet: %s", line)

@@ -60,8 +60,8 @@ def identity_of(status: os.stat_result, sysfs: Path = SYSFS) -> Identity | None:
         text = (entry / "device" / "uevent").read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
-    told = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
-    return Identity(major, minor, {key: told[key] for key in _KEYS if key in told})
+    uevent = dict(line.split("=", 1) for line in text.splitlines() if "=" in line)
+    return Identity(major, minor, {key: uevent[key] for key in _KEYS if key in uevent})
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class StopFile:
         identity = self._identify(fd)
         if identity is None:
             return
-        told = {
+        record = {
             "version": _VERSION,
             "path": path,
             "identity": asdict(identity),
@@ -105,7 +105,7 @@ class StopFile:
             part.unlink(missing_ok=True)
             out = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
             with open(out, "w", encoding="utf-8") as file:
-                json.dump(told, file)
+                json.dump(record, file)
             os.replace(part, self.path)
         except OSError as error:
             with suppress(OSError):
@@ -146,30 +146,30 @@ def load(path: Path) -> Record | None:
 def _record(text: bytes) -> Record:
     if len(text) > _LARGEST_BYTES:
         raise ValueError(f"more than {_LARGEST_BYTES} bytes")
-    told = json.loads(text)
-    if not isinstance(told, dict) or told.get("version") != _VERSION:
+    record = json.loads(text)
+    if not isinstance(record, dict) or record.get("version") != _VERSION:
         raise ValueError(f"not of version {_VERSION}")
-    node, identity, device = told["path"], told["identity"], told["identity"]["device"]
+    node, identity, device = record["path"], record["identity"], record["identity"]["device"]
     if not isinstance(node, str) or not node.startswith("/") or "\0" in node:
         raise ValueError("path is none")
     if not isinstance(device, dict) or not all(isinstance(value, str) for value in device.values()):
         raise ValueError("identity is none")
-    pause_s = float(told["pause_s"])
+    pause_s = float(record["pause_s"])
     if not 0.0 <= pause_s <= 10.0:
         raise ValueError("pause_s is not between 0 and 10")
     return Record(
         node,
         Identity(int(identity["major"]), int(identity["minor"]), device),
-        tuple(_reports(told["zero"])),
-        tuple(_reports(told["stop"])),
+        tuple(_reports(record["zero"])),
+        tuple(_reports(record["stop"])),
         pause_s,
     )
 
 
-def _reports(told: object) -> Iterator[bytes]:
-    if not isinstance(told, list):
+def _reports(texts: object) -> Iterator[bytes]:
+    if not isinstance(texts, list):
         raise ValueError("reports are no list")
-    for text in told:
+    for text in texts:
         if not isinstance(text, str) or not re.fullmatch(r"(?:[0-9a-f]{2})+", text) or len(text) > 2 * _LONGEST_REPORT:
             raise ValueError(f"{quoted(str(text))} is no report")
         yield bytes.fromhex(text)
@@ -300,9 +300,9 @@ def _send(fd: int, record: Record, what: str, until_s: float, write: Callable[[i
         raise HapticdError(f"{what}: does not take reports; it may still push")
     if any(error.errno in _GONE for error in problems.values()):
         raise _NotThereError("went away while it was told")
-    told = [f"report {reports[number].hex(' ')}: {error.strerror}" for number, error in sorted(problems.items())]
+    refused = [f"report {reports[number].hex(' ')}: {error.strerror}" for number, error in sorted(problems.items())]
     zeroed = bool(record.zero) and min(problems, default=len(reports)) >= len(record.zero)
     stopped = bool(record.stop) and max(problems, default=-1) < len(record.zero)
     if not zeroed and not stopped:
-        raise HapticdError(f"{what}: refuses {len(told)} of {len(reports)} reports, {told[0]}; it may still push")
-    return told
+        raise HapticdError(f"{what}: refuses {len(refused)} of {len(reports)} reports, {refused[0]}; it may still push")
+    return refused

@@ -1,14 +1,14 @@
-"""What a person reads of devices that play modes, and of those that do not tell of resets. It loads nothing."""
+"""What a person reads of devices that play modes, and of those that do not report resets. It loads nothing."""
 
 from collections.abc import Mapping
 
 
-def offload_text(told: Mapping[str, object]) -> str:
-    """What a person reads of a tap or rupture that the device was to play by itself: an `offload` of the protocol."""
-    name = f"{told['mode']} of {told['material']}, {told['frequency_hz']:g} Hz"
-    if told["refused"] is not None:
-        return f"{name}: streamed, {told['refused']}"
-    return f"{name}: played by the device at {told['shown_hz']:g} Hz, {told['error_percent']:.2g} % off"
+def offload_text(outcome: Mapping[str, object]) -> str:
+    """What a person reads of a tap or rupture that the device was to play itself: an `offload` of the protocol."""
+    name = f"{outcome['mode']} of {outcome['material']}, {outcome['frequency_hz']:g} Hz"
+    if outcome["refused"] is not None:
+        return f"{name}: streamed, {outcome['refused']}"
+    return f"{name}: played by the device at {outcome['shown_hz']:g} Hz, {outcome['error_percent']:.2g} % off"
 
 
 def unseen_text(node: str, foreign_s: object = None) -> tuple[str, str]:

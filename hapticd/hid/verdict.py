@@ -1,7 +1,7 @@
 """Whether a device can be driven, by its report descriptor and the configuration alone: one plan, one verdict.
 
 The daemon, `hapticd devices`, `devices parse`, `doctor` and `check` all ask here, so that they cannot disagree. A
-device that is judged drivable may still refuse to make an effect when it is set up; that is not in its descriptor.
+device that is found drivable may still refuse to make an effect when it is set up; that is not in its descriptor.
 """
 
 from __future__ import annotations
@@ -50,16 +50,18 @@ class Verdict:
     def sound(self) -> tuple[Driver, Plan]:
         """Its driver and its plan. Raises UndrivableError where it cannot be driven."""
         if self.driver is None or self.plan is None:
-            told = str(self.why_not)
+            why_not = str(self.why_not)
             # A fault of the configuration names its key, which says enough.
-            raise UndrivableError(told if told.startswith("device.hid.") else f"the device cannot be driven: {told}")
+            raise UndrivableError(
+                why_not if why_not.startswith("device.hid.") else f"the device cannot be driven: {why_not}"
+            )
         return self.driver, self.plan
 
     def to_dict(self) -> dict[str, object]:
         """As JSON: the layout, and the verdict."""
-        told = {} if self.layout is None else self.layout.to_dict()
+        layout = {} if self.layout is None else self.layout.to_dict()
         leak = None if self.plan is None else self.plan.leak
-        return {**told, "usable": self.drivable, "why_not": self.why_not, "leak": leak}
+        return {**layout, "usable": self.drivable, "why_not": self.why_not, "leak": leak}
 
 
 def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
@@ -87,10 +89,10 @@ def verdict_of(hid: Hid, descriptor: bytes) -> Verdict:
         ]
         return Verdict(layout, problem, driver, plans[0], None)
     except DeviceError as error:
-        told = str(error)
-        if layout is not None and not told.startswith("device.hid."):
-            told += _unused(layout)
-        return Verdict(layout, problem, None, None, told)
+        why_not = str(error)
+        if layout is not None and not why_not.startswith("device.hid."):
+            why_not += _unused(layout)
+        return Verdict(layout, problem, None, None, why_not)
 
 
 def _lacking(layout: Layout) -> str:

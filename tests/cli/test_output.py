@@ -23,7 +23,7 @@ from hapticd.client.methods import patch_tree
 from hapticd.daemon.control import _FAULT_WORDS
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.status_text import FAULTS, lines, text_of
-from hapticd.hid.signs import Told
+from hapticd.hid.signs import SignsStatus
 from hapticd.protocol.calls import DaemonNotRunning, RemoteError, result_of
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.messages import Code
@@ -108,7 +108,7 @@ def with_signs(forces: str, word: SignsState, problem: SignsProblem = SignsProbl
         "force_hz": None,
         "states": {},
         "resets": 0,
-        "signs": Told(word, problem, "x").to_dict(),
+        "signs": SignsStatus(word, problem, "x").to_dict(),
     }
     faults = ["signs"] if forces == "faulted" else []
     return list(lines(status(forces=forces, faults=faults, connection=connection)))
@@ -136,8 +136,8 @@ def test_the_status_says_how_far_the_check_of_signs_is_and_what_to_do() -> None:
 
 
 def test_force_on_says_what_the_check_of_signs_waits_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    signs = Told(SignsState.CHECKING, SignsProblem.FINE, "x").to_dict()
-    wrong = Told(SignsState.WRONG, SignsProblem.REVERSED, "x").line()
+    signs = SignsStatus(SignsState.CHECKING, SignsProblem.FINE, "x").to_dict()
+    wrong = SignsStatus(SignsState.WRONG, SignsProblem.REVERSED, "x").line()
     answers: list[Any] = [
         {"result": {"forces": "on", "tick": 1, "signs": signs}},
         {"error": {"code": -32003, "message": f"forces are off because {wrong}", "data": {"faults": ["signs"]}}},

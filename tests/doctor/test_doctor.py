@@ -37,7 +37,7 @@ def put(root: Path, files: Mapping[str, str]) -> None:
         (root / name).write_text(text)
 
 
-def told(
+def reported(
     root: Path, check: Check, files: Mapping[str, str] | None = None, needs: Needs | None = None, **how: Any
 ) -> str:
     """Verdicts and what was said, of one check over a tree."""
@@ -70,11 +70,11 @@ def nothing(resource_number: int) -> tuple[int, int]:
     ],
 )
 def test_missing_files_are_not_known_and_never_well(tmp_path: Path, check: Check) -> None:
-    assert told(tmp_path, check).startswith("warn not known: ")
+    assert reported(tmp_path, check).startswith("warn not known: ")
 
 
 def test_a_processor_that_is_asked_for_is_not_known_without_files(tmp_path: Path) -> None:
-    assert told(tmp_path, processors.isolation, needs=Needs(cpu=2)).startswith("warn not known: ")
+    assert reported(tmp_path, processors.isolation, needs=Needs(cpu=2)).startswith("warn not known: ")
 
 
 def test_every_check_stands_an_empty_machine(tmp_path: Path) -> None:
@@ -96,7 +96,7 @@ def test_files_that_hold_nonsense(tmp_path: Path) -> None:
 def test_a_pipe_in_the_place_of_a_file_does_not_keep_it_waiting(tmp_path: Path) -> None:
     (tmp_path / "proc").mkdir()
     os.mkfifo(tmp_path / "proc" / "version")
-    assert told(tmp_path, kernel.preemption).startswith("warn not known: ")
+    assert reported(tmp_path, kernel.preemption).startswith("warn not known: ")
 
 
 # ---- Kernel ----------------------------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ BUILT = "# CONFIG_PREEMPT_NONE is not set\nCONFIG_PREEMPT_VOLUNTARY=y\nCONFIG_PR
     ],
 )
 def test_preemption(tmp_path: Path, files: dict[str, str], verdict: str, words: str) -> None:
-    said = told(tmp_path, kernel.preemption, files)
+    said = reported(tmp_path, kernel.preemption, files)
     assert said.startswith(verdict)
     assert words in said
 
@@ -144,7 +144,7 @@ def test_preemption(tmp_path: Path, files: dict[str, str], verdict: str, words: 
 )
 def test_throttling(tmp_path: Path, runtime: str, period: str, verdict: str) -> None:
     files = {f"proc/sys/kernel/sched_rt_{name}_us": text for name, text in (("runtime", runtime), ("period", period))}
-    assert told(tmp_path, kernel.throttling, files).startswith(verdict)
+    assert reported(tmp_path, kernel.throttling, files).startswith(verdict)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_throttling(tmp_path: Path, runtime: str, period: str, verdict: str) -> 
     ],
 )
 def test_budget_of_the_control_group(tmp_path: Path, files: dict[str, str], verdict: str) -> None:
-    assert told(tmp_path, kernel.group_budget, {"proc/sys/kernel/osrelease": "6.1\n", **files}).startswith(verdict)
+    assert reported(tmp_path, kernel.group_budget, {"proc/sys/kernel/osrelease": "6.1\n", **files}).startswith(verdict)
 
 
 @pytest.mark.parametrize(("realtime", "verdict"), [("required", "fail"), ("preferred", "warn"), ("off", "ok")])
@@ -186,7 +186,7 @@ def test_no_time_for_real_time_is_as_bad_as_the_configuration_says(
         "proc/self/cgroup": "4:cpu:/user\n",
         "sys/fs/cgroup/cpu/user/cpu.rt_runtime_us": "0",
     }
-    assert told(tmp_path, check, files, needs=Needs(realtime)).startswith(verdict)
+    assert reported(tmp_path, check, files, needs=Needs(realtime)).startswith(verdict)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +194,7 @@ def test_no_time_for_real_time_is_as_bad_as_the_configuration_says(
 )
 def test_clock(tmp_path: Path, name: str, verdict: str) -> None:
     files = {"sys/devices/system/clocksource/clocksource0/current_clocksource": name + "\n"}
-    assert told(tmp_path, kernel.clock, files).startswith(verdict)
+    assert reported(tmp_path, kernel.clock, files).startswith(verdict)
 
 
 # ---- Rights ----------------------------------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ def test_clock(tmp_path: Path, name: str, verdict: str) -> None:
 )
 def test_real_time_rights(tmp_path: Path, realtime: Any, limit: int, capabilities: str, verdict: str) -> None:
     files = {"proc/self/status": f"Name:\tx\nCapEff:\t{capabilities}\n"}
-    said = told(tmp_path, limits.real_time, files, Needs(realtime, 80), limit=lambda number: (limit, limit))
+    said = reported(tmp_path, limits.real_time, files, Needs(realtime, 80), limit=lambda number: (limit, limit))
     assert said.startswith(verdict)
 
 
@@ -230,7 +230,7 @@ def test_real_time_rights(tmp_path: Path, realtime: Any, limit: int, capabilitie
 )
 def test_locked_memory(tmp_path: Path, limit: int, capabilities: str, verdict: str) -> None:
     files = {"proc/self/status": f"CapEff:\t{capabilities}\n"}
-    said = told(tmp_path, limits.memory, files, Needs("required"), limit=lambda number: (limit, limit))
+    said = reported(tmp_path, limits.memory, files, Needs("required"), limit=lambda number: (limit, limit))
     assert said.startswith(verdict)
 
 
@@ -256,16 +256,16 @@ def test_lists_of_processors(text: str, wanted: set[int]) -> None:
 )
 def test_isolation(tmp_path: Path, cpu: int | None, files: dict[str, str], verdict: str) -> None:
     files = {"proc/self/status": NO_CAPABILITIES, **files}
-    assert told(tmp_path, processors.isolation, files, Needs(cpu=cpu)).startswith(verdict)
+    assert reported(tmp_path, processors.isolation, files, Needs(cpu=cpu)).startswith(verdict)
 
 
 def test_governor(tmp_path: Path) -> None:
     files = {f"{CPU}/cpu{n}/cpufreq/scaling_governor": "performance\n" for n in range(4)}
-    assert told(tmp_path, processors.governor, files) == "ok performance -> "
+    assert reported(tmp_path, processors.governor, files) == "ok performance -> "
     files[f"{CPU}/cpu1/cpufreq/scaling_governor"] = "powersave\n"
-    assert told(tmp_path, processors.governor, files).startswith("warn powersave on 1")
-    assert told(tmp_path, processors.governor, files, Needs(cpu=1)).startswith("warn powersave on 1")
-    assert told(tmp_path, processors.governor, files, Needs(cpu=2)).startswith("ok")
+    assert reported(tmp_path, processors.governor, files).startswith("warn powersave on 1")
+    assert reported(tmp_path, processors.governor, files, Needs(cpu=1)).startswith("warn powersave on 1")
+    assert reported(tmp_path, processors.governor, files, Needs(cpu=2)).startswith("ok")
 
 
 def test_idle_states_that_cannot_be_held_off(tmp_path: Path) -> None:
@@ -275,20 +275,20 @@ def test_idle_states_that_cannot_be_held_off(tmp_path: Path) -> None:
     node = tmp_path / "dev" / "cpu_dma_latency"
     refused: dict[str, Any] = {"may_write": lambda path: False}
     node.chmod(0o400)
-    assert told(tmp_path, processors.idle_states, **refused).startswith("warn")
-    assert told(tmp_path, processors.idle_states, needs=Needs("required"), **refused).startswith("fail")
+    assert reported(tmp_path, processors.idle_states, **refused).startswith("warn")
+    assert reported(tmp_path, processors.idle_states, needs=Needs("required"), **refused).startswith("fail")
     node.chmod(0o460)
-    assert told(tmp_path, processors.idle_states, group=lambda gid: "hapticd", **refused).startswith(
+    assert reported(tmp_path, processors.idle_states, group=lambda gid: "hapticd", **refused).startswith(
         "ok the service can"
     )
-    assert told(tmp_path, processors.idle_states, group=lambda gid: "users", **refused).startswith("warn")
+    assert reported(tmp_path, processors.idle_states, group=lambda gid: "users", **refused).startswith("warn")
     put(tmp_path, {f"{CPU}/cpu0/cpuidle/state2/disable": "1\n"})
-    assert told(tmp_path, processors.idle_states, group=lambda gid: "users", **refused).startswith("ok no deep")
+    assert reported(tmp_path, processors.idle_states, group=lambda gid: "users", **refused).startswith("ok no deep")
 
 
 def test_idle_states_that_can_be_held_off(tmp_path: Path) -> None:
     put(tmp_path, {"dev/cpu_dma_latency": "", f"{CPU}/cpu0/cpuidle/state1/latency": "200\n"})
-    assert told(tmp_path, processors.idle_states).startswith("ok deep idle states can be held off (up to 200 us")
+    assert reported(tmp_path, processors.idle_states).startswith("ok deep idle states can be held off (up to 200 us")
 
 
 # ---- Joysticks -------------------------------------------------------------------------------------------------------
@@ -322,21 +322,21 @@ def process(root: Path, pid: int, name: str, *open_files: str) -> None:
 
 
 def test_no_joystick(tmp_path: Path) -> None:
-    assert told(tmp_path, devices.permissions).startswith("ok no force-feedback joystick")
-    assert told(tmp_path, devices.permissions, needs=Needs(hid=True)).startswith("warn no force-feedback joystick")
-    assert told(tmp_path, devices.rule).startswith("ok")
-    assert told(tmp_path, devices.rule, needs=Needs(hid=True)).startswith("warn")
+    assert reported(tmp_path, devices.permissions).startswith("ok no force-feedback joystick")
+    assert reported(tmp_path, devices.permissions, needs=Needs(hid=True)).startswith("warn no force-feedback joystick")
+    assert reported(tmp_path, devices.rule).startswith("ok")
+    assert reported(tmp_path, devices.rule, needs=Needs(hid=True)).startswith("warn")
     assert list(devices.competitors(Machine(tmp_path), Needs())) == []
 
 
 def test_a_joystick_that_may_be_driven(tmp_path: Path) -> None:
     joystick(tmp_path)
     process(tmp_path, 77, "bash", "/dev/pts/0")
-    assert told(tmp_path, devices.permissions) == "ok Stick at /dev/hidraw0 may be driven from here -> "
-    assert told(tmp_path, devices.rule).startswith("warn 70-hapticd.rules is not installed")
+    assert reported(tmp_path, devices.permissions) == "ok Stick at /dev/hidraw0 may be driven from here -> "
+    assert reported(tmp_path, devices.rule).startswith("warn 70-hapticd.rules is not installed")
     put(tmp_path, {"etc/udev/rules.d/70-hapticd.rules": ""})
-    assert told(tmp_path, devices.rule) == "ok /etc/udev/rules.d/70-hapticd.rules -> "
-    assert told(tmp_path, devices.competitors) == "ok nobody else uses /dev/hidraw0 -> "
+    assert reported(tmp_path, devices.rule) == "ok /etc/udev/rules.d/70-hapticd.rules -> "
+    assert reported(tmp_path, devices.competitors) == "ok nobody else uses /dev/hidraw0 -> "
 
 
 def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
@@ -344,7 +344,7 @@ def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
     descriptor = tmp_path / "sys/class/hidraw/hidraw0/device/report_descriptor"
     # One axis and two bytes out: no forces, unless the configuration says what they are.
     descriptor.write_bytes(bytes.fromhex("05010904a10109301500 26ff0075089502 8102 0600ff0901 9102c0"))
-    assert told(tmp_path, devices.permissions).startswith("ok no force-feedback joystick of the PID class")
+    assert reported(tmp_path, devices.permissions).startswith("ok no force-feedback joystick of the PID class")
     report = {
         "input": {name: {"bit_offset": at, "bit_size": 8, "counts_per_m": 1000} for name, at in (("x", 0), ("y", 8))},
         "output": {
@@ -354,11 +354,11 @@ def test_a_joystick_that_the_configuration_describes(tmp_path: Path) -> None:
     }
     mine = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
     other = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1C, "report": report}))
-    assert told(tmp_path, devices.permissions, needs=mine) == "ok Stick at /dev/hidraw0 may be driven from here -> "
-    assert told(tmp_path, devices.competitors, needs=mine) == "ok nobody else uses /dev/hidraw0 -> "
+    assert reported(tmp_path, devices.permissions, needs=mine) == "ok Stick at /dev/hidraw0 may be driven from here -> "
+    assert reported(tmp_path, devices.competitors, needs=mine) == "ok nobody else uses /dev/hidraw0 -> "
     missing = "warn no force-feedback joystick that the configuration describes is connected; there are 1 other"
-    assert told(tmp_path, devices.permissions, needs=other).startswith(missing)
-    # A description that does not fit is told as `hapticd run` would tell it.
+    assert reported(tmp_path, devices.permissions, needs=other).startswith(missing)
+    # A description that does not fit is reported as by `hapticd run`.
     report["output"]["length"] = 3
     wrong = Needs(hid=True, device=Hid.model_validate({"vendor": 0x45E, "product": 0x1B, "report": report}))
     lines = [str(one) for one in devices.permissions(Machine(tmp_path), wrong)]
@@ -384,32 +384,32 @@ def test_a_joystick_without_permission(tmp_path: Path) -> None:
     node = joystick(tmp_path)
     node.chmod(0o460)
     how: dict[str, Any] = {"find": lambda *where: [replace(one, permission="denied") for one in find(*where)]}
-    assert told(tmp_path, devices.permissions, **how).startswith("warn")
-    assert told(tmp_path, devices.permissions, needs=Needs(hid=True), **how).startswith("fail")
+    assert reported(tmp_path, devices.permissions, **how).startswith("warn")
+    assert reported(tmp_path, devices.permissions, needs=Needs(hid=True), **how).startswith("fail")
     put(tmp_path, {"etc/systemd/system/hapticd.service": ""})
     how["group"] = lambda gid: "input"
-    assert told(tmp_path, devices.permissions, **how).startswith("ok Stick at /dev/hidraw0 may be")
+    assert reported(tmp_path, devices.permissions, **how).startswith("ok Stick at /dev/hidraw0 may be")
     how["group"] = lambda gid: "video"
-    assert told(tmp_path, devices.permissions, **how).startswith("warn")
+    assert reported(tmp_path, devices.permissions, **how).startswith("warn")
 
 
 def test_competing_programs(tmp_path: Path) -> None:
     joystick(tmp_path)
     process(tmp_path, 77, "hapticd", "/dev/hidraw0")
-    assert told(tmp_path, devices.competitors).startswith("ok nobody else")
+    assert reported(tmp_path, devices.competitors).startswith("ok nobody else")
     process(tmp_path, 88, "game", "/dev/null", "/dev/input/event5")
     process(tmp_path, 99, "other", "/dev/hidraw1")
-    said = told(tmp_path, devices.competitors)
+    said = reported(tmp_path, devices.competitors)
     assert said.startswith("warn /dev/hidraw0 or its event nodes are open in game (88)")
     assert "other" not in said
 
 
-def test_the_kernels_own_effects_are_told_where_others_may_use_them(tmp_path: Path) -> None:
+def test_the_kernels_own_effects_are_reported_where_others_may_use_them(tmp_path: Path) -> None:
     joystick(tmp_path)
     (tmp_path / "dev" / "input" / "event5").chmod(0o660)
-    assert "at /dev/input/event5" in told(tmp_path, devices.competitors)
+    assert "at /dev/input/event5" in reported(tmp_path, devices.competitors)
     put(tmp_path, {"sys/class/hidraw/hidraw0/device/input/input9/capabilities/ff": "0\n"})
-    assert told(tmp_path, devices.competitors).startswith("ok nobody else")
+    assert reported(tmp_path, devices.competitors).startswith("ok nobody else")
 
 
 def test_a_device_whose_resets_nobody_sees(tmp_path: Path) -> None:
@@ -418,19 +418,19 @@ def test_a_device_whose_resets_nobody_sees(tmp_path: Path) -> None:
         bytes(Joystick(without=frozenset({0x92})))
     )
     condition = "/dev/hidraw0 does not report which of its effects play: a reset by another program is not noticed"
-    assert told(tmp_path, devices.competitors).endswith(f"ok {condition} -> ")
+    assert reported(tmp_path, devices.competitors).endswith(f"ok {condition} -> ")
     (tmp_path / "dev" / "input" / "event5").chmod(0o660)
     action = "`hapticd devices claim /dev/hidraw0` keeps other programs off"
-    assert told(tmp_path, devices.competitors).endswith(f"warn {condition} -> {action}")
+    assert reported(tmp_path, devices.competitors).endswith(f"warn {condition} -> {action}")
 
 
 # ---- Service and daemon ----------------------------------------------------------------------------------------------
 
 
 def systemctl(**properties: str) -> Callable[[Sequence[str]], str]:
-    told = {"LoadState": "loaded", "ActiveState": "active", "SubState": "running", "UnitFileState": "enabled"}
-    told |= {"NRestarts": "0", "Result": "success", **properties}
-    return lambda words: "".join(f"{name}={value}\n" for name, value in told.items())
+    shown = {"LoadState": "loaded", "ActiveState": "active", "SubState": "running", "UnitFileState": "enabled"}
+    shown |= {"NRestarts": "0", "Result": "success", **properties}
+    return lambda words: "".join(f"{name}={value}\n" for name, value in shown.items())
 
 
 @pytest.mark.parametrize(
@@ -446,29 +446,29 @@ def systemctl(**properties: str) -> Callable[[Sequence[str]], str]:
 )
 def test_the_unit(tmp_path: Path, properties: dict[str, str], wanted: str) -> None:
     (tmp_path / "run" / "systemd" / "system").mkdir(parents=True)
-    assert told(tmp_path, service.unit, run=systemctl(**properties)).startswith(wanted)
-    assert told(tmp_path, service.unit, run=lambda words: None).startswith("warn not known")
+    assert reported(tmp_path, service.unit, run=systemctl(**properties)).startswith(wanted)
+    assert reported(tmp_path, service.unit, run=lambda words: None).startswith("warn not known")
 
 
 def test_the_daemon(tmp_path: Path) -> None:
     status = {"version": "1.2", "faults": [], "realtime": {"missing": []}}
-    assert told(tmp_path, service.daemon).startswith("warn none answers")
-    assert told(tmp_path, service.daemon, daemon=lambda: status, version="1.2") == "ok hapticd 1.2 answers -> "
-    assert told(tmp_path, service.daemon, daemon=lambda: status, version="1.3").startswith(
+    assert reported(tmp_path, service.daemon).startswith("warn none answers")
+    assert reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2") == "ok hapticd 1.2 answers -> "
+    assert reported(tmp_path, service.daemon, daemon=lambda: status, version="1.3").startswith(
         "warn it is hapticd 1.2, this"
     )
     status |= {"faults": ["device"], "realtime": {"missing": ["SCHED_FIFO priority 80: not permitted"]}}
-    said = told(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
+    said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
     assert "warn it was not granted: SCHED_FIFO priority 80" in said
     assert "warn a fault holds the forces off: device" in said
     status["connection"] = {"path": "/dev/hidraw3", "resets_seen": False, "foreign_effect_s": 0.0957}
-    said = told(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
+    said = reported(tmp_path, service.daemon, daemon=lambda: status, version="1.2")
     assert "is not noticed; what it uploads lasts up to 96 ms -> `hapticd devices claim /dev/hidraw3` keeps" in said
 
     def silent() -> None:
         raise HapticdError("the daemon did not answer within 2 s")
 
-    assert told(tmp_path, service.daemon, daemon=silent).startswith("fail the daemon did not answer")
+    assert reported(tmp_path, service.daemon, daemon=silent).startswith("fail the daemon did not answer")
 
 
 # ---- The command -----------------------------------------------------------------------------------------------------

@@ -111,8 +111,8 @@ def test_without_rights_nothing_changes(kernel: Kernel) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
     without = Claims(kernel.root, denied, kernel.run)
-    told = "no permission to take it from its driver: sudo hapticd devices claim /dev/hidraw5"
-    assert refusal(kernel, "claim", without).endswith(told)
+    message = "no permission to take it from its driver: sudo hapticd devices claim /dev/hidraw5"
+    assert refusal(kernel, "claim", without).endswith(message)
     assert not (kernel.root / RULES).exists() and kernel.modes(STICK) == {0o660}
     kernel.claims.claim(kernel.found(STICK))
     assert "no permission to give it back: sudo" in refusal(kernel, "release", without)

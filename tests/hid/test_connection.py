@@ -363,9 +363,9 @@ def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
 def test_what_status_says(world: World) -> None:
     world.plug()
     engine = world.start()
-    told = Control(engine).status()
-    assert told["device"] == "hid"
-    link = told["connection"]
+    answer = Control(engine).status()
+    assert answer["device"] == "hid"
+    link = answer["connection"]
     assert isinstance(link, dict)
     assert (link["name"], link["path"], link["state"], link["problem"]) == ("stick", "fake0", "connected", None)
     assert link["endpoint_hz"] == 500.0 and link["measured_hz"] > 0

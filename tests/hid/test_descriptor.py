@@ -121,7 +121,7 @@ def test_physical_range_and_unit() -> None:
 
 
 def test_a_physical_range_that_stands_from_another_field() -> None:
-    """It stands, as the specification has it; that it was given for another logical range is told."""
+    """It stands, as the specification has it; that it was given for another logical range is reported."""
 
     def one(*items: bytes) -> bytes:
         return usage(0x30) + b"".join(items) + size(8) + data(INPUT)
@@ -134,8 +134,8 @@ def test_a_physical_range_that_stands_from_another_field() -> None:
         push() + one(logical(0, 50), physical(0, 500)) + pop() + one(logical(0, 50)),
         one(physical(0, 0)),
     )
-    told = [(field.physical_max, field.is_physical_stale) for field in stick(*items).fields]
-    assert told == [(1, False), (40, False), (40, False), (40, True), (500, False), (40, True), (50, False)]
+    seen = [(field.physical_max, field.is_physical_stale) for field in stick(*items).fields]
+    assert seen == [(1, False), (40, False), (40, False), (40, True), (500, False), (40, True), (50, False)]
 
 
 def test_a_logical_minimum_above_the_maximum() -> None:
@@ -186,8 +186,8 @@ def test_a_range_with_one_extended_end() -> None:
     # The other end is of another page: as far as the page of the first one goes, but no more than Linux takes.
     apart = stick(usage_page(BUTTON), whole, logical(0, 1), size(8, 2), data(INPUT))
     assert usages(apart.fields[0]) == [X, Y]
-    (told,) = apart.skipped
-    assert told.endswith("the range from 0x10030 to 0x90031 is none: it is taken to go on to 0x1302f")
+    (message,) = apart.skipped
+    assert message.endswith("the range from 0x10030 to 0x90031 is none: it is taken to go on to 0x1302f")
 
 
 def test_a_page_after_the_usages() -> None:
@@ -315,12 +315,12 @@ ODDITIES = {
 @pytest.mark.parametrize("name", ODDITIES)
 def test_what_linux_skips_is_skipped_and_told(name: str) -> None:
     """Between two axes, so that what is skipped must not shift or swallow anything."""
-    odd, told = ODDITIES[name]
+    odd, message = ODDITIES[name]
     first, second = value(INPUT, 0x30, 0, 255, 8), value(INPUT, 0x31, -5, 5, 8)
     plain = stick(first, second)
     found = stick(first, odd, second)
     assert not plain.skipped
-    assert found.skipped == (f"byte {6 + len(first)} {told}",)
+    assert found.skipped == (f"byte {6 + len(first)} {message}",)
     assert [(f.usages, f.bit_size, f.logical_min, f.logical_max) for f in found.fields if not f.is_constant] == [
         (f.usages, f.bit_size, f.logical_min, f.logical_max) for f in plain.fields
     ]
@@ -334,7 +334,7 @@ def test_an_unknown_main_item_ends_the_local_state_and_others_do_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("body", "first", "told"),
+    ("body", "first", "message"),
     [
         # Without a usage it is padding.
         (item(0x18, 0x30), None, "(Usage Minimum): a range without Usage Maximum: skipped"),
@@ -344,11 +344,11 @@ def test_an_unknown_main_item_ends_the_local_state_and_others_do_not() -> None:
         (usage_page(0x10001) + usage(0x30), X, "(Usage Page): 0x10001 has more than 16 bits: taken for 0x1"),
     ],
 )
-def test_usages_that_are_not_as_they_should_be(body: bytes, first: int | None, told: str) -> None:
+def test_usages_that_are_not_as_they_should_be(body: bytes, first: int | None, message: str) -> None:
     found = stick(body, logical(0, 255), size(8), data(INPUT))
     assert found.fields[0].usage_at(0) == first
     (skipped,) = found.skipped
-    assert told in skipped
+    assert message in skipped
 
 
 def test_a_range_among_alternatives() -> None:

@@ -157,8 +157,8 @@ def test_none(machine: Machine) -> None:
 
 def test_one_that_cannot_be_driven(machine: Machine) -> None:
     machine.add(0, bytes(Joystick(without=frozenset({0x73}))), (0x45E, 0xB13), "Pad")
-    told = machine.refusal(product=0xB13)
-    assert told == (
+    message = machine.refusal(product=0xB13)
+    assert message == (
         "/dev/hidraw0 (Pad, 045e:0b13) cannot be driven: its report descriptor has no Set Constant Force; "
         "a device with reports of its own needs device.hid.report"
     )

@@ -37,8 +37,8 @@ class Host:
         """Status, block and what is left of the memory."""
         self.stick.set_feature(self.form("create").write(kind))
         load = self.form("load")
-        told = load.read(self.stick.get_feature(load.report, load.size + 1)[1:])
-        return str(told["chosen"]), int(told["index"]), int(told["ram_pool_available"])
+        content = load.read(self.stick.get_feature(load.report, load.size + 1)[1:])
+        return str(content["chosen"]), int(content["index"]), int(content["ram_pool_available"])
 
     def effect(self, kind: str = "constant_force", *, turns: float = 0.75, **numbers: int) -> int:
         """A new effect from a direction, east being 0.25, for a second; its block."""
@@ -70,9 +70,9 @@ def test_a_descriptor_is_read_bit_by_bit() -> None:
     assert at[0x30] == (80, 1) and at[0x31] == (81, 1) and at[0x56] == (82, 1) and at[0xA7] == (104, 16)
     report = bytes.fromhex("01 01 01 64 00 00 00 00 00 ff ff 04 bf 00 00 00")
     with Firmware(descriptors.SIDEWINDER_FF2) as stick:
-        name, told = stick.read(report)
-        assert name == "set_effect" and told["chosen"] == "constant_force" and told["duration"] == 100
-        assert told["direction_enable"] == 1 and told["direction 0"] == 191 and told["axes"] == ""
+        name, content = stick.read(report)
+        assert name == "set_effect" and content["chosen"] == "constant_force" and content["duration"] == 100
+        assert content["direction_enable"] == 1 and content["direction 0"] == 191 and content["axes"] == ""
 
 
 def test_signs_and_the_width_of_numbers() -> None:

@@ -131,7 +131,7 @@ def test_metals_need_tenths_of_a_millisecond(name: str) -> None:
 
 
 def test_levels_are_those_that_the_device_has() -> None:
-    """Two counts for a level: what is told is what two counts give."""
+    """Two counts for a level: what is reported is what two counts give."""
     mode = mode_of("wood")
     found = nearest_effect(mode, numbers(Joystick(level=2)))
     assert found is not None
@@ -292,7 +292,7 @@ def test_a_device_that_leaves_in_the_middle_of_it_is_an_error() -> None:
 
 def offload(count: int = 2, carried_hz: float = 250.0) -> Offload:
     made = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    made.evaluate_at(carried_hz)
+    made.set_carried(carried_hz)
     made.attach(periodic(FINE, count), "")
     return made
 
@@ -334,34 +334,34 @@ def test_a_device_with_other_effects_plays_none() -> None:
     assert held.take(wood) is not None and held.shown_hz(wood) is not None
     material = {"wood": shipped_materials()["wood"]}
     held.detach()
-    assert held.shown_hz(wood) is None and held.told(material)[0].refused == "the device is not connected"
+    assert held.shown_hz(wood) is None and held.outcomes(material)[0].refused == "the device is not connected"
     held.attach(periodic(Joystick(), 2), "")
-    assert held.told(material)[0].refused == "the device that is connected now plays other effects"
+    assert held.outcomes(material)[0].refused == "the device that is connected now plays other effects"
     held.detach()
     held.attach(periodic(FINE, 2), "")
-    assert held.shown_hz(wood) is not None and held.told(material)[0].refused is None
+    assert held.shown_hz(wood) is not None and held.outcomes(material)[0].refused is None
 
 
 def test_what_is_told_and_why() -> None:
     materials: dict[str, Material] = {name: shipped_materials()[name] for name in ("wood", "steel", "cellophane")}
     coarse = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    coarse.evaluate_at(10_000.0)
+    coarse.set_carried(10_000.0)
     coarse.attach(periodic(Joystick()), "")
     for name in materials:
         coarse.take(mode_of(name))
-    wood, steel, cellophane = coarse.told(materials)
+    wood, steel, cellophane = coarse.outcomes(materials)
     assert (wood.material, wood.mode, wood.frequency_hz) == ("wood", "tap", pytest.approx(67.0))
     assert wood.refused == "streamed it is nearer, 1.2 %"
     assert steel.refused is not None and steel.refused.startswith("the nearest effect is 8")
     assert steel.shown_hz == 1000.0 and steel.streamed_error_percent < 100.0
     assert cellophane.mode == "rupture"
     assert wood.period_resolution_s == wood.envelope_resolution_s == pytest.approx(1e-3)
-    coarse.evaluate_at(250.0)
-    assert [told.refused for told in coarse.told(materials)][1:] == [
+    coarse.set_carried(250.0)
+    assert [outcome.refused for outcome in coarse.outcomes(materials)][1:] == [
         steel.refused,
         "the device has no more than 8 effects for this",
     ]
-    assert coarse.told(materials)[1].streamed_error_percent == 100.0
+    assert coarse.outcomes(materials)[1].streamed_error_percent == 100.0
 
 
 # ---- A whole engine --------------------------------------------------------------------------------------------------
@@ -392,7 +392,7 @@ def ringing(world: World) -> World:
 
 
 def near(stick: FakePid, strike: Strike, coefficient_n: float, direction: tuple[float, float]) -> bool:
-    """Whether a strike is the mode with this coefficient, within what is told of it."""
+    """Whether a strike is the mode with this coefficient, within what is reported of it."""
     found = nearest_effect(MODE, numbers(FINE))
     assert found is not None
     time_s = np.linspace(0.0, 12 * MODE.decay_time_s, 20_001)
@@ -431,8 +431,8 @@ def test_play_is_left_to_the_device(ringing: World) -> None:
     # Again as strong and the same way: its start is all there is to say.
     stick.log.clear()
     index = struck(ringing, control, stick, direction=[0, -1], amplitude_m_per_s2=40.0).index
-    told = [line for line in stick.log if line.endswith(f" {index}")]
-    assert index == strike.index and told == [f"operation start {index}"]
+    sent = [line for line in stick.log if line.endswith(f" {index}")]
+    assert index == strike.index and sent == [f"operation start {index}"]
     strike = struck(ringing, control, stick, direction=[1, 0], amplitude_m_per_s2=20.0)
     assert near(stick, strike, 20.0 * MASS_KG, (1.0, 0.0))
     plays = sum(isinstance(change, Played) for change in engine.read_changes())
@@ -459,19 +459,19 @@ def test_a_tap_is_played_with_the_strength_of_its_event(ringing: World) -> None:
     engine.set_forces(True)
     ringing.full(engine)
     ringing.contacts(engine)
-    told: list[float] = []
+    strikes_n: list[float] = []
 
     def tapped() -> bool:
         """A tap that falls into a stall is none, and one that the device would have struck late is lost."""
-        lost, before = connection_status(engine)["strikes_lost"], len(told)
+        lost, before = connection_status(engine)["strikes_lost"], len(strikes_n)
         for depth_m in (-0.001, 0.0005, 0.0015):
             ringing.hold(depth_m)
         ringing.arrived(engine, 0.0015)
         ringing.later(engine)
         # What is met anew after a stall is a contact, too, and strikes nothing.
         strengths = [float(event["amplitude_m_per_s2"] * event["scale"]) for event in ringing.contacts(engine)]
-        told.extend(strength for strength in strengths if strength > 0.0)
-        if len(told) > before:
+        strikes_n.extend(strength for strength in strengths if strength > 0.0)
+        if len(strikes_n) > before:
             ringing.until(lambda: bool(stick.strikes) or connection_status(engine)["strikes_lost"] > lost)
         if not stick.strikes:
             ringing.hold(-0.002)
@@ -480,7 +480,7 @@ def test_a_tap_is_played_with_the_strength_of_its_event(ringing: World) -> None:
 
     ringing.until(tapped)
     (strike,) = stick.strikes
-    assert near(stick, strike, told[-1] * MASS_KG, (0.0, 1.0))
+    assert near(stick, strike, strikes_n[-1] * MASS_KG, (0.0, 1.0))
 
 
 def test_nothing_is_played_while_forces_are_off_and_what_plays_is_stopped(ringing: World) -> None:
@@ -518,7 +518,7 @@ def test_an_unplugged_device_and_a_reset(ringing: World) -> None:
     engine.set_forces(True)
     ringing.full(engine)
     struck(ringing, control, stick, direction=[0, 1], amplitude_m_per_s2=10.0)
-    # Its effects are gone and made anew, and have to be told everything again.
+    # Its effects are gone and made again, and everything has to be sent again.
     stick.reset()
     ringing.until(lambda: connection_status(engine)["resets"] >= 1)
     ringing.until(lambda: play_until(control, play, stick, 2))
@@ -542,11 +542,11 @@ def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
     ringing.plug()
     engine = ringing.start()
     status = Control(engine).status()
-    told = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
-    assert told.keys() == {"ringing", "glass"}
+    outcomes = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
+    assert outcomes.keys() == {"ringing", "glass"}
     found = nearest_effect(MODE, numbers(FINE))
     assert found is not None
-    assert told["ringing"] == {
+    assert outcomes["ringing"] == {
         "material": "ringing",
         "mode": "tap",
         "frequency_hz": pytest.approx(1500.0),
@@ -562,8 +562,8 @@ def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
     silent = {"materials": {"glass": {"tap": {"frequency_hz": 4700.0}}}}
     Control(engine).call("update_materials", silent)
     status = Control(engine).status()
-    told = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
-    assert "% off" in told["glass"]["refused"]
+    outcomes = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
+    assert "% off" in outcomes["glass"]["refused"]
     assert [mode["material"] for mode in status["undisplayable"]] == ["glass"]  # type: ignore[attr-defined]
 
 

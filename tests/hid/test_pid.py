@@ -246,16 +246,16 @@ def test_quirks_leave_reports_out() -> None:
 
 
 @pytest.mark.parametrize(
-    ("says", "told"),
+    ("says", "reason"),
     [
         ("full", "fake0: PID Block Load says that there is no room for another effect"),
         ("error", "fake0: PID Block Load says that the effect is refused"),
     ],
 )
-def test_block_load_refuses(says: str, told: str) -> None:
+def test_block_load_refuses(says: str, reason: str) -> None:
     with joystick(load_says=says) as stick, pytest.raises(DeviceError) as caught:
         driver(stick).set_up(stick.device)
-    assert str(caught.value) == told
+    assert str(caught.value) == reason
 
 
 def test_block_load_gives_what_cannot_be() -> None:
@@ -265,17 +265,17 @@ def test_block_load_gives_what_cannot_be() -> None:
 
 
 @pytest.mark.parametrize(
-    ("answers_as", "without", "told"),
+    ("answers_as", "without", "reason"),
     [
         (1, {0x7F}, "fake0: asked for PID Block Load, report 2, the device answers report 1"),
         (9, set(), "fake0: asked for PID Block Load, report 2, the device answers report 9"),
     ],
 )
-def test_another_report_is_no_answer(answers_as: int, without: set[int], told: str) -> None:
+def test_another_report_is_no_answer(answers_as: int, without: set[int], reason: str) -> None:
     with joystick(Joystick(without=frozenset(without)), answers_as=answers_as) as stick:
         with pytest.raises(DeviceError) as caught:
             driver(stick).set_up(stick.device)
-        assert str(caught.value) == told
+        assert str(caught.value) == reason
 
 
 def test_effects_numbered_by_the_device() -> None:

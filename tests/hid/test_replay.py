@@ -53,7 +53,7 @@ HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", "is no recording: it is empty"),
         ("hello\n", ":1: Expecting value: line 1 column 1 (char 0)"),
@@ -73,11 +73,11 @@ HEAD = '{"recording": 1, "name": "a", "vendor": 1, "product": 2, "descriptor": "
         (" " * 70000 + "\n" + HEAD, ":1: a line of more than 65536 characters"),
     ],
 )
-def test_what_is_no_recording(path: str, text: str, told: str) -> None:
+def test_what_is_no_recording(path: str, text: str, message: str) -> None:
     Path(path).write_text(text)
     with pytest.raises(HapticdError) as caught:
         load(path)
-    assert str(caught.value).startswith(path) and told in str(caught.value) and "\n" not in str(caught.value)
+    assert str(caught.value).startswith(path) and message in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_no_more_is_read_of_a_line_than_fits(path: str) -> None:

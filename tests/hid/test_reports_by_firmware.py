@@ -166,7 +166,7 @@ def _vectors(force_axes: tuple[int, ...] = (0x30, 0x31), without: frozenset[int]
 
 @pytest.mark.parametrize("name", ["no direction", "vectors"])
 def test_axes_alone_go_the_way_of_the_device(name: str) -> None:
-    """Without an angle a device is told the axis alone, and its Y grows towards the user: a calibration finds that."""
+    """Without an angle a device is sent the axis alone, and its Y grows towards the user: a calibration finds that."""
     descriptor = _vectors() if name == "vectors" else bytes(Joystick(direction_bits=0, without=frozenset({0x56})))
     table = Table(descriptor, SPECIFIED, 5.0)
     with table.stick as stick:
@@ -359,9 +359,9 @@ def test_a_wheel_that_names_two_axes_is_told_what_it_needs(sign: int) -> None:
     table = Table(bytes(Joystick(direction_bits=16)), variant, 5.0)
     with table.stick as stick, pytest.raises(DeviceError) as caught:
         calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
-    told = str(caught.value)
-    assert told.endswith(f"a device without a motor for y needs device.hid.force_axes: {{x: {{sign: {sign}}}}}")
-    keys = yaml.safe_load(told.split("device.hid.force_axes: ")[1])
+    message = str(caught.value)
+    assert message.endswith(f"a device without a motor for y needs device.hid.force_axes: {{x: {{sign: {sign}}}}}")
+    keys = yaml.safe_load(message.split("device.hid.force_axes: ")[1])
     assert hid(force_axes=keys).signs == "trust"
     with driven(table.stick.descriptor, variant, force_axes=keys) as (stick, plan):
         send(stick, plan, (4.0, 2.0))
@@ -385,11 +385,11 @@ def test_a_calibration_that_finds_nothing_says_what_was_sent(name: str) -> None:
     with table.stick as stick:
         with pytest.raises(DeviceError) as caught:
             calibrate(stick.device, driver(stick), hid(), 0.4, now=lambda: stick.now, pause=table.pause)
-        told = str(caught.value)
+        message = str(caught.value)
         (set_effect, _) = stick.sent("set_effect")
         strongest = min(stick.sent("constant_force"), key=lambda report: stick.read(report)[1]["magnitude"])
-        assert "device's x axis" in told and "0.4 N" in told and "effect 1 had" in told and "\n" not in told
-        assert f"Set Effect {set_effect.hex(' ')}" in told
-        assert f"Set Constant Force {strongest.hex(' ')}" in told
-        assert f"Effect Operation {stick.forms['operation'].write('start', index=1, loops=1).hex(' ')}" in told
-        assert "power" not in told
+        assert "device's x axis" in message and "0.4 N" in message and "effect 1 had" in message and "\n" not in message
+        assert f"Set Effect {set_effect.hex(' ')}" in message
+        assert f"Set Constant Force {strongest.hex(' ')}" in message
+        assert f"Effect Operation {stick.forms['operation'].write('start', index=1, loops=1).hex(' ')}" in message
+        assert "power" not in message

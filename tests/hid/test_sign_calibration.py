@@ -67,10 +67,10 @@ def test_what_it_finds_makes_the_device_right(x: int, y: int, swap: bool, signed
     bench.stick.close()
     # Driven by what was found, a force moves the handle its own way.
     again = Bench(wiring, like)
-    told = again.calibrate(force_axes=found.force_axes.to_dict())
+    second = again.calibrate(force_axes=found.force_axes.to_dict())
     again.stick.close()
-    assert told.moved_m["x"] == pytest.approx((0.4 * M_PER_N, 0.0), abs=2e-4)
-    assert told.moved_m["y"] == pytest.approx((0.0, 0.4 * M_PER_N), abs=2e-4)
+    assert second.moved_m["x"] == pytest.approx((0.4 * M_PER_N, 0.0), abs=2e-4)
+    assert second.moved_m["y"] == pytest.approx((0.0, 0.4 * M_PER_N), abs=2e-4)
 
 
 def test_a_push_ends_once_the_handle_has_moved() -> None:
@@ -81,7 +81,7 @@ def test_a_push_ends_once_the_handle_has_moved() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wiring", "told"),
+    ("wiring", "message"),
     [
         (
             ((0.0, 0.0), (0.0, 0.0)),
@@ -91,12 +91,12 @@ def test_a_push_ends_once_the_handle_has_moved() -> None:
         (((1.0, 1.0), (0.0, 0.0)), "both of the device's axes moved the handle along x"),
     ],
 )
-def test_what_is_not_clear(wiring: Any, told: str) -> None:
+def test_what_is_not_clear(wiring: Any, message: str) -> None:
     bench = Bench(wiring)
     with pytest.raises(DeviceError) as caught:
         bench.calibrate()
     bench.stick.close()
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert bench.is_at_rest()
 
 

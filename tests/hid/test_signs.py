@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hapticd.base.core import CData, SignsProblem, SignsState, ffi, lib
-from hapticd.hid.signs import Check, Told
+from hapticd.hid.signs import Check, SignsStatus
 
 RATE_HZ = 1000
 TRAVEL_M = 0.05
@@ -86,21 +86,21 @@ class Run:
         self.force = ffi.new("double[2]")
         self.ticks = 0
 
-    def tick(self) -> Told:
+    def tick(self) -> SignsStatus:
         self.input.position_m = self.handle.report()
-        told = Told.read(lib.hd_signs_try(self.signs, self.of, self.input, self.force))
+        status = SignsStatus.read(lib.hd_signs_try(self.signs, self.of, self.input, self.force))
         self.handle.move((self.force[0], self.force[1]), self.ticks / RATE_HZ)
         self.ticks += 1
-        return told
+        return status
 
-    def until(self, *states: SignsState, at_most_s: float = 30.0) -> Told:
+    def until(self, *states: SignsState, at_most_s: float = 30.0) -> SignsStatus:
         for _ in range(round(at_most_s * RATE_HZ)):
-            told = self.tick()
-            if told.state in states:
-                return told
-        raise AssertionError(told)
+            status = self.tick()
+            if status.state in states:
+                return status
+        raise AssertionError(status)
 
-    def end(self) -> Told:
+    def end(self) -> SignsStatus:
         return self.until(SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR)
 
 
@@ -128,11 +128,11 @@ def test_the_way_a_device_pushes_is_found(name: str, way: float) -> None:
     handle.position_m, handle.speed = list(like.position_m), [0.0, 0.0]
     handle.turn = ((way, 0.0), (0.0, way))
     run = Run(handle)
-    told = run.end()
+    status = run.end()
     if way > 0:
-        assert told.state == SignsState.RIGHT and told.line() is None
+        assert status.state == SignsState.RIGHT and status.line() is None
     else:
-        assert (told.state, told.problem, told.axis) == (SignsState.WRONG, SignsProblem.REVERSED, "x")
+        assert (status.state, status.problem, status.axis) == (SignsState.WRONG, SignsProblem.REVERSED, "x")
     assert run.ticks / RATE_HZ < 8
     forces = np.array(handle.forces)
     assert np.abs(forces).max() <= 0.1 * FULL_N + 1e-12
@@ -152,13 +152,13 @@ def test_one_wrong_axis_is_enough(
     turn: tuple[tuple[float, float], tuple[float, float]], problem: SignsProblem, axis: str
 ) -> None:
     run = Run(Handle(turn=turn))
-    told = run.end()
-    assert (told.state, told.problem, told.axis) == (SignsState.WRONG, problem, axis)
+    status = run.end()
+    assert (status.state, status.problem, status.axis) == (SignsState.WRONG, problem, axis)
     pushed = len(run.handle.forces)
     for _ in range(500):
         assert run.tick().state == SignsState.WRONG
     assert not np.array(run.handle.forces)[pushed - 1 :].any()
-    line = told.line()
+    line = status.line()
     assert (
         line is not None
         and "hapticd devices calibrate" in line
@@ -186,8 +186,8 @@ def test_a_handle_that_is_held_is_unclear_until_it_is_let_go() -> None:
     run = Run(Handle(held=True))
     said = {run.tick().line() for _ in range(1500)}
     assert "the handle did not move when it was pushed along x: let go of it" in said
-    told = run.end()
-    assert (told.state, told.problem) == (SignsState.UNCLEAR, SignsProblem.STILL)
+    status = run.end()
+    assert (status.state, status.problem) == (SignsState.UNCLEAR, SignsProblem.STILL)
     pulses = len(run.handle.forces)
     run.input.enabled = 0
     for _ in range(100):
@@ -200,7 +200,7 @@ def test_a_handle_that_is_held_is_unclear_until_it_is_let_go() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_hand_that_moves_it_meanwhile_deceives_nobody(way: float) -> None:
-    """Its own motion is waited for to end, and told; whatever it does then, the answer is never the wrong one."""
+    """Its own motion is waited for to end, and reported; whatever it does then, the answer is never the wrong one."""
     wrong = SignsState.WRONG if way > 0 else SignsState.RIGHT
     right = SignsState.RIGHT if way > 0 else SignsState.WRONG
     outcomes = []
@@ -217,11 +217,11 @@ def test_a_hand_that_moves_it_meanwhile_deceives_nobody(way: float) -> None:
         run = Run(Handle(turn=((way, 0.0), (0.0, way)), hand=lambda t, of=(rates_hz, phases, sizes): hand(t, *of)))
         said = set()
         for _ in range(round(30 * RATE_HZ)):
-            told = run.tick()
-            said.add(told.problem)
-            if told.state in (SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR):
+            status = run.tick()
+            said.add(status.problem)
+            if status.state in (SignsState.RIGHT, SignsState.WRONG, SignsState.UNCLEAR):
                 break
-        outcomes.append(told.state)
+        outcomes.append(status.state)
     assert wrong not in outcomes
     assert outcomes.count(right) >= 10
 
@@ -230,13 +230,13 @@ def test_it_waits_while_the_handle_moves_and_says_so() -> None:
     handle = Handle(held=True)
     run = Run(handle)
 
-    def swung() -> Told:
+    def swung() -> SignsStatus:
         handle.position_m[0] = 0.02 * math.sin(2 * math.pi * run.ticks / RATE_HZ)
         return run.tick()
 
-    told = [swung() for _ in range(3000)][-1]
-    assert (told.state, told.problem) == (SignsState.WAITING, SignsProblem.MOVING)
-    assert told.line() == "the handle does not come to rest: let go of it"
+    status = [swung() for _ in range(3000)][-1]
+    assert (status.state, status.problem) == (SignsState.WAITING, SignsProblem.MOVING)
+    assert status.line() == "the handle does not come to rest: let go of it"
     handle.held = False
     assert run.end().state == SignsState.RIGHT
 
@@ -244,9 +244,9 @@ def test_it_waits_while_the_handle_moves_and_says_so() -> None:
 def test_nothing_is_pushed_while_something_is_touched() -> None:
     run = Run(Handle())
     run.input.contact = 1
-    told = [run.tick() for _ in range(1000)][-1]
-    assert (told.state, told.problem) == (SignsState.WAITING, SignsProblem.CONTACT)
-    assert told.line() == "the handle touches an object of the scene: move it away and let go of it"
+    status = [run.tick() for _ in range(1000)][-1]
+    assert (status.state, status.problem) == (SignsState.WAITING, SignsProblem.CONTACT)
+    assert status.line() == "the handle touches an object of the scene: move it away and let go of it"
     assert not np.array(run.handle.forces).any()
     run.input.contact = 0
     while not run.force[0]:
@@ -264,9 +264,9 @@ def test_a_pulse_ends_at_once_and_the_check_begins_again(fails: str) -> None:
     while not run.force[0]:
         run.tick()
     setattr(run.input, fails, fails == "jumped")
-    told = run.tick()
+    status = run.tick()
     assert run.force[0] == 0.0
-    assert told.state == (SignsState.UNCHECKED if fails == "enabled" else SignsState.CHECKING)
+    assert status.state == (SignsState.UNCHECKED if fails == "enabled" else SignsState.CHECKING)
     setattr(run.input, fails, fails == "enabled")
     assert run.end().state == SignsState.RIGHT
 

@@ -178,8 +178,8 @@ def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_
     assert signs_of(engine) == {"state": "unchecked", "axis": None, "problem": None, "advice": None}
     settled(world)
     assert not world.samples["force_n"].any() and not world.checked().any()
-    told = Control(engine).call("set_forces", {"enabled": True})
-    assert told["forces"] == "on" and told["signs"]["state"] == "checking"  # type: ignore[index]
+    answer = Control(engine).call("set_forces", {"enabled": True})
+    assert answer["forces"] == "on" and answer["signs"]["state"] == "checking"  # type: ignore[index]
     with pytest.raises(MethodError, match="signs of the device are checked") as refused:
         Control(engine).call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
     assert refused.value.code == -32003
@@ -229,9 +229,9 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
     engine = world.start()
     engine.set_forces(True)
     world.comes_to(SignsState.WRONG)
-    told = signs_of(engine)
-    assert (told["state"], told["axis"], told["problem"]) == ("wrong", "x", "reversed")
-    assert "hapticd devices calibrate" in told["advice"] and "\n" not in told["advice"]
+    signs = signs_of(engine)
+    assert (signs["state"], signs["axis"], signs["problem"]) == ("wrong", "x", "reversed")
+    assert "hapticd devices calibrate" in signs["advice"] and "\n" not in signs["advice"]
     assert engine.faults() == Fault.SIGNS
     world.hold(0.024)
     for _ in range(2):

@@ -265,8 +265,8 @@ def test_a_record_that_is_no_file(tmp_path: Path) -> None:
             load(tmp_path / name)
 
 
-def changed(told: Any, key: str, value: object) -> Any:
-    return {**told, key: value}
+def changed(record: Any, key: str, value: object) -> Any:
+    return {**record, key: value}
 
 
 @pytest.mark.parametrize(
@@ -313,9 +313,9 @@ def test_anything_else_is_one_line(tmp_path_factory: pytest.TempPathFactory, tex
     path = tmp_path_factory.mktemp("record") / "record"
     path.touch(0o600)
     path.write_bytes(text)
-    with pytest.raises(HapticdError) as told:
+    with pytest.raises(HapticdError) as caught:
         load(path)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_too_much_is_not_read(record: Path) -> None:
@@ -422,8 +422,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert main(["--runtime-dir", str(tmp_path), "stop-device", "--json"]) == 1
     captured = capsys.readouterr()
     assert captured.out == ""
-    told = json.loads(captured.err)["error"]
-    assert "is no record of a device" in told["message"] and told["exit_code"] == 1
+    error = json.loads(captured.err)["error"]
+    assert "is no record of a device" in error["message"] and error["exit_code"] == 1
     missing = Record("/dev/hidraw99", Identity(1, 2, {}), tuple(ZERO), (), 0.0)
     StopFile(tmp_path / "hapticd.device", lambda fd: missing.identity).keep(missing.path, 0, ZERO, STOP, 0.0)
     assert main(["--runtime-dir", str(tmp_path), "stop-device", "--json"]) == 0

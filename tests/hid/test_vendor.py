@@ -190,12 +190,12 @@ def test_wrong_descriptions(parts: dict[str, Any], where: str, problem: str) -> 
 
 def test_wrong_scripts() -> None:
     assert list(faults(REPORT | {"enable": ["0", "02 01"]})) == ["device.hid.report.enable[0]"]
-    told = faults(REPORT | {"disable": ["feature 02 01"]})
-    assert told == {"device.hid.report": "disable takes output reports only, no feature reports"}
+    reason = faults(REPORT | {"disable": ["feature 02 01"]})
+    assert reason == {"device.hid.report": "disable takes output reports only, no feature reports"}
 
 
 @pytest.mark.parametrize(
-    ("parts", "told"),
+    ("parts", "reason"),
     [
         (
             {"output": {"length": 8}},
@@ -216,10 +216,10 @@ def test_wrong_scripts() -> None:
         ),
     ],
 )
-def test_descriptions_of_another_device(parts: dict[str, Any], told: str) -> None:
+def test_descriptions_of_another_device(parts: dict[str, Any], reason: str) -> None:
     with pytest.raises(DeviceError) as caught:
         VendorDriver(hid(changed(**parts)), DESCRIPTOR)
-    assert str(caught.value) == told
+    assert str(caught.value) == reason
 
 
 def test_a_descriptor_that_cannot_be_read_says_nothing() -> None:

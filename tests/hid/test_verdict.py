@@ -224,8 +224,8 @@ def test_everybody_says_the_same(
     # devices parse
     code = main(["devices", "parse", str(file), "-c", str(config)])
     captured = capsys.readouterr()
-    told = captured.out + captured.err
-    said["parse"] = "" if told.startswith("can be driven\n") else told
+    message = captured.out + captured.err
+    said["parse"] = "" if message.startswith("can be driven\n") else message
     assert code == (1 if captured.err else 0)
     # devices
     assert main(["devices", "-c", str(config)]) == 0
@@ -266,8 +266,8 @@ def test_a_recording_is_judged_as_the_device(
     assert main(["check", "-c", str(config)]) == 1
     capsys.readouterr()
     assert main(["run", "-c", str(config)]) == 1
-    told = capsys.readouterr().err.splitlines()[-1]
-    assert told.startswith("hapticd: the device cannot be driven: ") and reason in told
+    message = capsys.readouterr().err.splitlines()[-1]
+    assert message.startswith("hapticd: the device cannot be driven: ") and reason in message
 
 
 def test_a_description_that_does_not_fit_is_the_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -281,8 +281,10 @@ def test_a_description_that_does_not_fit_is_the_reason(tmp_path: Path, capsys: p
     }
     config.write_text(json.dumps({"device": {"kind": "hid", "hid": {"report": report}}}))
     assert main(["devices", "parse", str(file), "-c", str(config)]) == 0
-    told = capsys.readouterr().out.splitlines()[0]
-    assert told.startswith("cannot be driven: device.hid.report.output.report_id: the device has no output report 99")
+    message = capsys.readouterr().out.splitlines()[0]
+    assert message.startswith(
+        "cannot be driven: device.hid.report.output.report_id: the device has no output report 99"
+    )
 
 
 def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -291,8 +293,8 @@ def test_a_reversed_range_is_one_line_whoever_asks(tmp_path: Path, capsys: pytes
     file = tmp_path / "descriptor"
     file.write_bytes(descriptor)
     assert main(["devices", "parse", str(file)]) == 1
-    told = capsys.readouterr().err
-    assert "its logical minimum 100 lies above its maximum 5" in told and told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "its logical minimum 100 lies above its maximum 5" in message and message.count("\n") == 1
     why_not = verdict_of(Hid(), descriptor).why_not
     assert why_not is not None and "its logical minimum 100 lies above its maximum 5" in why_not
 
@@ -311,8 +313,10 @@ def test_periodic_effects_that_share_a_report_are_not_used() -> None:
     hid = Hid(offload="auto")
     descriptor = with_id(0x6E, 4)
     assert verdict_of(hid, descriptor).drivable
-    told = periodic_problem(layout_of(parse(descriptor)), hid)
-    assert told == ("Set Constant Force and Set Periodic are output report 4: sending one would set the others to zero")
+    message = periodic_problem(layout_of(parse(descriptor)), hid)
+    assert message == (
+        "Set Constant Force and Set Periodic are output report 4: sending one would set the others to zero"
+    )
 
 
 def test_a_faulty_default_configuration_does_not_hide_the_devices(

@@ -27,7 +27,7 @@ from hapticd.base.core import CData, ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
 from hapticd.config.modes import Mode
 from hapticd.hid import nearest_effect, offload
-from hapticd.hid import verdict as judged
+from hapticd.hid import verdict as verdicts
 from hapticd.hid.descriptor.fields import Field
 from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.descriptor.parser import Descriptor, parse
@@ -413,7 +413,7 @@ def drive(source: random.Random, hid: Hid, verdict: Verdict, reports: Reports) -
 @contextmanager
 def without_pauses() -> Iterator[None]:
     """A device that answers at once is not waited for, and no descriptor is read twice."""
-    before = pid.time, pid_pool.time, judged.parse
+    before = pid.time, pid_pool.time, verdicts.parse
 
     class Clock:
         @staticmethod
@@ -425,11 +425,11 @@ def without_pauses() -> Iterator[None]:
         return _parsed[0]
 
     pid.time = pid_pool.time = Clock  # type: ignore[assignment]
-    judged.parse = parse_once
+    verdicts.parse = parse_once
     try:
         yield
     finally:
-        pid.time, pid_pool.time, judged.parse = before
+        pid.time, pid_pool.time, verdicts.parse = before
 
 
 def fuzz(source: random.Random, runs: int, every: int = 0) -> tuple[Counter[str], float]:

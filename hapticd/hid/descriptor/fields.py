@@ -116,7 +116,7 @@ class Choice:
 
 
 def magnitude_fault(field: Field) -> str | None:
-    """Why a force cannot be told by this magnitude; None: it can."""
+    """Why a force cannot be given by this magnitude; None: it can."""
     least, most = field.logical_min, field.logical_max
     if most <= 0:
         return f"its range, {least} to {most}, ends without a force above zero"
@@ -135,7 +135,7 @@ def axis_fault(field: Field) -> str | None:
 
 
 def angle_fault(field: Field) -> str | None:
-    """Why a direction cannot be told by this angle; None: it can."""
+    """Why a direction cannot be given by this angle; None: it can."""
     if field.counts_per_turn() < LEAST_ANGLES:
         return f"its range, {field.logical_min} to {field.logical_max}, has fewer than {LEAST_ANGLES} counts a turn"
     return None
@@ -143,16 +143,16 @@ def angle_fault(field: Field) -> str | None:
 
 def duration_fault(field: Field, step_s: float, duration_s: float, wanted_s: float) -> str | None:
     """Why effects of this duration, the nearest to the wanted one, are no good; None: they are."""
-    told = f"Set Effect: Duration goes from {field.logical_min} to {field.logical_max} in counts of {step_s:g} s"
+    range_s = f"Set Effect: Duration goes from {field.logical_min} to {field.logical_max} in counts of {step_s:g} s"
     if duration_s < SHORTEST_S:
         return (
-            f"{told}: it holds no duration of {SHORTEST_S:g} s or more, so that no effect could be renewed in time; "
+            f"{range_s}: it holds no duration of {SHORTEST_S:g} s or more, so that no effect could be renewed in time; "
             "device.hid.quirks: [infinite_duration] does without"
         )
     most_s = max(LONGEST_S, 2.0 * wanted_s)
     if duration_s > most_s:
         return (
-            f"{told}: its shortest effect would push for {duration_s:g} s after the daemon has gone, at most "
+            f"{range_s}: its shortest effect would push for {duration_s:g} s after the daemon has gone, at most "
             f"{most_s:g} s is right; device.hid.quirks: [infinite_duration] accepts it"
         )
     return None

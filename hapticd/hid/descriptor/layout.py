@@ -148,7 +148,7 @@ class CreateNewEffect(Report):
 class BlockLoad(Report):
     effect_index: _EffectIndex
     status: Annotated[Choice | None, OneOf("", LOAD_STATUS, (("success", "Block Load Success"),))]
-    """One that could never say that an effect is loaded is none: the index says it."""
+    """One that cannot report success is ignored: the index shows whether the effect is loaded."""
     ram_pool_available: Annotated[Field | None, Number("RAM Pool Available", 0xAC)]
 
 
@@ -310,7 +310,7 @@ def _read(group: Group, stands: _Stands) -> tuple[Report | None, list[str]]:
     """The report; None, and what it lacks, unless all that it needs is here."""
     needed, others = _rows(stands.report)
     found: dict[str, Any] = {}
-    # Numbers before choices: problems are told in this order.
+    # Numbers before choices: problems are listed in this order.
     for name, row in sorted(needed.items(), key=lambda named: isinstance(named[1], OneOf)):
         found[name] = row.find(group)
         if not stands.is_needed and row.lacking(found[name]):
@@ -378,7 +378,7 @@ class _Finder:
         return sorted(groups.values(), key=lambda group: group.root != self._root)
 
     def _put(self, groups: dict[tuple[int, int], Group], key: tuple[int, int], field: ReportField) -> None:
-        """Adds the field to its group, unless its report cannot be told apart."""
+        """Adds the field to its group, unless its report cannot be identified."""
         if field.report_id == 0 and self._descriptor.numbered(field.kind):
             self._problems.append(
                 f"{field.kind} report without an id, bit {field.bit_offset}: other {field.kind} reports have one"
@@ -423,7 +423,7 @@ class _Finder:
 
 
 def _indices(fields: Iterable[Field]) -> tuple[int, int] | None:
-    """The block indices that all of them can carry; 0 is none."""
+    """The block indices that all of them can carry; 0 means no effect."""
     fields = tuple(fields)
     first = max((field.logical_min for field in fields), default=0)
     last = min((field.logical_max for field in fields), default=0)

@@ -13,7 +13,8 @@ we do:
   are fewer, the last one repeats; if there are more, the rest is dropped.
 - Of the usages between delimiters the first is the preferred one; the others are kept as its aliases.
 - A collection has the first of the usages before it.
-- A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is none, and the logical one counts.
+- A unit exponent of 8 to 15 is a negative nibble; a physical range of 0 to 0 is absent, and the logical
+  one counts.
 
 Skipped are reserved items (type 3), unknown local items, unknown main items (which end the local state as any main item
 does), long items (the specification defines none; Linux refuses them) and a Usage Minimum without its maximum. A Usage
@@ -42,7 +43,7 @@ MAX_DEPTH: Final = 64
 _LONG_ITEM: Final = 0xFE
 _MAX_USAGES: Final = 12288
 """Linux takes no more of one field."""
-_MOST_TOLD: Final = 16
+_MOST_LISTED: Final = 16
 
 
 class DescriptorError(HapticdError):
@@ -430,10 +431,10 @@ class _Parser:
             raise _error(self._opened[-1], "Collection", f"still open where the descriptor ends (byte {end})")
         if not self._collections:
             raise DescriptorError("the report descriptor declares no collection, so there is no device in it")
-        told = self._skipped[:_MOST_TOLD]
-        if len(self._skipped) > _MOST_TOLD:
-            told.append(f"{len(self._skipped) - _MOST_TOLD} more items")
-        return Descriptor(tuple(self._fields), tuple(self._collections), self._bits, tuple(told))
+        skipped = self._skipped[:_MOST_LISTED]
+        if len(self._skipped) > _MOST_LISTED:
+            skipped.append(f"{len(self._skipped) - _MOST_LISTED} more items")
+        return Descriptor(tuple(self._fields), tuple(self._collections), self._bits, tuple(skipped))
 
     # ---- usages ------------------------------------------------------------------------------------------------------
 
@@ -467,8 +468,8 @@ class _Parser:
         end = last.first
         if end < first.first or end >> 16 != first.first >> 16:
             end = min(first.first | 0xFFFF, first.first + _MAX_USAGES - 1)
-            told = f"the range from {first.first:#x} to {last.first:#x} is none: it is taken to go on to {end:#x}"
-            self._skip(at, "Usage Maximum", told)
+            what = f"the range from {first.first:#x} to {last.first:#x} is none: it is taken to go on to {end:#x}"
+            self._skip(at, "Usage Maximum", what)
         found = _Usage(first.first, end, last.page)
         if local.open_since is None or local.delimited is None:
             local.usages.append(found)
@@ -489,7 +490,7 @@ class _Parser:
             local.open_since = local.delimited = None
 
     def _end_locals(self) -> None:
-        """What usages stand before a main item is known now; what was left open is told."""
+        """What usages stand before a main item is known now; what was left open is listed."""
         local = self._local
         if local.open_since is not None:
             self._skip(local.open_since, "Delimiter", "the set is open at the next main item: it ends there")

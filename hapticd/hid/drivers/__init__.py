@@ -1,1 +1,1 @@
-"""How a HID device is told forces: the PID class, and devices with reports of their own."""
+"""How each class of device is set up and driven: the PID class (pid*.py), and devices with reports of their own."""

@@ -67,7 +67,7 @@ class PidDriver:
         needed = len(effects_of(ways[0], self._hid))
         if most is not None and most < needed:
             other = "one effect with direction is used" if len(ways) > 1 else "PID Block Load decides"
-            self._pool.tell(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
+            self._pool.warn(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
             ways = ways[1:] or ways
         for way in ways:
             try:

@@ -10,7 +10,7 @@ from hapticd.hid.descriptor.fields import Field
 from hapticd.hid.descriptor.layout import Layout, SetEffect
 
 _COARSE: Final = 0.5
-"""Two directions whose sine is below this do not tell the axes apart."""
+"""Two directions whose sine is below this do not distinguish the axes."""
 
 
 def angle_of(effect: SetEffect) -> Field | None:

@@ -1,4 +1,4 @@
-"""Periodic effects that a device of the PID class plays by itself: whether it has them, and their reports."""
+"""Periodic effects that a device of the PID class plays itself: whether it has them, and their reports."""
 
 from __future__ import annotations
 

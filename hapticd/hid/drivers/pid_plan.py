@@ -78,12 +78,12 @@ def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
         ways.append("polar")
     if not ways:
         if not both:
-            told = "and neither Direction nor Axes Enable to tell them apart in a force"
+            lacks = "and neither Direction nor Axes Enable to tell them apart in a force"
         elif signed:
-            told = "room for one effect, and no angle to say the direction of a force"
+            lacks = "room for one effect, and no angle to say the direction of a force"
         else:
-            told = "magnitudes without a sign, and no angle to say the direction of a force"
-        raise DeviceError(f"the device has two axes, {told}")
+            lacks = "magnitudes without a sign, and no angle to say the direction of a force"
+        raise DeviceError(f"the device has two axes, {lacks}")
     return tuple(ways)
 
 
@@ -225,14 +225,14 @@ def _states(layout: Layout) -> tuple[StateBit, ...]:
     state = layout.pid_state
     if state is None:
         return ()
-    told = (
+    states = (
         (state.device_reset, HidMeaning.RESET),
         (state.actuators_enabled, HidMeaning.ACTUATORS),
         (state.device_paused, HidMeaning.PAUSED),
         (state.safety_switch, HidMeaning.SAFETY),
         (state.actuator_power, HidMeaning.POWER),
     )
-    return tuple(StateBit(bits_of(field), field.report_id, meaning) for field, meaning in told if field is not None)
+    return tuple(StateBit(bits_of(field), field.report_id, meaning) for field, meaning in states if field is not None)
 
 
 def _playing(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:

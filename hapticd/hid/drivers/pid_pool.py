@@ -30,7 +30,7 @@ class Pool:
 
     def __init__(self, layout: Layout, hid: Hid) -> None:
         self._pool = None if "no_pid_pool" in hid.quirks else layout.pool
-        self._told = False
+        self._warned = False
 
     def simultaneous(self, device: Device) -> int | None:
         """How many effects the device plays at a time; None where it does not say. No effect may exist yet."""
@@ -45,16 +45,16 @@ class Pool:
                 answer = read_feature(device, pool.report_id, pool.report_bytes, "PID Pool")
                 most = number_in(answer, pool.simultaneous_effects_max, "PID Pool", device)
             except DeviceError as error:
-                self.tell(f"{error}; PID Block Load decides how many effects there are")
+                self.warn(f"{error}; PID Block Load decides how many effects there are")
                 return None
             if most > 1:
                 break
         return most if most > 0 else None
 
-    def tell(self, text: str) -> None:
-        """Says in the log what is wrong with it: once, and as a sum of a device that is found anew all the time."""
-        if not self._told:
-            self._told = True
+    def warn(self, text: str) -> None:
+        """Says in the log what is wrong with it: once, and as a count for a device that is found again and again."""
+        if not self._warned:
+            self._warned = True
             _repeats.note(text, lambda since: _log.warning("%s%s", text, since.more))
 
 
