@@ -42,7 +42,7 @@ help: ## this list
 build: $(BUILT) ## set up .venv and compile the C core
 
 # A change of the packaging installs anew; a change of the C core alone only recompiles.
-$(BUILT): $(SETUP) hapticd/_build.py $(wildcard csrc/*/*.[ch])
+$(BUILT): $(SETUP) hapticd/_build.py hapticd/_stub.py $(wildcard csrc/*/*.[ch])
 	@if [ ! -x $(BIN)/hapticd ] || [ -n "$(filter $(SETUP),$?)" ]; then \
 		$(MAKE) --no-print-directory install; \
 	else \
@@ -151,7 +151,7 @@ format: build ## lay out C and Python
 
 .PHONY: clean
 clean: ## remove everything that was built, .venv too
-	rm -rf $(VENV) build dist *.egg-info hapticd/_core*.so hapticd/_core.c
+	rm -rf $(VENV) build dist *.egg-info hapticd/_core*.so hapticd/_core.c hapticd/_core.pyi
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -9,7 +9,7 @@ from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
 from hapticd.client.blocking import Client
-from hapticd.client.record import missed_text
+from hapticd.recording.missed_periods import missed_text
 from hapticd.recording.recording import load
 
 

@@ -13,7 +13,7 @@ from hapticd.base.yaml_source import load_path, one_line
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
 from hapticd.config.modes import Attack
-from hapticd.fit.left_out import LeftOut
+from hapticd.fit.exclusions import LeftOut
 from hapticd.fit.provenance import Fit, estimates
 from hapticd.fit.recording import NoRecordingError, Recording, RecordingError, load
 from hapticd.fit.tap import TapFit

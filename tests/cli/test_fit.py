@@ -25,7 +25,7 @@ from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.texture import Autoregressive, Grooves
-from hapticd.fit.left_out import Left
+from hapticd.fit.exclusions import Left
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
 from hapticd.fit.verdict import Verdict

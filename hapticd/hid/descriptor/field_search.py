@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 from hapticd.base.core import lib
-from hapticd.hid.descriptor import ReportField, ReportKind
-from hapticd.hid.fields import Choice, Entry, Field
-from hapticd.hid.usages import PID
+from hapticd.hid.descriptor.fields import Choice, Entry, Field
+from hapticd.hid.descriptor.parser import ReportField, ReportKind
+from hapticd.hid.descriptor.usages import PID
 
 MAX_REPORT_BYTES: Final[int] = lib.HD_HID_REPORT_BYTES
 """The longest report that is driven, with its id."""

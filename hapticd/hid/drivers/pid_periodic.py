@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hapticd.config.hid import Hid
-from hapticd.hid.drivers.directions import angle_of, has_one_axis
-from hapticd.hid.drivers.reports import (
+from hapticd.hid.descriptor.layout import Layout
+from hapticd.hid.drivers.pid_directions import angle_of, has_one_axis
+from hapticd.hid.drivers.pid_reports import (
     Report,
     envelope_report,
     level_scale,
     operation_report,
     polar_effect_report,
+    shared_report,
     time_scale,
 )
-from hapticd.hid.drivers.same_report import shared_report
-from hapticd.hid.layout import Layout
 from hapticd.hid.plan import Numbers, Periodic, PeriodicBlock
 
 

@@ -8,9 +8,9 @@ from typing import Literal
 
 from hapticd.base.core import HidQuantity
 from hapticd.config.hid import Hid
-from hapticd.hid.drivers.directions import angle_of, counts_of, enabled_for, mirrored
-from hapticd.hid.fields import Choice, Field, duration_fault
-from hapticd.hid.layout import Layout, SetEffect, SetEnvelope
+from hapticd.hid.descriptor.fields import Choice, Field, duration_fault
+from hapticd.hid.descriptor.layout import Layout, SetEffect, SetEnvelope
+from hapticd.hid.drivers.pid_directions import angle_of, counts_of, enabled_for, mirrored
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
 
@@ -214,6 +214,30 @@ def envelope_report(to: SetEnvelope, index: int) -> bytes:
     report = Report(to.report_id, to.report_bytes)
     report.put(to.effect_index, index)
     return bytes(report.data)
+
+
+def shared_report(layout: Layout, *, with_periodic: bool = False) -> str | None:
+    """Which output reports of a device share an id, so that sending one sets the others to zero; None: none do.
+    `with_periodic`: periodic effects are sent, too."""
+    sent = {
+        "Set Effect": layout.set_effect,
+        "Set Constant Force": layout.constant_force,
+        "Effect Operation": layout.effect_operation,
+        "Device Control": layout.device_control,
+        "Device Gain": layout.device_gain,
+        "PID Block Free": layout.block_free,
+        "Set Envelope": layout.set_envelope,
+        "Set Periodic": layout.set_periodic if with_periodic else None,
+    }
+    by_id: dict[int, list[str]] = {}
+    for name, report in sent.items():
+        if report is not None:
+            by_id.setdefault(report.report_id, []).append(name)
+    for number, names in by_id.items():
+        if len(names) > 1:
+            which = f"output report {number}" if number else "the one output report, which has no id"
+            return f"{', '.join(names[:-1])} and {names[-1]} are {which}: sending one would set the others to zero"
+    return None
 
 
 def time_scale(field: Field) -> Scale:

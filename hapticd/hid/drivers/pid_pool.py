@@ -11,10 +11,10 @@ import time
 from typing import Final
 
 from hapticd.config.hid import Hid
+from hapticd.hid.descriptor.fields import Field
+from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.device import Device
-from hapticd.hid.drivers.reports import bits_of
-from hapticd.hid.fields import Field
-from hapticd.hid.layout import Layout
+from hapticd.hid.drivers.pid_reports import bits_of
 from hapticd.hid.plan import DeviceError
 from hapticd.system.repeated_lines import Repeats
 

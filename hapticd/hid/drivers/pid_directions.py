@@ -6,8 +6,8 @@ import math
 from typing import Final, Literal
 
 from hapticd.config.hid import ForceAxes, HandleAxes, Hid
-from hapticd.hid.fields import Field
-from hapticd.hid.layout import Layout, SetEffect
+from hapticd.hid.descriptor.fields import Field
+from hapticd.hid.descriptor.layout import Layout, SetEffect
 
 _COARSE: Final = 0.5
 """Two directions whose sine is below this do not tell the axes apart."""

@@ -20,10 +20,10 @@ from functools import cache
 from types import NoneType
 from typing import Annotated, Any, Final, get_args, get_type_hints
 
-from hapticd.hid.descriptor import Collection, CollectionType, Descriptor, ReportField, ReportKind
-from hapticd.hid.field_search import Group, Made, Number, OneOf, Row
-from hapticd.hid.fields import Choice, Field, angle_fault, axis_fault, magnitude_fault
-from hapticd.hid.usages import AXES, COMMANDS, DESKTOP, EFFECT_TYPES, LOAD_STATUS, OPERATIONS, PID
+from hapticd.hid.descriptor.field_search import Group, Made, Number, OneOf, Row
+from hapticd.hid.descriptor.fields import Choice, Field, angle_fault, axis_fault, magnitude_fault
+from hapticd.hid.descriptor.parser import Collection, CollectionType, Descriptor, ReportField, ReportKind
+from hapticd.hid.descriptor.usages import AXES, COMMANDS, DESKTOP, EFFECT_TYPES, LOAD_STATUS, OPERATIONS, PID
 
 SKIPPED: Final = "report descriptor, "
 """A problem that begins so is an item that was skipped, no field."""
