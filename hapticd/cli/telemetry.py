@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import click
 
-from hapticd.base.errors import HapticdError
 from hapticd.cli.common import daemon, for_option, json_option, note, notes_option, overwrite_option, print_json
 
 if TYPE_CHECKING:
@@ -103,6 +100,8 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
 
     Through a bridge the file stays on the daemon's machine: FILE is for a daemon of this one.
     """
+    from hapticd.client.flight_summary import summed_up, written_flight
+
     here = ctx.find_root().params["connect"] is None
     if file is not None and not here:
         given = ctx.find_root().get_parameter_source("connect") == click.core.ParameterSource.COMMANDLINE
@@ -116,21 +115,10 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
 
         check_target(file, overwrite)
     with daemon(ctx) as client:
-        written = client.dump_flight()["file"]
-        # The file's name appears when it is whole; where it does not come, the status says why.
-        while not (here and os.path.exists(written)):
-            told = client.get_status()["flight"]
-            if told is None or (told["under_way"] == 0 and not (here and os.path.exists(written))):
-                problem = told["problem"] if told else None
-                if told and not here and problem is None:
-                    break
-                raise HapticdError(f"the flight recorder did not write {written}: {problem or 'its log says why'}")
-            time.sleep(0.05)
+        written = written_flight(client, here)
     found: dict[str, object] = {"file": written}
     line = written  # through a bridge all that is known of it
     if here:
-        from hapticd.client.flight_summary import summed_up
-
         found, line = summed_up(written, file, overwrite)
     if as_json:
         print_json(found)

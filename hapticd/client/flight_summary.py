@@ -3,12 +3,30 @@
 from __future__ import annotations
 
 import os
+import time
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
+from hapticd.client.blocking import Client
 from hapticd.recording.missed_periods import missed_text
 from hapticd.recording.recording import load
+
+
+def written_flight(client: Client, here: bool) -> str:
+    """Has the flight recorder write its file: its name, once a daemon of this machine has it whole. Raises
+    HapticdError."""
+    file = client.dump_flight()["file"]
+    # The file's name appears when it is whole; where it does not come, the status says why.
+    while not (here and os.path.exists(file)):
+        flight = client.get_status()["flight"]
+        if flight is None or (flight["under_way"] == 0 and not (here and os.path.exists(file))):
+            problem = flight["problem"] if flight else None
+            if flight and not here and problem is None:
+                break
+            raise HapticdError(f"the flight recorder did not write {file}: {problem or 'its log says why'}")
+        time.sleep(0.05)
+    return file
 
 
 def summed_up(written: str, copy: str | None, overwrite: bool) -> tuple[dict[str, object], str]:

@@ -108,6 +108,7 @@ def test_a_wheel_made_of_the_sdist_is_whole(tmp_path: Path) -> None:
     with tarfile.open(sdist) as archive:
         packed = {name.partition("/")[2] for name in archive.getnames()}
     assert {"csrc/api/hd_api.h", "config/default.yaml", "docs/protocol.md", "tests/conftest.py", "Makefile"} < packed
+    assert {"docs/tables.py", "examples/demo/__main__.py", "bench/__main__.py"} < packed
 
     # Commands.
     home = tmp_path / "home"

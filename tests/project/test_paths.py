@@ -9,7 +9,8 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 TEXTS = [
-    *(ROOT / name for name in ("README.md", "CHANGELOG.md", "Makefile", ".ci/run")),
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md", "Makefile")),
+    *(ROOT / ".ci").glob("*"),  # not in a source distribution
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
 SOURCES = [path for room in ("csrc", "hapticd", "tests", "bench") for path in sorted((ROOT / room).rglob("*.[chp]*"))]
