@@ -295,8 +295,8 @@ ubsan-daemon: build ## the whole daemon under UndefinedBehaviorSanitizer
 rtsan-daemon: build ## the whole daemon under RealtimeSanitizer
 	$(call sanitized_daemon,rtsan,realtime)
 
-# What cffi makes of csrc/api/hd_api.h, and how an executable is linked with this Python.
-build/c/_core.c: csrc/api/hd_api.h hapticd/_build.py $(BUILT)
+# What cffi makes of csrc/api/, and how an executable is linked with this Python.
+build/c/_core.c: $(wildcard csrc/api/hd_api*.h) hapticd/_build.py $(BUILT)
 	@mkdir -p $(@D)
 	@$(BIN)/python -c 'import runpy; runpy.run_path("hapticd/_build.py")["ffibuilder"].emit_c_code("$@")' >/dev/null
 

@@ -1,6 +1,6 @@
-"""Build `hapticd._core`: every file of csrc/, behind the boundary that csrc/api/hd_api.h declares.
+"""Build `hapticd._core`: every file of csrc/, behind the boundary that csrc/api/ declares.
 
-Run by setuptools (setup.py), never imported by the package. cffi reads the very header that the C compiler
+Run by setuptools (setup.py), never imported by the package. cffi reads the very headers that the C compiler
 reads, so the two cannot disagree; so does _stub.py, which makes the types for mypy. HAPTICD_WERROR=1 turns warnings
 into errors; a user's build never fails for a warning that a newer compiler has learned.
 """
@@ -30,7 +30,10 @@ FLAGS = [
     "-fvisibility=hidden",
 ]
 
-API = (ROOT / "csrc" / "api" / "hd_api.h").read_text(encoding="utf-8")
+API = "".join(
+    (ROOT / "csrc" / "api" / name).read_text(encoding="utf-8")
+    for name in ("hd_api.h", "hd_api_device.h", "hd_api_servo.h")
+)
 STUB = ROOT / "hapticd" / "_core.pyi"
 
 ffibuilder = FFI()

@@ -1,4 +1,4 @@
-"""The types of the compiled extension, for mypy and editors: hapticd/_core.pyi, made from csrc/api/hd_api.h.
+"""The types of the compiled extension, for mypy and editors: hapticd/_core.pyi, made from the headers of csrc/api/.
 
 A part of the build (_build.py), never imported by the package; git does not keep what it makes. The header holds
 declarations and numbers only, so that a few patterns read it; tests/project/test_core_layout.py compares what comes out
@@ -9,7 +9,7 @@ import keyword
 import os
 import re
 
-_HEAD = '''"""Types of the compiled extension: written by hapticd/_stub.py from csrc/api/hd_api.h. Do not edit."""
+_HEAD = '''"""Types of the compiled extension: written by hapticd/_stub.py from csrc/api/. Do not edit."""
 
 from collections.abc import Callable, Iterator
 from enum import IntEnum, IntFlag

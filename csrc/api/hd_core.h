@@ -1,5 +1,5 @@
-/* What every C file of the core includes: the boundary (hd_api.h) with its guard, and the asserts that hold the layout.
- * hd_api.h itself must stay free of these, because cffi reads it verbatim. */
+/* What every C file of the core includes: the boundary (hd_api.h and what follows it) with its guard, and the asserts
+ * that hold the layout. The boundary itself must stay free of these, because cffi reads it verbatim. */
 #ifndef HD_CORE_H
 #define HD_CORE_H
 
@@ -7,7 +7,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
+/* In this order. */
 #include "api/hd_api.h"
+
+#include "api/hd_api_device.h"
+
+#include "api/hd_api_servo.h"
 
 static_assert(sizeof(struct hd_sample) == 112, "the telemetry record is 112 bytes without padding");
 static_assert(sizeof(struct hd_object) == 80 && sizeof(struct hd_mode) == 360 && sizeof(struct hd_piece) == 24 &&

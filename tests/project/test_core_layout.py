@@ -14,7 +14,7 @@ from hapticd.base import core
 from hapticd.base.core import ffi, lib
 
 ROOT = Path(__file__).resolve().parents[2]
-API = (ROOT / "csrc" / "api" / "hd_api.h").read_text(encoding="utf-8")
+API = "".join(path.read_text(encoding="utf-8") for path in sorted((ROOT / "csrc" / "api").glob("hd_api*.h")))
 RECORDS = {
     "struct hd_mode": core.MODE_DTYPE,
     "struct hd_material": core.MATERIAL_DTYPE,
