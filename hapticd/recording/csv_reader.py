@@ -6,7 +6,8 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -18,6 +19,7 @@ from hapticd.recording.event_cells import FromCells
 from hapticd.recording.reading_limits import BadRecordingError, Memory, Recorded, Rows, Samples, regular, samples_of
 
 _BLOCK: Final = 1 << 18
+_EVENT_BLOCK: Final = 1 << 16
 _LONGEST_LINE: Final = 1 << 16
 """Bytes; a row of ours has at most 450, the line of names 300."""
 _LONGEST_EVENT: Final = 1 << 20
@@ -118,32 +120,72 @@ def _parsed(lines: list[str], line: int, dtype: np.dtype[Any]) -> Samples:
 
 def _events(path: Path, memory: Memory) -> Iterator[dict[str, Any]]:
     with regular(path) as (file, _):
-        rows = csv.reader(_lines(file, path.name))
+        lines = _Lines(file, path.name)
+        rows = csv.reader(lines)
         names = next(rows, [])
         if len(names) > _MOST_COLUMNS or "event" not in names:
             raise BadRecordingError(f"{path.name}: has no line of the names of events")
         cells = FromCells(names)
-        for row in rows:
-            if len(row) != len(names):
-                raise BadRecordingError(f"{path.name}: line {rows.line_num} has {len(row)} columns, not {len(names)}")
+        while True:
+            begin, stretch = rows.line_num, _stretch(rows, lines)
+            if not stretch:
+                return
             try:
-                event = cells.event(row)
+                if any(len(row) != len(names) for row in stretch):
+                    raise ValueError
+                events, taken = cells.events(stretch)
             except (ValueError, RecursionError):
-                raise BadRecordingError(f"{path.name}: line {rows.line_num} is no event") from None
-            yield memory.event(event)
+                raise _wrong_row(path.name, stretch, begin, names) from None
+            memory.take(taken, "its events")
+            yield from events
 
 
-def _lines(file: IO[bytes], name: str) -> Iterator[str]:
+def _stretch(rows: Iterator[list[str]], lines: _Lines) -> list[list[str]]:
+    """The rows up to where a new block begins, and the row there."""
+    stretch, block = [], lines.blocks
+    for row in rows:
+        stretch.append(row)
+        if lines.blocks != block:
+            break
+    return stretch
+
+
+def _wrong_row(name: str, stretch: list[list[str]], line: int, names: list[str]) -> BadRecordingError:
+    """Says which of the rows that follow `line` is none."""
+    cells = FromCells(names)
+    for row in stretch:
+        line += 1 + sum(cell.count("\n") for cell in row)
+        if len(row) != len(names):
+            return BadRecordingError(f"{name}: line {line} has {len(row)} columns, not {len(names)}")
+        try:
+            cells.events([row])
+        except (ValueError, RecursionError):
+            break
+    return BadRecordingError(f"{name}: line {line} is no event")
+
+
+class _Lines:
     """Lines of a file of text, read in blocks."""
-    rest = b""
-    while data := file.read(_BLOCK):
-        whole, found, rest = (rest + data).rpartition(b"\n")
-        if found:
-            yield from io.StringIO(_unicode(whole, name) + "\n", newline="\n")
-        if len(rest) >= _LONGEST_EVENT:
-            raise BadRecordingError(f"{name}: a line is too long")
-    if rest:
-        yield _unicode(rest, name)
+
+    def __init__(self, file: IO[bytes], name: str) -> None:
+        self.blocks = 0
+        """How many were begun."""
+        self._lines = chain.from_iterable(self._read(file, name))
+
+    def __iter__(self) -> Iterator[str]:
+        return self._lines
+
+    def _read(self, file: IO[bytes], name: str) -> Iterator[Iterable[str]]:
+        rest = b""
+        while data := file.read(_EVENT_BLOCK):
+            whole, found, rest = (rest + data).rpartition(b"\n")
+            self.blocks += 1
+            if found:
+                yield io.StringIO(_unicode(whole, name) + "\n", newline="\n")
+            if len(rest) >= _LONGEST_EVENT:
+                raise BadRecordingError(f"{name}: a line is too long")
+        if rest:
+            yield (_unicode(rest, name),)
 
 
 def _unicode(data: bytes, name: str) -> str:

@@ -211,15 +211,15 @@ def test_a_cell_that_nobody_knows_is_json_or_text(cell: str) -> None:
         wanted = cell
     cells = FromCells(["event", "later"])
     for others in ([], ["12", "-1.5"], ["x"], ["[", "1", "2]"]):
-        found = [cells.event(["a", text])["later"] for text in [*others, cell]]
-        assert type(found[-1]) is type(wanted) and repr(found[-1]) == repr(wanted)
+        found, _ = cells.events([["a", text] for text in [*others, cell]])
+        assert type(found[-1]["later"]) is type(wanted) and repr(found[-1]["later"]) == repr(wanted)
 
 
 def test_a_column_whose_cells_are_no_json_is_not_tried_for_ever() -> None:
     cells = FromCells(["event", "later", "other"])
     for number in range(_UnknownCells.MOST_TEXTS):
-        assert cells.event(["a", f"[{number}x]", "1"])["later"] == f"[{number}x]"
-    assert cells.event(["a", "[1]", "[1]"]) == {"event": "a", "later": "[1]", "other": [1]}
+        assert cells.events([["a", f"[{number}x]", "1"]])[0][0]["later"] == f"[{number}x]"
+    assert cells.events([["a", "[1]", "[1]"]])[0] == [{"event": "a", "later": "[1]", "other": [1]}]
 
 
 def test_kinds_that_nobody_knows_are_not_remembered(tmp_path: Path) -> None:
@@ -243,6 +243,7 @@ def test_lines_of_events_are_whole_wherever_a_block_ends(tmp_path: Path) -> None
 
 
 def test_events_of_all_kinds_keep_their_order_and_their_lines(tmp_path: Path) -> None:
+    """Rows are read in stretches of one kind each, and come back as they stood."""
     names = b"event,tick,time_ns,faults,object,later\n"
     wanted, content = [], b""
     for at in range(1000):
