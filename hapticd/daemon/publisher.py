@@ -45,7 +45,7 @@ class Publisher(Peers):
         """Those who keep up."""
         self._behind: dict[Peer, Reader] = {}
         self._backlog = Backlog(self._subscribers)
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
         # Whatever else is subscribed to can match nothing.
         self._useful = {topic[:length] for topic in self._subscribers for length in range(len(topic) + 1)}
 
@@ -179,8 +179,8 @@ class Publisher(Peers):
 
     def _tell_losses(self) -> None:
         """Once a second."""
-        if time.monotonic() >= self._told_s + _TELL_EVERY_S:
-            self._told_s = time.monotonic()
+        if time.monotonic() >= self._reported_s + _TELL_EVERY_S:
+            self._reported_s = time.monotonic()
             for peer, behind in self._behind.items():
                 self._tell_loss(peer, behind)
 
@@ -191,8 +191,8 @@ class Publisher(Peers):
         peer.lost += lost
 
         def tell(since: Since) -> None:
-            told = wording.count(since.amounts["messages"], "message")
-            _log.info("%s does not keep up with telemetry: %s dropped %s", peer, told, since.window)
+            lost = wording.count(since.amounts["messages"], "message")
+            _log.info("%s does not keep up with telemetry: %s dropped %s", peer, lost, since.window)
 
         self._repeats.note(f"lost {peer.uid} {peer.pid}", tell, {"messages": lost})
 
