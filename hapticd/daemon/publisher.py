@@ -81,14 +81,16 @@ class Publisher(Peers):
             len(data),
             taken,
         )
+        whole: bytes | None = None
         for peer, count in zip(peers, taken, strict=True):
-            if count == size:
+            if count == size or peer.closed:  # one that held too much may have been ended meanwhile
                 continue
             if count < 0 and -count not in (errno.EAGAIN, errno.EWOULDBLOCK):
                 self._end(peer)
                 continue
-            # A copy: what stands in `data` is another message soon.
-            self._keep(peer, (b"".join((head, data))[max(count, 0) :],))
+            if whole is None:  # one copy for all: what stands in `data` is another message soon
+                whole = b"".join((head, data))
+            self._keep(peer, (memoryview(whole)[max(count, 0) :],))
             self._fall_behind(peer)
 
     def wait(self, timeout_s: float) -> None:
