@@ -7,8 +7,11 @@
 #include "api/hd_core.h"
 
 static int64_t send_parts(int32_t socket, const struct iovec *parts) {
-    const struct msghdr message = {.msg_iov = (struct iovec *)(uintptr_t)parts, .msg_iovlen = 2};
+    struct msghdr message = {0};
     ssize_t taken;
+
+    message.msg_iov = (struct iovec *)(uintptr_t)parts;
+    message.msg_iovlen = 2;
 
     do
         taken = sendmsg(socket, &message, MSG_DONTWAIT | MSG_NOSIGNAL);

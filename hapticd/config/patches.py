@@ -129,10 +129,12 @@ def patches_of(given: Sequence[Patch]) -> Patches:
     return given if isinstance(given, Patches) else Patches(given)
 
 
-def _validated(given: object, handler: ValidatorFunctionWrapHandler) -> Patches:
+def _validated(given: object, handler: ValidatorFunctionWrapHandler) -> Sequence[Patch]:
     """Thousands of patches, each by itself: nobody waits for all of them, or reads the faults of all."""
     if isinstance(given, Patches):
         return given
+    if given == [] or given == ():
+        return ()  # what has none is asked often
     if isinstance(given, list) and AT_ONCE < len(given) <= MAX_PATCHES:
         try:
             return _apart(Patches(map(Patch.parsed, given)))

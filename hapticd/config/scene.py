@@ -195,6 +195,18 @@ def used_materials(objects: Iterable[SceneObject]) -> set[str]:
     return {name for item in objects for name in material_names(item)}
 
 
+def of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
+    """The objects that say all there is to say of a scene's materials: patched ones, and the first of each material."""
+    found: dict[str, SceneObject] = {}
+    seen: set[str] = set()
+    for id, item in objects.items():
+        names = material_names(item)
+        if len(names) > 1 or not seen.issuperset(names):
+            seen.update(names)
+            found[id] = item
+    return found
+
+
 class Display(Model):
     """Which parts of the force are displayed."""
 

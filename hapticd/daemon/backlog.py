@@ -111,8 +111,8 @@ class Backlog:
 
     def _skip(self, reader: Reader, topic: bytes, kept: _Topic) -> None:
         """What is there no more is lost."""
-        if (gone := kept.first - reader.next[topic]) > 0:
-            reader._lost += gone
+        if (lost := kept.first - reader.next[topic]) > 0:
+            reader._lost += lost
             reader.next[topic] = kept.first
 
     def __len__(self) -> int:

@@ -339,7 +339,7 @@ class Control:
         return Changed(revision, params.wait, self._material_warnings(params.materials))
 
     def _apply(self, params: ApplyParams) -> Changed:
-        """Every fault of either part is told; materials and scene change at one tick, or neither does."""
+        """Every fault of either part is reported; materials and scene change at one tick, or neither does."""
         self._expect(params)
         engine = self._engine
         problems: list[Problem] = []
@@ -477,17 +477,17 @@ class Control:
                 names = known_names(params.material or "", self._engine.materials)
                 problems.append(Problem("material", f"unknown material {quoted(params.material or '')}; {names}"))
             elif material.tap is not None and material.tap.ringing is None:
-                told = (
+                problem = (
                     f"the tap of {quoted(params.material or '')} is a waveform, which play cannot strike; give a mode"
                 )
-                problems.append(Problem("material", told))
+                problems.append(Problem("material", problem))
             elif material.tap is not None:
                 mode, attack = material.tap.mode, material.tap.attack
             elif material.rupture is not None:
                 mode = material.rupture.mode
             else:
-                told = f"{quoted(params.material or '')} has neither a tap nor a rupture to play"
-                problems.append(Problem("material", told))
+                problem = f"{quoted(params.material or '')} has neither a tap nor a rupture to play"
+                problems.append(Problem("material", problem))
         if problems:
             raise _faulty(problems)
         self._need_forces()
@@ -520,9 +520,9 @@ class Control:
         faults = self._engine.faults()
         if params.enabled and faults:
             raise MethodError(Code.FORCES_OFF, self._off_because(faults), {"faults": fault_names(faults)})
-        told: dict[str, object] = {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
+        result: dict[str, object] = {"forces": "faulted" if faults else "on" if params.enabled else "off", "tick": tick}
         signs = self._engine.counters().signs
-        return {**told, "signs": signs.to_dict()} if params.enabled and signs.holds_back else told
+        return {**result, "signs": signs.to_dict()} if params.enabled and signs.holds_back else result
 
     def _lease_request(self, params: LeaseParams) -> dict[str, object]:
         try:

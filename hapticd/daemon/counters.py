@@ -142,7 +142,7 @@ class Counters(NamedTuple):
 TOTALS: Final = Counters._fields[: Counters._fields.index("suspends") + 1]
 """Those that only grow, as `get_status` names them."""
 
-# All members in one call: each by itself, through cffi, would be a third of a status.
+# All members in one call: one by one, through cffi, they would be a third of a status.
 _RECORD: Final = struct.Struct("<10Q2I?3x?3xI?3xdI4x2d3Q")
 if _RECORD.size != ffi.sizeof("struct hd_counters"):
     raise ImportError("the record of hapticd.daemon.counters is not that of csrc/api/hd_api.h")

@@ -63,7 +63,7 @@ class Dispatch:
     """Answers requests; everything but `ask_reload` is for the thread that serves commands."""
 
     def __init__(self, control: Control, repeats: Repeats | None = None) -> None:
-        """What a client causes is told in the log as `repeats` says."""
+        """What a client causes is reported in the log as `repeats` says."""
         self.repeats = Repeats() if repeats is None else repeats
         self._control = control
         self._waiting: deque[_Waiting] = deque()
@@ -162,7 +162,7 @@ class Dispatch:
         self._control.intake.begin(request.method, lambda work: self._long(request, work, reply))
 
     def _long(self, request: messages.Request, work: Work, reply: Reply) -> Callable[[], object]:
-        """In a thread of its own: makes a change; what is returned answers it."""
+        """In a separate thread: makes a change; what is returned answers it."""
         with self._control.beside(work):
             try:
                 done = self._control.perform(request.method, request.params)

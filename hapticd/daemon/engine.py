@@ -41,7 +41,7 @@ from hapticd.base.errors import HapticdError, InvalidError, Problem
 from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
-from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, material_names, used_materials
+from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, of_all_materials, used_materials
 from hapticd.daemon.commands import LOOK_EVERY_NS, Commands, RingFullError
 from hapticd.daemon.counters import (
     Counters,
@@ -89,7 +89,7 @@ DEVICE_TIMEOUT_S: Final = 0.1
 FROZEN_FORCE: Final = 0.1
 """The part of its largest force under which a handle that is watched for it must move."""
 CHANGES: Final = 1024
-"""Changes that wait to be told; older ones are given up."""
+"""Changes that wait to be sent; older ones are dropped."""
 
 LEAST_RATE_HZ: Final = 1000.0
 """The servo steps down to no less."""
@@ -327,7 +327,7 @@ class Engine:
         finally:
             self._working.progress = None
 
-    # ---- What the servo cannot do by itself --------------------------------------------------------------------------
+    # ---- What the servo cannot do alone --------------------------------------------------------------------------
 
     def look_after(self) -> None:
         """Looks, now and then, whether the servo or its device needs something: another rate, a new set-up. For the
@@ -370,7 +370,7 @@ class Engine:
     def _change_rate(self, output: Output) -> None:
         """Of a servo that has ended by overload. Raises HapticdError; then it is to be called with another one."""
         rate_hz = output.rate_hz
-        told_hz = None if rate_hz == self.rate_hz else rate_hz
+        changed_hz = None if rate_hz == self.rate_hz else rate_hz
         if lib.hd_servo_set_rate(self._servo, rate_hz, self._overrun_action(rate_hz)) != Status.OK:
             raise HapticdError(f"servo: {invalid_reason()}")
         if self._sim is not None:
@@ -382,7 +382,7 @@ class Engine:
         self._commands.plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
         self._publish(self.scene, (), self.materials, revision)
-        self._changes.append(Revised(revision, {}, {}, {}, None, told_hz))
+        self._changes.append(Revised(revision, {}, {}, {}, None, changed_hz))
         self.state = self.state._replace(revision=revision)
 
     # ---- Scene and materials ---------------------------------------------------------------------------------------
@@ -424,7 +424,7 @@ class Engine:
     def limits(self) -> tuple[list[Undisplayable], list[Problem]]:
         """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
         scene, materials, _ = self.state
-        objects = _of_all_materials(scene.objects)
+        objects = of_all_materials(scene.objects)
         reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
         self._reports = dict(reports)
         played = self.played()
@@ -441,8 +441,8 @@ class Engine:
         return known
 
     def played(self) -> set[tuple[str, str]]:
-        """Materials of the scene and modes of theirs that the device plays by itself. For any thread."""
-        return {(told.material, told.mode) for told in self.offloaded() if told.refused is None}
+        """Materials of the scene and modes of theirs that the device itself plays. For any thread."""
+        return {(each.material, each.mode) for each in self.offloaded() if each.refused is None}
 
     @property
     def offload_version(self) -> int:
@@ -450,7 +450,7 @@ class Engine:
         return 0 if self._offload is None else self._offload.version
 
     def offloaded(self) -> list[Offloaded]:
-        """What became of the scene's taps and ruptures, where the device was to play them by itself. For any thread."""
+        """What became of the scene's taps and ruptures, where the device was to play them itself. For any thread."""
         if self._offload is None:
             return []
         return self._offload.outcomes(materials_in(self.scene.objects, self.materials))
@@ -469,7 +469,7 @@ class Engine:
         return self._compiler.name_of(slot, generation)
 
     def events_read(self, revision: int) -> None:
-        """Every event was read that is older than a sample of this revision, or of its tick: objects that are gone
+        """Every event was read that is older than a sample of this revision, or of its tick: objects removed
         since are not asked for by name any more."""
         self._compiler.events_read(revision)
 
@@ -560,7 +560,7 @@ class Engine:
         return tick
 
     def set_forces(self, enabled: bool) -> int:
-        """Forces on (which clears latched faults whose cause is gone) or off; the tick that took it."""
+        """Forces on (which clears latched faults whose cause has ended) or off; the tick that took it."""
         command = self._command(CommandKind.FORCES)
         command.value = enabled
         return self._commands.send([command])
@@ -673,18 +673,6 @@ def source_of(device: Device) -> Source:
     from hapticd.hid import sources
 
     return sources.source_of(device)
-
-
-def _of_all_materials(objects: Mapping[str, SceneObject]) -> dict[str, SceneObject]:
-    """The objects that say all there is to say of a scene's materials: patched ones, and the first of each material."""
-    found: dict[str, SceneObject] = {}
-    seen: set[str] = set()
-    for id, item in objects.items():
-        names = material_names(item)
-        if len(names) > 1 or not seen.issuperset(names):
-            seen.update(names)
-            found[id] = item
-    return found
 
 
 def monotonic_ns() -> int:

@@ -1,7 +1,7 @@
 """The flight recorder: the last seconds of samples and events, kept, and written to a file on a fault or when asked.
 
 The telemetry thread leaves here what it sends: samples go round in one array that never grows (1.1 MB a second at
-10 kHz); flight_scene.py keeps what they were rendered with, so that a file can be rendered again. A thread of its own
+10 kHz); flight_scene.py keeps what they were rendered with, so that a file can be rendered again. A separate thread
 writes files; what it writes is a copy of that array, so that nobody waits for the disk. A fault's file is begun AFTER_S
 after the fault, so that it shows what became of it.
 """
@@ -156,7 +156,7 @@ class Flight:
         with self._lock:
             held = self._dumping
             # A change may come a moment later than the samples that were rendered with it.
-            ready_ns = kept_ns if self._told() else kept_ns - round(AFTER_S * 1e9)
+            ready_ns = kept_ns if self._knows_newest() else kept_ns - round(AFTER_S * 1e9)
             due = [
                 asked for asked in self._asked if ready_ns >= asked.due_ns and not (held and asked.reason == "asked")
             ]
@@ -164,7 +164,7 @@ class Flight:
             self._dumping = held or any(asked.reason == "asked" for asked in due)
         self._hand_over(due)
 
-    def _told(self) -> bool:
+    def _knows_newest(self) -> bool:
         """Whether the newest sample's revision is known."""
         if self._count == 0:
             return True

@@ -63,9 +63,9 @@ class Stretch:
         return [first, *map(change_map, self.changes)]
 
     def missing(self, revisions: set[int]) -> list[int]:
-        """Those of the samples' revisions whose scene is not told."""
-        told = {change.revision for change in self.changes if isinstance(change, Revised)}
-        return sorted(revisions - told - {self.revision})
+        """Those of the samples' revisions whose scene is not known."""
+        known = {change.revision for change in self.changes if isinstance(change, Revised)}
+        return sorted(revisions - known - {self.revision})
 
 
 def _plain(value: object) -> object:
@@ -80,12 +80,12 @@ class FlightScene:
         self._revision = revision
         self._base = _base_of(scene, materials)
         self._lost = False
-        """Changes were given up before they came here: nobody knows the scene until all of it is told again."""
+        """Changes were dropped before they came here: nobody knows the scene until all of it comes again."""
         self._changes: deque[Change] = deque()
         self._weight = 0
         self._complete_from = 0
         self.newest = revision
-        """The newest revision that was told."""
+        """The newest revision that is known."""
 
     def take(self, change: Change) -> None:
         """Takes what a command changed."""
@@ -111,7 +111,7 @@ class FlightScene:
             self._drop()
 
     def knows(self, revision: int) -> bool:
-        """Whether the change to this revision was told; it may come after the first sample rendered with it."""
+        """Whether the change to this revision has come; it may come after the first sample rendered with it."""
         return _ahead(self.newest, revision) >= 0
 
     def stretch(self) -> Stretch:

@@ -47,7 +47,7 @@ class Work:
 
 
 class Intake:
-    """At most one piece of work, in a thread of its own. Only `end` and `work` are for any thread."""
+    """At most one piece of work, in a separate thread. Only `end` and `work` are for any thread."""
 
     def __init__(self) -> None:
         self.wake: Callable[[], None] = lambda: None

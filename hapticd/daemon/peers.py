@@ -59,7 +59,7 @@ class Limits:
 
 
 class Peer:
-    """A connection; what was answered to a peer that has gone is dropped."""
+    """A connection; answers to a peer that has left are dropped."""
 
     __slots__ = (
         "began_s",
@@ -301,7 +301,7 @@ class Peers:
         if not peer.out:
             self._epoll.modify(peer.sock, _IN)
         elif written >= _WRITTEN_AT_ONCE:
-            self._epoll.modify(peer.sock, _IN_AND_OUT)  # told again at once
+            self._epoll.modify(peer.sock, _IN_AND_OUT)  # reported again at once
         if peer.unsent <= UNSENT_BYTES and (peer.readable or peer.parser.pending):
             self._queue(peer)
         self._account(peer)

@@ -64,7 +64,7 @@ def run(
 ) -> int:
     """Runs the daemon until SIGTERM or SIGINT; returns its exit code.
 
-    SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which is gone then.
+    SIGHUP reloads the configuration, but ends a daemon that was started on a terminal, which has closed then.
 
     `config_paths` are merged in order; without one, the configuration is looked for (config_files). A reload reads the
     same files again; where none was found, it looks again. `log_level`: one of journal.LEVELS. Raises HapticdError (one
@@ -179,7 +179,7 @@ def _log_ready(engine: Engine, granted: Granted, command: Path) -> None:
 
 def _await_end(signals: socket.socket, dispatch: Dispatch) -> signal.Signals:
     """The signal that ends the daemon; others have the configuration reloaded."""
-    # Asked now: a terminal that is gone is none any more.
+    # Asked now: the terminal may have closed since the start.
     ends = {signal.SIGTERM, signal.SIGINT} | ({signal.SIGHUP} if _on_terminal() else set())
     # Of signals that came together the end overtakes the reloads.
     while not ends.intersection(received := signals.recv(4096)):
@@ -188,7 +188,7 @@ def _await_end(signals: socket.socket, dispatch: Dispatch) -> signal.Signals:
 
 
 def _log_end(kind: type[BaseException] | None, *_: object) -> None:
-    """The last line of the log, once everything is down; an error has a line of its own."""
+    """The last line of the log, once everything is down; an error has its own line."""
     if kind is None:
         _log.info("stopped")
 

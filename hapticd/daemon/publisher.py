@@ -45,7 +45,7 @@ class Publisher(Peers):
         """Those who keep up."""
         self._behind: dict[Peer, Reader] = {}
         self._backlog = Backlog(self._subscribers)
-        self._told_s = time.monotonic()
+        self._reported_s = time.monotonic()
         # Whatever else is subscribed to can match nothing.
         self._useful = {topic[:length] for topic in self._subscribers for length in range(len(topic) + 1)}
 
@@ -81,14 +81,16 @@ class Publisher(Peers):
             len(data),
             taken,
         )
+        whole: bytes | None = None
         for peer, count in zip(peers, taken, strict=True):
-            if count == size:
+            if count == size or peer.closed:  # one that held too much may have been ended meanwhile
                 continue
             if count < 0 and -count not in (errno.EAGAIN, errno.EWOULDBLOCK):
                 self._end(peer)
                 continue
-            # A copy: what stands in `data` is another message soon.
-            self._keep(peer, (b"".join((head, data))[max(count, 0) :],))
+            if whole is None:  # one copy for all: what stands in `data` is another message soon
+                whole = b"".join((head, data))
+            self._keep(peer, (memoryview(whole)[max(count, 0) :],))
             self._fall_behind(peer)
 
     def wait(self, timeout_s: float) -> None:
@@ -179,8 +181,8 @@ class Publisher(Peers):
 
     def _tell_losses(self) -> None:
         """Once a second."""
-        if time.monotonic() >= self._told_s + _TELL_EVERY_S:
-            self._told_s = time.monotonic()
+        if time.monotonic() >= self._reported_s + _TELL_EVERY_S:
+            self._reported_s = time.monotonic()
             for peer, behind in self._behind.items():
                 self._tell_loss(peer, behind)
 
@@ -191,8 +193,8 @@ class Publisher(Peers):
         peer.lost += lost
 
         def tell(since: Since) -> None:
-            told = wording.count(since.amounts["messages"], "message")
-            _log.info("%s does not keep up with telemetry: %s dropped %s", peer, told, since.window)
+            lost = wording.count(since.amounts["messages"], "message")
+            _log.info("%s does not keep up with telemetry: %s dropped %s", peer, lost, since.window)
 
         self._repeats.note(f"lost {peer.uid} {peer.pid}", tell, {"messages": lost})
 

@@ -46,7 +46,7 @@ class Router(Peers):
     def __init__(self, listening: socket.socket, limits: Limits = LIMITS) -> None:
         super().__init__(listening, limits)
         self.undelivered = 0
-        """Answers to those who had gone."""
+        """Answers to peers that had left."""
 
     def receive(self, timeout_s: float) -> Request | None:
         """The next request of whose turn it is; None after so long, or once somebody calls `wake`."""
@@ -68,7 +68,7 @@ class Router(Peers):
                 return None
 
     def send(self, peer: Peer, delimited: bool, body: bytes | codec.Encoded) -> None:
-        """An answer, after those that were sent to this peer before. It is dropped if the peer has gone."""
+        """An answer, after those that were sent to this peer before. It is dropped if the peer has left."""
         if peer.closed:
             self.undelivered += 1
             return

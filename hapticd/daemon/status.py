@@ -120,7 +120,7 @@ class Status:
             found = {
                 "undisplayable": [asdict(mode) for mode in undisplayable],
                 "warnings": [asdict(problem) for problem in warnings[:MAX_FAULTS]],
-                "offload": [asdict(told) for told in self._engine.offloaded()[:MAX_FAULTS]],
+                "offload": [asdict(each) for each in self._engine.offloaded()[:MAX_FAULTS]],
             }
             self._limits = (state, found)
         return found

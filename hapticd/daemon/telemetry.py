@@ -1,6 +1,6 @@
 """The telemetry publisher: drains the servo's rings and sends what they held to whoever listens.
 
-Runs in a thread of its own. The servo never waits for it; a ring holds more than a second, which outlasts a garbage
+Runs in a separate thread. The servo never waits for it; a ring holds more than a second, which outlasts a garbage
 collection. A slow subscriber costs itself messages, nobody else.
 """
 
@@ -153,19 +153,19 @@ class Telemetry:
                 break
 
     def _maps(self, events: npt.NDArray[np.void]) -> Iterator[dict[str, object]]:
-        """Events as maps. Those that come in floods are told once for all that were found together: overruns of a busy
+        """Events as maps. Those that come in floods are sent once for all that were found together: overruns of a busy
         machine are added up, grooves of one object are counted, and of revisions the newest is the one in force.
-        Telling each would hold up commands."""
+        Sending each would hold up commands."""
         kinds = events["kind"]
         overruns, revisions = events[kinds == EventKind.OVERRUN], events[kinds == EventKind.REVISION]
         if len(revisions):
             yield event_map(revisions[-1], None)
         strikes = np.flatnonzero(kinds == EventKind.GROOVE)
         counts = _last_of_each(events[strikes])
-        told = (kinds != EventKind.OVERRUN) & (kinds != EventKind.REVISION) & (kinds != EventKind.GROOVE)
-        told[strikes[list(counts)]] = True
+        sent = (kinds != EventKind.OVERRUN) & (kinds != EventKind.REVISION) & (kinds != EventKind.GROOVE)
+        sent[strikes[list(counts)]] = True
         grooves = {int(strikes[place]): count for place, count in counts.items()}
-        for place in np.flatnonzero(told).tolist():
+        for place in np.flatnonzero(sent).tolist():
             message = self._note(events[place])
             yield message | {"count": grooves[place]} if place in grooves else message
         if len(overruns):

@@ -7,7 +7,6 @@ sends them.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from itertools import chain
 from typing import Final, NamedTuple, TypeAlias
 
 from hapticd.base.model import Model
@@ -135,5 +134,9 @@ def _shown_otherwise(before: Scene, after: Scene) -> dict[str, object]:
 
 
 def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: Collection[str]) -> bool:
-    changed = chain(map(scene.objects.get, ids), map(materials.get, names))
-    return sum(map(pieces, changed)) > MOST_PIECES
+    total = 0
+    for id in ids:
+        total += pieces(scene.objects.get(id))
+    for name in names:
+        total += pieces(materials.get(name))
+    return total > MOST_PIECES

@@ -505,7 +505,7 @@ def test_who_does_not_read_loses_the_oldest_and_costs_nobody_anything(path: Path
         read()
     assert came == list(range(1000))
     assert len(made._backlog) == backlog.MESSAGES
-    made._told_s = 0.0  # as if a second had passed
+    made._reported_s = 0.0  # as if a second had passed
     made.wait(0)
     lost = [peer.lost for peer in made._peers.values()]
     assert sum(lost) >= 20 * 500 and min(lost) == 0
