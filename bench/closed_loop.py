@@ -5,7 +5,7 @@ the force, no vibration. A hand draws a mass onto a wall; along the normal
 
     M y'' = k (w - y) + b_h (w' - y') - b y' + F,        F = -K y - D y' inside the wall, 0 outside,
 
-with the hand's wish w a straight line in time. Every stretch between two events has the closed form
+with the hand's reference w a straight line in time. Every stretch between two events has the closed form
 
     y(t) = alpha + beta t + c1 exp(p1 t) + c2 exp(p2 t),      M p^2 + (b + b_h + D) p + (k + K) = 0.
 """
@@ -52,24 +52,24 @@ class Loop:
 
     @property
     def lasting_s(self) -> float:
-        """How long a run lasts: the wish moves, then rests."""
+        """How long a run lasts: the reference moves, then rests."""
         return self.moving_s + self.resting_s
 
     def waypoints(self) -> list[list[float]]:
-        """The hand's wish [t_s, x_m, y_m]."""
+        """The hand's reference [t_s, x_m, y_m]."""
         end = self.start - self.speed * self.moving_s
         return [[0.0, 0.0, self.start], [self.moving_s, 0.0, end], [self.lasting_s, 0.0, end]]
 
 
 class Stretched:
-    """The closed form of one stretch: the wish is `wish + rate t`, the motion begins at y, v."""
+    """The closed form of one stretch: the reference is `reference + rate t`, the motion begins at y, v."""
 
-    def __init__(self, loop: Loop, inside: bool, wish: float, rate: float, y: float, v: float) -> None:
+    def __init__(self, loop: Loop, inside: bool, reference: float, rate: float, y: float, v: float) -> None:
         mass = loop.mass
         damping = loop.handle_damping + loop.hand_damping + (loop.damping if inside else 0.0)
         stiffness = loop.hand_stiffness + (loop.stiffness if inside else 0.0)
         self.beta = loop.hand_stiffness * rate / stiffness
-        self.alpha = (loop.hand_stiffness * wish + loop.hand_damping * rate - damping * self.beta) / stiffness
+        self.alpha = (loop.hand_stiffness * reference + loop.hand_damping * rate - damping * self.beta) / stiffness
         root = np.sqrt(complex(damping * damping - 4 * mass * stiffness))
         self.p = np.array([(-damping + root) / (2 * mass), (-damping - root) / (2 * mass)])
         self.c = np.linalg.solve(np.array([[1, 1], self.p]), np.array([y - self.alpha, v - self.beta], dtype=complex))
@@ -84,7 +84,7 @@ class Stretched:
 
 
 class Continuous:
-    """The whole run: free, inside under a moving wish, inside under a resting one. It must not let go of the wall."""
+    """The whole run: free, inside under a moving reference, then under a resting one; it stays inside."""
 
     def __init__(self, loop: Loop, onset: tuple[float, float] | None = None) -> None:
         """`onset`: time and velocity of the onset, where they are not the loop's own."""
@@ -99,8 +99,8 @@ class Continuous:
                 low, high = (middle, high) if free.at(middle)[0] > 0 else (low, middle)
             onset = high, float(free.at(high)[1])
         self.onset_s = onset[0]
-        wish = loop.start - loop.speed * self.onset_s
-        pressed = Stretched(loop, True, wish, -loop.speed, 0.0, onset[1])
+        reference = loop.start - loop.speed * self.onset_s
+        pressed = Stretched(loop, True, reference, -loop.speed, 0.0, onset[1])
         y, v = pressed.at(loop.moving_s - self.onset_s)
         held = Stretched(loop, True, loop.start - loop.speed * loop.moving_s, 0.0, float(y), float(v))
         self._stretches = ((0.0, free), (self.onset_s, pressed), (loop.moving_s, held))

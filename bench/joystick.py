@@ -1,7 +1,7 @@
 """The simulated joystick's integration beside other ones at the same tick: ns a period against error.
 
-The reference is the closed form of each stretch between events (a waypoint of the wish, a change of the held force, a
-turn, rest), in 40 digits; turns and releases are found in them.
+The truth is the closed form of each stretch between events (a waypoint of the hand's reference, a change of the held
+force, a turn, rest), in 40 digits; turns and releases are found in them.
 """
 
 from __future__ import annotations
@@ -87,12 +87,12 @@ class Closed:
     def _flight(self, begin: Any, now: Any, end: Any, x: Any, v: Any) -> tuple[Any, Callable[[Any], tuple[Any, Any]]]:
         """Until when the motion from x, v at `now` goes on in one direction or rests, and what it is after a while."""
         mp, h = self.mp, self.handle
-        wish, rate, push = self._driven(begin, now)
+        reference, rate, push = self._driven(begin, now)
         mass, k, b = mp.mpf(h.mass_kg), mp.mpf(h.hand_stiffness_n_per_m), mp.mpf(h.hand_damping_n_s_per_m)
         friction = mp.mpf(h.friction_n)
 
         def pull(after: Any) -> Any:
-            return push + k * (wish + rate * after - x) + b * rate
+            return push + k * (reference + rate * after - x) + b * rate
 
         # What is left of a turn by rounding is none.
         if friction and abs(v) < mp.mpf(10) ** -30:
@@ -110,7 +110,7 @@ class Closed:
             direction = mp.sign(v) if friction else mp.mpf(0)
         damping = mp.mpf(h.damping_n_s_per_m) + b
         beta = rate
-        alpha = wish + (push - direction * friction + b * rate - damping * beta) / k
+        alpha = reference + (push - direction * friction + b * rate - damping * beta) / k
         root = mp.sqrt(mp.mpc(damping * damping - 4 * mass * k))
         p = [(-damping + root) / (2 * mass), (-damping - root) / (2 * mass)]
         c1 = ((v - beta) - p[1] * (x - alpha)) / (p[0] - p[1])
@@ -139,7 +139,7 @@ class Closed:
         return end, motion
 
     def _driven(self, begin: Any, now: Any) -> tuple[Any, Any, Any]:
-        """Wish, its speed and the actuator's force from `now` on, in the stretch that begins at `begin`."""
+        """Reference, its speed and the actuator's force from `now` on, in the stretch that begins at `begin`."""
         mp = self.mp
         push = mp.mpf(PULSE_N) if PULSE_S[0] - 1e-9 < begin < PULSE_S[1] - 1e-9 else mp.mpf(0)
         for (t0, w0), (t1, w1) in pairwise(WAYPOINTS):
@@ -221,9 +221,9 @@ def run(options: Options, advance: Advance) -> Section:
         "The simulated joystick",
         [
             f"{LASTING_S:g} s of a handle of 0.1 kg (light: 0.02 kg) in a hand of 300 N/m and 3 N s/m (firm: 1000 "
-            "N/m, 1 N s/m), whose wish is drawn to and fro, under a force that the actuator holds from tick to tick. "
-            "The other ways take one step a period and know of dry friction what a step can: a handle that would turn "
-            "within it stops. References: closed forms from event to event in 40 digits.",
+            "N/m, 1 N s/m), whose reference is drawn to and fro, under a force that the actuator holds from tick to "
+            "tick. The other ways take one step a period and know of dry friction what a step can: a handle that would "
+            "turn within it stops. References: closed forms from event to event in 40 digits.",
             Table(
                 f"Worst error at ticks, of the largest excursion; ns a period at 10 kHz, both axes, {rounds} rounds in "
                 "turns: median (10 to 90 %)",

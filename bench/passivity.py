@@ -100,7 +100,7 @@ class Case:
         }
 
     def waypoints(self) -> list[list[float]]:
-        """The hand's wish: in, along, half out, in again and out."""
+        """The hand's reference: in, along, half out, in again and out."""
         deep, along = -self.depth_m, self.slide_m
         reach = 10.0 if self.light else 1.0
         return [

@@ -2,7 +2,7 @@
  *
  *     M x'' = F - b x' - b_h (x' - w') - k (x - w) - c sign(x')
  *
- * with the wish w straight between waypoints. The Eulers and Runge and Kutta's method take one step a period, as a
+ * with the reference w straight between waypoints. The Eulers and Runge and Kutta's method take one step a period, as a
  * simulation at the servo's rate would; friction is held at what it is at the step's beginning, and a handle that would
  * turn within the step, or is pushed with less than the friction, rests. csrc/device/hd_sim.h is called as the servo
  * does. */
@@ -17,24 +17,25 @@ struct motion {
     double v;
 };
 
-struct wish {
+struct reference {
     const double *waypoints;
     size_t points;
     size_t next;
 };
 
-/* The wish and its speed, `time_s` never falling by more than a step; at a waypoint the speed is that of what comes. */
-static void wish_at(struct wish *wish, double time_s, double *w, double *rate) {
-    const double *points = wish->waypoints;
-    while (wish->next < wish->points && time_s >= points[2 * wish->next] * (1.0 - 1e-12)) {
-        wish->next++;
+/* The reference and its speed, `time_s` never falling by more than a step; at a waypoint the speed is that of what
+ * comes. */
+static void reference_at(struct reference *reference, double time_s, double *w, double *rate) {
+    const double *points = reference->waypoints;
+    while (reference->next < reference->points && time_s >= points[2 * reference->next] * (1.0 - 1e-12)) {
+        reference->next++;
     }
-    if (wish->next == wish->points) {
-        *w = points[2 * wish->points - 1];
+    if (reference->next == reference->points) {
+        *w = points[2 * reference->points - 1];
         *rate = 0.0;
         return;
     }
-    const double *from = points + 2 * (wish->next - 1);
+    const double *from = points + 2 * (reference->next - 1);
     *rate = (from[3] - from[1]) / (from[2] - from[0]);
     *w = from[1] + *rate * (time_s - from[0]);
 }
@@ -122,13 +123,13 @@ static double simulated(const struct peer_handle *h, double period_s, size_t poi
 
 static inline void walk(int kind, const struct peer_handle *h, double period_s, size_t points, const double *waypoints,
                         size_t count, const double *force, double *position) {
-    struct wish wish = {waypoints, points, 1};
+    struct reference reference = {waypoints, points, 1};
     struct motion axes[2] = {{0.0, 0.0}, {0.0, 0.0}};
     for (size_t k = 0; k < count; k++) {
         double w;
         double rate;
         position[k] = axes[0].x;
-        wish_at(&wish, (double)k * period_s, &w, &rate);
+        reference_at(&reference, (double)k * period_s, &w, &rate);
         for (int axis = 0; axis < 2; axis++) {
             axes[axis] = stepped(kind, h, period_s, force[k], w, rate, axes[axis]);
         }

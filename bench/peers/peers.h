@@ -117,8 +117,8 @@ struct peer_handle {
     double friction_n;
 };
 
-/* Both axes do the same: at rest at 0, the hand's wish follows `waypoints` [points][2] (t_s from 0 on, m), straight
- * between them. `force` [count] is held from tick k to tick k + 1; `position` [count + 1] is of one axis. Returns ns,
- * or -1 where the core refuses the device. */
+/* Both axes do the same: at rest at 0, the hand's reference follows `waypoints` [points][2] (t_s from 0 on, m),
+ * straight between them. `force` [count] is held from tick k to tick k + 1; `position` [count + 1] is of one axis.
+ * Returns ns, or -1 where the core refuses the device. */
 double peer_joystick(int kind, const struct peer_handle *handle, double period_s, size_t points,
                      const double *waypoints, size_t count, const double *force, double *position);

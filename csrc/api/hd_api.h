@@ -63,7 +63,7 @@ struct hd_mode {
     double kicks[2 * HD_KICKS]; /* c, d of each of the first samples: plus c + d x, the onset x T before the first */
     uint32_t kick_count;        /* 0 or HD_KICKS */
     uint32_t reserved;
-    uint32_t effect; /* id of the hd_hid_offer that a device may play instead; 0: none */
+    uint32_t effect; /* id of the hd_device_effect that a device may play instead; 0: none */
     uint32_t unused;
     double effect_force_per_unit; /* N of coefficient per the same unit, where the effect is played */
     double effect_peak;           /* the largest level of the effect over the coefficient */
@@ -94,12 +94,12 @@ struct hd_material {
     uint32_t heals;        /* membranes: closes again when the probe withdraws */
     uint32_t tap_count;    /* points of the tap's amplitude over the approach speed, up to HD_TAP_POINTS; 0: a slope */
     uint32_t tap_first;    /* index in the table's numbers: speeds [tap_count], m/s, rising; amplitudes [tap_count] */
-    uint32_t tune_speeds;  /* points of the groove's frequency over the speed, see hd_tune.h; 0: it is the mode's */
+    uint32_t tune_speeds;  /* points of the groove's frequency over the speed, see hd_numbers.h; 0: it is the mode's */
     uint32_t tune_forces;  /* the same over the force */
     uint32_t tune_nodes;   /* of its compensation; 0: there is none */
     uint32_t tune_first;   /* index in the table's numbers */
     uint32_t tune_mutes;   /* a strike above tune_highest_rad_per_s is 0: lowered to that, 1: silent */
-    uint32_t mode_count;   /* points of the tap's mode over the approach speed, see hd_tune.h; 0: it is one */
+    uint32_t mode_count;   /* points of the tap's mode over the approach speed, see hd_numbers.h; 0: it is one */
     uint32_t mode_nodes;   /* of its compensation; 0: there is none */
     uint32_t mode_first;   /* index in the table's numbers */
     uint32_t mode_by_peak; /* 1: what the tap is struck with is the first peak, 0: the coefficient */
@@ -332,15 +332,22 @@ enum hd_fault {
  * A C library without such a limit is left as it is. HD_ERR_INVALID: more than malloc takes. */
 int hd_memory_large_from(size_t bytes);
 
+/* ---- Sockets ------------------------------------------------------------------------------------------------- */
+
+/* Sends `head` and `data` behind it to each of `count` connected stream sockets, without waiting. taken[i]: how many
+ * bytes socket i took, or a negative errno. */
+void hd_send_each(const int32_t *sockets, size_t count, const void *head, size_t head_size, const void *data,
+                  size_t data_size, int64_t *taken);
+
 /* ---- The end by a fault -------------------------------------------------------------------------------------- */
 
-/* From now on SIGABRT, SIGSEGV, SIGBUS, SIGILL and SIGFPE first have what hd_last_keep was told written to the device,
- * then do what they did before. The reports come one after the other in `reports`, zero first; the device is known by a
- * descriptor of the core's own until hd_last_drop, or another hd_last_keep. HD_ERR_INVALID: too much, or no descriptor
- * is left; what was kept stays. Control. */
-void hd_last_arm(void);
-int hd_last_keep(int fd, const uint8_t *reports, const uint32_t *lengths, uint32_t count, double pause_s);
-void hd_last_drop(void);
+/* From now on SIGABRT, SIGSEGV, SIGBUS, SIGILL and SIGFPE first have what hd_last_report_keep was told written to the
+ * device, then do what they did before. The reports come one after the other in `reports`, zero first; the device is
+ * known by a descriptor of the core's own until hd_last_report_drop, or another hd_last_report_keep. HD_ERR_INVALID:
+ * too much, or no descriptor is left; what was kept stays. Control. */
+void hd_last_report_arm(void);
+int hd_last_report_keep(int fd, const uint8_t *reports, const uint32_t *lengths, uint32_t count, double pause_s);
+void hd_last_report_drop(void);
 
 /* ---- State and offline rendering ----------------------------------------------------------------------------- */
 
@@ -465,7 +472,7 @@ void hd_sim_free(struct hd_sim *sim);
 /* The hand follows `path` from now on; before its first waypoint it goes there in a straight line from where it wants
  * to be now (at t_s = 0 it is there at once). The caller keeps `path` alive as long as the simulation uses it. */
 void hd_sim_operate(struct hd_sim *sim, const struct hd_operator *path);
-/* The handle jumps, at rest, to the hand's first wish: for a run that starts with an operator. */
+/* The handle jumps, at rest, to the hand's first reference: for a run that starts with an operator. */
 void hd_sim_settle(struct hd_sim *sim);
 /* The actuator holds this force (limited, rounded), at once or when the link has carried it, until the next one or
  * until it expires. */
@@ -498,8 +505,8 @@ int hd_play(struct hd_state *state, const struct hd_mode *mode, const double dir
 
 #define HD_HID_REPORT_BYTES 256 /* the longest report, with its id */
 #define HD_HID_MESSAGES 24      /* of one script */
-#define HD_HID_OFFERS 8         /* effects that a device plays by itself */
-#define HD_HID_OFFER_MESSAGES 4
+#define HD_DEVICE_EFFECTS 8     /* effects that a device plays by itself */
+#define HD_DEVICE_EFFECT_MESSAGES 4
 #define HD_HID_VALUES 4 /* numbers written into one message */
 #define HD_HID_STATES 8
 #define HD_HID_EFFECTS 4 /* whose playing is watched */
@@ -620,24 +627,24 @@ struct hd_hid_plan {
 };
 
 /* A mode as the device plays it by itself: a periodic effect of finite length, which nothing renews. */
-struct hd_hid_offer {
+struct hd_device_effect {
     uint32_t id;            /* not 0; of this mode on this device, never reused for another one */
-    uint32_t place;         /* of the device's effect, below HD_HID_OFFERS: each is one mode at a time */
-    uint32_t message_count; /* 1 to HD_HID_OFFER_MESSAGES */
+    uint32_t place;         /* of the device's effect, below HD_DEVICE_EFFECTS: each is one mode at a time */
+    uint32_t message_count; /* 1 to HD_DEVICE_EFFECT_MESSAGES */
     uint32_t unused;
-    int64_t duration_ns;                                   /* up to 0.2 s */
-    double least_n;                                        /* a coefficient below this is nothing to the device */
-    double most_n;                                         /* one beyond it is played as this */
-    struct hd_hid_message messages[HD_HID_OFFER_MESSAGES]; /* their force is the coefficient, as a vector. The last one
-                                                               starts it; the others are left out where they did not
+    int64_t duration_ns;                                       /* up to 0.2 s */
+    double least_n;                                            /* a coefficient below this is nothing to the device */
+    double most_n;                                             /* one beyond it is played as this */
+    struct hd_hid_message messages[HD_DEVICE_EFFECT_MESSAGES]; /* their force is the coefficient, as a vector. The last
+                                                               one starts it; the others are left out where they did not
                                                                change */
-    struct hd_hid_message stop;                            /* without numbers */
+    struct hd_hid_message stop;                                /* without numbers */
 };
 
-struct hd_hid_offers {
+struct hd_device_effects {
     uint32_t count;
     uint32_t unused;
-    struct hd_hid_offer effects[HD_HID_OFFERS];
+    struct hd_device_effect effects[HD_DEVICE_EFFECTS];
 };
 
 /* What is known of a connection; each number is read on its own. */
@@ -685,7 +692,7 @@ int hd_hid_disconnect(struct hd_hid *hid, int orderly);
  * name one of these effects are no voices of the tick then, but are sent to the device while forces and vibration are
  * fully on; what plays is stopped when they no longer are. Copied. HD_ERR_INVALID (hd_invalid_reason); without a
  * connection it does nothing. Not at the same time as hd_hid_connect or hd_hid_disconnect. */
-int hd_hid_offer(struct hd_hid *hid, const struct hd_hid_offers *effects);
+int hd_hid_set_effects(struct hd_hid *hid, const struct hd_device_effects *effects);
 void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status);
 /* Blocks until the connection ends by itself, a reset is seen, hd_hid_wake is called or the time is over; 1: something
  * happened, perhaps before this call, but after the last one that said so. */
@@ -699,8 +706,8 @@ void hd_hid_clear_reset(struct hd_hid *hid);
 
 /* Pack and unpack, for tests and for set-up. `report` holds `length` bytes, its id first. HD_ERR_INVALID: the field
  * does not lie within it, or a count does not fit. */
-int hd_field_read(const struct hd_hid_field *field, const uint8_t *report, size_t length, int64_t *counts);
-int hd_field_write(const struct hd_hid_field *field, uint8_t *report, size_t length, int64_t counts);
+int hd_bits_get(const struct hd_hid_field *field, const uint8_t *report, size_t length, int64_t *counts);
+int hd_bits_put(const struct hd_hid_field *field, uint8_t *report, size_t length, int64_t counts);
 /* What `message` becomes with this force, for tests. */
 void hd_hid_compose(const struct hd_hid_message *message, const double force_n[2], uint8_t *bytes);
 

@@ -1,42 +1,19 @@
-/* HID reports, from the inside of the core: where numbers lie in their bits, what an input report says, what an output
- * report becomes with a force. Pure functions; nothing is remembered here. */
+/* HID bit fields: numbers of 1 to 32 bits anywhere in a report (struct hd_hid_field). Counts are signed 64-bit, so that
+ * every field of 32 bits fits. Any thread; nothing outside of the report is read or written. */
 #ifndef HD_BITS_H
 #define HD_BITS_H
 
 #include "api/hd_core.h"
 #include "base/hd_rt.h"
 
-/* hd_field_read and hd_field_write without a reason: HD_OK or HD_ERR_INVALID. */
-HD_RT int hd_report_read(const struct hd_hid_field *field, const uint8_t *report, size_t length, int64_t *counts);
-HD_RT int hd_report_write(const struct hd_hid_field *field, uint8_t *report, size_t length, int64_t counts);
+/* hd_bits_get and hd_bits_put without a reason: HD_OK or HD_ERR_INVALID. */
+HD_RT int hd_bits_try_get(const struct hd_hid_field *field, const uint8_t *report, size_t length, int64_t *counts);
+HD_RT int hd_bits_try_put(const struct hd_hid_field *field, uint8_t *report, size_t length, int64_t counts);
 
-/* HD_OK, or HD_ERR_INVALID with hd_invalid_reason: everything that the functions below count on. */
-int hd_report_check(const struct hd_hid_plan *plan);
-/* The same of one output report; `name` and `index` are for the reason. */
-int hd_report_check_message(const struct hd_hid_message *message, const char *name, uint32_t index);
-
-/* Reports of a checked plan begin with an id. */
-HD_RT int hd_report_numbered(const struct hd_hid_plan *plan);
-
-/* What one input report says. */
-struct hd_report_news {
-    double position_m[2];
-    uint32_t axes;        /* bit 0: x, bit 1: y: the report has it */
-    uint32_t states;      /* bit (meaning - 1): the number is not 0 */
-    uint32_t said;        /* bit (meaning - 1): the report has it */
-    uint32_t effects;     /* bit i: it speaks of plan.effects.indices[i] */
-    uint32_t playing;     /* 1: which plays */
-    uint32_t short_of_it; /* 1: it ends before something that the plan reads of it; nothing above is set */
-};
-
-/* `report` holds `length` bytes, its id first (0 where reports are not numbered). Any bytes at all are taken. */
-HD_RT void hd_report_take(const struct hd_hid_plan *plan, const uint8_t *report, size_t length,
-                          struct hd_report_news *news);
-
-/* Where a force comes from, as HD_HID_DIRECTION says it; 0 for no force. */
-double hd_report_direction(const double force_n[2]);
-/* hd_hid_compose with a direction of the caller's: that of a force of zero is a matter of taste. */
-void hd_report_compose(const struct hd_hid_message *message, const double force_n[2], double direction_rad,
-                       uint8_t *bytes);
+/* Whether the field lies within a report of `length` bytes. */
+HD_RT int hd_bits_fit(const struct hd_hid_field *field, size_t length);
+/* The least and the most counts that it holds. */
+HD_RT int64_t hd_bits_least(const struct hd_hid_field *field);
+HD_RT int64_t hd_bits_most(const struct hd_hid_field *field);
 
 #endif

@@ -3,7 +3,9 @@
 #define HD_DEVICE_H
 
 #include "base/hd_memory.h"
+#include "device/hd_gesture.h"
 #include "device/hd_hid.h"
+#include "device/hd_signs.h"
 #include "device/hd_sim.h"
 
 /* One of the two is NULL. */
@@ -40,8 +42,8 @@ HD_RT static inline void hd_device_put(const struct hd_device *device, int64_t n
 }
 
 /* Whether it plays effects by itself, when it is told to strike them. */
-HD_RT static inline int hd_device_offers(const struct hd_device *device) {
-    return device->hid != NULL && hd_hid_step_offers(device->hid);
+HD_RT static inline int hd_device_has_effects(const struct hd_device *device) {
+    return device->hid != NULL && hd_hid_step_has_effects(device->hid);
 }
 
 /* What the servo touches of it. */

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/hd_bits.h"
+#include "device/hd_report.h"
 
 #define HD_DURATION_MAX_NS 200000000
 #define HD_STOPPED_FOR_NS 100000000 /* after its end an effect still counts as playing: writes may have been slow */
@@ -15,46 +15,46 @@
 
 /* ---- Servo ------------------------------------------------------------------------------------------------------- */
 
-HD_RT int hd_orders_put(struct hd_orders *orders, int64_t now_ns, uint32_t effect, const double force_n[2]) {
+HD_RT int hd_effect_queue_put(struct hd_effect_queue *queue, int64_t now_ns, uint32_t effect, const double force_n[2]) {
     if (!((force_n[0] + force_n[1]) * 0.0 == 0.0)) {
         return HD_OK;
     }
-    const struct hd_order order = {
+    const struct hd_effect_strike strike = {
         .force_n = {force_n[0], force_n[1]},
         .time_ns = now_ns,
         .effect = effect,
-        .silence = hd_atomic_u32_load_relaxed(&orders->silence),
+        .silence = hd_atomic_u32_load_relaxed(&queue->silence),
     };
-    const int status = hd_ring_push(&orders->ring, &order);
+    const int status = hd_ring_push(&queue->ring, &strike);
     if (status != HD_OK) {
-        hd_ring_drop(&orders->ring);
+        hd_ring_drop(&queue->ring);
     }
     return status;
 }
 
-HD_RT void hd_orders_silence(struct hd_orders *orders) {
-    hd_atomic_u32_store_release(&orders->silence, hd_atomic_u32_load_relaxed(&orders->silence) + 1u);
+HD_RT void hd_effect_queue_silence(struct hd_effect_queue *queue) {
+    hd_atomic_u32_store_release(&queue->silence, hd_atomic_u32_load_relaxed(&queue->silence) + 1u);
 }
 
 /* ---- Control side ------------------------------------------------------------------------------------------------ */
 
-void hd_orders_init(struct hd_orders *orders) {
-    orders->ring.slots = (unsigned char *)orders->slots;
-    orders->ring.record_size = sizeof orders->slots[0];
-    orders->ring.capacity = HD_ORDER_CAPACITY;
+void hd_effect_queue_init(struct hd_effect_queue *queue) {
+    queue->ring.slots = (unsigned char *)queue->slots;
+    queue->ring.record_size = sizeof queue->slots[0];
+    queue->ring.capacity = HD_EFFECT_QUEUE_CAPACITY;
 }
 
-uint64_t hd_orders_lost(const struct hd_orders *orders) {
-    return hd_atomic_u64_load_relaxed(&orders->lost) + hd_ring_dropped(&orders->ring);
+uint64_t hd_effect_queue_lost(const struct hd_effect_queue *queue) {
+    return hd_atomic_u64_load_relaxed(&queue->lost) + hd_ring_dropped(&queue->ring);
 }
 
-void hd_player_init(struct hd_player *player, const struct hd_orders *orders) {
-    hd_triple_init(&player->triple);
-    player->silence = hd_atomic_u32_load_acquire(&orders->silence);
+void hd_effect_sender_init(struct hd_effect_sender *sender, const struct hd_effect_queue *queue) {
+    hd_triple_init(&sender->triple);
+    sender->silence = hd_atomic_u32_load_acquire(&queue->silence);
 }
 
-static int effect_check(const struct hd_hid_offer *effect, uint32_t index) {
-    if (effect->id == 0 || effect->place >= HD_HID_OFFERS) {
+static int effect_check(const struct hd_device_effect *effect, uint32_t index) {
+    if (effect->id == 0 || effect->place >= HD_DEVICE_EFFECTS) {
         return hd_invalid("effect %u: id %u at place %u", index, effect->id, effect->place);
     }
     if (effect->duration_ns <= 0 || effect->duration_ns > HD_DURATION_MAX_NS) {
@@ -63,7 +63,7 @@ static int effect_check(const struct hd_hid_offer *effect, uint32_t index) {
     if (!(effect->least_n >= 0.0 && effect->least_n <= effect->most_n && effect->most_n <= 1e9)) {
         return hd_invalid("effect %u: coefficients from %g to %g N", index, effect->least_n, effect->most_n);
     }
-    if (effect->message_count < 1 || effect->message_count > HD_HID_OFFER_MESSAGES) {
+    if (effect->message_count < 1 || effect->message_count > HD_DEVICE_EFFECT_MESSAGES) {
         return hd_invalid("effect %u: %u messages", index, effect->message_count);
     }
     for (uint32_t i = 0; i < effect->message_count; i++) {
@@ -77,33 +77,33 @@ static int effect_check(const struct hd_hid_offer *effect, uint32_t index) {
     return hd_report_check_message(&effect->stop, "effect stop", index);
 }
 
-int hd_player_offer(struct hd_player *player, const struct hd_hid_offers *effects) {
-    if (effects->count > HD_HID_OFFERS) {
-        return hd_invalid("%u effects, at most %d", effects->count, HD_HID_OFFERS);
+int hd_effect_sender_set(struct hd_effect_sender *sender, const struct hd_device_effects *effects) {
+    if (effects->count > HD_DEVICE_EFFECTS) {
+        return hd_invalid("%u effects, at most %d", effects->count, HD_DEVICE_EFFECTS);
     }
     for (uint32_t i = 0; i < effects->count; i++) {
         if (effect_check(&effects->effects[i], i) != HD_OK) {
             return HD_ERR_INVALID;
         }
     }
-    player->effects[hd_triple_back(&player->triple)] = *effects;
-    hd_triple_publish(&player->triple);
+    sender->effects[hd_triple_back(&sender->triple)] = *effects;
+    hd_triple_publish(&sender->triple);
     return HD_OK;
 }
 
 /* ---- The writer -------------------------------------------------------------------------------------------------- */
 
-static void end_order(struct hd_player *player, struct hd_orders *orders) {
-    if (player->effect != NULL) {
-        player->effect = NULL;
-        hd_atomic_u64_add_relaxed(&orders->lost, 1);
+static void end_strike(struct hd_effect_sender *sender, struct hd_effect_queue *queue) {
+    if (sender->effect != NULL) {
+        sender->effect = NULL;
+        hd_atomic_u64_add_relaxed(&queue->lost, 1);
     }
 }
 
 /* The effect of an id, among those of now; NULL: it is gone. */
-static const struct hd_hid_offer *effect_of(struct hd_player *player, uint32_t id) {
-    hd_triple_acquire(&player->triple);
-    const struct hd_hid_offers *effects = &player->effects[hd_triple_front(&player->triple)];
+static const struct hd_device_effect *effect_of(struct hd_effect_sender *sender, uint32_t id) {
+    hd_triple_acquire(&sender->triple);
+    const struct hd_device_effects *effects = &sender->effects[hd_triple_front(&sender->triple)];
     for (uint32_t i = 0; i < effects->count; i++) {
         if (effects->effects[i].id == id) {
             return &effects->effects[i];
@@ -112,18 +112,18 @@ static const struct hd_hid_offer *effect_of(struct hd_player *player, uint32_t i
     return NULL;
 }
 
-/* The oldest order that the device would feel becomes the one under way. 0: there is none. */
-static int take_order(struct hd_player *player, struct hd_orders *orders) {
-    const struct hd_order *order;
-    while ((order = hd_ring_peek(&orders->ring)) != NULL) {
-        player->order = *order;
-        hd_ring_release(&orders->ring);
-        const struct hd_hid_offer *effect = effect_of(player, player->order.effect);
+/* The oldest strike that the device would feel becomes the one under way. 0: there is none. */
+static int take_strike(struct hd_effect_sender *sender, struct hd_effect_queue *queue) {
+    const struct hd_effect_strike *strike;
+    while ((strike = hd_ring_peek(&queue->ring)) != NULL) {
+        sender->strike = *strike;
+        hd_ring_release(&queue->ring);
+        const struct hd_device_effect *effect = effect_of(sender, sender->strike.effect);
         if (effect == NULL) {
-            hd_atomic_u64_add_relaxed(&orders->lost, 1);
+            hd_atomic_u64_add_relaxed(&queue->lost, 1);
             continue;
         }
-        double *force_n = player->order.force_n;
+        double *force_n = sender->strike.force_n;
         const double size_n = hypot(force_n[0], force_n[1]);
         if (!(size_n > 0.0 && size_n >= effect->least_n)) {
             continue;
@@ -132,87 +132,87 @@ static int take_order(struct hd_player *player, struct hd_orders *orders) {
             force_n[0] *= effect->most_n / size_n;
             force_n[1] *= effect->most_n / size_n;
         }
-        struct hd_played *played = &player->played[effect->place];
+        struct hd_effect_state *state = &sender->states[effect->place];
         const double direction_rad = hd_report_direction(force_n);
-        double off_rad = fabs(direction_rad - played->direction_rad);
+        double off_rad = fabs(direction_rad - state->direction_rad);
         off_rad = off_rad > HD_HALF_TURN_RAD ? 2.0 * HD_HALF_TURN_RAD - off_rad : off_rad;
-        if (!played->aimed || off_rad > HD_SAME_DIRECTION_RAD) {
-            played->aimed = 1;
-            played->direction_rad = direction_rad;
+        if (!state->aimed || off_rad > HD_SAME_DIRECTION_RAD) {
+            state->aimed = 1;
+            state->direction_rad = direction_rad;
         }
-        played->known = player->unsure ? 0 : played->known;
-        player->effect = effect;
-        player->next = 0;
+        state->known = sender->unsure ? 0 : state->known;
+        sender->effect = effect;
+        sender->next = 0;
         return 1;
     }
     return 0;
 }
 
-/* The next message of the order under way, which its start ends. */
-static uint32_t compose(struct hd_player *player, struct hd_orders *orders, uint8_t *bytes) {
-    const struct hd_hid_offer *effect = player->effect;
-    struct hd_played *played = &player->played[effect->place];
+/* The next message of the strike under way, which its start ends. */
+static uint32_t compose(struct hd_effect_sender *sender, struct hd_effect_queue *queue, uint8_t *bytes) {
+    const struct hd_device_effect *effect = sender->effect;
+    struct hd_effect_state *state = &sender->states[effect->place];
     for (;;) {
-        const uint32_t i = player->next++;
+        const uint32_t i = sender->next++;
         const struct hd_hid_message *message = &effect->messages[i];
-        hd_report_compose(message, player->order.force_n, played->direction_rad, bytes);
+        hd_report_compose(message, sender->strike.force_n, state->direction_rad, bytes);
         if (i + 1 == effect->message_count) {
-            played->until_ns = INT64_MAX;
-            played->duration_ns = effect->duration_ns;
-            player->started = 1u << effect->place;
-            played->stop_length = effect->stop.length;
-            memcpy(played->stop, effect->stop.bytes, effect->stop.length);
-            player->effect = NULL;
-            hd_atomic_u64_add_relaxed(&orders->played, 1);
+            state->until_ns = INT64_MAX;
+            state->duration_ns = effect->duration_ns;
+            sender->started = 1u << effect->place;
+            state->stop_length = effect->stop.length;
+            memcpy(state->stop, effect->stop.bytes, effect->stop.length);
+            sender->effect = NULL;
+            hd_atomic_u64_add_relaxed(&queue->played, 1);
             return message->length;
         }
-        if ((played->known & 1u << i) == 0 || memcmp(bytes, played->sent[i], message->length) != 0) {
-            memcpy(played->sent[i], bytes, message->length);
-            played->known |= 1u << i;
+        if ((state->known & 1u << i) == 0 || memcmp(bytes, state->sent[i], message->length) != 0) {
+            memcpy(state->sent[i], bytes, message->length);
+            state->known |= 1u << i;
             return message->length;
         }
     }
 }
 
-uint32_t hd_player_next(struct hd_player *player, struct hd_orders *orders, int64_t now_ns, int64_t since_ns, int open,
-                        uint8_t *bytes) {
-    const uint32_t silence = hd_atomic_u32_load_acquire(&orders->silence);
-    const int anew = since_ns != player->since_ns;
-    const int quiet = anew || !open || silence != player->silence;
-    player->since_ns = since_ns;
-    player->silence = silence;
+uint32_t hd_effect_sender_next(struct hd_effect_sender *sender, struct hd_effect_queue *queue, int64_t now_ns,
+                               int64_t since_ns, int open, uint8_t *bytes) {
+    const uint32_t silence = hd_atomic_u32_load_acquire(&queue->silence);
+    const int anew = since_ns != sender->since_ns;
+    const int quiet = anew || !open || silence != sender->silence;
+    sender->since_ns = since_ns;
+    sender->silence = silence;
     if (quiet) {
-        end_order(player, orders);
+        end_strike(sender, queue);
     }
-    for (uint32_t i = 0; i < HD_HID_OFFERS; i++) {
-        struct hd_played *played = &player->played[i];
-        if ((player->started & 1u << i) != 0) {
-            played->until_ns = now_ns + played->duration_ns + HD_STOPPED_FOR_NS;
+    for (uint32_t i = 0; i < HD_DEVICE_EFFECTS; i++) {
+        struct hd_effect_state *state = &sender->states[i];
+        if ((sender->started & 1u << i) != 0) {
+            state->until_ns = now_ns + state->duration_ns + HD_STOPPED_FOR_NS;
         }
-        if (quiet && played->until_ns > now_ns) {
-            player->stopping |= 1u << i;
+        if (quiet && state->until_ns > now_ns) {
+            sender->stopping |= 1u << i;
         }
         if (anew) {
-            played->known = 0;
-            played->aimed = 0;
+            state->known = 0;
+            state->aimed = 0;
         }
     }
-    player->started = 0;
-    for (uint32_t i = 0; player->stopping != 0 && i < HD_HID_OFFERS; i++) {
-        if ((player->stopping & 1u << i) != 0) {
-            player->stopping &= ~(1u << i);
-            player->played[i].until_ns = 0;
-            memcpy(bytes, player->played[i].stop, player->played[i].stop_length);
-            return player->played[i].stop_length;
+    sender->started = 0;
+    for (uint32_t i = 0; sender->stopping != 0 && i < HD_DEVICE_EFFECTS; i++) {
+        if ((sender->stopping & 1u << i) != 0) {
+            sender->stopping &= ~(1u << i);
+            sender->states[i].until_ns = 0;
+            memcpy(bytes, sender->states[i].stop, sender->states[i].stop_length);
+            return sender->states[i].stop_length;
         }
     }
-    while (player->effect != NULL || take_order(player, orders)) {
-        const struct hd_order *order = &player->order;
-        if (open && order->silence == silence && order->time_ns >= since_ns &&
-            now_ns - order->time_ns <= HD_ORDER_AGE_NS) {
-            return compose(player, orders, bytes);
+    while (sender->effect != NULL || take_strike(sender, queue)) {
+        const struct hd_effect_strike *strike = &sender->strike;
+        if (open && strike->silence == silence && strike->time_ns >= since_ns &&
+            now_ns - strike->time_ns <= HD_EFFECT_AGE_NS) {
+            return compose(sender, queue, bytes);
         }
-        end_order(player, orders);
+        end_strike(sender, queue);
     }
     return 0;
 }

@@ -1,13 +1,13 @@
-/* What a device plays by itself: the way of a strike from the servo to the reports that start an effect.
+/* Device effects, which a device plays by itself: the way of a strike from the servo to the reports that start one.
  *
- *     servo --- orders (ring) ---> writer: hd_player_next --- reports ---> device
+ *     servo --- strikes (queue) ---> writer: hd_effect_sender_next --- reports ---> device
  *     control --- effects (latest wins) --^
  *
- * A mode has become an effect with an id (struct hd_hid_offer); an order is one strike of it, with its coefficient as
- * a vector and its time. A player turns orders into reports, one at a call: first what changed of the effect's numbers,
- * then its start. It writes nothing itself.
+ * A mode has become an effect with an id (struct hd_device_effect); a strike of it has its coefficient as a vector and
+ * its time. The sender turns strikes into reports, one at a call: first what changed of the effect's numbers, then its
+ * start. It writes nothing itself.
  *
- * An order ends unsent where it is older than HD_ORDER_AGE_NS, of an effect that is gone, or overtaken by a silence:
+ * A strike ends unsent where it is older than HD_EFFECT_AGE_NS, of an effect that is gone, or overtaken by a silence:
  * the servo calls for one as soon as the forces are no longer fully on. What may be playing then is stopped first of
  * all, and so it is where the device is not whole: a pause would hold it, and play the rest of it afterwards. What
  * plays ends by itself in any case: effects are finite, and nothing renews them. */
@@ -18,12 +18,15 @@
 #include "base/hd_ring.h"
 #include "base/hd_rt.h"
 #include "base/hd_triple.h"
+#include "tick/hd_tick.h"
 
-#define HD_ORDER_CAPACITY 64u
-#define HD_ORDER_AGE_NS 50000000 /* a tap that comes later is none */
-#define HD_ORDER_SLACK_S 0.07    /* so late an effect may begin after its strike: that age, and the last write */
+#define HD_EFFECT_QUEUE_CAPACITY 64u
+#define HD_EFFECT_AGE_NS 50000000 /* a tap that comes later is none */
 
-struct hd_order {
+static_assert(HD_EFFECT_AGE_NS < HD_OFFLOAD_LATE_S * 1e9,
+              "the tick counts an effect for as long as it may play: that age, and the last write, late");
+
+struct hd_effect_strike {
     double force_n[2];
     int64_t time_ns;
     uint32_t effect;
@@ -31,25 +34,25 @@ struct hd_order {
 };
 
 /* From the servo to whichever writer there is. Its memory is part of it, so that it is locked with it. */
-struct hd_orders {
+struct hd_effect_queue {
     struct hd_ring ring;
-    struct hd_order slots[HD_ORDER_CAPACITY];
+    struct hd_effect_strike slots[HD_EFFECT_QUEUE_CAPACITY];
     alignas(HD_CACHE_LINE) struct hd_atomic_u32 silence; /* the servo raises it, the writer reads */
     alignas(HD_CACHE_LINE) struct hd_atomic_u64 played;  /* the writer's counters */
     struct hd_atomic_u64 lost;
 };
 
 /* Control side, before anybody uses it. */
-void hd_orders_init(struct hd_orders *orders);
+void hd_effect_queue_init(struct hd_effect_queue *queue);
 /* Servo: HD_ERR_FULL (counted) or HD_OK; a force that is not finite is none. */
-HD_RT int hd_orders_put(struct hd_orders *orders, int64_t now_ns, uint32_t effect, const double force_n[2]);
-HD_RT void hd_orders_silence(struct hd_orders *orders);
-/* Any thread: orders that ended unsent. */
-uint64_t hd_orders_lost(const struct hd_orders *orders);
+HD_RT int hd_effect_queue_put(struct hd_effect_queue *queue, int64_t now_ns, uint32_t effect, const double force_n[2]);
+HD_RT void hd_effect_queue_silence(struct hd_effect_queue *queue);
+/* Any thread: strikes that ended unsent. */
+uint64_t hd_effect_queue_lost(const struct hd_effect_queue *queue);
 
 /* One of the device's effects. */
-struct hd_played {
-    uint8_t sent[HD_HID_OFFER_MESSAGES][HD_HID_REPORT_BYTES];
+struct hd_effect_state {
+    uint8_t sent[HD_DEVICE_EFFECT_MESSAGES][HD_HID_REPORT_BYTES];
     uint32_t known;       /* bit: that message was sent */
     uint32_t aimed;       /* it has a direction */
     double direction_rad; /* that was sent last */
@@ -59,29 +62,29 @@ struct hd_played {
     uint8_t stop[HD_HID_REPORT_BYTES];
 };
 
-struct hd_player {
+struct hd_effect_sender {
     struct hd_triple triple; /* control publishes effects, the writer reads them */
-    struct hd_hid_offers effects[3];
+    struct hd_device_effects effects[3];
 
-    struct hd_played played[HD_HID_OFFERS]; /* the writer's own, from here on */
-    struct hd_order order;                  /* that is under way, */
-    const struct hd_hid_offer *effect;      /* of this effect; NULL: none is */
-    uint32_t next;                          /* message of it */
-    uint32_t silence;                       /* how many were answered */
-    uint32_t stopping;                      /* bit: place that is to be stopped */
-    uint32_t started;                       /* bit: place whose start came last */
+    struct hd_effect_state states[HD_DEVICE_EFFECTS]; /* the writer's own, from here on */
+    struct hd_effect_strike strike;                   /* that is under way, */
+    const struct hd_device_effect *effect;            /* of this effect; NULL: none is */
+    uint32_t next;                                    /* message of it */
+    uint32_t silence;                                 /* how many were answered */
+    uint32_t stopping;                                /* bit: place that is to be stopped */
+    uint32_t started;                                 /* bit: place whose start came last */
     uint32_t unsure; /* the writer sets it: what was sent may be gone, each order is sent whole */
     int64_t since_ns;
 };
 
-/* Control side, before the writer starts: orders from before now are none. */
-void hd_player_init(struct hd_player *player, const struct hd_orders *orders);
+/* Control side, before the writer starts: strikes from before now are none. */
+void hd_effect_sender_init(struct hd_effect_sender *sender, const struct hd_effect_queue *queue);
 /* Control side: HD_OK, or HD_ERR_INVALID with hd_invalid_reason. */
-int hd_player_offer(struct hd_player *player, const struct hd_hid_offers *effects);
+int hd_effect_sender_set(struct hd_effect_sender *sender, const struct hd_device_effects *effects);
 /* The writer: the next report, into `bytes` [HD_HID_REPORT_BYTES]; its length, 0: there is none. It counts as written.
- * `since_ns`: the device's effects are as they were made then, and older orders are of no connection. `open`: 0 while
- * the device is not whole, so that what plays is stopped and orders end unsent. */
-uint32_t hd_player_next(struct hd_player *player, struct hd_orders *orders, int64_t now_ns, int64_t since_ns, int open,
-                        uint8_t *bytes);
+ * `since_ns`: the device's effects are as they were made then, and older strikes are of no connection. `open`: 0 while
+ * the device is not whole, so that what plays is stopped and strikes end unsent. */
+uint32_t hd_effect_sender_next(struct hd_effect_sender *sender, struct hd_effect_queue *queue, int64_t now_ns,
+                               int64_t since_ns, int open, uint8_t *bytes);
 
 #endif

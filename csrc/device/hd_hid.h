@@ -21,8 +21,8 @@ HD_RT void hd_hid_step_look(struct hd_hid *hid, int64_t now_ns, struct hd_look *
 /* The writer sends this force as soon as it can, unless another one overtakes it. `now_ns`: a force older than 0.1 s is
  * none. */
 HD_RT void hd_hid_step_put(struct hd_hid *hid, int64_t now_ns, const double force_n[2]);
-/* 1: the device plays effects by itself (hd_hid_offer), so that strikes may be put. */
-HD_RT int hd_hid_step_offers(const struct hd_hid *hid);
+/* 1: the device plays effects by itself (hd_hid_set_effects), so that strikes may be put. */
+HD_RT int hd_hid_step_has_effects(const struct hd_hid *hid);
 /* The device plays an effect with this coefficient, as soon as the writer comes to it; counted where there is no room.
  */
 HD_RT void hd_hid_step_strike(struct hd_hid *hid, int64_t now_ns, uint32_t effect, const double force_n[2]);

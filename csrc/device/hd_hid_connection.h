@@ -1,7 +1,7 @@
 /* A HID device, from the inside: two mailboxes that the servo uses without a system call, and while connected a thread
  * at the far end of each.
  *
- *   hd_hid.c            control: connects, disconnects, tells how the device is
+ *   hd_hid_control.c    control: connects, disconnects, tells how the device is
  *   hd_hid_mailboxes.c  what the servo calls
  *   hd_hid_reader.c     poll, drain to the newest report, publish its position with the time at which poll returned
  *   hd_hid_writer.c     take the newest force, compose, write what has changed; renew in time
@@ -28,7 +28,7 @@
  *
  * Who touches what:
  *   positions, arrivals, the reader's counters     the reader writes; control before the reader starts
- *   forces, orders                                 the servo writes, the writer reads while its phase is IDLE
+ *   forces, effect_queue                            the servo writes, the writer reads while its phase is IDLE
  *   seen_* and what follows in struct hd_hid       the servo's own
  *   the writer's counters                          the writer, while its phase is IDLE
  *   playing, ended, told in struct hd_connection   the reader writes, the writer reads
@@ -99,7 +99,7 @@ struct hd_connection {
     int64_t restore_ns; /* when the next message of that script is due, */
     uint32_t restored;  /* and which */
     struct hd_renewals renewals;
-    struct hd_player player;
+    struct hd_effect_sender effect_sender;
 };
 
 struct hd_hid {
@@ -107,8 +107,8 @@ struct hd_hid {
     struct hd_position positions[3];
     struct hd_triple force_triple;
     struct hd_force forces[3];
-    struct hd_orders orders;
-    struct hd_atomic_u32 offers; /* control writes, the servo reads: there are effects for orders */
+    struct hd_effect_queue effect_queue;
+    struct hd_atomic_u32 has_effects; /* control writes, the servo reads: the device plays effects */
 
     alignas(HD_CACHE_LINE) struct hd_atomic_u32 arrivals; /* positions so far, of all connections: a futex */
     struct hd_atomic_u32 awaited;                         /* somebody sleeps on it */
@@ -159,7 +159,7 @@ void *hd_hid_writer_main(void *connection);
  * that what changes is not its doing. 0, or the errno of what ends the connection. */
 int hd_hid_drain(struct hd_connection *connection, int64_t now_ns, int watching);
 
-/* hd_hid.c. Makes an eventfd readable. */
+/* hd_hid_control.c. Makes an eventfd readable. */
 void hd_hid_signal(int fd);
 /* The connection is over, by the errno of what a thread met; the first one counts. */
 void hd_connection_fail(struct hd_connection *connection, int error);

@@ -116,16 +116,16 @@ HD_RT void hd_hid_step_put(struct hd_hid *hid, int64_t now_ns, const double forc
     hd_triple_publish(&hid->force_triple);
 }
 
-HD_RT int hd_hid_step_offers(const struct hd_hid *hid) {
-    return hd_atomic_u32_load_relaxed(&hid->offers) != 0;
+HD_RT int hd_hid_step_has_effects(const struct hd_hid *hid) {
+    return hd_atomic_u32_load_relaxed(&hid->has_effects) != 0;
 }
 
 HD_RT void hd_hid_step_strike(struct hd_hid *hid, int64_t now_ns, uint32_t effect, const double force_n[2]) {
-    hd_orders_put(&hid->orders, now_ns, effect, force_n);
+    hd_effect_queue_put(&hid->effect_queue, now_ns, effect, force_n);
 }
 
 HD_RT void hd_hid_step_silence(struct hd_hid *hid) {
-    hd_orders_silence(&hid->orders);
+    hd_effect_queue_silence(&hid->effect_queue);
 }
 
 HD_RT static void futex_wait(const struct hd_atomic_u32 *word, uint32_t seen, int64_t until_ns) {

@@ -9,8 +9,8 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
-#include "base/hd_bits.h"
 #include "base/hd_clock.h"
+#include "device/hd_report.h"
 
 #define HD_DRAIN_MAX 256 /* reports read before the newest is published; hidraw keeps 64 */
 

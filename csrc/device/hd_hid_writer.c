@@ -9,9 +9,9 @@
 #include <sys/prctl.h>
 #include <unistd.h>
 
-#include "base/hd_bits.h"
 #include "base/hd_clock.h"
 #include "device/hd_last_report.h"
+#include "device/hd_report.h"
 
 #define HD_FRESH_NS 4000000       /* so long at most a newer force is waited for */
 #define HD_RETURN_NS 20000000     /* over which the force comes back after a reset */
@@ -52,7 +52,7 @@ static int write_report(struct hd_connection *connection, const uint8_t *bytes, 
     struct hd_hid *hid = connection->hid;
     for (;;) {
         const int64_t start_ns = hd_clock_now_ns();
-        if (hd_last_is_over()) {
+        if (hd_last_report_is_over()) {
             return ECANCELED;
         }
         if (connection->leaving ? start_ns > connection->leaving_until_ns
@@ -214,9 +214,9 @@ static int write_restore(struct hd_connection *connection) {
 }
 
 /* What the device is to play by itself: all of one strike at most, so that the next force comes in between. */
-static int write_orders(struct hd_connection *connection) {
+static int write_effects(struct hd_connection *connection) {
     struct hd_hid *hid = connection->hid;
-    for (uint32_t i = 0; i < HD_HID_OFFER_MESSAGES; i++) {
+    for (uint32_t i = 0; i < HD_DEVICE_EFFECT_MESSAGES; i++) {
         uint8_t bytes[HD_HID_REPORT_BYTES];
         if (hd_clock_now_ns() < connection->next_write_ns) {
             hd_clock_sleep_until(connection->next_write_ns);
@@ -224,9 +224,9 @@ static int write_orders(struct hd_connection *connection) {
         const int64_t now_ns = hd_clock_now_ns();
         const int64_t returns_ns = hd_atomic_i64_load_relaxed(&hid->returns_ns);
         const int64_t since_ns = returns_ns > connection->start_ns ? returns_ns : connection->start_ns;
-        connection->player.unsure = connection->plan.restore.count > 0 && is_untold(connection, now_ns);
-        const uint32_t length =
-            hd_player_next(&connection->player, &hid->orders, now_ns, since_ns, returned(hid, now_ns) == 1.0, bytes);
+        connection->effect_sender.unsure = connection->plan.restore.count > 0 && is_untold(connection, now_ns);
+        const uint32_t length = hd_effect_sender_next(&connection->effect_sender, &hid->effect_queue, now_ns, since_ns,
+                                                      returned(hid, now_ns) == 1.0, bytes);
         const int error = length > 0 ? write_report(connection, bytes, length) : 0;
         if (length == 0 || error != 0) {
             return error;
@@ -304,7 +304,7 @@ static int write_on(struct hd_connection *connection) {
             error = write_script(connection, &plan->renew);
         }
         error = error == 0 ? write_restore(connection) : error;
-        error = error == 0 ? write_orders(connection) : error;
+        error = error == 0 ? write_effects(connection) : error;
         if (error == 0 && hd_atomic_u32_load_acquire(&connection->end) != HD_END_NOT) {
             error = ECANCELED;
         }

@@ -16,7 +16,6 @@
 
 #include "base/hd_clock.h"
 #include "base/hd_vector.h"
-#include "device/hd_gesture.h"
 #include "tick/hd_tick.h"
 
 /* How far a tick moves the deadlines towards the reports, in periods: reports drift against our clock, and a tick on
@@ -71,7 +70,7 @@ HD_RT static void one_tick(struct hd_servo *servo, int64_t deadline_ns, int64_t 
         hd_signs_watch(&servo->signs_check, &look, state, &servo->world->table, &input);
         hd_atomic_u32_store_relaxed(&servo->signs, hd_signs_told(&servo->signs_check));
     }
-    state->offload_open = (uint8_t)hd_device_offers(&servo->device);
+    state->offload_open = (uint8_t)hd_device_has_effects(&servo->device);
     hd_tick(servo->world, state, &input, &sample);
     if (state->offload_open || servo->offloading) {
         offload(servo, now_ns);

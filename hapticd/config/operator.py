@@ -89,7 +89,7 @@ class Grip:
 
     @property
     def settling_s(self) -> float:
-        """How long after a change of the wish's speed the handle has it within SPEED_WITHIN, at most 1 s.
+        """How long after a change of the reference's speed the handle has it within SPEED_WITHIN, at most 1 s.
 
         The error is (p exp(p t) - q exp(q t))/(p - q), p and q the roots of M s^2 + b s + k.
         """
@@ -179,9 +179,9 @@ class Operator:
     """What it was read from, if that was YAML or JSON."""
 
     def waypoints_for(
-        self, target_of: Callable[[str], Target | None], grip: Grip, wish_m: Point, ids: Iterable[str] = ()
+        self, target_of: Callable[[str], Target | None], grip: Grip, reference_m: Point, ids: Iterable[str] = ()
     ) -> npt.NDArray[np.float64]:
-        """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `wish_m` now.
+        """Rows [t_s, x_m, y_m], shape (n, 3), for a hand that wants to be at `reference_m` now.
 
         `target_of` gives what can be touched of an id, None for anything else; `ids` are those of the scene. Raises
         InvalidError (`where` is inside `gesture`) for an object that is none or that the gesture does not fit.
@@ -194,7 +194,7 @@ class Operator:
             known = known_names(wanted, (id for id in ids if target_of(id) is not None))
             problem = f"no wall, membrane, box or disc of the scene has the id {quoted(wanted)}; {known}"
             raise InvalidError([Problem("gesture.object", problem)])
-        return gesture_waypoints(self.gesture, target, grip, wish_m)
+        return gesture_waypoints(self.gesture, target, grip, reference_m)
 
 
 def parse_operator(data: Mapping[str, object]) -> Operator:
@@ -231,11 +231,11 @@ def load_operator(path: str | os.PathLike[str]) -> Operator:
 
 
 def gesture_waypoints(
-    gesture: TapGesture | StrokeGesture | PunctureGesture, target: Target, grip: Grip, wish_m: Point
+    gesture: TapGesture | StrokeGesture | PunctureGesture, target: Target, grip: Grip, reference_m: Point
 ) -> npt.NDArray[np.float64]:
     """The straight lines of a gesture, rows [t_s, x_m, y_m], shape (n, 3).
 
-    The first row is at t > 0: the hand goes there from `wish_m`, first out along the normal if it is lower
+    The first row is at t > 0: the hand goes there from `reference_m`, first out along the normal if it is lower
     than the gesture's height, then to where the gesture begins, and comes to rest. Raises InvalidError.
     """
     if grip.stiffness_n_per_m <= 0:
@@ -245,7 +245,7 @@ def gesture_waypoints(
     faults = [Problem(f"gesture.{name}", text) for name in places if (text := target.fault(getattr(gesture, name)))]
     if faults:
         raise InvalidError(faults)
-    path = _Path(target, wish_m)
+    path = _Path(target, reference_m)
     match gesture:
         case TapGesture():
             _tap(gesture, target, grip, path)
@@ -263,11 +263,11 @@ def gesture_waypoints(
 class _Path:
     """Waypoints in the coordinates of a surface: `at` along it, `height` above it."""
 
-    def __init__(self, target: Target, wish_m: Point) -> None:
+    def __init__(self, target: Target, reference_m: Point) -> None:
         self._target = target
         self.rows: list[tuple[float, float, float]] = []
         self._time_s = 0.0
-        x, y = wish_m[0] - target.point_m[0], wish_m[1] - target.point_m[1]
+        x, y = reference_m[0] - target.point_m[0], reference_m[1] - target.point_m[1]
         n_x, n_y = target.normal
         self._at, self._height = x * n_y - y * n_x, x * n_x + y * n_y
 

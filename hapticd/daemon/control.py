@@ -31,6 +31,7 @@ from hapticd.config.scene import (
     material_names,
     materials_of,
     reference_problems,
+    same_materials,
     used_materials,
     validate_scene,
 )
@@ -222,7 +223,7 @@ class Control:
         """What clients cause in the log. Whoever calls also flushes it."""
         self._lease = Lease(engine.set_lease, monotonic_ns)
         self._status = Status(engine, self._lease, self.intake, flight)
-        self._wish = engine.config.device.sim.start_m
+        self._reference_m = engine.config.device.sim.start_m
         self._brief = False
 
     def call(self, method: str, params: Mapping[str, object]) -> dict[str, object]:
@@ -351,10 +352,14 @@ class Control:
         engine = self._engine
         changes = patched_objects(params.objects, engine.scene)
         present = {id: item for id, item in changes.items() if item is not None}
-        problems = self._problems_of(present)
-        if problems:
-            raise _faulty(problems)
-        self._weigh(present, engine.materials)
+        # What is made of the same as before is known to go together with it.
+        before = engine.scene.objects
+        others = {id: item for id, item in present.items() if not same_materials(before.get(id), item)}
+        if others:
+            problems = self._problems_of(others)
+            if problems:
+                raise _faulty(problems)
+            self._weigh(others, engine.materials)
         self._told.prepare(present)
         revision = engine.update_objects(changes, params.expect_revision)
         return Changed(revision, params.wait, self._warnings(present, ("objects",)))
@@ -551,7 +556,7 @@ class Control:
     def _warnings(self, objects: Mapping[str, SceneObject], root: Path, sent: Collection[str] = ()) -> list[Problem]:
         """What of these objects and materials, which are in force, is not displayed as it was meant."""
         engine = self._engine
-        return change_warnings(objects, sent, engine.materials, engine.output, root, engine.played(), engine.working)
+        return change_warnings(objects, sent, engine.materials, engine.report_of, root, engine.played(), engine.working)
 
     def _material_warnings(self, sent: Collection[str]) -> list[Problem]:
         return self._warnings({}, (), sent)
@@ -653,9 +658,9 @@ class Control:
         operator = parse_operator(params)
         engine.beat()
         grip = grip_of(engine.config.device.sim)
-        waypoints = operator.waypoints_for(self._target, grip, self._wish, engine.scene.objects)
+        waypoints = operator.waypoints_for(self._target, grip, self._reference_m, engine.scene.objects)
         tick = engine.set_operator(waypoints, operator.interpolation)
-        self._wish = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
+        self._reference_m = (float(waypoints[-1, 1]), float(waypoints[-1, 2]))
         where = None if operator.gesture is None else "gesture"
         warnings = operator_warnings(waypoints, engine.config.device.sim.workspace_m, where)
         return _with_warnings({"duration_s": float(waypoints[-1, 0]), "tick": tick}, warnings)

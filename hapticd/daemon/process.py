@@ -82,7 +82,7 @@ def run(
         stack.callback(os.umask, os.umask(0o007))
         signals = stack.enter_context(_signals())
         mine = stack.enter_context(owned(runtime_paths(runtime_dir)))
-        lib.hd_last_arm()
+        lib.hd_last_report_arm()
         return _run(config, chosen, mine, signals, stack, connections)
 
 

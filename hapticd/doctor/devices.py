@@ -24,7 +24,7 @@ _SHOWN: Final = 4
 def evaluated(machine: Machine, needs: Needs) -> list[Found]:
     """The HID devices, each evaluated by the configuration if that may mean it."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
-    return devices if needs.device is None else [device.evaluated_by(needs.device) for device in devices]
+    return devices if needs.device is None else [device.evaluated_with(needs.device) for device in devices]
 
 
 def drivable(machine: Machine, needs: Needs) -> list[Found]:

@@ -240,7 +240,7 @@ class Connection:
                 ended = lib.hd_hid_disconnect(self.hid, orderly)
                 live.opened.device.close()
                 if self._stop_file is not None:
-                    lib.hd_last_drop()
+                    lib.hd_last_report_drop()
                 if orderly and ended == Status.OK and self._stop_file is not None:
                     self._stop_file.drop()
         self._counted, self._rates = None, (None, None)
@@ -261,7 +261,7 @@ class Connection:
             self._hand_over(opened.device, plan)
         except BaseException:
             if self._stop_file is not None:
-                lib.hd_last_drop()
+                lib.hd_last_report_drop()
             opened.device.close()
             raise
         self._connects += 1
@@ -281,7 +281,7 @@ class Connection:
             reports = [message.at_rest() for message in (*plan.force, *plan.stop)]
             lengths = ffi.new("uint32_t[]", [len(report) for report in reports])
             all_bytes = ffi.new("uint8_t[]", b"".join(reports))
-            lib.hd_last_keep(device.fileno(), all_bytes, lengths, len(reports), plan.write_interval_s)
+            lib.hd_last_report_keep(device.fileno(), all_bytes, lengths, len(reports), plan.write_interval_s)
 
     def _hand_over(self, device: Device, plan: Plan) -> None:
         described = plan.to_c()

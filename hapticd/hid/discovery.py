@@ -97,7 +97,7 @@ class Found:
         """Whether it is no device of the PID class at all, or none that can be read."""
         return self.layout is None or self.layout.constant_force is None
 
-    def evaluated_by(self, hid: Hid) -> Found:
+    def evaluated_with(self, hid: Hid) -> Found:
         """The same, evaluated by a configuration if that may mean it."""
         return replace(self, hid=hid) if hid != self.hid and is_meant(hid, self) else self
 
@@ -150,7 +150,7 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
     if not meant:
         others = f"; there are {_listed(found)}" if found and wanted else ""
         raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
-    evaluated = [item.evaluated_by(hid) for item in meant]
+    evaluated = [item.evaluated_with(hid) for item in meant]
     usable = [item for item in evaluated if item.usable]
     if not usable:
         # A device whose descriptor lacks nothing does not suit the configuration; opening it gives the reason.

@@ -80,7 +80,7 @@ def paced(plan: Plan, force_hz: float | None) -> Plan:
         return plan
     report_s = 0.0 if force_hz is None else 1.0 / (force_hz * max(1, len(plan.force)))
     # What may be under way before the next report that restores something.
-    strike = 0 if plan.periodic is None else lib.HD_HID_OFFER_MESSAGES
+    strike = 0 if plan.periodic is None else lib.HD_DEVICE_EFFECT_MESSAGES
     held_up_s = (len(plan.force) + len(plan.renew) + 1 + strike) * report_s + SPARE_S
     count = max(1, len(plan.restore))
     gap_s = max((MOST_S - held_up_s) / count, report_s / SHARE, 1e-3)

@@ -107,7 +107,7 @@ class Offload:
 
     # ---- The thread that changes the scene -----------------------------------------------------------------------
 
-    def set_carried(self, carried_hz: float) -> None:
+    def evaluate_at(self, carried_hz: float) -> None:
         """How many forces a second are streamed otherwise."""
         self._carried_hz = carried_hz
 
@@ -218,11 +218,11 @@ class Offload:
         self._changed = False
         if not self._attached or self._periodic is None:
             return
-        effects = ffi.new("struct hd_hid_offers *")
+        effects = ffi.new("struct hd_device_effects *")
         effects.count = len(self._held)
         for into, held in zip(effects.effects, self._held.values(), strict=False):
             _fill_effect(into, held, self._periodic)
-        if lib.hd_hid_offer(self._hid, effects) != Status.OK:
+        if lib.hd_hid_set_effects(self._hid, effects) != Status.OK:
             raise HapticdError(f"device.hid.offload: {invalid_reason()}")
 
 

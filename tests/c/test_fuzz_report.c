@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "base/hd_bits.h"
+#include "device/hd_report.h"
 #include "hd_test.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -80,7 +81,7 @@ static void check_message(const struct hd_hid_message *message, const double for
         return;
     /* Those before it may lie in the same bits. */
     const struct hd_hid_value *last = &message->values[message->value_count - 1];
-    CHECK(hd_field_read(&last->field, bytes, message->length, &counts) == HD_OK);
+    CHECK(hd_bits_get(&last->field, bytes, message->length, &counts) == HD_OK);
     CHECK((double)counts >= rint(last->least) && (double)counts <= rint(last->most));
     outcome.written++;
 }
@@ -111,7 +112,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     plan.force.count = (uint32_t)take_bytes(&source, 1) % 3;
     for (uint32_t i = 0; i < plan.force.count; i++)
         take_message(&source, &plan.force.messages[i]);
-    if (hd_report_check(&plan) != HD_OK) {
+    if (hd_hid_check(&plan) != HD_OK) {
         CHECK(hd_invalid_reason()[0] != '\0');
         outcome.refused++;
         return 0;

@@ -1,5 +1,5 @@
-/* Strikes that the device plays by itself. First what a player makes of orders, report by report; then the whole way in
- * three threads, a servo's orders and silences, a writer and a control that changes the effects; then a connection; at
+/* Strikes that the device plays by itself. First what a sender makes of them, report by report; then the whole way in
+ * three threads, a servo's strikes and silences, a writer and a control that changes the effects; then a connection; at
  * last the tick, which counts what may be playing against the force limit: random strikes against a hand that presses,
  * with effects that begin as late as they may. */
 #include <math.h>
@@ -30,14 +30,14 @@ static double uniform(double low, double high) {
 
 /* Effect `id` at `place`: reports 20 (direction, 0 to 255), 21 (a level, 10 counts a newton), 22 (another one, from -50
  * to 50 at 7), 23 (start), and 24 to stop it; all of them carry the place. */
-static struct hd_hid_offer effect(uint32_t id, uint32_t place) {
-    struct hd_hid_offer made = {.id = id,
-                                .place = place,
-                                .message_count = 4,
-                                .duration_ns = DURATION_NS,
-                                .least_n = 0.05,
-                                .most_n = 8.0,
-                                .stop = {.length = 2}};
+static struct hd_device_effect effect(uint32_t id, uint32_t place) {
+    struct hd_device_effect made = {.id = id,
+                                    .place = place,
+                                    .message_count = 4,
+                                    .duration_ns = DURATION_NS,
+                                    .least_n = 0.05,
+                                    .most_n = 8.0,
+                                    .stop = {.length = 2}};
 
     for (uint8_t i = 0; i < 4; i++) {
         made.messages[i] = (struct hd_hid_message){.length = i < 3 ? 3 : 2, .value_count = i < 3};
@@ -54,8 +54,8 @@ static struct hd_hid_offer effect(uint32_t id, uint32_t place) {
 }
 
 struct bench {
-    struct hd_orders orders;
-    struct hd_player player;
+    struct hd_effect_queue queue;
+    struct hd_effect_sender sender;
     int64_t now_ns;
     int64_t since_ns;
     int open;
@@ -63,15 +63,15 @@ struct bench {
 
 static struct bench *bench_new(uint32_t count) {
     struct bench *bench = aligned_alloc(HD_CACHE_LINE, sizeof *bench);
-    struct hd_hid_offers effects = {.count = count};
+    struct hd_device_effects effects = {.count = count};
 
     CHECK(bench != NULL);
     memset(bench, 0, sizeof *bench);
     for (uint32_t i = 0; i < count; i++)
         effects.effects[i] = effect(101 + i, i);
-    hd_orders_init(&bench->orders);
-    hd_player_init(&bench->player, &bench->orders);
-    CHECK(hd_player_offer(&bench->player, &effects) == HD_OK);
+    hd_effect_queue_init(&bench->queue);
+    hd_effect_sender_init(&bench->sender, &bench->queue);
+    CHECK(hd_effect_sender_set(&bench->sender, &effects) == HD_OK);
     bench->now_ns = 1000 * MS;
     bench->since_ns = 1;
     bench->open = 1;
@@ -79,13 +79,13 @@ static struct bench *bench_new(uint32_t count) {
 }
 
 static void strike(struct bench *bench, uint32_t id, double x, double y) {
-    CHECK(hd_orders_put(&bench->orders, bench->now_ns, id, (double[2]){x, y}) == HD_OK);
+    CHECK(hd_effect_queue_put(&bench->queue, bench->now_ns, id, (double[2]){x, y}) == HD_OK);
 }
 
 static void expect(struct bench *bench, int report, int place, int value) {
     uint8_t bytes[HD_HID_REPORT_BYTES];
     const uint32_t length =
-        hd_player_next(&bench->player, &bench->orders, bench->now_ns, bench->since_ns, bench->open, bytes);
+        hd_effect_sender_next(&bench->sender, &bench->queue, bench->now_ns, bench->since_ns, bench->open, bytes);
 
     if (report == 0) {
         CHECK(length == 0);
@@ -96,7 +96,7 @@ static void expect(struct bench *bench, int report, int place, int value) {
 }
 
 static uint64_t lost(const struct bench *bench) {
-    return hd_orders_lost(&bench->orders);
+    return hd_effect_queue_lost(&bench->queue);
 }
 
 /* Where nobody would tell that the effect is gone, all of it is sent with each strike. */
@@ -104,7 +104,7 @@ static void what_is_sent_whole(void) {
     struct bench *bench = bench_new(2);
 
     for (int i = 0; i < 4; i++) {
-        bench->player.unsure = i != 2;
+        bench->sender.unsure = i != 2;
         strike(bench, 102, 0.0, -4.0);
         if (i != 2) {
             expect(bench, 20, 1, 0);
@@ -153,13 +153,13 @@ static void what_is_sent(void) {
     expect(bench, 21, 0, 80);
     expect(bench, 22, 0, 47);
     expect(bench, 23, 0, -1);
-    CHECK(hd_atomic_u64_load_relaxed(&bench->orders.played) == 7);
+    CHECK(hd_atomic_u64_load_relaxed(&bench->queue.played) == 7);
     free(bench);
 }
 
 static void what_is_not(void) {
     struct bench *bench = bench_new(1);
-    struct hd_hid_offers none = {.count = 0};
+    struct hd_device_effects none = {.count = 0};
 
     strike(bench, 77, 1.0, 0.0);
     expect(bench, 0, 0, 0);
@@ -172,29 +172,29 @@ static void what_is_not(void) {
     CHECK(lost(bench) == 2);
     strike(bench, 101, 0.0, -1.0); /* grows old on its way */
     expect(bench, 20, 0, 0);
-    bench->now_ns += HD_ORDER_AGE_NS + 1;
+    bench->now_ns += HD_EFFECT_AGE_NS + 1;
     expect(bench, 0, 0, 0);
     CHECK(lost(bench) == 3);
     strike(bench, 101, 0.0, -1.0); /* the forces fade before it is started: nothing to be stopped */
     expect(bench, 21, 0, 10);
-    hd_orders_silence(&bench->orders);
+    hd_effect_queue_silence(&bench->queue);
     strike(bench, 101, 0.0, -1.0); /* of after that */
     expect(bench, 22, 0, 12);
     expect(bench, 23, 0, -1);
     CHECK(lost(bench) == 4);
     strike(bench, 101, 0.0, -1.0);
-    hd_orders_silence(&bench->orders);
-    hd_orders_silence(&bench->orders);
+    hd_effect_queue_silence(&bench->queue);
+    hd_effect_queue_silence(&bench->queue);
     expect(bench, 24, 0, -1); /* what plays is stopped, once */
     expect(bench, 0, 0, 0);
     CHECK(lost(bench) == 5);
-    hd_orders_silence(&bench->orders);
+    hd_effect_queue_silence(&bench->queue);
     expect(bench, 0, 0, 0);
     strike(bench, 101, 0.0, -1.0); /* has long ended by itself */
     expect(bench, 23, 0, -1);
     expect(bench, 0, 0, 0);
     bench->now_ns += 1000 * MS;
-    hd_orders_silence(&bench->orders);
+    hd_effect_queue_silence(&bench->queue);
     expect(bench, 0, 0, 0);
     strike(bench, 101, 0.0, -1.0); /* from before the effects were made anew */
     bench->now_ns += MS;
@@ -204,17 +204,17 @@ static void what_is_not(void) {
     strike(bench, 101, 0.0, -1.0); /* and they know nothing any more */
     expect(bench, 20, 0, 0);
     expect(bench, 21, 0, 10);
-    CHECK(hd_player_offer(&bench->player, &none) == HD_OK); /* one that is under way is not torn */
+    CHECK(hd_effect_sender_set(&bench->sender, &none) == HD_OK); /* one that is under way is not torn */
     expect(bench, 22, 0, 12);
     expect(bench, 23, 0, -1);
     strike(bench, 101, 0.0, -1.0);
     expect(bench, 0, 0, 0);
     CHECK(lost(bench) == 7);
-    hd_orders_silence(&bench->orders);
+    hd_effect_queue_silence(&bench->queue);
     expect(bench, 24, 0, -1);
-    for (uint32_t i = 0; i < HD_ORDER_CAPACITY; i++)
+    for (uint32_t i = 0; i < HD_EFFECT_QUEUE_CAPACITY; i++)
         strike(bench, 101, 0.0, -1.0);
-    CHECK(hd_orders_put(&bench->orders, bench->now_ns, 101, (double[2]){0.0, 1.0}) == HD_ERR_FULL);
+    CHECK(hd_effect_queue_put(&bench->queue, bench->now_ns, 101, (double[2]){0.0, 1.0}) == HD_ERR_FULL);
     CHECK(lost(bench) == 8);
     free(bench);
 }
@@ -232,7 +232,7 @@ static void what_is_stopped(void) {
         switch (i) {
         case 0: /* its start took a second to write, so that it has only just begun */
             bench->now_ns += 1000 * MS;
-            hd_orders_silence(&bench->orders);
+            hd_effect_queue_silence(&bench->queue);
             break;
         case 1: /* a pause, which would hold it */
             bench->open = 0;
@@ -254,18 +254,18 @@ static void what_is_stopped(void) {
 
 /* Whatever is put, the counts lie within the limits of the plan. */
 static void range(void) {
-    struct bench *bench = bench_new(HD_HID_OFFERS);
+    struct bench *bench = bench_new(HD_DEVICE_EFFECTS);
 
     for (int i = 0; i < 300000; i++) {
         const double size = exp(uniform(-60.0, 60.0));
         uint8_t bytes[HD_HID_REPORT_BYTES];
         uint32_t length;
 
-        strike(bench, 101 + (uint32_t)test_below(&seed, HD_HID_OFFERS), size * uniform(-1.0, 1.0),
+        strike(bench, 101 + (uint32_t)test_below(&seed, HD_DEVICE_EFFECTS), size * uniform(-1.0, 1.0),
                size * uniform(-1.0, 1.0));
-        while ((length = hd_player_next(&bench->player, &bench->orders, bench->now_ns, bench->since_ns, 1, bytes)) >
-               0) {
-            CHECK(bytes[1] < HD_HID_OFFERS);
+        while ((length = hd_effect_sender_next(&bench->sender, &bench->queue, bench->now_ns, bench->since_ns, 1,
+                                               bytes)) > 0) {
+            CHECK(bytes[1] < HD_DEVICE_EFFECTS);
             CHECK(bytes[0] != 21 || bytes[2] <= 80);
             CHECK(bytes[0] != 22 || ((int8_t)bytes[2] >= 7 && (int8_t)bytes[2] <= 47));
         }
@@ -276,30 +276,30 @@ static void range(void) {
 
 static void refusals(void) {
     struct bench *bench = bench_new(1);
-    struct hd_hid_offers good = {.count = 1};
+    struct hd_device_effects good = {.count = 1};
 
     good.effects[0] = effect(1, 0);
-#define REFUSES(change)                                                     \
-    do {                                                                    \
-        struct hd_hid_offers effects = good;                                \
-        change;                                                             \
-        CHECK(hd_player_offer(&bench->player, &effects) == HD_ERR_INVALID); \
+#define REFUSES(change)                                                          \
+    do {                                                                         \
+        struct hd_device_effects effects = good;                                 \
+        change;                                                                  \
+        CHECK(hd_effect_sender_set(&bench->sender, &effects) == HD_ERR_INVALID); \
     } while (0)
-    REFUSES(effects.count = HD_HID_OFFERS + 1);
+    REFUSES(effects.count = HD_DEVICE_EFFECTS + 1);
     REFUSES(effects.effects[0].id = 0);
-    REFUSES(effects.effects[0].place = HD_HID_OFFERS);
+    REFUSES(effects.effects[0].place = HD_DEVICE_EFFECTS);
     REFUSES(effects.effects[0].duration_ns = 0);
     REFUSES(effects.effects[0].duration_ns = 300 * MS);
     REFUSES(effects.effects[0].most_n = (double)NAN);
     REFUSES(effects.effects[0].least_n = 9.0);
     REFUSES(effects.effects[0].message_count = 0);
-    REFUSES(effects.effects[0].message_count = HD_HID_OFFER_MESSAGES + 1);
+    REFUSES(effects.effects[0].message_count = HD_DEVICE_EFFECT_MESSAGES + 1);
     REFUSES(effects.effects[0].messages[1].length = 2);
     REFUSES(effects.effects[0].messages[2].values[0].counts_per_unit = (double)NAN);
     REFUSES(effects.effects[0].stop.length = 0);
     REFUSES(effects.effects[0].stop.value_count = 1);
 #undef REFUSES
-    CHECK(hd_player_offer(&bench->player, &good) == HD_OK);
+    CHECK(hd_effect_sender_set(&bench->sender, &good) == HD_OK);
     free(bench);
 }
 
@@ -317,14 +317,14 @@ static void *servo_main(void *argument) {
     uint32_t silences = 0;
 
     for (uint32_t i = 0; i < ROUNDS || !hd_atomic_u32_load_relaxed(&begun); i++) {
-        const uint32_t k = i % HD_HID_OFFERS;
+        const uint32_t k = i % HD_DEVICE_EFFECTS;
 
         if (i % 64 == 63) {
-            hd_orders_silence(&bench->orders);
+            hd_effect_queue_silence(&bench->queue);
             silences++;
         }
-        hd_orders_put(&bench->orders, bench->now_ns, 1 + k,
-                      (double[2]){0.0, (double)(k + 1) * (silences % 2 ? 0.9 : -0.9)});
+        hd_effect_queue_put(&bench->queue, bench->now_ns, 1 + k,
+                            (double[2]){0.0, (double)(k + 1) * (silences % 2 ? 0.9 : -0.9)});
         rounds++;
         if (i % 16 == 0)
             sched_yield();
@@ -338,12 +338,12 @@ static void *control_main(void *argument) {
     uint64_t random = 3;
 
     while (!hd_atomic_u32_load_acquire(&over)) {
-        struct hd_hid_offers effects = {.count = HD_HID_OFFERS};
-        const uint32_t turn = (uint32_t)test_below(&random, HD_HID_OFFERS);
+        struct hd_device_effects effects = {.count = HD_DEVICE_EFFECTS};
+        const uint32_t turn = (uint32_t)test_below(&random, HD_DEVICE_EFFECTS);
 
-        for (uint32_t k = 0; k < HD_HID_OFFERS; k++)
-            effects.effects[k] = effect(1 + k, (k + turn) % HD_HID_OFFERS);
-        CHECK(hd_player_offer(&bench->player, &effects) == HD_OK);
+        for (uint32_t k = 0; k < HD_DEVICE_EFFECTS; k++)
+            effects.effects[k] = effect(1 + k, (k + turn) % HD_DEVICE_EFFECTS);
+        CHECK(hd_effect_sender_set(&bench->sender, &effects) == HD_OK);
         sched_yield();
     }
     return NULL;
@@ -351,7 +351,7 @@ static void *control_main(void *argument) {
 
 static void threads(void) {
     struct bench *bench = bench_new(0);
-    uint8_t sent[HD_HID_OFFERS][5] = {{0}}; /* what the device knows of each place, by report */
+    uint8_t sent[HD_DEVICE_EFFECTS][5] = {{0}}; /* what the device knows of each place, by report */
     uint64_t starts = 0;
     uint32_t length;
     pthread_t servo;
@@ -364,20 +364,20 @@ static void threads(void) {
         uint8_t bytes[HD_HID_REPORT_BYTES];
 
         ends = hd_atomic_u32_load_acquire(&over) != 0;
-        while ((length = hd_player_next(&bench->player, &bench->orders, bench->now_ns, 1, 1, bytes)) > 0) {
+        while ((length = hd_effect_sender_next(&bench->sender, &bench->queue, bench->now_ns, 1, 1, bytes)) > 0) {
             uint8_t *known = sent[bytes[1]];
 
-            CHECK(bytes[0] >= 20 && bytes[0] <= 24 && bytes[1] < HD_HID_OFFERS);
+            CHECK(bytes[0] >= 20 && bytes[0] <= 24 && bytes[1] < HD_DEVICE_EFFECTS);
             if (length == 3)
                 known[bytes[0] - 20] = bytes[2];
             if (bytes[0] == 23) {
                 /* Both levels are of one strike, and it came from where the device thinks. */
                 const int k = known[1] / 9 - 1;
 
-                CHECK(known[1] == 9 * (k + 1) && k >= 0 && k < HD_HID_OFFERS);
+                CHECK(known[1] == 9 * (k + 1) && k >= 0 && k < HD_DEVICE_EFFECTS);
                 CHECK(known[2] == (uint8_t)rint(4.5 * (k + 1) + 7.0));
                 CHECK(known[0] == 0 || known[0] == 128);
-                CHECK(known[0] == (bench->player.order.silence % 2 ? 128 : 0));
+                CHECK(known[0] == (bench->sender.strike.silence % 2 ? 128 : 0));
                 starts++;
                 hd_atomic_u32_store_relaxed(&begun, 1);
             }
@@ -385,7 +385,7 @@ static void threads(void) {
     } while (!ends);
     pthread_join(servo, NULL);
     pthread_join(control, NULL);
-    CHECK(starts > 0 && starts == hd_atomic_u64_load_relaxed(&bench->orders.played));
+    CHECK(starts > 0 && starts == hd_atomic_u64_load_relaxed(&bench->queue.played));
     CHECK(starts + lost(bench) == rounds);
     free(bench);
 }
@@ -415,17 +415,17 @@ static int stopped(int fd) {
 
 /* 0: not known. */
 static int play_over(struct hd_hid *hid, int fd) {
-    const int64_t later_ns = hd_clock_now_ns() + PATIENCE_S * 1000 * MS; /* so that no order grows old */
+    const int64_t later_ns = hd_clock_now_ns() + PATIENCE_S * 1000 * MS; /* so that no strike grows old */
     const double up[2] = {0.0, 2.0};
-    struct hd_hid_offers effects = {.count = 1, .effects = {effect(9, 3)}};
+    struct hd_device_effects effects = {.count = 1, .effects = {effect(9, 3)}};
     struct hd_hid_status status;
 
     HEAR(fd, 5, 0);
-    CHECK(!hd_hid_step_offers(hid));
+    CHECK(!hd_hid_step_has_effects(hid));
     effects.effects[0].id = 0;
-    CHECK(hd_hid_offer(hid, &effects) == HD_ERR_INVALID && !hd_hid_step_offers(hid));
+    CHECK(hd_hid_set_effects(hid, &effects) == HD_ERR_INVALID && !hd_hid_step_has_effects(hid));
     effects.effects[0].id = 9;
-    CHECK(hd_hid_offer(hid, &effects) == HD_OK && hd_hid_step_offers(hid));
+    CHECK(hd_hid_set_effects(hid, &effects) == HD_OK && hd_hid_step_has_effects(hid));
     hd_hid_step_strike(hid, later_ns, 9, up);
     HEAR(fd, 20, 3, 128);
     HEAR(fd, 21, 3, 20);
@@ -468,18 +468,18 @@ static int connection(void) {
         .force = {.count = 1, .messages = {{.length = 2, .bytes = {5, 0}}}},
         .stop = {.count = 1, .messages = {{.length = 2, .bytes = {8, 1}}}},
     };
-    const struct hd_hid_offers effects = {.count = 1, .effects = {effect(9, 3)}};
+    const struct hd_device_effects effects = {.count = 1, .effects = {effect(9, 3)}};
     struct hd_hid *hid = hd_hid_new();
     int fds[2];
     int known;
 
-    CHECK(hid != NULL && hd_hid_offer(hid, &effects) == HD_OK && !hd_hid_step_offers(hid));
+    CHECK(hid != NULL && hd_hid_set_effects(hid, &effects) == HD_OK && !hd_hid_step_has_effects(hid));
     hd_hid_set_parting(hid, PATIENCE_S * 1000 * MS);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET, 0, fds) == 0);
     CHECK(hd_hid_connect(hid, &plan, fds[0], 0) == HD_OK);
     known = play_over(hid, fds[1]);
-    CHECK(hd_hid_disconnect(hid, 1) == 0 && !hd_hid_step_offers(hid));
-    CHECK(hd_hid_offer(hid, &effects) == HD_OK && !hd_hid_step_offers(hid));
+    CHECK(hd_hid_disconnect(hid, 1) == 0 && !hd_hid_step_has_effects(hid));
+    CHECK(hd_hid_set_effects(hid, &effects) == HD_OK && !hd_hid_step_has_effects(hid));
     hd_hid_free(hid);
     close(fds[0]);
     close(fds[1]);
@@ -531,7 +531,7 @@ static void without_vibration(void) {
                                              .effect_peak = 1.0,
                                              .effect_s = 0.02}};
     const struct hd_command on = {.kind = HD_COMMAND_FORCES, .revision = 1, .value = 1};
-    struct hd_hid_offers effects = {.count = 1, .effects = {effect(9, 3)}};
+    struct hd_device_effects effects = {.count = 1, .effects = {effect(9, 3)}};
     struct hd_counters counters;
     struct hd_hid *hid = hd_hid_new();
     struct hd_servo *servo = hd_servo_new(&config, NULL, hid);
@@ -547,7 +547,7 @@ static void without_vibration(void) {
     CHECK(servo != NULL && hd_servo_publish(servo, &table) == HD_OK);
     CHECK(socketpair(AF_UNIX, SOCK_SEQPACKET, 0, fds) == 0);
     CHECK(send(fds[1], (const uint8_t[]){1, 0, 0, 0, 0}, 5, 0) == 5);
-    CHECK(hd_hid_connect(hid, &plan, fds[0], 0) == HD_OK && hd_hid_offer(hid, &effects) == HD_OK);
+    CHECK(hd_hid_connect(hid, &plan, fds[0], 0) == HD_OK && hd_hid_set_effects(hid, &effects) == HD_OK);
     CHECK(hd_servo_start(servo, &grant) == HD_OK);
     while (!stopped) { /* again, where all of this was so slow that the effect had ended */
         struct pollfd polled = {.fd = fds[1], .events = POLLIN};

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "base/hd_bits.h"
+#include "device/hd_report.h"
 #include "hd_test.h"
 
 #define BYTES 9u
@@ -43,15 +44,15 @@ static void check_field(const struct hd_hid_field *field, uint64_t *seed) {
 
     for (size_t i = 0; i < BYTES; i++)
         report[i] = (uint8_t)test_random(seed);
-    CHECK(hd_field_read(field, report, needed, &counts) == HD_OK);
+    CHECK(hd_bits_get(field, report, needed, &counts) == HD_OK);
     CHECK(counts == reference_read(field, report));
-    CHECK(hd_field_read(field, report, needed - 1, &again) == HD_ERR_INVALID);
-    CHECK(hd_field_write(field, report, needed - 1, 0) == HD_ERR_INVALID);
+    CHECK(hd_bits_get(field, report, needed - 1, &again) == HD_ERR_INVALID);
+    CHECK(hd_bits_put(field, report, needed - 1, 0) == HD_ERR_INVALID);
 
     for (size_t i = 0; i < BYTES; i++)
         changed[i] = (uint8_t)test_random(seed);
     memcpy(report, changed, BYTES);
-    CHECK(hd_field_write(field, changed, BYTES, counts) == HD_OK);
+    CHECK(hd_bits_put(field, changed, BYTES, counts) == HD_OK);
     CHECK(reference_read(field, changed) == counts);
     for (uint32_t bit = 0; bit < 8 * (BYTES - 1); bit++) {
         int within = 0;
@@ -68,11 +69,11 @@ static void check_limits(const struct hd_hid_field *field) {
     int64_t least = field->is_signed ? -span / 2 : 0;
     uint8_t report[BYTES] = {0};
 
-    CHECK(hd_field_write(field, report, BYTES, least) == HD_OK && reference_read(field, report) == least);
-    CHECK(hd_field_write(field, report, BYTES, least + span - 1) == HD_OK);
+    CHECK(hd_bits_put(field, report, BYTES, least) == HD_OK && reference_read(field, report) == least);
+    CHECK(hd_bits_put(field, report, BYTES, least + span - 1) == HD_OK);
     CHECK(reference_read(field, report) == least + span - 1);
-    CHECK(hd_field_write(field, report, BYTES, least - 1) == HD_ERR_INVALID);
-    CHECK(hd_field_write(field, report, BYTES, least + span) == HD_ERR_INVALID);
+    CHECK(hd_bits_put(field, report, BYTES, least - 1) == HD_ERR_INVALID);
+    CHECK(hd_bits_put(field, report, BYTES, least + span) == HD_ERR_INVALID);
 }
 
 static size_t every_field(void) {
@@ -88,7 +89,7 @@ static size_t every_field(void) {
                     uint8_t report[BYTES] = {0};
                     int64_t counts;
 
-                    CHECK(hd_field_read(&field, report, BYTES, &counts) == HD_ERR_INVALID);
+                    CHECK(hd_bits_get(&field, report, BYTES, &counts) == HD_ERR_INVALID);
                     continue;
                 }
                 check_field(&field, &seed);
@@ -104,11 +105,11 @@ static void no_field(void) {
     const struct hd_hid_field none[] = {{.bit_size = 0}, {.bit_size = 33}, {.bit_offset = UINT32_MAX, .bit_size = 32}};
 
     for (size_t i = 0; i < sizeof none / sizeof none[0]; i++) {
-        CHECK(hd_field_read(&none[i], report, BYTES, &counts) == HD_ERR_INVALID);
-        CHECK(hd_field_write(&none[i], report, BYTES, 0) == HD_ERR_INVALID);
+        CHECK(hd_bits_get(&none[i], report, BYTES, &counts) == HD_ERR_INVALID);
+        CHECK(hd_bits_put(&none[i], report, BYTES, 0) == HD_ERR_INVALID);
         CHECK(strstr(hd_invalid_reason(), "do not lie") != NULL);
     }
-    CHECK(hd_field_read(&(struct hd_hid_field){.bit_size = 1}, report, 0, &counts) == HD_ERR_INVALID);
+    CHECK(hd_bits_get(&(struct hd_hid_field){.bit_size = 1}, report, 0, &counts) == HD_ERR_INVALID);
 }
 
 static int64_t composed(const struct hd_hid_value *value, double x, double y) {
@@ -119,7 +120,7 @@ static int64_t composed(const struct hd_hid_value *value, double x, double y) {
 
     message.values[0] = *value;
     hd_hid_compose(&message, force, bytes);
-    CHECK(bytes[0] == 7 && hd_field_read(&value->field, bytes, 5, &counts) == HD_OK);
+    CHECK(bytes[0] == 7 && hd_bits_get(&value->field, bytes, 5, &counts) == HD_OK);
     return counts;
 }
 
@@ -214,10 +215,10 @@ static void input(void) {
     uint8_t report[4] = {1};
     struct hd_report_news news;
 
-    CHECK(hd_report_check(&plan) == HD_OK && hd_report_numbered(&plan));
-    CHECK(hd_field_write(&plan.axes[0].field, report, 4, -300) == HD_OK);
-    CHECK(hd_field_write(&plan.axes[1].field, report, 4, 500) == HD_OK);
-    CHECK(hd_field_write(&plan.states[1].field, report, 4, 1) == HD_OK);
+    CHECK(hd_hid_check(&plan) == HD_OK && hd_report_numbered(&plan));
+    CHECK(hd_bits_put(&plan.axes[0].field, report, 4, -300) == HD_OK);
+    CHECK(hd_bits_put(&plan.axes[1].field, report, 4, 500) == HD_OK);
+    CHECK(hd_bits_put(&plan.states[1].field, report, 4, 1) == HD_OK);
     hd_report_take(&plan, report, 4, &news);
     CHECK(news.axes == 3 && !news.short_of_it);
     CHECK(fabs(news.position_m[0] + 0.03) < 1e-15 && fabs(news.position_m[1] - 0.0012) < 1e-15);
@@ -233,12 +234,12 @@ static void input(void) {
     hd_report_take(&plan, report, 4, &news);
     CHECK(news.axes == 1 && news.said == 0);
     plan = plan_of(0, 0);
-    CHECK(hd_report_check(&plan) == HD_OK && !hd_report_numbered(&plan));
+    CHECK(hd_hid_check(&plan) == HD_OK && !hd_report_numbered(&plan));
 
     /* Effects: 5 and 9 of ours, in a report of their own or in that of the axes. */
     plan = plan_of(1, 1);
     plan.effects = watched_effects(6);
-    CHECK(hd_report_check(&plan) == HD_OK);
+    CHECK(hd_hid_check(&plan) == HD_OK);
     hd_report_take(&plan, (const uint8_t[]){6, 0x80 | 9}, 2, &news);
     CHECK(news.effects == 2 && news.playing == 1 && news.axes == 0 && !news.short_of_it);
     hd_report_take(&plan, (const uint8_t[]){6, 5}, 2, &news);
@@ -252,12 +253,12 @@ static void input(void) {
     CHECK(news.effects == 1 && news.playing == 1 && news.axes == 3);
 }
 
-#define REFUSES(CHANGE)                                  \
-    do {                                                 \
-        struct hd_hid_plan plan = plan_of(1, 1);         \
-        CHANGE;                                          \
-        CHECK(hd_report_check(&plan) == HD_ERR_INVALID); \
-        CHECK(hd_invalid_reason()[0] != '\0');           \
+#define REFUSES(CHANGE)                               \
+    do {                                              \
+        struct hd_hid_plan plan = plan_of(1, 1);      \
+        CHANGE;                                       \
+        CHECK(hd_hid_check(&plan) == HD_ERR_INVALID); \
+        CHECK(hd_invalid_reason()[0] != '\0');        \
     } while (0)
 
 static void refusals(void) {

@@ -26,11 +26,11 @@ def faults(error: pytest.ExceptionInfo[InvalidError]) -> list[tuple[str, str]]:
 
 
 def gesture(
-    target: Target | None = FLOOR, wish: tuple[float, float] = (0.0, 0.03), **fields: Any
+    target: Target | None = FLOOR, reference: tuple[float, float] = (0.0, 0.03), **fields: Any
 ) -> npt.NDArray[np.float64]:
     operator = parse_operator({"gesture": {"object": "it", **fields}})
     assert operator.interpolation == "linear"
-    return operator.waypoints_for({"it": target}.get, HAND, wish)
+    return operator.waypoints_for({"it": target}.get, HAND, reference)
 
 
 # ---- messages ---------------------------------------------------------------------------------------------
@@ -245,14 +245,14 @@ ALL = {
 }
 
 
-@pytest.mark.parametrize("wish", [(0.0, 0.05), (0.03, 0.001), (-0.02, -0.03)])
+@pytest.mark.parametrize("reference", [(0.0, 0.05), (0.03, 0.001), (-0.02, -0.03)])
 @pytest.mark.parametrize("kind", ALL)
-def test_a_path_starts_at_the_wish_and_is_in_order(kind: str, wish: tuple[float, float]) -> None:
+def test_a_path_starts_at_the_reference_and_is_in_order(kind: str, reference: tuple[float, float]) -> None:
     target = replace(SLOPE, rupture_depth_m=0.003)
-    path = gesture(target, wish, **ALL[kind])
+    path = gesture(target, reference, **ALL[kind])
     times = np.concatenate([[0.0], path[:, 0]])
     assert (np.diff(times) >= 1e-5).all()
-    points = np.vstack([wish, path[:, 1:]])
+    points = np.vstack([reference, path[:, 1:]])
     speeds = np.hypot(*np.diff(points, axis=0).T) / np.diff(times)
     fields = ALL[kind]
     assert speeds.max() == pytest.approx(max(0.15, float(str(fields["speed_m_per_s"]))), rel=1e-9)
@@ -348,12 +348,12 @@ class Held:
     broke: int | None
 
 
-def held(target: Target, wish: tuple[float, float], path: npt.NDArray[np.float64]) -> Held:
+def held(target: Target, reference: tuple[float, float], path: npt.NDArray[np.float64]) -> Held:
     config = ffi.new("struct hd_sim_config *")
     config.handle_mass_kg, config.handle_damping_n_s_per_m, config.coulomb_friction_n = 0.04, 0.2, 0.05
     config.max_force_n, config.workspace_m, config.force_timeout_s = 8.9, 0.075, 0.1
     config.hand_mass_kg, config.hand_stiffness_n_per_m, config.hand_damping_n_s_per_m = 0.01, 300.0, 5.0
-    config.start_m = wish
+    config.start_m = reference
     sim = ffi.gc(lib.hd_sim_new(config, 1e-4), lib.hd_sim_free)
     points = np.ascontiguousarray(path)
     operator = ffi.gc(lib.hd_operator_new(pointer("double[]", points), len(points), 0), lib.hd_operator_free)
@@ -383,9 +383,9 @@ def onsets(run: Held) -> Iterator[int]:
 @pytest.mark.parametrize(("target", "stiffness"), [(FLOOR, 800.0), (SLOPE, 800.0), (FLOOR, 4000.0)])
 def test_a_tap_meets_the_surface_at_its_speed_and_stays(target: Target, stiffness: float, speed: float) -> None:
     target = replace(target, stiffness_n_per_m=stiffness)
-    wish = (0.02, 0.02)
-    path = gesture(target, wish, kind="tap", speed_m_per_s=speed, count=2, at_m=0.01)
-    run = held(target, wish, path)
+    reference = (0.02, 0.02)
+    path = gesture(target, reference, kind="tap", speed_m_per_s=speed, count=2, at_m=0.01)
+    run = held(target, reference, path)
     taps = list(onsets(run))
     assert len(taps) == 2
     for tick in taps:
@@ -398,9 +398,9 @@ def test_a_tap_meets_the_surface_at_its_speed_and_stays(target: Target, stiffnes
 
 @pytest.mark.parametrize("press", [0.2, 1.0, 3.0])
 def test_a_stroke_presses_as_asked(press: float) -> None:
-    wish = (0.0, 0.03)
+    reference = (0.0, 0.03)
     fields = {**ALL["stroke"], "press_n": press, "count": 3}
-    run = held(FLOOR, wish, gesture(FLOOR, wish, **fields))
+    run = held(FLOOR, reference, gesture(FLOOR, reference, **fields))
     touching = list(onsets(run))
     assert len(touching) == 1
     inside = (run.along > -0.005) & (run.along < 0.015) & (run.height < 0)
@@ -417,8 +417,8 @@ def test_a_stroke_presses_as_asked(press: float) -> None:
 @pytest.mark.parametrize("speed", [0.005, 0.05, 0.3])
 def test_a_puncture_breaks_through(speed: float, stiffness: float) -> None:
     target = replace(SKIN, stiffness_n_per_m=stiffness)
-    wish = (0.01, 0.05)
-    run = held(target, wish, gesture(target, wish, kind="puncture", speed_m_per_s=speed))
+    reference = (0.01, 0.05)
+    run = held(target, reference, gesture(target, reference, kind="puncture", speed_m_per_s=speed))
     assert run.broke is not None
     assert run.height[-1] > 0
 

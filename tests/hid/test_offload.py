@@ -292,7 +292,7 @@ def test_a_device_that_leaves_in_the_middle_of_it_is_an_error() -> None:
 
 def offload(count: int = 2, carried_hz: float = 250.0) -> Offload:
     made = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    made.set_carried(carried_hz)
+    made.evaluate_at(carried_hz)
     made.attach(periodic(FINE, count), "")
     return made
 
@@ -345,7 +345,7 @@ def test_a_device_with_other_effects_plays_none() -> None:
 def test_what_is_told_and_why() -> None:
     materials: dict[str, Material] = {name: shipped_materials()[name] for name in ("wood", "steel", "cellophane")}
     coarse = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    coarse.set_carried(10_000.0)
+    coarse.evaluate_at(10_000.0)
     coarse.attach(periodic(Joystick()), "")
     for name in materials:
         coarse.take(mode_of(name))
@@ -356,7 +356,7 @@ def test_what_is_told_and_why() -> None:
     assert steel.shown_hz == 1000.0 and steel.streamed_error_percent < 100.0
     assert cellophane.mode == "rupture"
     assert wood.period_resolution_s == wood.envelope_resolution_s == pytest.approx(1e-3)
-    coarse.set_carried(250.0)
+    coarse.evaluate_at(250.0)
     assert [outcome.refused for outcome in coarse.outcomes(materials)][1:] == [
         steel.refused,
         "the device has no more than 8 effects for this",

@@ -136,7 +136,7 @@ def test_bits_are_those_of_the_core() -> None:
             ours, theirs = bytearray(b"\xa5" * 7), ffi.new("uint8_t[7]", b"\xa5" * 7)
             bits.put(ours, counts)
             field = ffi.addressof(value, "field")
-            assert lib.hd_field_write(field, theirs, 7, counts) == 0
+            assert lib.hd_bits_put(field, theirs, 7, counts) == 0
             assert bytes(ours) == bytes(ffi.buffer(theirs))
             assert bits.get(bytes(ours)) == counts
         with pytest.raises(ValueError):

@@ -21,7 +21,7 @@ from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.daemon.engine import Engine
 from hapticd.rendering.compensation import LARGEST, Ringing, pole_gain, shape_of
-from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.displayed_error import band_error, displayed_error, handle_acceleration, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import simulate_run
@@ -468,7 +468,7 @@ def simulated_error(name: str, compensation: Compensation, grip: str) -> float:
         "scene": {"objects": {"wall": {**FLOOR, "material": "m"}}},
     }
     speed, onset = 0.02, 0.8
-    # Once it goes steadily the handle's own damping keeps it b v/k behind the wish. A hair before the tick.
+    # Once it goes steadily the handle's own damping keeps it b v/k behind the reference. A hair before the tick.
     start = speed * (onset - 1e-9) - 0.2 * speed / stiffness
     run = simulate_run(config, [[0, 0, start], [1.2, 0, start - 1.2 * speed]], 1.2, RATE)
     (event,) = run.events[run.events["kind"] == EventKind.CONTACT]

@@ -242,7 +242,7 @@ class Loop:
 def pulled(share: float, hand_n_per_m: float = 300.0) -> tuple[list[list[float]], float, float]:
     """Waypoints of a hand that presses and then pulls along with `share` of mu F_n; the normal force, and the pull.
 
-    At rest the hand's spring and the surface's share the way: F = wish / (1/k_hand + 1/k).
+    At rest the hand's spring and the surface's share the way: F = reference / (1/k_hand + 1/k).
     """
     deep = 0.01
     normal = deep / (1 / hand_n_per_m + 1 / K)

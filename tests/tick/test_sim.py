@@ -106,20 +106,20 @@ STRAIGHT = {1: 1}
 REST: dict[int, int] = {}
 
 
-def carried(
+def propagated(
     device: Device,
     x: mpf,
     v: mpf,
     force_n: mpf,
-    wish: tuple[mpf, mpf, mpf, dict[int, int]],
+    reference: tuple[mpf, mpf, mpf, dict[int, int]],
     begin_s: mpf,
     end_s: mpf,
 ) -> tuple[mpf, mpf]:
-    """Position and velocity at end_s: the matrix exponential of handle, hand and the wish's derivatives.
+    """Position and velocity at end_s: the matrix exponential of handle, hand and the reference's derivatives.
 
-    The wish is from + travel * shape(t/duration); begin_s and end_s count from the segment's start.
+    The reference is from + travel * shape(t/duration); begin_s and end_s count from the segment's start.
     """
-    start, travel, duration, shape = wish
+    start, travel, duration, shape = reference
     derivatives = []
     for order in range(7):
         value = mpf(0)
@@ -130,7 +130,7 @@ def carried(
         derivatives.append(travel * value + (start if order == 0 else 0))
     mass, k = mpf(device.mass_kg), mpf(device.hand_stiffness_n_per_m)
     grip = mpf(device.hand_damping_n_s_per_m)
-    system = mpmath.zeros(10)  # x, v, wish and its derivatives 1 to 6, constant force
+    system = mpmath.zeros(10)  # x, v, reference and its derivatives 1 to 6, constant force
     system[0, 1] = 1
     system[1, 0] = -k / mass
     system[1, 1] = -(mpf(device.handle_damping_n_s_per_m) + grip) / mass
@@ -147,7 +147,7 @@ def carried(
 def followed(
     device: Device, waypoints: Waypoints, shape: dict[int, int], force_n: float, times_s: Sequence[mpf]
 ) -> Iterator[tuple[mpf, mpf]]:
-    """The x axis at rising times, for a handle that starts at rest at start_m with the wish there."""
+    """The x axis at rising times, for a handle that starts at rest at start_m with the reference there."""
     x, v, now = mpf(device.start_m[0]), mpf(0), mpf(0)
     legs = []
     from_s, from_m = mpf(0), x
@@ -158,13 +158,13 @@ def followed(
         from_s, from_m = mpf(t_s), mpf(x_m)
     legs.append((from_s, mpmath.inf, (from_m, mpf(0), mpf(1), REST)))
     pending = iter(legs)
-    begin, end, wish = next(pending)
+    begin, end, reference = next(pending)
     for time_s in times_s:
         while end < time_s:
-            x, v = carried(device, x, v, mpf(force_n), wish, now - begin, end - begin)
+            x, v = propagated(device, x, v, mpf(force_n), reference, now - begin, end - begin)
             now = end
-            begin, end, wish = next(pending)
-        x, v = carried(device, x, v, mpf(force_n), wish, now - begin, time_s - begin)
+            begin, end, reference = next(pending)
+        x, v = propagated(device, x, v, mpf(force_n), reference, now - begin, time_s - begin)
         now = time_s
         yield x, v
 
@@ -369,7 +369,7 @@ def test_friction_holds_what_it_can(force: float) -> None:
 
 
 def test_a_resting_handle_breaks_away_in_time() -> None:
-    """The wish leaves at speed u: k u t + b_h u = c is when it moves."""
+    """The reference leaves at speed u: k u t + b_h u = c is when it moves."""
     u, c = 0.05, 0.37
     device = Device(
         coulomb_friction_n=c,
@@ -383,17 +383,17 @@ def test_a_resting_handle_breaks_away_in_time() -> None:
     ticks = int(away / mpf(PERIOD_S))
     joystick.advance(ticks)
     assert joystick.truth()[:2] == ([0, 0], [0, 0])
-    wish = (mpf(0), mpf(u), mpf(1), STRAIGHT)
+    reference = (mpf(0), mpf(u), mpf(1), STRAIGHT)
     for _ in range(50):
         ticks += 1
         joystick.advance()
-        x, v = carried(device, mpf(0), mpf(0), mpf(-c), wish, away, ticks * mpf(PERIOD_S))
+        x, v = propagated(device, mpf(0), mpf(0), mpf(-c), reference, away, ticks * mpf(PERIOD_S))
         assert abs(joystick.x - x) < 1e-16
         assert abs(joystick.v - v) < 1e-14
         assert joystick.truth()[0] == [joystick.x, -joystick.x]
 
 
-def test_a_curved_wish_that_friction_holds_all_the_way_and_one_that_it_does_not() -> None:
+def test_a_curved_reference_that_friction_holds_all_the_way_and_one_that_it_does_not() -> None:
     """A hand that is mostly viscous pulls hardest about the middle, between two looks of a long period."""
     k, grip, travel, duration = 10.0, 20.0, 0.01, 0.03
     s = np.linspace(0, 1, 200_001)
@@ -423,15 +423,15 @@ def test_energy_is_never_created() -> None:
             start_m=(chance.uniform(-0.03, 0.03), chance.uniform(-0.03, 0.03)),
         )
         joystick = Joystick(device, chance.choice([1e-4, 1e-3]))
-        wish = [chance.uniform(-0.03, 0.03), 0.0]
-        joystick.operate([(0, *wish)])
+        reference = [chance.uniform(-0.03, 0.03), 0.0]
+        joystick.operate([(0, *reference)])
         energies = []
         for _ in range(300):
             position, velocity, _ = joystick.truth()
             energies.append(
                 sum(
                     device.mass_kg * v * v / 2 + device.hand_stiffness_n_per_m * (x - w) ** 2 / 2
-                    for x, v, w in zip(position, velocity, wish, strict=True)
+                    for x, v, w in zip(position, velocity, reference, strict=True)
                 )
             )
             joystick.advance()
@@ -734,43 +734,43 @@ def test_what_is_under_way_is_gone_after_settling() -> None:
     assert joystick.force == [3.0, 0.0]
 
 
-# ---- the hand's wish -------------------------------------------------------------------------------------
+# ---- the hand's reference -------------------------------------------------------------------------------------
 
 
-def wish_of(joystick: Joystick) -> list[float]:
+def reference_of(joystick: Joystick) -> list[float]:
     """A handle that settles is where the hand wants to be."""
     joystick.settle()
     return joystick.truth()[0]
 
 
-def test_the_wish_along_a_path() -> None:
+def test_the_reference_along_a_path() -> None:
     device = Device(start_m=(0.01, 0.0), hand_stiffness_n_per_m=300, hand_damping_n_s_per_m=5)
     joystick = Joystick(device)
-    assert wish_of(joystick) == [0.01, 0.0]
+    assert reference_of(joystick) == [0.01, 0.0]
     joystick.operate([(0.01, 0.03, 0.02), (0.02, 0.03, -0.02)])
     joystick.advance(50)
-    assert wish_of(joystick) == pytest.approx([0.02, 0.01], abs=1e-17)
+    assert reference_of(joystick) == pytest.approx([0.02, 0.01], abs=1e-17)
     joystick.advance(75)
-    assert wish_of(joystick) == pytest.approx([0.03, 0.01], abs=1e-17)
-    # A new path begins at the present wish and at its own time 0.
+    assert reference_of(joystick) == pytest.approx([0.03, 0.01], abs=1e-17)
+    # A new path begins at the present reference and at its own time 0.
     joystick.operate([(0.02, -0.01, 0.01)], Interpolation.MINIMUM_JERK)
     joystick.advance(100)
-    assert wish_of(joystick) == pytest.approx([0.01, 0.01], abs=1e-17)
+    assert reference_of(joystick) == pytest.approx([0.01, 0.01], abs=1e-17)
     joystick.advance(1000)
-    assert wish_of(joystick) == [-0.01, 0.01]
+    assert reference_of(joystick) == [-0.01, 0.01]
     joystick.operate([(0.0, 0.05, 0.06), (1.0, 0.06, 0.06)])
-    assert wish_of(joystick) == [0.05, 0.06]
+    assert reference_of(joystick) == [0.05, 0.06]
     joystick.operate([(0.0, 0.2, -0.3)])
-    assert wish_of(joystick) == [0.075, -0.075]
+    assert reference_of(joystick) == [0.075, -0.075]
 
 
-def test_a_jump_of_the_wish_moves_the_spring_only() -> None:
+def test_a_jump_of_the_reference_moves_the_spring_only() -> None:
     device = Device(hand_stiffness_n_per_m=300, hand_damping_n_s_per_m=5)
     joystick = Joystick(device)
     joystick.operate([(0, 0.01, 0)])
     assert joystick.truth()[:2] == ([0, 0], [0, 0])
     joystick.advance()
-    x, v = carried(device, mpf(0), mpf(0), mpf(0), (mpf(0.01), mpf(0), mpf(1), REST), mpf(0), mpf(PERIOD_S))
+    x, v = propagated(device, mpf(0), mpf(0), mpf(0), (mpf(0.01), mpf(0), mpf(1), REST), mpf(0), mpf(PERIOD_S))
     assert abs(joystick.x - x) < 1e-17 and abs(joystick.v - v) < 1e-15
 
 

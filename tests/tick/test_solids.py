@@ -537,7 +537,7 @@ def test_inside_an_acute_corner_the_closed_loop_is_bounded(kind: str, exact: boo
     position, pushes = run.truth[:, :2], run.samples["force_n"]
     assert np.isfinite(pushes).all()
     assert np.hypot(*pushes.T).max() <= 8.9
-    # The hand of 300 N/m can push the probe no farther than it wishes to be; with less than 6 N anyway.
+    # The hand of 300 N/m can push the probe no farther than it wants to be; with less than 6 N anyway.
     assert np.abs(position[:, 0]).max() <= 0.005
     assert position[:, 1].min() >= -0.0105
     early, late = position[3000:4000], position[5000:]

@@ -134,7 +134,7 @@ class PidDriver:
         layout, problem = self._layout, "the device has no room for another effect"
         constant, made = len(self._indices), list[int]()
         try:
-            while len(made) < min(lib.HD_HID_OFFERS, (room or constant + lib.HD_HID_OFFERS) - constant):
+            while len(made) < min(lib.HD_DEVICE_EFFECTS, (room or constant + lib.HD_DEVICE_EFFECTS) - constant):
                 index = self._create(device, "sine")
                 if index in self._indices:
                     raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")

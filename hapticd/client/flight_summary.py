@@ -1,4 +1,4 @@
-"""What `hapticd flight` says of the file that the flight recorder wrote, apart from it because it loads numpy."""
+"""What a file of the flight recorder holds, in figures and in a line for people; copies it where that is asked for."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import os
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
-from hapticd.client.record import missed_text
+from hapticd.recording.missed_periods import missed_text
 from hapticd.recording.recording import load
 
 

@@ -12,7 +12,7 @@ import pytest
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.fit.grooves import fit_grooves
-from hapticd.fit.impossible import without_impossible
+from hapticd.fit.invalid_samples import without_impossible
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.synthesize import Stylus, taps

@@ -33,8 +33,8 @@ static size_t end(int number, int beside, void (*set_up)(int fd), uint8_t *got, 
                 signal(each, SIG_DFL); /* a sanitizer's own */
             }
         }
-        hd_last_arm();
-        hd_last_arm(); /* again makes no difference */
+        hd_last_report_arm();
+        hd_last_report_arm(); /* again makes no difference */
         set_up(pair[1]);
         pthread_t thread;
         if (beside && pthread_create(&thread, NULL, fault, &number) == 0) {
@@ -63,21 +63,21 @@ static size_t end(int number, int beside, void (*set_up)(int fd), uint8_t *got, 
 }
 
 static void keep(int fd) {
-    CHECK(hd_last_keep(fd, reports, lengths, 2, 0.0) == HD_OK);
-    CHECK(!hd_last_is_over());
+    CHECK(hd_last_report_keep(fd, reports, lengths, 2, 0.0) == HD_OK);
+    CHECK(!hd_last_report_is_over());
     close(fd);
 }
 
 static void keep_another(int fd) {
     const uint8_t other[] = {7};
     const uint32_t one = 1;
-    CHECK(hd_last_keep(fd, other, &one, 1, 0.0) == HD_OK);
+    CHECK(hd_last_report_keep(fd, other, &one, 1, 0.0) == HD_OK);
     keep(fd);
 }
 
 static void drop(int fd) {
     keep(fd);
-    hd_last_drop();
+    hd_last_report_drop();
 }
 
 static void keep_on(int fd) {
@@ -88,10 +88,10 @@ static void keep_on(int fd) {
 static void refuse(int fd) {
     const uint32_t long_one = HD_HID_REPORT_BYTES + 1;
     uint8_t bytes[HD_HID_REPORT_BYTES + 1] = {0};
-    CHECK(hd_last_keep(fd, reports, lengths, 2, 0.0) == HD_OK);
-    CHECK(hd_last_keep(fd, bytes, &long_one, 1, 0.0) == HD_ERR_INVALID);
-    CHECK(hd_last_keep(fd, reports, lengths, 2 * HD_HID_MESSAGES + 1, 0.0) == HD_ERR_INVALID);
-    CHECK(hd_last_keep(-1, reports, lengths, 1, 0.0) == HD_ERR_INVALID);
+    CHECK(hd_last_report_keep(fd, reports, lengths, 2, 0.0) == HD_OK);
+    CHECK(hd_last_report_keep(fd, bytes, &long_one, 1, 0.0) == HD_ERR_INVALID);
+    CHECK(hd_last_report_keep(fd, reports, lengths, 2 * HD_HID_MESSAGES + 1, 0.0) == HD_ERR_INVALID);
+    CHECK(hd_last_report_keep(-1, reports, lengths, 1, 0.0) == HD_ERR_INVALID);
     close(fd);
 }
 
@@ -116,6 +116,6 @@ int main(void) {
     check_twice(got, end(SIGSEGV, 0, refuse, got, sizeof got));
     CHECK(end(SIGSEGV, 0, drop, got, sizeof got) == 0);
     CHECK(end(SIGABRT, 0, nothing, got, sizeof got) == 0);
-    printf("test_last: ok\n");
+    printf("test_last_report: ok\n");
     return 0;
 }

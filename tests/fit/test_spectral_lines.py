@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hapticd.analysis.statistics import Floats
-from hapticd.fit.lines import Line, common_lines, lines_beside, lines_of, told
 from hapticd.fit.recording import Recording, Source
+from hapticd.fit.spectral_lines import Line, common_lines, lines_beside, lines_of, told
 from hapticd.fit.tap import fit_tap
 
 RATE = 2000.0

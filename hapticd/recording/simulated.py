@@ -1,4 +1,4 @@
-"""The work behind `hapticd simulate`, apart from it because it loads the core."""
+"""What `hapticd simulate` does: a scene and an operator from files, rendered into a recording."""
 
 from __future__ import annotations
 

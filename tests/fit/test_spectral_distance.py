@@ -8,7 +8,7 @@ from scipy import signal
 
 from hapticd.analysis.statistics import Floats
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.spectrum_apart import apart_db
+from hapticd.fit.spectral_distance import apart_db
 from hapticd.fit.texture import fit_texture
 
 RATE_HZ = 2500.0

@@ -13,7 +13,6 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
-#include "base/hd_bits.h"
 #include "base/hd_clock.h"
 
 #define HD_PARTING_NS 500000000 /* for what is written at the end, unless hd_hid_set_parting says otherwise */
@@ -62,7 +61,7 @@ struct hd_hid *hd_hid_new(void) {
     }
     hd_triple_init(&hid->position_triple);
     hd_triple_init(&hid->force_triple);
-    hd_orders_init(&hid->orders);
+    hd_effect_queue_init(&hid->effect_queue);
     hid->parting_ns = HD_PARTING_NS;
     hid->seen.true_velocity_m_per_s[0] = hid->seen.true_velocity_m_per_s[1] = (double)NAN;
     return hid;
@@ -104,7 +103,7 @@ static struct hd_connection *connection_new(struct hd_hid *hid, const struct hd_
     connection->parting_ns = hid->parting_ns;
     connection->known.on_change = plan->on_change;
     connection->known.signs = plan->signs;
-    hd_player_init(&connection->player, &hid->orders);
+    hd_effect_sender_init(&connection->effect_sender, &hid->effect_queue);
     if (connection->fd < 0 || connection->end_fd < 0 || connection->left_fd < 0) {
         const int error = errno;
         hd_connection_free(connection);
@@ -180,7 +179,7 @@ int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, i
         }
         hd_hid_disconnect(hid, 0);
     }
-    if (hd_report_check(plan) != HD_OK) {
+    if (hd_hid_check(plan) != HD_OK) {
         return HD_ERR_INVALID;
     }
     if (priority < 0 || priority > 99) {
@@ -242,7 +241,7 @@ int hd_hid_disconnect(struct hd_hid *hid, int orderly) {
     connection->parting_until_ns = hd_clock_now_ns() + connection->parting_ns;
     const int lost = !hd_atomic_u32_replace(&connection->end, HD_END_NOT, orderly ? HD_END_ORDERLY : HD_END_NOW);
     hd_atomic_u32_store_release(&hid->connected, 0);
-    hd_atomic_u32_store_relaxed(&hid->offers, 0);
+    hd_atomic_u32_store_relaxed(&hid->has_effects, 0);
     hd_hid_signal(connection->end_fd);
     pthread_join(connection->reader, NULL);
     hid->connection = NULL;
@@ -250,13 +249,13 @@ int hd_hid_disconnect(struct hd_hid *hid, int orderly) {
     return lost ? (int)hd_atomic_u32_load_relaxed(&hid->error) : error;
 }
 
-int hd_hid_offer(struct hd_hid *hid, const struct hd_hid_offers *effects) {
+int hd_hid_set_effects(struct hd_hid *hid, const struct hd_device_effects *effects) {
     if (hid->connection == NULL) {
         return HD_OK;
     }
-    const int status = hd_player_offer(&hid->connection->player, effects);
+    const int status = hd_effect_sender_set(&hid->connection->effect_sender, effects);
     if (status == HD_OK) {
-        hd_atomic_u32_store_relaxed(&hid->offers, effects->count > 0);
+        hd_atomic_u32_store_relaxed(&hid->has_effects, effects->count > 0);
     }
     return status;
 }
@@ -280,8 +279,8 @@ void hd_hid_status(const struct hd_hid *hid, struct hd_hid_status *status) {
         .write_ns = hd_atomic_i64_load_relaxed(&hid->write_ns),
         .write_interval_ns = hd_atomic_i64_load_relaxed(&hid->write_interval_ns),
         .last_report_ns = hd_atomic_i64_load_relaxed(&hid->last_report_ns),
-        .strikes = hd_atomic_u64_load_relaxed(&hid->orders.played),
-        .strikes_lost = hd_orders_lost(&hid->orders),
+        .strikes = hd_atomic_u64_load_relaxed(&hid->effect_queue.played),
+        .strikes_lost = hd_effect_queue_lost(&hid->effect_queue),
     };
 }
 
