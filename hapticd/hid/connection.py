@@ -34,7 +34,7 @@ SETTLE_S: Final = 0.02
 """Reports about its set-up may be under way so long."""
 LISTEN_S: Final = 0.15
 """So long a device is listened to, to find out whether it reports without being moved."""
-TELL_S: Final = 1.0
+PLAYING_S: Final = 1.0
 """A device whose reports have room for it has this long to say that an effect plays."""
 STOP_S: Final = 2.0
 """So long the end waits for a set-up that is under way."""
@@ -79,7 +79,7 @@ class _Live:
         `has_played`: the device has said that an effect of ours plays."""
         if self.plan.foreign_s is None:
             return None
-        asked = self.plan.effects is not None and time.monotonic() - self.since_s < TELL_S
+        asked = self.plan.effects is not None and time.monotonic() - self.since_s < PLAYING_S
         return True if has_played else None if asked else False
 
 

@@ -21,7 +21,7 @@ from hapticd.hid.drivers.pid_periodic import periodic_of, periodic_problem
 from hapticd.hid.drivers.pid_plan import Way, axes_of, effects_of, plan_of, stop_messages, ways_of
 from hapticd.hid.drivers.pid_pool import Pool, number_in, read_feature
 from hapticd.hid.drivers.pid_reports import (
-    Report,
+    ReportWriter,
     block_free_report,
     constant_force_report,
     control_report,
@@ -158,7 +158,7 @@ class PidDriver:
         """A new effect; its block index."""
         create, load = self._layout.create_new_effect, self._layout.block_load
         assert create is not None and load is not None
-        report = Report(create.report_id, create.report_bytes)
+        report = ReportWriter(create)
         report.choose(create.effect_type, kind)
         device.send_feature(bytes(report.data))
         for _ in range(LOAD_TRIES):

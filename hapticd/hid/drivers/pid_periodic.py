@@ -8,7 +8,7 @@ from hapticd.config.hid import Hid
 from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.drivers.pid_directions import angle_of, has_one_axis
 from hapticd.hid.drivers.pid_reports import (
-    Report,
+    ReportWriter,
     envelope_report,
     level_scale,
     operation_report,
@@ -68,7 +68,7 @@ def periodic_of(layout: Layout, hid: Hid, indices: Sequence[int]) -> Periodic:
 def _periodic_block(layout: Layout, hid: Hid, index: int) -> PeriodicBlock:
     periodic, envelope = layout.set_periodic, layout.set_envelope
     assert periodic is not None and envelope is not None
-    shape = Report(periodic.report_id, periodic.report_bytes)
+    shape = ReportWriter(periodic)
     shape.put(periodic.effect_index, index)
     for rest in (periodic.magnitude, periodic.offset, periodic.phase):
         shape.put(rest, 0)

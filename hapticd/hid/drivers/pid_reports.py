@@ -9,7 +9,7 @@ from typing import Literal
 from hapticd.base.core import HidQuantity
 from hapticd.config.hid import Hid
 from hapticd.hid.descriptor.fields import Choice, Field, duration_fault
-from hapticd.hid.descriptor.layout import Layout, SetEffect, SetEnvelope
+from hapticd.hid.descriptor.layout import Layout, Report, SetEffect, SetEnvelope
 from hapticd.hid.drivers.pid_directions import angle_of, counts_of, enabled_for, mirrored
 from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
 
@@ -26,12 +26,12 @@ class Effect:
     """An enabled axis would not say which way."""
 
 
-class Report:
-    """A report in the making, its id first."""
+class ReportWriter:
+    """The bytes of a report that is written field by field, its id first."""
 
-    def __init__(self, report_id: int, report_bytes: int) -> None:
-        self.data = bytearray(report_bytes + (report_id == 0))
-        self.data[0] = report_id
+    def __init__(self, to: Report) -> None:
+        self.data = bytearray(to.report_bytes + (to.report_id == 0))
+        self.data[0] = to.report_id
 
     def put(self, field: Field | None, counts: float) -> None:
         """The number of counts, rounded and limited to the field's range; nothing where there is no field."""
@@ -60,7 +60,7 @@ def set_effect_report(
     """Set Effect; without `effect` its direction is sent later. `kind`: of EFFECT_TYPES."""
     to = layout.set_effect
     assert to is not None
-    report = Report(to.report_id, to.report_bytes)
+    report = ReportWriter(to)
     report.put(to.effect_index, index)
     report.choose(to.effect_type, kind)
     if "infinite_duration" in hid.quirks:
@@ -76,7 +76,7 @@ def set_effect_report(
     return bytes(report.data)
 
 
-def _aim(report: Report, to: SetEffect, hid: Hid, effect: Effect | None) -> None:
+def _aim(report: ReportWriter, to: SetEffect, hid: Hid, effect: Effect | None) -> None:
     """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
     angle, by_angle = angle_of(to), is_by_angle(to, effect)
     if by_angle:
@@ -125,7 +125,7 @@ def operation_report(layout: Layout, index: int, name: str) -> Message:
     """Effect Operation; `name` is of OPERATIONS."""
     to = layout.effect_operation
     assert to is not None
-    report = Report(to.report_id, to.report_bytes)
+    report = ReportWriter(to)
     report.put(to.effect_index, index)
     report.choose(to.operation, name)
     report.put(to.loop_count, 1)
@@ -137,7 +137,7 @@ def block_free_report(layout: Layout, index: int) -> Message | None:
     to = layout.block_free
     if to is None or not to.effect_index.logical_min <= index <= to.effect_index.logical_max:
         return None
-    report = Report(to.report_id, to.report_bytes)
+    report = ReportWriter(to)
     report.put(to.effect_index, index)
     return Message(bytes(report.data))
 
@@ -148,7 +148,7 @@ def control_report(layout: Layout, name: str) -> bytes | None:
     assert to is not None
     if name not in to.command.entries:
         return None
-    report = Report(to.report_id, to.report_bytes)
+    report = ReportWriter(to)
     report.choose(to.command, name)
     return bytes(report.data)
 
@@ -158,7 +158,7 @@ def gain_report(layout: Layout, hid: Hid) -> bytes | None:
     to = layout.device_gain
     if to is None or "no_device_gain" in hid.quirks:
         return None
-    report = Report(to.report_id, to.report_bytes)
+    report = ReportWriter(to)
     report.put(to.gain, to.gain.logical_max)
     return bytes(report.data)
 
@@ -177,7 +177,7 @@ def constant_force_report(
     force = layout.constant_force
     assert force is not None
     field = force.magnitude
-    report = Report(force.report_id, force.report_bytes)
+    report = ReportWriter(force)
     report.put(force.effect_index, index)
     report.put(field, 0)
     if effect is None or hid is None:
@@ -211,7 +211,7 @@ def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "const
 
 def envelope_report(to: SetEnvelope, index: int) -> bytes:
     """Set Envelope of an effect, with times and levels of zero."""
-    report = Report(to.report_id, to.report_bytes)
+    report = ReportWriter(to)
     report.put(to.effect_index, index)
     return bytes(report.data)
 
