@@ -64,14 +64,14 @@ def _method(described: Callable[P, Call[T]]) -> Callable[Concatenate[Client, P],
     def method(self: Client, /, *args: P.args, **kwargs: P.kwargs) -> T:
         return self._ask(described(*args, **kwargs))
 
-    return cast("Callable[Concatenate[Client, P], T]", documented(method, described, "{}"))
+    return documented(method, described, "{}")
 
 
 def _stream(described: Callable[P, Listen[T]]) -> Callable[Concatenate[Client, P], Subscription[T]]:
     def method(self: Client, /, *args: P.args, **kwargs: P.kwargs) -> Subscription[T]:
         return self._listen(described(*args, **kwargs), Subscription[T])
 
-    return cast("Callable[Concatenate[Client, P], Subscription[T]]", documented(method, described, "Subscription[{}]"))
+    return documented(method, described, "Subscription[{}]")
 
 
 class Client(ClientBase):

@@ -10,7 +10,7 @@ import inspect
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar, cast
 
 from hapticd.base import arguments
 from hapticd.base.errors import HapticdError, shown
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from hapticd.client.samples import SampleBatch
 
 R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., object])
+_SELF: Final = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
 Interpolation: TypeAlias = Literal["linear", "minimum_jerk"]
 
 
@@ -70,20 +72,19 @@ class Listen(Generic[R]):
     timeout_s: float | None
 
 
-def documented(method: Any, described: Callable[..., object], result: str) -> Any:
+def documented(method: F, described: Callable[..., object], result: str) -> F:
     """`method` of a client, with the name, the parameters and the documentation of a function here.
 
     `result` is what `inspect.signature` says of the result, `{}` standing for R.
     """
     signature = inspect.signature(described)
     returns = result.format(str(signature.return_annotation).partition("[")[2].removesuffix("]"))
-    self = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    method.__signature__ = signature.replace(
-        parameters=[self, *signature.parameters.values()], return_annotation=returns
-    )
-    method.__annotations__ = {**described.__annotations__, "return": returns}
-    method.__name__, method.__doc__ = described.__name__, described.__doc__
-    method.__qualname__ = f"Client.{described.__name__}"
+    parameters = [_SELF, *signature.parameters.values()]
+    made: Any = method
+    made.__signature__ = signature.replace(parameters=parameters, return_annotation=returns)
+    made.__annotations__ = {**described.__annotations__, "return": returns}
+    made.__name__, made.__doc__ = described.__name__, described.__doc__
+    made.__qualname__ = f"Client.{described.__name__}"
     return method
 
 

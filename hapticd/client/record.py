@@ -26,14 +26,11 @@ from hapticd.protocol.calls import DaemonNotRunning, Topic
 from hapticd.protocol.places import Place, has_ended, no_telemetry
 from hapticd.protocol.results import ConfigResult, MaterialsResult, SceneResult, Status
 from hapticd.recording.formats import open_writer
-from hapticd.recording.missed_periods import gaps_of, missed_periods, missed_text, share
+from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, missed_text, share
 from hapticd.recording.writer import DiskFullError, RecordingWriter, Samples
 
 if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
-
-MOST_GAPS: Final = 1000
-"""Gaps that a recording lists; the ticks of its samples show all of them."""
 
 LAST_CHANGE_S: Final = 1.0
 """How long, at the end, is waited for what was before it: the last tick, and the change that it was rendered with."""

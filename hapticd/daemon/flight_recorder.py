@@ -28,7 +28,7 @@ from hapticd.base.core import SAMPLE_DTYPE
 from hapticd.base.errors import HapticdError
 from hapticd.daemon.flight_scene import FlightScene, Stretch
 from hapticd.protocol.changes import Change
-from hapticd.recording.missed_periods import gaps_of, missed_periods, rates_of
+from hapticd.recording.missed_periods import MOST_GAPS, gaps_of, missed_periods, rates_of
 from hapticd.system.repeated_lines import SHORTEST_S, Repeats
 
 AFTER_S: Final = 1.0
@@ -41,8 +41,6 @@ _PLAIN: Final = np.dtype((np.void, SAMPLE_DTYPE.itemsize))
 """A sample without its members, which numpy would copy one by one."""
 CLOCK_EVERY_NS: Final = 1_000_000_000
 """So often the clocks are read, for a file's beginning."""
-MOST_GAPS: Final = 1000
-"""Gaps that a file lists."""
 
 _NAME: Final = re.compile(r"flight-(\d{6,})-[a-z]+\.npz")
 _log = logging.getLogger("hapticd")

@@ -10,6 +10,9 @@ import numpy.typing as npt
 
 from hapticd.base import wording
 
+MOST_GAPS: Final = 1000
+"""Gaps that a recording lists; the ticks of its samples show all of them."""
+
 SKIPPED: Final = 1
 """The flag of a tick before which periods were missed (hapticd.base.core.Flag, which loads the core)."""
 

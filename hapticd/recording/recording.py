@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from hapticd.base.yaml_source import Json
 
 _AXES: Final = ("x", "y")
-_STRETCH: Final = 10_000
-"""Samples that are written at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,23 +159,9 @@ class Recording:
         Returns where it is: under the next free name where a file appeared at `path` meanwhile. Raises HapticdError.
         """
         with open_writer(path, overwrite) as writer:
-            writer.begin(
-                {name: text for name, text in self.texts.items() if name not in ("changes", "recording", "flight")}
-            )
-            for change in self.changes:
-                writer.write_change(change)
-            events = iter(self.events)
-            event = next(events, None)
-            for first in range(0, len(self.samples), _STRETCH):
-                part = self.samples[first : first + _STRETCH]
-                writer.write(part)
-                while event is not None and int(event.get("tick", 0)) <= int(part["tick"][-1]):
-                    writer.write_event(event)
-                    event = next(events, None)
-            while event is not None:
-                writer.write_event(event)
-                event = next(events, None)
             last = {name: self.texts[name] for name in ("recording", "flight") if name in self.texts}
+            first = {name: text for name, text in self.texts.items() if name != "changes" and name not in last}
+            writer.write_all(first, self.changes, self.samples, self.events)
             writer.finish(last, {} if self.truth is None else {"truth": self.truth})
             return writer.target
 

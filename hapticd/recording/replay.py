@@ -125,12 +125,8 @@ class Replay:
         the target is there already."""
         with open_writer(target, overwrite) as writer:
             last = ("changes", "recording", "flight")
-            writer.begin({name: text for name, text in self.texts.items() if name not in last})
-            for change in self.texts["changes"]:
-                writer.write_change(change)
-            writer.write(self.samples)
-            for event in self.events:
-                writer.write_event(event)
+            first = {name: text for name, text in self.texts.items() if name not in last}
+            writer.write_all(first, self.texts["changes"], self.samples, self.events)
             writer.finish()
             if writer.displaced:
                 raise HapticdError(displaced(target, writer.target))

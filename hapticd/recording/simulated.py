@@ -78,18 +78,13 @@ def simulate_files(
 
 def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str, str]) -> None:
     servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
-    writer.begin(
-        {
-            "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
-            "scene": config.scene.to_dict(),
-            "materials": {name: material.to_dict() for name, material in config.materials.items()},
-        }
-    )
-    writer.write_change({"revision": 1})
-    writer.write(run.samples)
-    for event in run.events:
-        place = int(event["slot"]), int(event["generation"])
-        writer.write_event(event_map(event, run.objects.get(place)))
+    texts = {
+        "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
+        "scene": config.scene.to_dict(),
+        "materials": {name: material.to_dict() for name, material in config.materials.items()},
+    }
+    events = (event_map(event, run.objects.get((int(event["slot"]), int(event["generation"])))) for event in run.events)
+    writer.write_all(texts, [{"revision": 1}], run.samples, events)
     ticks = len(run.samples)
     about = {
         "ticks": ticks,

@@ -22,8 +22,9 @@ import os
 import re
 import shlex
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from itertools import chain
 from itertools import count as numbers
 from pathlib import Path
 from types import TracebackType
@@ -40,6 +41,8 @@ Samples: TypeAlias = npt.NDArray[np.void]
 
 CHECK_EVERY: Final = 1 << 18
 """Bytes of samples after which there is a checkpoint."""
+_STRETCH: Final = 10_000
+"""Samples that are written at once."""
 _FIELD: Final = re.compile("[<>|]?[iuf][1248]")
 _FULL: Final = frozenset((errno.ENOSPC, errno.EDQUOT, errno.EFBIG))
 
@@ -183,6 +186,28 @@ class RecordingWriter(ABC):
     def write_status(self, status: Mapping[str, object]) -> None:
         """Appends a status, where the format has a place for it."""
         return
+
+    def write_all(
+        self,
+        texts: Mapping[str, object],
+        changes: Iterable[Mapping[str, object]],
+        samples: Samples,
+        events: Iterable[Mapping[str, Any]],
+    ) -> None:
+        """All of a recording, which is then to be finished; events after the samples of their ticks."""
+        self.begin(texts)
+        for change in changes:
+            self.write_change(change)
+        rest = iter(events)
+        event = next(rest, None)
+        for first in range(0, len(samples), _STRETCH):
+            stretch = samples[first : first + _STRETCH]
+            self.write(stretch)
+            while event is not None and int(event.get("tick", 0)) <= int(stretch["tick"][-1]):
+                self.write_event(event)
+                event = next(rest, None)
+        for last in () if event is None else chain((event,), rest):
+            self.write_event(last)
 
     def finish(
         self,
