@@ -19,7 +19,8 @@ from examples.demo.perform import Floats, Recorded, stroking
 from hapticd.config.materials import Material
 from hapticd.config.texture import Stochastic
 from hapticd.fit.recording import Recording, Source
-from hapticd.fit.texture import BLOCK_S, TextureFit, fit_texture
+from hapticd.fit.texture import TextureFit, fit_texture
+from hapticd.fit.texture_blocks import BLOCK_S
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 
 MATERIAL: Final = "sandpaper_100"

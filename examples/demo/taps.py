@@ -46,7 +46,7 @@ def tapping() -> Waypoints:
     path = [[0.0, 0.0, HOVER_M]]
     for speed in SPEEDS_M_PER_S:
         down_s = (HOVER_M + PRESS_M) / speed
-        for height, lasting in ((HOVER_M, 0.06), (-PRESS_M, down_s), (-PRESS_M, HOLD_S), (HOVER_M, 0.09)):
+        for height, lasting in ((HOVER_M, 0.05), (-PRESS_M, down_s), (-PRESS_M, HOLD_S), (HOVER_M, 0.09)):
             path.append([path[-1][0] + lasting, 0.0, height])
     return path
 
