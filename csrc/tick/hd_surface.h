@@ -20,7 +20,7 @@ struct hd_dominant_material {
 /* The surface of an object at s. `half_length_m` bounds the grooves (discs: pi R). */
 HD_RT struct hd_dominant_material hd_surface_at(const struct hd_table *table, const struct hd_object *object,
                                                 double arc_m, double half_length_m, struct hd_surface *surface);
-/* from, on its way to `surface`: the result is in `surface`. */
+/* Mixes: 0 is `from`, 1 is `surface`, which takes the result. */
 HD_RT void hd_surface_blend(const struct hd_surface *from, double blend, struct hd_surface *surface);
 /* The index, among the wall's pieces, of the one that holds s; the object has pieces. */
 HD_RT uint32_t hd_surface_piece(const struct hd_table *table, const struct hd_object *object, double arc_m);
