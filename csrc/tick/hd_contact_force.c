@@ -210,14 +210,13 @@ HD_RT static inline struct hd_dominant_material find_surface(const struct hd_tab
                                                              const struct hd_object *object,
                                                              const struct hd_travel *travel, struct hd_slot *slot) {
     const double arc_m = travel->point.arc_m;
-    if (slot->seam == 0) {
-        return hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
-    }
     const double coefficient = slot->surface.friction_coefficient;
     const double stiffness = slot->surface.friction_stiffness_n_per_m;
     const struct hd_dominant_material dominant =
         hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
-    hd_seam_ease(slot, arc_m, coefficient, stiffness);
+    if (slot->seam > 0) {
+        hd_seam_ease(slot, arc_m, coefficient, stiffness);
+    }
     return dominant;
 }
 
