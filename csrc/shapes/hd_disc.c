@@ -20,8 +20,8 @@
 #define MOVED 1e300
 
 /* Turns the bearing towards the offset, by an angle of `turn` at most. A probe that is out on the far side did not come
- * there along the rim: it went through faster than that, or by the way along what is pressed as well. It is held by the
- * side that was met. */
+ * there along the rim: it went through faster than that, or by the path along what is pressed as well. It is held by
+ * the side that was met. */
 HD_RT static void follow(const double offset[2], double radius_m, double turn, struct hd_contact_point *point) {
     const double bearing[2] = {point->normal[0], point->normal[1]};
     const double distance = hd_root(hd_dot(offset, offset));

@@ -35,7 +35,7 @@ struct hd_onset {
     int silent;                    /* no onset was seen: no tap, and the force comes in over the ramp */
     int slid;                      /* reached along another surface, already pressed: no tap */
     int stood;                     /* slid, but not by the probe's motion: it already lay between proxy and probe */
-    double fraction;               /* of the way from the last sample to this one */
+    double fraction;               /* of the path from the last sample to this one */
     struct hd_contact_point point; /* where the surface was met; where the probe is, if silent */
     struct hd_feature feature;
 };

@@ -14,7 +14,8 @@ HD_RT static inline void hd_tangent_of(const struct hd_slot *slot, const double 
     }
 }
 
-/* Adds a strike along a material's aim (hd_api.h), at a place with this normal. Overwrites the strike's direction. */
+/* Adds a strike along a material's aim (hd_api.h), at a contact point with this normal. Overwrites the strike's
+ * direction. */
 HD_RT void hd_aim_strike(struct hd_state *state, const struct hd_slot *slot, const double aim[2],
                          const double normal[2], struct hd_strike *strike);
 

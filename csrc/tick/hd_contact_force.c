@@ -6,7 +6,7 @@
  * v_n = -v.n, v_t = v.t; see hd_surface.h for K, H and their slopes, hd_friction.h for friction. Vibration (grooves,
  * noise) is added to that and never gated by it.
  *
- * On a disc of radius R the probe at r goes r/R of the way that s goes, so there the first three terms of F_t are R/r
+ * On a disc of radius R the probe at r goes r/R as far as s goes, so there the first three terms of F_t are R/r
  * as large. Deep in it geometry and friction fade with g(r), from 1 to 0 (hd_disc_lever). What is stored is
  *     U = K/2 (d - g H)^2 + g k/2 (s - anchor)^2
  * and the force is its slope, so that n has g' (K e H - k/2 (s - anchor)^2) besides F_n. */
@@ -54,8 +54,8 @@ HD_RT static void find_last(const struct hd_context *context, const struct hd_sl
     }
 }
 
-/* The force of a surface at a place: along the normal, and along the tangent. `lever`: NULL on what is flat. Moves the
- * anchor. Returns F_n. */
+/* The force of a surface at a contact point: along the normal, and along the tangent. `lever`: NULL on what is flat.
+ * Moves the anchor. Returns F_n. */
 HD_RT static inline double press(const struct hd_surface *surface, const struct hd_contact_point *point,
                                  const double velocity[2], const double tangent[2], const struct hd_lever *lever,
                                  double *anchor_m, double force_n[2]) {
@@ -84,8 +84,8 @@ HD_RT static inline double press(const struct hd_surface *surface, const struct 
     return normal_n;
 }
 
-/* What the surface as it was would press with where the probe is now: the force of the last tick, and what the way
- * since then makes of it on the plane that it was there. */
+/* What the surface as it was would press with where the probe is now: the force of the last tick, and what the
+ * displacement since then makes of it on the plane that it was there. */
 HD_RT static void press_as_it_was(const struct hd_context *context, const struct hd_slot *slot, double force_n[2]) {
     force_n[0] = slot->force_n[0];
     force_n[1] = slot->force_n[1];
@@ -210,14 +210,13 @@ HD_RT static inline struct hd_dominant_material find_surface(const struct hd_tab
                                                              const struct hd_object *object,
                                                              const struct hd_travel *travel, struct hd_slot *slot) {
     const double arc_m = travel->point.arc_m;
-    if (slot->seam == 0) {
-        return hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
-    }
     const double coefficient = slot->surface.friction_coefficient;
     const double stiffness = slot->surface.friction_stiffness_n_per_m;
     const struct hd_dominant_material dominant =
         hd_surface_at(table, object, arc_m, travel->half_length_m, &slot->surface);
-    hd_seam_ease(slot, arc_m, coefficient, stiffness);
+    if (slot->seam > 0) {
+        hd_seam_ease(slot, arc_m, coefficient, stiffness);
+    }
     return dominant;
 }
 

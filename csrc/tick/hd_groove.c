@@ -25,7 +25,7 @@ struct stretch {
     double true_speed_m_per_s;
 };
 
-/* From one place to the other, the shorter way round a disc. */
+/* From one s to the other, the shorter way round a disc. */
 HD_RT static double distance_between(double a_m, double b_m, double half_length_m) {
     const double distance = hd_magnitude(a_m - b_m);
     return distance > half_length_m ? 2.0 * half_length_m - distance : distance;
@@ -80,8 +80,8 @@ HD_RT static void strike(struct hd_context *context, uint32_t index, const struc
     }
 }
 
-/* The last groove that lies before s, where a point of the way counts as beyond a groove that it lies on, and the place
- * where two materials meet does not: that groove is one of the latter's. */
+/* The last groove that lies before s, where a point of the path counts as beyond a groove that it lies on, and the
+ * place where two materials meet does not: that groove is one of the latter's. */
 HD_RT static int64_t last_before(double spacing_m, double arc_m, int meeting) {
     const int64_t k = hd_groove_below(spacing_m, arc_m);
     return meeting && (double)k * spacing_m == arc_m ? k - 1 : k;

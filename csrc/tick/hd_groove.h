@@ -4,7 +4,7 @@
  * the straight line between two samples, with A = velocity_gain |v_t| + force_gain F_n (Okamura, Dennerlein and Howe
  * 1998, eq. 2). A does not vanish with the speed and acts along the motion, so that a light hand on a groove would be
  * driven by its own strikes: a groove strikes again only after the probe was half a spacing away from it, or struck
- * another. (Of the way through the air only its end counts.) A point exactly on a groove counts as beyond it; a groove
+ * another. (Of the path through the air only its end counts.) A point exactly on a groove counts as beyond it; a groove
  * exactly where two materials meet is one of the latter's. On a disc grooves lie up to its bottom, where s starts
  * again, and there the first and the last may be one; one that the bottom cuts is struck, but has no shape. */
 #ifndef HD_GROOVE_H

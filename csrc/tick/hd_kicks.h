@@ -2,7 +2,7 @@
  *
  * A tap begins between two ticks and is answered at the second of them. What is missing until then is known when it is
  * struck, and so is what held samples make of a high mode: kicks are added to the first HD_KICKS samples, each a
- * straight line over the place of the onset between the ticks. Strikes add up, as their modes do. */
+ * straight line over the time of the onset between the ticks. Strikes add up, as their modes do. */
 #ifndef HD_KICKS_H
 #define HD_KICKS_H
 

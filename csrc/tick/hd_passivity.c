@@ -22,14 +22,15 @@ HD_RT static void add_up(const struct hd_passivity *passivity, uint32_t ago, uin
     }
 }
 
-/* What the handle itself takes on the way to a new sample, by its damping and dry friction. */
-HD_RT static double handle_takes(const struct hd_table *table, const struct hd_input *input, const double way[2]) {
-    const double viscous_j = table->handle_damping_n_s_per_m * hd_dot(input->velocity_m_per_s, way);
+/* What the handle itself takes on the path to a new sample, by its damping and dry friction. */
+HD_RT static double handle_takes(const struct hd_table *table, const struct hd_input *input,
+                                 const double displacement_m[2]) {
+    const double viscous_j = table->handle_damping_n_s_per_m * hd_dot(input->velocity_m_per_s, displacement_m);
     return (viscous_j > 0.0 ? viscous_j : 0.0) +
-           table->handle_friction_n * (hd_magnitude(way[0]) + hd_magnitude(way[1]));
+           table->handle_friction_n * (hd_magnitude(displacement_m[0]) + hd_magnitude(displacement_m[1]));
 }
 
-/* The periods that have passed, and if there is a new sample, the work of the way to it. */
+/* The periods that have passed, and if there is a new sample, the work of the displacement to it. */
 HD_RT static void settle(struct hd_passivity *passivity, const struct hd_state *state, const struct hd_table *table,
                          const struct hd_input *input) {
     const uint32_t passed = input->periods < HD_PASSIVITY_PERIODS ? input->periods : HD_PASSIVITY_PERIODS;
@@ -46,11 +47,11 @@ HD_RT static void settle(struct hd_passivity *passivity, const struct hd_state *
     passivity->hold = passed > passivity->hold ? passed : passivity->hold;
     if (fresh) {
         struct hd_push sum;
-        double way[2];
+        double displacement_m[2];
         add_up(passivity, table->report_age, passivity->waited, &sum);
-        hd_difference(input->position_m, state->position_m, way);
-        passivity->energy_j += hd_dot(sum.force_n, way) / (double)passivity->waited;
-        passivity->taken_j += handle_takes(table, input, way);
+        hd_difference(input->position_m, state->position_m, displacement_m);
+        passivity->energy_j += hd_dot(sum.force_n, displacement_m) / (double)passivity->waited;
+        passivity->taken_j += handle_takes(table, input, displacement_m);
         passivity->largest_j = passivity->energy_j > passivity->largest_j ? passivity->energy_j : passivity->largest_j;
         passivity->waited = 0;
     }
@@ -81,8 +82,8 @@ HD_RT static int restrain(const struct hd_passivity *passivity, const struct hd_
     return 1;
 }
 
-/* No way of a period is longer than v_max times the period: what the pending forces leave of the bound is for this
- * one, which is held for as long as ticks were missed before. */
+/* No displacement of a period is longer than v_max times the period: what the pending forces leave of the bound is for
+ * this one, which is held for as long as ticks were missed before. */
 HD_RT static int bound(const struct hd_passivity *passivity, const struct hd_table *table,
                        const struct hd_push *pending, double force_n[2]) {
     const double reach_m = table->max_speed_m_per_s * table->period_s;
@@ -145,11 +146,11 @@ HD_RT void hd_passivity_tick(struct hd_state *state, const struct hd_table *tabl
         passivity->energy_j = 0.0;
         passivity->taken_j = 0.0;
         if (state->located && !anew && input->interval_s > 0.0) {
-            /* The way in crossed the surface while no force was there yet: what the spring holds and nobody put in is
-             * the handle's due on that way, as on any other. */
-            double way[2];
-            hd_difference(input->position_m, state->position_m, way);
-            passivity->taken_j = handle_takes(table, input, way);
+            /* The path in crossed the surface while no force was there yet: what the spring holds and nobody put in is
+             * the handle's due on that path, as on any other. */
+            double displacement_m[2];
+            hd_difference(input->position_m, state->position_m, displacement_m);
+            passivity->taken_j = handle_takes(table, input, displacement_m);
         }
         passivity->interval = 1;
         passivity->hold = 1;

@@ -6,13 +6,13 @@
  *
  * A force f that is held while the position goes from x to x' gives the hand f.(x' - x), whatever happened in between.
  * The observer adds that up over one contact, from the first touch to the last release. What was touched has been
- * passive while the sum is not above zero. Where positions are known to be old when they come, each way is multiplied
- * with the force that acted then.
+ * passive while the sum is not above zero. Where positions are known to be old when they come, each displacement is
+ * multiplied with the force that acted then.
  *
- * The controller lets go before the sum becomes positive, brakes where it is, and bounds what the ways that are not
- * known yet can add. No sum is ever above F_max v_max (T + a + m), whatever the motion below v_max: T is the longest
- * interval between two samples of the contact, a the age of a sample, m the longest time for which ticks were missed.
- * See docs/passivity.md.
+ * The controller lets go before the sum becomes positive, brakes where it is, and bounds what the displacements that
+ * are not known yet can add. No sum is ever above F_max v_max (T + a + m), whatever the motion below v_max: T is the
+ * longest interval between two samples of the contact, a the age of a sample, m the longest time for which ticks were
+ * missed. See docs/passivity.md.
  *
  *   pushes[]  ring: what was commanded in each period since the contact began, as far back as there is room
  *

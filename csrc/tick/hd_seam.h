@@ -1,7 +1,7 @@
 /* Friction across a seam: from a surface to one that touches it and lies in line with it.
  *
  * What holds the probe goes on there: the spring keeps its stretch, and over the ramp its stiffness and coefficient go
- * over to those of the other material. No energy is made on the way: a spring that becomes stiffer keeps its force, one
+ * over to those of the other material. No energy is made meanwhile: a spring that becomes stiffer keeps its force, one
  * that becomes softer its stretch. Servo thread. */
 #ifndef HD_SEAM_H
 #define HD_SEAM_H

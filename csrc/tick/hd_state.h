@@ -60,24 +60,24 @@ struct hd_surface {
 
 /* What commands take from the force. */
 struct hd_change {
+    uint8_t any;   /* object_n, field_n and noise_n are not all zero */
+    uint8_t eases; /* eased_n is not zero */
+    uint8_t whole; /* something came or went: what that makes is whole in this tick, and fades from the next one on */
     double object_n[2]; /* of what is touched */
     double field_n[2];
     double noise_n[2];  /* of noises that are no more: what they would be in this tick */
     double eased_n[2];  /* what noises that are on a ramp are more than they would be if it stood still */
     double noise_rms_n; /* what the RMS of noises would be more in this tick without changes and ramps */
-    uint8_t any;        /* not all of the first three are zero */
-    uint8_t eases;      /* nor is the last */
-    uint8_t whole; /* something came or went: what that makes is whole in this tick, and fades from the next one on */
 };
 
 /* What was felt before a change and is not the scene's any more, on its way to zero: see hd_ramp.h. */
 struct hd_residual {
+    uint32_t left; /* ticks; 0: there is none */
     double force_n[2];
     double object_n[2];  /* the part of it that is of objects */
     double beyond_n[2];  /* as it would be without the limit, above that */
     double pressed_n[2]; /* the limited contact force without it, */
     double was_n[2];     /* and that of the tick before */
-    uint32_t left;       /* ticks; 0: there is none */
 };
 
 struct hd_slot {
@@ -207,25 +207,22 @@ struct hd_passivity {
 };
 
 struct hd_state {
-    uint64_t tick;         /* the one that is being rendered, or comes next; the first is 0 */
-    uint64_t gesture_tick; /* that took the path which the simulated hand follows */
-    uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
+    /* Every tick, from here: side by side, so that a tick that comes cold waits for few lines of the cache. */
+    uint64_t tick; /* the one that is being rendered, or comes next; the first is 0 */
     uint32_t active_mode_count;
-    uint32_t ended_count; /* of active modes, behind those that ring */
     uint32_t wave_count;
     uint32_t active_count;
     uint32_t candidate_count;
-    uint32_t resumed_count;
     uint32_t healing_count;
-    uint32_t free_noise_count;
+    uint32_t resumed_count;
     uint32_t strike_count;
+    uint32_t reserve_count;
     uint32_t event_count;
     uint32_t played_count;
-    uint32_t offload_count;
-    uint32_t reserve_count;
     uint32_t revision;
+    uint32_t ended_count; /* of active modes, behind those that ring */
+    uint32_t field_version;
     uint32_t faults;
-    uint32_t epoch;       /* raised when every membrane heals at once; never 0 */
     uint8_t started;      /* a tick was rendered */
     uint8_t steady;       /* nothing of a command or of the passivity controller is under way: only a command ends it */
     uint8_t located;      /* position_m is a sample */
@@ -237,26 +234,35 @@ struct hd_state {
     uint8_t field_known;  /* it is the table's, but for a change of its version */
     uint8_t candidates_known; /* candidates[] holds for candidates_center_m */
     uint8_t commanded;        /* there was a command */
-    uint8_t gesture;          /* gesture_tick is known */
     uint8_t offload_open;     /* the device plays effects by itself: whoever calls the tick says so */
     double gain;              /* of the whole command: enabling and fading */
     double show_force;        /* of contacts and fields: the display flag */
     double show_vibration;    /* the same of vibration, ramped */
-    double controls;          /* how much of what the passivity controller asks for is done, 0 to 1, ramped */
+    double noise_gain;        /* what the limit left of noises, 0 to 1: hd_limit_noise */
+    double ringing_gain;      /* what is left of modes that ring while contact is beyond the limit, 0 to 1 */
+    double reserved_n;        /* of the limit, for reserves[] */
+    double field_ramp;        /* of its force, as of a contact */
     double position_m[2];     /* the last sample */
     double candidates_center_m[2];
     double candidates_radius_m;
+    struct hd_slot *slots;
+    uint32_t *active;
+    struct hd_candidate *candidates;
+    double ringing_n[2]; /* the sum of Im z over active_modes[], of kicks_n[0], and of waves[] */
+    struct hd_active_mode *active_modes;
     struct hd_change change;     /* that commands made since the last tick, and in this one */
     struct hd_residual residual; /* what is left of that */
+    /* Some ticks, from here. */
+    uint64_t gesture_tick; /* that took the path which the simulated hand follows */
+    uint64_t period;       /* periods that have begun, missed ones too: the clock of offline runs */
+    uint32_t free_noise_count;
+    uint32_t offload_count;
+    uint32_t epoch;              /* raised when every membrane heals at once; never 0 */
+    uint8_t gesture;             /* gesture_tick is known */
+    double controls;             /* how much of what the passivity controller asks for is done, 0 to 1, ramped */
     uint64_t commanded_tick;     /* the last one that took in a command */
-    double ringing_n[2];         /* the sum of Im z over active_modes[], of kicks_n[0], and of waves[] */
     uint32_t kick_count;         /* of kicks_n[] that are not zero, from the first on */
     double kicks_n[HD_KICKS][2]; /* what strikes add to this tick and the next ones */
-    double noise_gain;           /* what the limit left of noises, 0 to 1: hd_limit_noise */
-    double ringing_gain;         /* what is left of modes that ring while contact is beyond the limit, 0 to 1 */
-    double reserved_n;           /* of the limit, for reserves[] */
-    uint32_t field_version;
-    double field_ramp; /* of its force, as of a contact */
     struct hd_field field;
     uint64_t strikes_total;
     uint64_t glitches_total;
@@ -265,12 +271,8 @@ struct hd_state {
     uint64_t events_dropped;
     uint32_t slot_capacity; /* address space for so many */
     uint32_t slot_count;    /* so many are in memory */
-    struct hd_slot *slots;
-    uint32_t *active;
     uint32_t *resumed;
     uint32_t *healing;
-    struct hd_candidate *candidates;
-    struct hd_active_mode *active_modes;
     struct hd_mode_end *mode_ends;
     struct hd_wave *waves;
     struct hd_wave_block *wave_blocks;

@@ -6,24 +6,15 @@ HD_RT static double mixed(double from, double to, double weight) {
     return from + weight * (to - from);
 }
 
-/* One material alone. */
-HD_RT static void plain(const struct hd_material *material, double arc_m, double half_length_m,
-                        struct hd_surface *surface) {
-    *surface = (struct hd_surface){
-        .stiffness_n_per_m = material->stiffness_n_per_m,
-        .damping_n_s_per_m = material->damping_n_s_per_m,
-        .friction_coefficient = material->friction_coefficient,
-        .friction_stiffness_n_per_m = material->friction_stiffness_n_per_m,
-    };
-    if (material->texture == HD_TEXTURE_GEOMETRY || material->texture == HD_TEXTURE_DRAG) {
-        double slope;
-        const double height = hd_groove_profile(material, arc_m, half_length_m, &slope);
-        if (material->texture == HD_TEXTURE_GEOMETRY) {
-            surface->lowering_m = material->depth_m * height;
-            surface->lowering_slope = material->depth_m * slope;
-        } else {
-            surface->drag_n_s_per_m = material->drag_n_s_per_m * height;
-        }
+HD_RT void hd_surface_lower(const struct hd_material *material, double arc_m, double half_length_m,
+                            struct hd_surface *surface) {
+    double slope;
+    const double height = hd_groove_profile(material, arc_m, half_length_m, &slope);
+    if (material->texture == HD_TEXTURE_GEOMETRY) {
+        surface->lowering_m = material->depth_m * height;
+        surface->lowering_slope = material->depth_m * slope;
+    } else {
+        surface->drag_n_s_per_m = material->drag_n_s_per_m * height;
     }
 }
 
@@ -59,13 +50,8 @@ HD_RT uint32_t hd_surface_piece(const struct hd_table *table, const struct hd_ob
     return low;
 }
 
-HD_RT struct hd_dominant_material hd_surface_at(const struct hd_table *table, const struct hd_object *object,
-                                                double arc_m, double half_length_m, struct hd_surface *surface) {
-    if (object->piece_count == 0) {
-        const struct hd_material *material = &table->materials[object->material];
-        plain(material, arc_m, half_length_m, surface);
-        return (struct hd_dominant_material){material, 1.0};
-    }
+HD_RT struct hd_dominant_material hd_surface_of_pieces(const struct hd_table *table, const struct hd_object *object,
+                                                       double arc_m, double half_length_m, struct hd_surface *surface) {
     const struct hd_piece *pieces = &table->pieces[object->piece_first];
     const uint32_t here = hd_surface_piece(table, object, arc_m);
     /* The edge whose ramp holds s: that before this piece, or that after it. */
@@ -76,7 +62,7 @@ HD_RT struct hd_dominant_material hd_surface_at(const struct hd_table *table, co
         edge = here + 1;
     }
     const struct hd_material *material = &table->materials[pieces[here].material];
-    plain(material, arc_m, half_length_m, surface);
+    hd_surface_of(material, arc_m, half_length_m, surface);
     if (edge == 0) {
         return (struct hd_dominant_material){material, 1.0};
     }
@@ -86,7 +72,7 @@ HD_RT struct hd_dominant_material hd_surface_at(const struct hd_table *table, co
     const double slope = 6.0 * x * (1.0 - x) / (2.0 * half);
     const struct hd_material *other = &table->materials[pieces[edge == here ? here - 1 : edge].material];
     struct hd_surface second;
-    plain(other, arc_m, half_length_m, &second);
+    hd_surface_of(other, arc_m, half_length_m, &second);
     const struct hd_surface before = edge == here ? second : *surface;
     struct hd_surface mix = edge == here ? *surface : second;
     const double stiffness_step = mix.stiffness_n_per_m - before.stiffness_n_per_m;

@@ -35,7 +35,7 @@ TEXTS: Final = frozenset(("config", "scene", "materials", "changes", "status", "
 LEAST_LIMIT: Final = 1 << 30
 TIMES_SIZE: Final = 32
 _OF_AVAILABLE: Final = 0.9
-_JSON_TIMES: Final = 32
+JSON_TIMES: Final = 32
 """Bytes of memory for a byte of JSON: lists and maps of nothing take the most, 26."""
 _LARGE_JSON: Final = 1 << 16
 """Bytes of JSON from which on what it takes is not counted: counting takes longer than reading."""
@@ -94,7 +94,7 @@ class Memory:
 
     def json(self, data: bytes | str, what: str) -> Any:
         """What a text holds. Raises HapticdError, ValueError."""
-        self.check(_JSON_TIMES * len(data), what)
+        self.check(JSON_TIMES * len(data), what)
         try:
             found = json.loads(data)
         except json.JSONDecodeError as error:
@@ -104,7 +104,7 @@ class Memory:
             raise BadRecordingError(f"{what}: is no Unicode") from None
         except (RecursionError, ValueError):
             raise BadRecordingError(f"{what}: is no JSON that is read: too deep, or a number too long") from None
-        self.take(size_of(found) if len(data) < _LARGE_JSON else _JSON_TIMES * len(data), what)
+        self.take(size_of(found) if len(data) < _LARGE_JSON else JSON_TIMES * len(data), what)
         return found
 
     def event(self, event: dict[str, Any]) -> dict[str, Any]:

@@ -42,7 +42,7 @@ LARGEST: Final = 2.0
 TAIL_S: Final = 0.05
 """A tail ends at most this much later than its mode."""
 WORTH: Final = 0.005
-"""A tail that lowers the error by less than this is left away: it costs a voice."""
+"""A tail that lowers the error by less than this is left away: it costs an active mode."""
 
 KICKS: Final = _CORE_KICKS
 """So many samples after an onset may be corrected one by one, by what is known of its place between two ticks."""

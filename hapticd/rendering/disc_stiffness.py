@@ -1,6 +1,6 @@
 """How stiff a disc is along its radius and around it, at most, as deep as a press reaches.
 
-The surface point goes R/r of the way of a probe at r from the centre, and what depends on it fades towards the centre
+The proxy goes R/r as far as a probe at r from the centre, and what depends on it fades towards the centre
 (docs/adr/0027). Where friction or grooves have a shape, the disc is as stiff as the second derivatives of
 
     K/2 (R - r - g H(s))^2 + g k/2 (s - anchor)^2

@@ -19,7 +19,7 @@ Points = npt.NDArray[np.float64]
 
 K, RADIUS, MU, SPRING = 800.0, 0.002, 0.35, 600.0
 PACE = 24.0
-"""How much faster than the probe the surface point goes at most."""
+"""How much faster than the probe the proxy goes at most."""
 WHOLE, BARE = 0.5, 0.2
 """From so far out, in radii, geometry and friction are whole; so near to the centre there is nothing of them."""
 SPACING, WIDTH, LOWERED = 0.0005, 0.0004, 0.0001
@@ -150,7 +150,7 @@ def test_no_closed_way_gives_energy(material: str, centred: bool) -> None:
         given.append([work(force(peg(material), fine[::every]), fine[::every]) for every in (4, 1)])
     coarse, finest = np.array(given).T
     if centred or material in ("rough", "both"):
-        assert finest.max() < 0.0  # on its way round the surface point loses some, and friction does
+        assert finest.max() < 0.0  # on its way round the proxy loses some, and friction does
         assert coarse.max() < 0.0
     else:
         assert np.abs(finest).max() <= np.abs(coarse).max() / 8
@@ -236,7 +236,7 @@ def test_a_spring_that_is_stretched_at_one_depth_and_eased_off_at_another_gives_
 
 @pytest.mark.parametrize("close", [0.8, 0.45, 0.2, 0.06])
 def test_grooves_sound_however_deep_they_are_stroked(close: float) -> None:
-    """One strike for each that the surface point passes, where the bearing used to stand still."""
+    """One strike for each that the proxy passes, where the bearing used to stand still."""
     rig = peg("comb")
     force(rig, straight((0, 1.1 * RADIUS), (0, close * RADIUS), 1e-6))
     angle = np.linspace(0, 2.9, 3000)

@@ -135,7 +135,7 @@ def test_work_around_a_loop_is_that_of_the_hysteresis(amplitude: float) -> None:
 def test_friction_on_a_disc_follows_the_arc_and_over_the_bottom() -> None:
     """Round the rim, several turns to and fro: the stop operator over the arc length, past the seam at the bottom.
 
-    The probe goes (R - d)/R of the way of its surface point, so it is held R/(R - d) as hard: virtual work.
+    The probe goes (R - d)/R of the path of its proxy, so it is held R/(R - d) as hard: virtual work.
     """
     radius, depth = 0.005, 0.0008
     center = np.array([0.01, 0.02])

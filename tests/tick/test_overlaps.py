@@ -24,7 +24,7 @@ MATERIALS: dict[str, object] = {
 }
 FLOOR: dict[str, object] = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "soft"}
 
-# Both lean over the floor: on it they lie farther out than below it, so that the surface point is in them first.
+# Both lean over the floor: on it they lie farther out than below it, so that the proxy is in them first.
 CENTER, RADIUS = np.array([-0.0034, 0.0015]), 0.0066
 ANGLE = 0.4
 SIDE = np.array([np.cos(ANGLE), -np.sin(ANGLE)])
@@ -65,7 +65,7 @@ def into_it_and_out(deep: float) -> Points:
 @pytest.mark.parametrize("deep", [PRESSED, 0.0006])
 @pytest.mark.parametrize(("solid", "force"), [(DISC, disc_force), (BOX, box_force)], ids=["disc", "box"])
 def test_a_solid_that_leans_over_the_floor_pushes_at_once(solid: dict[str, object], force: object, deep: float) -> None:
-    """The surface point on the floor is in it before the probe is: then it was met too late, its force came over the
+    """The proxy on the floor is in it before the probe is: then it was met too late, its force came over the
     ramp, and left whole."""
     assert callable(force)
     rig = Rig({"floor": FLOOR, "solid": solid}, materials=MATERIALS)
