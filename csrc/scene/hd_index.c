@@ -342,7 +342,7 @@ HD_RT static void add(struct query *query, uint32_t slot, double distance_m) {
 }
 
 /* A membrane is a box without thickness. */
-HD_RT static void look(struct query *query, uint32_t slot) {
+HD_RT static void visit(struct query *query, uint32_t slot) {
     const struct hd_object *object = &query->objects[slot];
     const double from[2] = {query->point_m[0] - object->point_m[0], query->point_m[1] - object->point_m[1]};
     double square;
@@ -364,7 +364,7 @@ HD_RT static void look(struct query *query, uint32_t slot) {
     }
 }
 
-HD_RT static void look_on_level(struct query *query, uint32_t level) {
+HD_RT static void visit_level(struct query *query, uint32_t level) {
     const struct hd_index *index = query->index;
     const uint32_t first = index->level_first[level];
     const uint32_t end = index->level_first[level + 1];
@@ -377,7 +377,7 @@ HD_RT static void look_on_level(struct query *query, uint32_t level) {
     const int32_t high = cell_coordinate(query->point_m[1] + reach_m, per_m);
     if ((uint64_t)(right - left + 1) * (uint64_t)(high - low + 1) >= end - first) {
         for (uint32_t i = first; i < end; i++) {
-            look(query, index->members[i]);
+            visit(query, index->members[i]);
         }
         return;
     }
@@ -389,7 +389,7 @@ HD_RT static void look_on_level(struct query *query, uint32_t level) {
             uint32_t slot = index->chains[(row_first + (uint32_t)(key - row)) & index->chain_mask];
             while (slot != HD_NO_SLOT) {
                 if (index->nodes[slot].cell == key) {
-                    look(query, slot);
+                    visit(query, slot);
                 }
                 slot = index->nodes[slot].next;
             }
@@ -399,7 +399,7 @@ HD_RT static void look_on_level(struct query *query, uint32_t level) {
 
 /* The walls from the top of the heap down to `least_m`: into what is below a wall only while the wall is in reach
  * itself. */
-HD_RT static void look_in_heap(struct query *query, const struct hd_index_heap *heap, double least_m) {
+HD_RT static void visit_heap(struct query *query, const struct hd_index_heap *heap, double least_m) {
     uint32_t at = 0;
     for (;;) {
         if (at < heap->count && !(heap->walls[at].offset_m < least_m)) {
@@ -422,7 +422,7 @@ HD_RT static void look_in_heap(struct query *query, const struct hd_index_heap *
     }
 }
 
-HD_RT static void look_at_walls(struct query *query) {
+HD_RT static void visit_walls(struct query *query) {
     const double cos_half = 1.0 - HALF_SECTOR_RAD * HALF_SECTOR_RAD / 2.0; /* a little less */
     const double sin_half = HALF_SECTOR_RAD;                               /* a little more */
     const double *point_m = query->point_m;
@@ -435,7 +435,7 @@ HD_RT static void look_at_walls(struct query *query) {
         /* n.p of no normal n in the sector is less, so no wall with a smaller offset than this is in reach. */
         const double least_m = (along > 0.0 ? along * cos_half : along) - across * sin_half - slack_m;
         if (!(sector->top_m < least_m)) {
-            look_in_heap(query, &query->index->heaps[sector->sector], least_m);
+            visit_heap(query, &query->index->heaps[sector->sector], least_m);
         }
     }
 }
@@ -461,9 +461,9 @@ HD_RT uint32_t hd_index_query(const struct hd_index *index, const struct hd_obje
     };
     for (uint32_t level = 0; level < HD_INDEX_LEVELS; level++) {
         if (index->level_first[level] != index->level_first[level + 1]) {
-            look_on_level(&query, level);
+            visit_level(&query, level);
         }
     }
-    look_at_walls(&query);
+    visit_walls(&query);
     return query.count;
 }

@@ -1,10 +1,10 @@
 /* Shapes: pure geometry. Where the probe's path meets one, where the probe is on it, when it has left it.
  *
- * To add a shape, write a file beside hd_wall.c that fills a struct hd_shape_operations, and name it in hd_shape.c and
- * in enum hd_shape (csrc/api/hd_api.h). The tick, the checks of a table and the other shapes ask the table of
- * operations. The spatial index alone has arithmetic of its own for each shape (csrc/scene/hd_index.c: extent_m and
- * visit). In Python a shape is a kind of object in hapticd/config/scene.py, a number in hapticd/base/core.py and a
- * record in hapticd/rendering/compiler.py. */
+ * To add a shape, write a file beside hd_wall.c that fills a struct hd_shape_operations, and name it in enum hd_shape
+ * (csrc/api/hd_api.h), below and in hd_shape.c. The tick and the checks of a table ask these operations. The spatial
+ * index alone has arithmetic of its own for each shape: csrc/scene/hd_index.c, bounded_put and visit. In Python a shape
+ * is a kind of object in hapticd/config/scene.py and a record in hapticd/rendering/compiler/; the analysis of stability
+ * asks it in hapticd/rendering/contact_sets.py and stability_remedy.py. */
 #ifndef HD_SHAPE_H
 #define HD_SHAPE_H
 
