@@ -42,7 +42,7 @@ help: ## this list
 build: $(BUILT) ## set up .venv and compile the C core
 
 # A change of the packaging installs anew; a change of the C core alone only recompiles.
-$(BUILT): $(SETUP) hapticd/_build.py $(wildcard csrc/*/*.[ch])
+$(BUILT): $(SETUP) hapticd/_build.py hapticd/_stub.py $(wildcard csrc/*/*.[ch])
 	@if [ ! -x $(BIN)/hapticd ] || [ -n "$(filter $(SETUP),$?)" ]; then \
 		$(MAKE) --no-print-directory install; \
 	else \
@@ -107,7 +107,7 @@ test: build ## C tests and pytest without what is slow: about two minutes on two
 	$(call beside_ctest,-m 'not slow')
 
 # Unit tests but for those of whole fields that take long, and the commands against a real daemon; C tests beside them.
-QUICK_NOT := analysis/* bench/* fit/* *fuzz* *calibrat* cli/test_fit hid/test_descriptor hid/test_offload base/test_threads \
+QUICK_NOT := analysis/* fit/* *fuzz* *calibrat* cli/test_fit hid/test_descriptor hid/test_offload base/test_threads \
 	recording/test_reading* rendering/test_closed_loop rendering/test_displayed* rendering/test_filter_design rendering/test_stability* \
 	daemon/test_reliability tick/test_velocity tick/test_noise* tick/test_reach tick/test_sandpaper
 QUICK := tests tests/integration/test_cli_live.py --ignore=tests/integration $(QUICK_NOT:%=--ignore-glob='tests/%*')
@@ -139,6 +139,10 @@ bench: build ## speed against error, as in docs/accuracy.md; docs/benchmarks.md:
 man: build ## man pages and completion scripts of the commands, into .venv/share, where man looks
 	@$(share)
 
+.PHONY: docs-tables
+docs-tables: build ## write the tables of docs/ that repeat code: keys, limits, defaults
+	@$(BIN)/python -m docs.tables
+
 .PHONY: format
 format: build ## lay out C and Python
 	@$(BIN)/clang-format -i $(C_FILES)
@@ -147,7 +151,7 @@ format: build ## lay out C and Python
 
 .PHONY: clean
 clean: ## remove everything that was built, .venv too
-	rm -rf $(VENV) build dist *.egg-info hapticd/_core*.so hapticd/_core.c
+	rm -rf $(VENV) build dist *.egg-info hapticd/_core*.so hapticd/_core.c hapticd/_core.pyi
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -194,9 +194,8 @@ def _write(found: Found, folder: Path, on: str, whole: bool) -> list[Path]:
             "turns in one process, and ratios are of one run, round by round; a cost is the median over the rounds, "
             "and in brackets the tenth to the ninetieth percentile of them. In the figures the way that hapticd takes "
             "is ringed. What a wake-up, a command and a scene cost is in [benchmarks.md](benchmarks.md). All that a "
-            "section claims is shown by the command at its end; errors are asserted, with margins, in `tests/` "
-            "(`test_bench_*.py`, `test_modes.py`, `test_contacts.py`, `test_sim.py`, `test_velocity.py`, "
-            "`test_closed_loop.py`).",
+            "section claims is shown by the command at its end; errors of the core are asserted, with margins, in "
+            "`tests/`.",
         ),
         SPEED: (
             "Benchmarks",

@@ -26,7 +26,7 @@ import numpy as np
 from bench.end_state import EndState, end_state
 from bench.passivity import work
 from bench.report import Floats
-from bench.stability import judged
+from bench.stability import evaluated
 from hapticd.analysis.check import check
 from hapticd.base.core import SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import Config, load_config
@@ -230,13 +230,13 @@ def draw(seed: int, kinds: tuple[Kind, ...] = KINDS) -> Case | None:
         source = _scaled(source, 100.0)
         part = drawer.between(0.3, 1.0)
         for _ in range(3):  # not all of them scale with stiffness
-            sets = judged(load_config(source))
+            sets = evaluated(load_config(source))
             factor = float(sets.factor.min())
             if not 1e-6 < factor < 1e6 or (bool(sets.safe.all()) and factor < 1.1 / part):
                 break
             source = _scaled(source, 0.999 * part * factor)
         config = load_config(source)
-        sets = judged(config)
+        sets = evaluated(config)
         if bool(sets.safe.all()) and float(sets.factor.min()) > 0.0 and check(config).faults == 0:
             return Case(seed, kind, source, waypoints, float(sets.factor.min()))
     return None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from bench.report import Table
 from hapticd.config.materials import shipped_materials
-from hapticd.hid.offload import fit
+from hapticd.hid.nearest_effect import nearest_effect
 from hapticd.hid.plan import Bits, Numbers, Scale
 
 RESOLUTIONS_S = (1e-3, 1e-4, 1e-5)
@@ -31,7 +31,7 @@ def table() -> Table:
         mode = material.tap.mode if material.tap is not None else material.rupture.mode  # type: ignore[union-attr]
         cells = []
         for resolution_s in RESOLUTIONS_S:
-            nearest = fit(mode, numbers_of(resolution_s))
+            nearest = nearest_effect(mode, numbers_of(resolution_s))
             cells.append("none" if nearest is None else f"{nearest.frequency_hz:.0f} Hz, {100 * nearest.error:.0f} %")
         rows.append([name, f"{mode.frequency_hz:.0f}", f"{1e3 * mode.decay_time_s:.2f}", *cells])
     heads = [f"{1e3 * resolution_s:g} ms" for resolution_s in RESOLUTIONS_S]

@@ -21,7 +21,7 @@ from bench.report import ROOT, Advance, Floats, Options, Section, Table
 from hapticd.base.core import SAMPLE_DTYPE, CData, ffi, lib, pointer
 from hapticd.config.configuration import Config, load_config
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.contact_sets import Sets
+from hapticd.rendering.contact_sets import ContactSets
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
 from hapticd.rendering.output import loop_of, output_of
@@ -75,12 +75,8 @@ def _maybe(random: np.random.Generator, never: float, low: float, high: float) -
     return 0.0 if random.random() < never else _log(random, low, high)
 
 
-def draw(random: np.random.Generator) -> Trial:
-    """A trial: rate, delay, encoder, friction, handle, hand and walls; the stiffness from 1/20 to 4 of its limit.
-
-    A quarter of the handles are free, and are pushed onto the walls by a constant force.
-    """
-    rate_hz = _log(random, 1000.0, 10_000.0)
+def _drawn_device(random: np.random.Generator, rate_hz: float) -> tuple[dict[str, Any], bool]:
+    """Encoder, friction, handle, delay and hand, and whether the handle is free."""
     sim: dict[str, Any] = {
         "handle_mass_kg": _log(random, 0.01, 0.3),
         "handle_damping_n_s_per_m": _log(random, 0.05, 20.0),
@@ -107,6 +103,16 @@ def draw(random: np.random.Generator) -> Trial:
         "stiffness_n_per_m": 0.0 if free else _log(random, 30.0, 1500.0),
         "damping_n_s_per_m": 0.0 if free else _maybe(random, 0.3, 0.1, 10.0),
     }
+    return sim, free
+
+
+def draw(random: np.random.Generator) -> Trial:
+    """A trial: rate, delay, encoder, friction, handle, hand and walls; the stiffness from 1/20 to 4 of its limit.
+
+    A quarter of the handles are free, and are pushed onto the walls by a constant force.
+    """
+    rate_hz = _log(random, 1000.0, 10_000.0)
+    sim, free = _drawn_device(random, rate_hz)
     # Out of the solid, to both sides of where the hand comes from; the corner lies in the middle.
     towards = random.uniform(0.0, 2.0 * math.pi)
     corner = random.random() < 0.5
@@ -148,7 +154,7 @@ def draw(random: np.random.Generator) -> Trial:
     echo = _loop(first).damping_echo
     for material in materials.values():
         material["damping_n_s_per_m"] = damped / echo / len(normals)
-    sets = judged(load_config(source))
+    sets = evaluated(load_config(source))
     # The hard ones are those at the limit.
     part = float(random.choice((0.5, 0.999, 2.0))) if random.random() < 0.4 else _log(random, 0.05, 4.0)
     scale = part * float(sets.factor.min())
@@ -161,7 +167,7 @@ def draw(random: np.random.Generator) -> Trial:
             stiffness = material["friction"]["stiffness_n_per_m"] * scale
             material["friction"]["stiffness_n_per_m"] = min(1e5, max(1e-3, stiffness))
     config = load_config(source)
-    sets = judged(config)
+    sets = evaluated(config)
     worst = int(sets.factor.argmin())
     matrices = sets.matrices(worst)
     return Trial(
@@ -175,11 +181,11 @@ def _loop(config: Config) -> Loop:
     return loop
 
 
-def judged(config: Config) -> Sets:
+def evaluated(config: Config) -> ContactSets:
     """What the margins of a configuration's scene are."""
     compiler = Compiler(output_of(config, config.servo.rate_hz))
     compiler.update(config.scene, config.scene.objects, config.materials, 1)
-    return Sets(compiler.parts(), _loop(config))
+    return ContactSets(compiler.surfaces(), _loop(config))
 
 
 class Simulation:
@@ -479,7 +485,7 @@ def mapped(axis: str, at: float) -> Point:
     """One place of a map."""
     stiffness = 100.0
     config = _configuration(axis, at, HELD, stiffness)
-    factors = judged(config).factors(0)
+    factors = evaluated(config).factors(0)
     loop = _loop(config)
     passive, quiet = stiffness * factors["passivity"], stiffness * factors["quantisation"]
     free, held = linear_limit(loop.let_go()), linear_limit(loop)

@@ -107,6 +107,22 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def _phases(errors: Mapping[tuple[float, float], Mapping[str, Floats]]) -> list[list[str]]:
+    """The rms errors as phases of each of the library's modes."""
+    phases = []
+    for material, mode in library_modes():
+        cells = []
+        for rate in (1000.0, 10_000.0):
+            for name in ("at the tick", OURS):
+                for step in (0.0, STEP_M):
+                    time_s = _rms(errors[rate, step][name])
+                    shown = mode.frequency_hz <= 0.4 * rate
+                    degrees = 360 * mode.frequency_hz * time_s
+                    cells.append((f"{degrees:.1g}" if degrees < 0.1 else f"{degrees:.1f}") if shown else "-")
+        phases.append([f"{material}, {mode.frequency_hz:.0f} Hz", *cells])
+    return phases
+
+
 def onsets(options: Options, advance: Advance) -> Section:
     """Tables and figure of onsets."""
     count, rounds = options.few(5000, 500), options.few(40, 6)
@@ -142,17 +158,7 @@ def onsets(options: Options, advance: Advance) -> Section:
         ["ns an onset", *(spread(costs[name], ".2f") for name in ways)],
         ["over the floor, at the tick", *(spread(costs[name] / floor, ".2f") for name in ways)],
     ]
-    phases = []
-    for material, mode in library_modes():
-        cells = []
-        for rate in (1000.0, 10_000.0):
-            for name in ("at the tick", OURS):
-                for step in (0.0, STEP_M):
-                    time_s = _rms(errors[rate, step][name])
-                    shown = mode.frequency_hz <= 0.4 * rate
-                    degrees = 360 * mode.frequency_hz * time_s
-                    cells.append((f"{degrees:.1g}" if degrees < 0.1 else f"{degrees:.1f}") if shown else "-")
-        phases.append([f"{material}, {mode.frequency_hz:.0f} Hz", *cells])
+    phases = _phases(errors)
     heads = [
         f"{rate / 1000:g} kHz, {name}, {'exact' if step == 0 else f'{1e6 * step:g} um'}"
         for rate in (1000.0, 10_000.0)

@@ -1,11 +1,12 @@
 """Build `hapticd._core`: every file of csrc/, behind the boundary that csrc/api/hd_api.h declares.
 
 Run by setuptools (setup.py), never imported by the package. cffi reads the very header that the C compiler
-reads, so the two cannot disagree. HAPTICD_WERROR=1 turns warnings into errors; a user's build never fails for
-a warning that a newer compiler has learned.
+reads, so the two cannot disagree; so does _stub.py, which makes the types for mypy. HAPTICD_WERROR=1 turns warnings
+into errors; a user's build never fails for a warning that a newer compiler has learned.
 """
 
 import os
+import runpy
 from pathlib import Path
 
 from cffi import FFI
@@ -29,8 +30,11 @@ FLAGS = [
     "-fvisibility=hidden",
 ]
 
+API = (ROOT / "csrc" / "api" / "hd_api.h").read_text(encoding="utf-8")
+STUB = ROOT / "hapticd" / "_core.pyi"
+
 ffibuilder = FFI()
-ffibuilder.cdef((ROOT / "csrc" / "api" / "hd_api.h").read_text(encoding="utf-8"))
+ffibuilder.cdef(API)
 ffibuilder.set_source(
     "hapticd._core",
     '#include "api/hd_core.h"',
@@ -41,6 +45,10 @@ ffibuilder.set_source(
     extra_compile_args=[*FLAGS, *WARNINGS, *(["-Werror"] if os.environ.get("HAPTICD_WERROR") == "1" else [])],
     libraries=["m", "pthread"],
 )
+
+stub = runpy.run_path(str(ROOT / "hapticd" / "_stub.py"))["stub_of"](API)
+if not STUB.exists() or STUB.read_text(encoding="utf-8") != stub:
+    STUB.write_text(stub, encoding="utf-8")
 
 if __name__ == "__main__":
     ffibuilder.compile(verbose=True)

@@ -62,7 +62,7 @@ def _neither_the_users_configuration_nor_an_installed_service(
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CONFIG_HOME", str(home))
         patch.setattr("hapticd.config.locations.SYSTEM_CONFIG", none / "config.yaml")
-        for module in ("hapticd.system.paths", "hapticd.protocol.calls"):
+        for module in ("hapticd.system.paths", "hapticd.protocol.places"):
             patch.setattr(f"{module}.SYSTEM_DIRECTORY", none / "run")
         yield
 

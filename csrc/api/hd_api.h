@@ -94,12 +94,12 @@ struct hd_material {
     uint32_t heals;        /* membranes: closes again when the probe withdraws */
     uint32_t tap_count;    /* points of the tap's amplitude over the approach speed, up to HD_TAP_POINTS; 0: a slope */
     uint32_t tap_first;    /* index in the table's numbers: speeds [tap_count], m/s, rising; amplitudes [tap_count] */
-    uint32_t tune_speeds;  /* points of the groove's frequency over the speed, see hd_tune.h; 0: it is the mode's */
+    uint32_t tune_speeds;  /* points of the groove's frequency over the speed, see hd_numbers.h; 0: it is the mode's */
     uint32_t tune_forces;  /* the same over the force */
     uint32_t tune_nodes;   /* of its compensation; 0: there is none */
     uint32_t tune_first;   /* index in the table's numbers */
     uint32_t tune_mutes;   /* a strike above tune_highest_rad_per_s is 0: lowered to that, 1: silent */
-    uint32_t mode_count;   /* points of the tap's mode over the approach speed, see hd_tune.h; 0: it is one */
+    uint32_t mode_count;   /* points of the tap's mode over the approach speed, see hd_numbers.h; 0: it is one */
     uint32_t mode_nodes;   /* of its compensation; 0: there is none */
     uint32_t mode_first;   /* index in the table's numbers */
     uint32_t mode_by_peak; /* 1: what the tap is struck with is the first peak, 0: the coefficient */
@@ -331,6 +331,13 @@ enum hd_fault {
 /* From now on a block of `bytes` or more has pages of its own, from all threads, and gives them back when it is freed.
  * A C library without such a limit is left as it is. HD_ERR_INVALID: more than malloc takes. */
 int hd_memory_large_from(size_t bytes);
+
+/* ---- Sockets ------------------------------------------------------------------------------------------------- */
+
+/* Sends `head` and `data` behind it to each of `count` connected stream sockets, without waiting. taken[i]: how many
+ * bytes socket i took, or a negative errno. */
+void hd_send_each(const int32_t *sockets, size_t count, const void *head, size_t head_size, const void *data,
+                  size_t data_size, int64_t *taken);
 
 /* ---- The end by a fault -------------------------------------------------------------------------------------- */
 

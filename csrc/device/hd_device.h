@@ -3,7 +3,9 @@
 #define HD_DEVICE_H
 
 #include "base/hd_memory.h"
+#include "device/hd_gesture.h"
 #include "device/hd_hid.h"
+#include "device/hd_signs.h"
 #include "device/hd_sim.h"
 
 /* One of the two is NULL. */

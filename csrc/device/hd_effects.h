@@ -18,10 +18,13 @@
 #include "base/hd_ring.h"
 #include "base/hd_rt.h"
 #include "base/hd_triple.h"
+#include "tick/hd_tick.h"
 
 #define HD_EFFECT_QUEUE_CAPACITY 64u
 #define HD_EFFECT_AGE_NS 50000000 /* a tap that comes later is none */
-#define HD_EFFECT_SLACK_S 0.07    /* so late an effect may begin after its strike: that age, and the last write */
+
+static_assert(HD_EFFECT_AGE_NS < HD_OFFLOAD_LATE_S * 1e9,
+              "the tick counts an effect for as long as it may play: that age, and the last write, late");
 
 struct hd_effect_strike {
     double force_n[2];

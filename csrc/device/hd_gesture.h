@@ -5,7 +5,7 @@
 
 #include "base/hd_rt.h"
 #include "device/hd_sim.h"
-#include "tick/hd_state.h"
+#include "tick/hd_tick.h"
 
 /* The hand follows `path` from this tick on; the path before it ends here if it had not ended. */
 HD_RT void hd_gesture_begin(struct hd_state *state, struct hd_sim *sim, const struct hd_operator *path,

@@ -1,7 +1,7 @@
 /* A HID device, from the inside: two mailboxes that the servo uses without a system call, and while connected a thread
  * at the far end of each.
  *
- *   hd_hid.c            control: connects, disconnects, tells how the device is
+ *   hd_hid_control.c    control: connects, disconnects, tells how the device is
  *   hd_hid_mailboxes.c  what the servo calls
  *   hd_hid_reader.c     poll, drain to the newest report, publish its position with the time at which poll returned
  *   hd_hid_writer.c     take the newest force, compose, write what has changed; renew in time
@@ -159,7 +159,7 @@ void *hd_hid_writer_main(void *connection);
  * that what changes is not its doing. 0, or the errno of what ends the connection. */
 int hd_hid_drain(struct hd_connection *connection, int64_t now_ns, int watching);
 
-/* hd_hid.c. Makes an eventfd readable. */
+/* hd_hid_control.c. Makes an eventfd readable. */
 void hd_hid_signal(int fd);
 /* The connection is over, by the errno of what a thread met; the first one counts. */
 void hd_connection_fail(struct hd_connection *connection, int error);

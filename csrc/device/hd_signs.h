@@ -13,7 +13,7 @@
 #define HD_SIGNS_H
 
 #include "device/hd_hid.h"
-#include "tick/hd_state.h"
+#include "tick/hd_tick.h"
 
 enum hd_signs_phase { HD_SIGNS_REST = 0, HD_SIGNS_PULSE = 1, HD_SIGNS_BRAKE = 2 };
 

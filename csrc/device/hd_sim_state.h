@@ -1,6 +1,6 @@
 /* The simulated joystick, from the inside: what its files share.
  *
- *   hd_sim.c         time: which events fall into a period; force, reference and encoder samples
+ *   hd_sim_time.c    time: which events fall into a period; force, reference and encoder samples
  *   hd_sim_solver.c  the motion of handle and hand in one step, exact, and what can happen within it
  *   hd_sim_setup.c   control: made from a configuration, placed, freed
  *
@@ -139,7 +139,7 @@ HD_RT static inline bool hd_sim_lags(const struct hd_sim *sim) {
     return sim->actuator.order > 0 && (hd_sim_is_under_way(&sim->off[0]) || hd_sim_is_under_way(&sim->off[1]));
 }
 
-/* ---- hd_sim.c ---------------------------------------------------------------------------------------------------- */
+/* ---- hd_sim_time.c ---------------------------------------------------------------------------------------------- */
 
 HD_RT double hd_sim_path_time_s(const struct hd_sim *sim);
 /* Where the hand wants to be now. */

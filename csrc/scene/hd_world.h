@@ -7,7 +7,9 @@
 
 #include "api/hd_core.h"
 #include "base/hd_memory.h"
+#include "scene/hd_check.h"
 #include "scene/hd_index.h"
+#include "scene/hd_numbers.h"
 
 #define HD_WORLD_REGIONS (8u + HD_INDEX_SECTORS)
 
@@ -30,11 +32,5 @@ int hd_world_update(struct hd_world *world, const struct hd_table *table, const 
 void hd_world_release(struct hd_world *world);
 /* The memory that a tick reads, each array at its own place in the list, empty or not; HD_WORLD_REGIONS is returned. */
 size_t hd_world_regions(const struct hd_world *world, struct hd_region regions[HD_WORLD_REGIONS]);
-/* Checks one mode, as a table's or a command's. */
-int hd_mode_check(const struct hd_mode *mode, const char *what);
-/* Checks what is played by hand: a mode, a unit vector, an amplitude in units of the mode. */
-int hd_play_check(const struct hd_mode *mode, const double direction[2], double amplitude);
-/* Checks one noise against the numbers it refers to. */
-int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t number_count, const char *what);
 
 #endif

@@ -4,8 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "device/hd_gesture.h"
-#include "device/hd_sim.h"
+#include "device/hd_device.h"
 #include "scene/hd_world.h"
 #include "tick/hd_tick.h"
 

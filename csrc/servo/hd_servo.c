@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "base/hd_clock.h"
-#include "tick/hd_mode.h"
 
 static int config_check(const struct hd_servo_config *config) {
     if (!(config->rate_hz >= 1.0 && config->rate_hz <= 100000.0)) {
@@ -214,7 +213,7 @@ int hd_servo_restart(struct hd_servo *servo, uint32_t faults, struct hd_grant *g
         return hd_invalid("servo: restart it after an overload");
     }
     struct hd_state *state = servo->state;
-    hd_modes_silence(state); /* they turn by the old period */
+    hd_tick_silence(state); /* they turn by the old period */
     hd_state_want_forces(state, servo->wanted);
     if (faults != 0) {
         hd_state_latch(state, faults, 0, hd_clock_now_ns());

@@ -32,9 +32,8 @@
 #include "base/hd_ring.h"
 #include "base/hd_triple.h"
 #include "device/hd_device.h"
-#include "device/hd_signs.h"
 #include "scene/hd_world.h"
-#include "tick/hd_state.h"
+#include "tick/hd_tick.h"
 
 #define HD_COMMAND_CAPACITY 1024u
 #define HD_EVENT_RING_CAPACITY 8192u

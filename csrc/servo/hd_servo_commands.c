@@ -5,7 +5,6 @@
 #include <stdlib.h>
 
 #include "base/hd_clock.h"
-#include "device/hd_gesture.h"
 #include "tick/hd_tick.h"
 
 #define HD_COMMANDS_PER_TICK 64u

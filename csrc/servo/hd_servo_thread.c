@@ -17,7 +17,6 @@
 #include "base/hd_cache.h"
 #include "base/hd_clock.h"
 #include "base/hd_vector.h"
-#include "device/hd_gesture.h"
 #include "tick/hd_tick.h"
 
 /* How far a tick moves the deadlines towards the reports, in periods: reports drift against our clock, and a tick on

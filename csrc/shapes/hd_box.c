@@ -1,6 +1,6 @@
 /* Boxes: solids with four faces, entered through one of them.
  *
- * The face through which the way enters is the one that pushes, until the probe has come out through it or has left it
+ * The face through which the path enters is the one that pushes, until the probe has come out through it or has left it
  * sideways: a probe that is pressed through a thin box is held on the side that it came from. Faces: 0 along the box's
  * normal n, 1 along its tangent t, 2 along -n, 3 along -t; on each, s is 0 in the middle and grows along the face's own
  * tangent. */
@@ -25,8 +25,8 @@ HD_RT static uint8_t face_of(int axis, int positive) {
     return (uint8_t)(axis == 1 ? (positive ? 0 : 2) : (positive ? 1 : 3));
 }
 
-HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const double position_m[2],
-                        struct hd_contact_point *point) {
+HD_RT static void point_on_face(const struct hd_object *object, uint8_t face, const double position_m[2],
+                                struct hd_contact_point *point) {
     double tangent[2];
     double offset[2];
     hd_tangent(object->normal, tangent);
@@ -40,8 +40,28 @@ HD_RT void hd_box_place(const struct hd_object *object, uint8_t face, const doub
     point->arc_m = hd_dot(offset, tangent);
 }
 
-/* Where the way from a to b enters, and through which face; 0: it does not. Two faces can do only within the rim of a
- * corner; of them it is the one that the way goes to more directly. */
+HD_RT static void contact_point(const struct hd_object *object, struct hd_feature feature, const double bearing[2],
+                                const double from_m[2], const double position_m[2], struct hd_contact_point *point) {
+    (void)bearing;
+    (void)from_m;
+    point_on_face(object, feature.face, position_m, point);
+}
+
+HD_RT static double half_length(const struct hd_object *object, struct hd_feature feature) {
+    return object->half_m[feature.face % 2 == 0 ? 0 : 1];
+}
+
+HD_RT static int left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
+    if (!(point->depth_m > 0.0)) {
+        return 1;
+    }
+    const double along = point->arc_m + hd_proxy_offset(proxy, slot, point->normal, position_m);
+    return hd_magnitude(along) > half_length(object, feature) + HD_RIM_M;
+}
+
+/* Where the segment from a to b enters, and through which face; 0: it does not. Two faces can do only within the rim of
+ * a corner; of them it is the one that the segment goes to more directly. */
 HD_RT static int enters(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
                         uint8_t *face) {
     double most = 0.0;
@@ -49,18 +69,18 @@ HD_RT static int enters(const struct hd_object *object, const double a[2], const
         return 0;
     }
     for (int axis = 0; axis < 2; axis++) {
-        const double way = b[axis] - a[axis];
-        const double step = hd_magnitude(way);
-        const double gap = (way < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
-        if (!(gap < step) || gap < -HD_RIM_M || step <= most) {
+        const double step = b[axis] - a[axis];
+        const double length = hd_magnitude(step);
+        const double gap = (step < 0.0 ? a[axis] : -a[axis]) - object->half_m[axis];
+        if (!(gap < length) || gap < -HD_RIM_M || length <= most) {
             continue; /* it ends before the face, begins behind it, or goes to the other one */
         }
-        const double cut = gap > 0.0 ? gap / step : 0.0;
+        const double cut = gap > 0.0 ? gap / length : 0.0;
         const double other = a[1 - axis] + cut * (b[1 - axis] - a[1 - axis]);
         if (hd_magnitude(other) <= object->half_m[1 - axis] + HD_RIM_M) {
             *fraction = cut;
-            *face = face_of(axis, way < 0.0);
-            most = step;
+            *face = face_of(axis, step < 0.0);
+            most = length;
         }
     }
     return most > 0.0;
@@ -73,94 +93,121 @@ HD_RT static uint8_t nearest_face(const struct hd_object *object, const double l
     return to_top <= to_side ? face_of(1, local[1] >= 0.0) : face_of(0, local[0] >= 0.0);
 }
 
-/* Whether the way from the proxy to where the probe was, in the box's axes, enters through that face, too. */
+/* Whether the segment from the proxy to where the probe was, in the box's axes, enters through that face, too. */
 HD_RT static int stood(const struct hd_object *object, const double proxy_m[2], const double was[2], uint8_t face) {
-    double proxy[2];
+    double local[2];
     double cut;
     uint8_t entered;
-    in_box(object, proxy_m, proxy);
-    return enters(object, proxy, was, &cut, &entered) && entered == face;
+    in_box(object, proxy_m, local);
+    return enters(object, local, was, &cut, &entered) && entered == face;
 }
 
 /* The onset where the face was hit. 0: it slid there, and lies behind, where the proxy is not on it. */
-HD_RT static int begins(const struct hd_context *context, const struct hd_object *object, const double hit[2],
+HD_RT static int begins(const struct hd_proxy *proxy, const struct hd_object *object, const double hit[2],
                         struct hd_onset *onset) {
     if (onset->slid) {
-        hd_box_place(object, onset->face, context->input->position_m, &onset->point);
-        if (hd_box_left(context, object, HD_NO_SLOT, onset->face, context->input->position_m, &onset->point)) {
+        point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
+        if (left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
             return 0;
         }
     }
-    hd_box_place(object, onset->face, hit, &onset->point);
+    point_on_face(object, onset->feature.face, hit, &onset->point);
     onset->point.depth_m = 0.0;
     return 1;
 }
 
-/* Where solids overlap, the proxy may be in the box before the probe is. The probe that comes after it is held
- * at once; what pushes it out does so from where it came in. */
-HD_RT static int follows(const struct hd_context *context, const struct hd_object *object, const double from[2],
+/* Where solids overlap, the proxy may be in the box before the probe is. The probe that comes after it is held at once;
+ * what pushes it out does so from where it came in. */
+HD_RT static int follows(const struct hd_proxy *proxy, const struct hd_object *object, const double from[2],
                          const double to[2], struct hd_onset *onset) {
-    if (!enters(object, from, to, &onset->fraction, &onset->face)) {
+    if (!enters(object, from, to, &onset->fraction, &onset->feature.face)) {
         return 0;
     }
     double hit[2];
     onset->silent = 0;
     onset->slid = 1;
-    hd_between(context->from_m, context->input->position_m, onset->fraction, hit);
-    return begins(context, object, hit, onset);
+    hd_between(proxy->from_m, proxy->to_m, onset->fraction, hit);
+    return begins(proxy, object, hit, onset);
 }
 
-HD_RT int hd_box_meets(struct hd_context *context, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+/* A box that appeared around the probe: it is held by the nearest face. */
+HD_RT static int appears(const struct hd_proxy *proxy, const struct hd_object *object, const double to[2],
+                         struct hd_onset *onset) {
+    if (!inside(object, to)) {
+        return 0;
+    }
+    onset->silent = 1;
+    onset->feature.face = nearest_face(object, to);
+    point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
+    /* What lies behind a surface that is pressed is not touched. */
+    return !left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point);
+}
+
+HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     double from[2];
     double to[2];
-    in_box(object, context->from_m, from);
-    in_box(object, context->input->position_m, to);
-    onset->side = 1;
+    in_box(object, proxy->from_m, from);
+    in_box(object, proxy->to_m, to);
+    onset->feature.side = 1;
     onset->slid = 0;
     onset->stood = 0;
     if (fresh || inside(object, from)) {
-        if (!inside(object, to)) {
-            return 0;
-        }
-        onset->silent = 1;
-        onset->face = nearest_face(object, to);
-        hd_box_place(object, onset->face, context->input->position_m, &onset->point);
-        /* What lies behind a surface that is pressed is not touched. */
-        return !hd_box_left(context, object, HD_NO_SLOT, onset->face, context->input->position_m, &onset->point);
+        return appears(proxy, object, to, onset);
     }
-    const struct hd_proxy *path = hd_proxy_sweep(context);
-    for (uint32_t leg = 0; leg < path->legs; leg++) {
+    hd_proxy_sweep(proxy);
+    for (uint32_t segment = 0; segment < proxy->segments; segment++) {
+        const double *begin = proxy->point[segment];
+        const double *end = proxy->point[segment + 1];
         double a[2];
         double b[2];
         double cut;
-        in_box(object, path->point[leg], a);
-        in_box(object, path->point[leg + 1], b);
-        if (enters(object, a, b, &cut, &onset->face)) {
-            const double *begin = path->point[leg];
+        in_box(object, begin, a);
+        in_box(object, end, b);
+        if (enters(object, a, b, &cut, &onset->feature.face)) {
             uint8_t face;
             double straight;
             onset->silent = 0;
-            if (leg > 0 && enters(object, from, to, &straight, &face) && face == onset->face) {
+            if (segment > 0 && enters(object, from, to, &straight, &face) && face == onset->feature.face) {
                 cut = straight; /* it lies behind what is pressed */
-                begin = context->from_m;
+                begin = proxy->from_m;
             } else {
-                onset->slid = leg > 0;
-                onset->stood = leg > 0 && stood(object, path->point[0], from, onset->face);
+                onset->slid = segment > 0;
+                onset->stood = segment > 0 && stood(object, proxy->point[0], from, onset->feature.face);
             }
             double hit[2];
-            hd_between(begin, path->point[leg + 1], cut, hit);
+            hd_between(begin, end, cut, hit);
             onset->fraction = onset->slid ? 1.0 : cut;
-            return begins(context, object, hit, onset);
+            return begins(proxy, object, hit, onset);
         }
     }
-    return path->legs > 1 && follows(context, object, from, to, onset);
+    return proxy->segments > 1 && follows(proxy, object, from, to, onset);
 }
 
-HD_RT int hd_box_left(const struct hd_context *context, const struct hd_object *object, uint32_t slot, uint8_t face,
-                      const double position_m[2], const struct hd_contact_point *point) {
-    if (!(point->depth_m > 0.0)) {
-        return 1;
-    }
-    const double along = point->arc_m + hd_proxy_offset(context, slot, point->normal, position_m);
-    return hd_magnitude(along) > object->half_m[face % 2 == 0 ? 0 : 1] + HD_RIM_M;
+HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
+    double local[2];
+    in_box(object, point_m, local);
+    return hd_magnitude(local[0]) <= object->half_m[0] + HD_RIM_M &&
+           hd_magnitude(local[1]) <= object->half_m[1] + HD_RIM_M;
 }
+
+HD_RT static double distance(const struct hd_object *object, const double point_m[2]) {
+    double local[2];
+    in_box(object, point_m, local);
+    const double beside = hd_magnitude(local[0]) - object->half_m[0];
+    const double above = hd_magnitude(local[1]) - object->half_m[1];
+    return above > beside ? above : beside;
+}
+
+static int is_sized(const double half_m[2], double least_m, double most_m) {
+    return half_m[0] >= least_m && half_m[0] <= most_m && half_m[1] >= least_m && half_m[1] <= most_m;
+}
+
+const struct hd_shape_operations hd_box = {
+    .meets = meets,
+    .contact_point = contact_point,
+    .left = left,
+    .holds = holds,
+    .distance = distance,
+    .half_length = half_length,
+    .is_sized = is_sized,
+};

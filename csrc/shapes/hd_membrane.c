@@ -1,6 +1,6 @@
-/* Membranes: a spring along the normal on the side entered, until it ruptures (hd_narrow_phase.c).
+/* Membranes: a spring along the normal on the side entered, until it ruptures (hd_rupture.c).
  *
- * A membrane is a segment of half width w about its centre. It is entered when the way crosses it, so nothing tunnels
+ * A membrane is a segment of half width w about its centre. It is entered when the path crosses it, so nothing tunnels
  * through at any speed. h = (p - c).n is the height over it; a point exactly on it counts as above. Entered from side s
  * (+1 or -1), the deflection is d = -s h, and the contact lasts while d >= 0 and the probe is not past an edge. */
 #include "shapes/hd_shape.h"
@@ -19,8 +19,8 @@ HD_RT static void on_membrane(const struct hd_object *object, const double posit
     local[1] = hd_dot(offset, object->normal);
 }
 
-HD_RT void hd_membrane_place(const struct hd_object *object, int8_t side, const double position_m[2],
-                             struct hd_contact_point *point) {
+HD_RT static void point_on_side(const struct hd_object *object, int8_t side, const double position_m[2],
+                                struct hd_contact_point *point) {
     double local[2];
     on_membrane(object, position_m, local);
     const double sign = (double)side;
@@ -30,7 +30,14 @@ HD_RT void hd_membrane_place(const struct hd_object *object, int8_t side, const 
     point->normal[1] = sign * object->normal[1];
 }
 
-/* Where the way from a to b crosses, and from which side; 0: it does not. */
+HD_RT static void contact_point(const struct hd_object *object, struct hd_feature feature, const double bearing[2],
+                                const double from_m[2], const double position_m[2], struct hd_contact_point *point) {
+    (void)bearing;
+    (void)from_m;
+    point_on_side(object, feature.side, position_m, point);
+}
+
+/* Where the segment from a to b crosses, and from which side; 0: it does not. */
 HD_RT static int crosses(const struct hd_object *object, const double a[2], const double b[2], double *fraction,
                          int8_t *side) {
     double begin[2];
@@ -45,52 +52,85 @@ HD_RT static int crosses(const struct hd_object *object, const double a[2], cons
     return hd_magnitude(begin[0] + *fraction * (end[0] - begin[0])) <= object->half_m[0] + HD_RIM_M;
 }
 
-HD_RT int hd_membrane_meets(struct hd_context *context, const struct hd_object *object, int fresh,
-                            struct hd_onset *onset) {
+HD_RT static double half_length(const struct hd_object *object, struct hd_feature feature) {
+    (void)feature;
+    return object->half_m[0];
+}
+
+HD_RT static int left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
+    (void)feature;
+    if (!(point->depth_m >= 0.0)) {
+        return 1;
+    }
+    const double along = point->arc_m + hd_proxy_offset(proxy, slot, object->normal, position_m);
+    return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
+}
+
+HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
     if (fresh) {
         return 0; /* it has no inside */
     }
-    const struct hd_proxy *path = hd_proxy_sweep(context);
-    for (uint32_t leg = 0; leg < path->legs; leg++) {
+    hd_proxy_sweep(proxy);
+    for (uint32_t segment = 0; segment < proxy->segments; segment++) {
+        const double *begin = proxy->point[segment];
+        const double *end = proxy->point[segment + 1];
         double cut;
-        if (!crosses(object, path->point[leg], path->point[leg + 1], &cut, &onset->side)) {
+        if (!crosses(object, begin, end, &cut, &onset->feature.side)) {
             continue;
         }
-        const double *begin = path->point[leg];
         int8_t side;
         double straight;
         onset->silent = 0;
         onset->slid = 0;
         onset->stood = 0;
-        if (leg > 0 && crosses(object, context->from_m, context->input->position_m, &straight, &side) &&
-            side == onset->side) {
+        if (segment > 0 && crosses(object, proxy->from_m, proxy->to_m, &straight, &side) &&
+            side == onset->feature.side) {
             cut = straight; /* it lies behind what is pressed */
-            begin = context->from_m;
+            begin = proxy->from_m;
         } else {
-            onset->slid = leg > 0;
-            onset->stood =
-                leg > 0 && crosses(object, path->point[0], context->from_m, &straight, &side) && side == onset->side;
-            hd_membrane_place(object, onset->side, context->input->position_m, &onset->point);
-            if (onset->slid &&
-                hd_membrane_left(context, object, HD_NO_SLOT, context->input->position_m, &onset->point)) {
+            onset->slid = segment > 0;
+            onset->stood = segment > 0 && crosses(object, proxy->point[0], proxy->from_m, &straight, &side) &&
+                           side == onset->feature.side;
+            point_on_side(object, onset->feature.side, proxy->to_m, &onset->point);
+            if (onset->slid && left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
                 return 0; /* it lies behind, and the proxy is not on it */
             }
         }
         double hit[2];
-        hd_between(begin, path->point[leg + 1], cut, hit);
+        hd_between(begin, end, cut, hit);
         onset->fraction = onset->slid ? 1.0 : cut;
-        hd_membrane_place(object, onset->side, hit, &onset->point);
+        point_on_side(object, onset->feature.side, hit, &onset->point);
         onset->point.depth_m = 0.0;
         return 1;
     }
     return 0;
 }
 
-HD_RT int hd_membrane_left(const struct hd_context *context, const struct hd_object *object, uint32_t slot,
-                           const double position_m[2], const struct hd_contact_point *point) {
-    if (!(point->depth_m >= 0.0)) {
-        return 1;
-    }
-    const double along = point->arc_m + hd_proxy_offset(context, slot, object->normal, position_m);
-    return hd_magnitude(along) > object->half_m[0] + HD_RIM_M;
+HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
+    (void)object;
+    (void)point_m;
+    return 0;
 }
+
+HD_RT static double distance(const struct hd_object *object, const double point_m[2]) {
+    double local[2];
+    on_membrane(object, point_m, local);
+    const double beside = hd_magnitude(local[0]) - object->half_m[0];
+    return hd_magnitude(local[1]) > beside ? hd_magnitude(local[1]) : beside;
+}
+
+static int is_sized(const double half_m[2], double least_m, double most_m) {
+    return half_m[0] >= least_m && half_m[0] <= most_m && half_m[1] == 0.0;
+}
+
+const struct hd_shape_operations hd_membrane = {
+    .meets = meets,
+    .contact_point = contact_point,
+    .left = left,
+    .holds = holds,
+    .distance = distance,
+    .half_length = half_length,
+    .is_sized = is_sized,
+    .membrane = 1,
+};

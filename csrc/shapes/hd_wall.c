@@ -1,7 +1,13 @@
 /* Walls: half planes. d = -(p - p0).n, s = (p - p0).t; met when d goes from <= 0 to > 0. */
 #include "shapes/hd_shape.h"
 
-HD_RT void hd_wall_place(const struct hd_object *object, const double position_m[2], struct hd_contact_point *point) {
+HD_RT static double height_of(const struct hd_object *object, const double point_m[2]) {
+    double offset[2];
+    hd_difference(point_m, object->point_m, offset);
+    return hd_dot(offset, object->normal);
+}
+
+HD_RT static void on_wall(const struct hd_object *object, const double position_m[2], struct hd_contact_point *point) {
     double offset[2];
     double tangent[2];
     hd_difference(position_m, object->point_m, offset);
@@ -12,19 +18,27 @@ HD_RT void hd_wall_place(const struct hd_object *object, const double position_m
     point->normal[1] = object->normal[1];
 }
 
-HD_RT int hd_wall_meets(struct hd_context *context, const struct hd_object *object, int fresh, struct hd_onset *onset) {
-    hd_wall_place(object, context->input->position_m, &onset->point);
+HD_RT static void contact_point(const struct hd_object *object, struct hd_feature feature, const double bearing[2],
+                                const double from_m[2], const double position_m[2], struct hd_contact_point *point) {
+    (void)feature;
+    (void)bearing;
+    (void)from_m;
+    on_wall(object, position_m, point);
+}
+
+HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
+    on_wall(object, proxy->to_m, &onset->point);
     const double depth = onset->point.depth_m;
     if (!(depth > 0.0)) {
         return 0;
     }
-    onset->side = 1;
+    onset->feature.side = 1;
     onset->silent = 1;
     onset->slid = 0;
     onset->stood = 0;
     if (!fresh) {
         struct hd_contact_point from;
-        hd_wall_place(object, context->from_m, &from);
+        on_wall(object, proxy->from_m, &from);
         if (from.depth_m <= 0.0) {
             onset->silent = 0;
             onset->fraction = from.depth_m / (from.depth_m - depth);
@@ -34,3 +48,32 @@ HD_RT int hd_wall_meets(struct hd_context *context, const struct hd_object *obje
     }
     return 1;
 }
+
+HD_RT static int left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
+    (void)proxy;
+    (void)object;
+    (void)slot;
+    (void)feature;
+    (void)position_m;
+    return !(point->depth_m > 0.0);
+}
+
+HD_RT static int holds(const struct hd_object *object, const double point_m[2]) {
+    return height_of(object, point_m) <= HD_RIM_M;
+}
+
+static int is_sized(const double half_m[2], double least_m, double most_m) {
+    (void)least_m;
+    (void)most_m;
+    return half_m[0] == 0.0 && half_m[1] == 0.0;
+}
+
+const struct hd_shape_operations hd_wall = {
+    .meets = meets,
+    .contact_point = contact_point,
+    .left = left,
+    .holds = holds,
+    .distance = height_of,
+    .is_sized = is_sized,
+};

@@ -2,7 +2,7 @@
  * struck along n and along t apart: two strikes of one active mode. Every other mode is struck once, along the aim. */
 #include "tick/hd_aim.h"
 
-#include "tick/hd_contact.h"
+#include "tick/hd_strike.h"
 
 HD_RT void hd_aim_strike(struct hd_state *state, const struct hd_slot *slot, const double aim[2],
                          const double normal[2], struct hd_strike *strike) {

@@ -8,7 +8,7 @@
 /* The tangent of a surface; of a membrane that was entered from below it stays that of its own normal. */
 HD_RT static inline void hd_tangent_of(const struct hd_slot *slot, const double normal[2], double tangent[2]) {
     hd_tangent(normal, tangent);
-    if (slot->side < 0) {
+    if (slot->feature.side < 0) {
         tangent[0] = -tangent[0];
         tangent[1] = -tangent[1];
     }

@@ -1,16 +1,16 @@
-/* What is in reach, found in constant time.
+/* The candidate list, kept from tick to tick.
  *
  * Around one point, candidates[] holds all that lies within a radius, each with its distance; while the probe stays
  * within that radius of the point nothing else can be met, and of candidates[] only what is no farther than the probe
- * went. So a tick at rest looks at what it touches, and the index (hd_index.h) is asked again when the probe has left
- * the circle or the table has changed. The fewer lie around, the larger the circle. */
+ * went. So a tick at rest visits what it touches, and the index (hd_index.h) is asked again when the probe has left the
+ * circle or the table has changed. The fewer objects are near, the larger the circle. */
 #include "tick/hd_broad_phase.h"
 
 #include "base/hd_vector.h"
 
 #define HD_CANDIDATES_MANY 16u /* more than so many in the circle, and it is made smaller */
 #define HD_CANDIDATES_SORTED \
-    64u /* up to so many are looked at in the order of their slots, however the index was filled */
+    64u /* up to so many are visited in the order of their slots, however the index was filled */
 #define HD_CANDIDATES_MARGIN 1e-9
 
 HD_RT static void sort_candidates(struct hd_candidate *candidates, uint32_t count) {
@@ -57,58 +57,29 @@ HD_RT static void find_candidates(struct hd_context *context, double needed_m) {
 }
 
 HD_RT static double distance(const double a[2], const double b[2]) {
-    double way[2];
-    hd_difference(a, b, way);
-    return hd_root(hd_dot(way, way));
+    double step[2];
+    hd_difference(a, b, step);
+    return hd_root(hd_dot(step, step));
 }
 
-HD_RT void hd_walk_objects(struct hd_context *context) {
+HD_RT double hd_broad_phase(struct hd_context *context) {
     struct hd_state *state = context->state;
-    const double *to = context->input->position_m;
-    context->met_count = 0;
-    if (context->new_table) {
-        hd_look_changed(context);
-    }
-    hd_proxy_begin(context);
+    const struct hd_proxy *proxy = &context->proxy;
     /* The proxy lies as far from the probe as the probe is deep; twice that where two surfaces meet. */
     double deepest = 0.0;
-    for (uint32_t i = 0; i < context->path.plane_count; i++) {
-        deepest = context->path.plane[i].depth_m > deepest ? context->path.plane[i].depth_m : deepest;
+    for (uint32_t i = 0; i < proxy->plane_count; i++) {
+        deepest = proxy->plane[i].depth_m > deepest ? proxy->plane[i].depth_m : deepest;
     }
-    const double step = distance(context->from_m, to);
-    /* A surface is looked at on the way into the depth from which it is tapped again. */
+    const double step = distance(proxy->from_m, proxy->to_m);
+    /* A surface is visited on the path into the depth from which it is tapped again. */
     double margin = HD_CANDIDATES_MARGIN + context->table->rearm_m;
     if (deepest > 0.0) {
         margin += 2.0 * (deepest + step);
     }
-    double reach = distance(to, state->candidates_center_m) + step + margin;
+    const double reach = distance(proxy->to_m, state->candidates_center_m) + step + margin;
     if (context->new_table || !state->candidates_known || reach > state->candidates_radius_m) {
         find_candidates(context, step + margin);
-        reach = step + margin;
+        return step + margin;
     }
-    for (uint32_t i = 0; i < state->candidate_count; i++) {
-        if (state->candidates[i].distance_m <= reach) {
-            hd_look(context, state->candidates[i].slot);
-        }
-    }
-    const uint64_t now = state->tick + 1u;
-    for (uint32_t i = state->active_count; i-- > 0;) {
-        if (state->slots[state->active[i]].visited != now) {
-            hd_look(context, state->active[i]);
-        }
-    }
-    for (uint32_t i = state->healing_count; i-- > 0;) {
-        if (state->slots[state->healing[i]].visited != now) {
-            hd_look(context, state->healing[i]);
-        }
-    }
-    for (uint32_t i = 0; i < state->resumed_count; i++) {
-        if (state->slots[state->resumed[i]].visited != now) {
-            hd_look(context, state->resumed[i]);
-        }
-    }
-    state->resumed_count = 0;
-    if (context->met_count > 0) {
-        hd_look_begin(context);
-    }
+    return reach;
 }

@@ -1,7 +1,6 @@
 /* Fields: constant, spring and viscous objects. Each is affine in position and velocity, so all of them together are
  * one law, F = f - K p - D v, that costs the same however many there are. */
-#include "base/hd_vector.h"
-#include "tick/hd_broad_phase.h"
+#include "tick/hd_field.h"
 
 HD_RT static void force_of(const struct hd_field *field, const struct hd_input *input, double force_n[2]) {
     for (int axis = 0; axis < 2; axis++) {

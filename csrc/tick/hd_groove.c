@@ -1,72 +1,49 @@
 #include "tick/hd_groove.h"
 
-#include <math.h>
-
-#include "base/hd_vector.h"
-#include "tick/hd_contact.h"
+#include "tick/hd_groove_profile.h"
+#include "tick/hd_strike.h"
 #include "tick/hd_surface.h"
 #include "tick/hd_tune.h"
 
-#define HD_PI 3.14159265358979323846
 /* Grooves as near to each other as this, in spacings, are one. */
 #define HD_GROOVE_SAME 1e-6
+/* Strikes on one stretch of a tick's path along one object; what is beyond is a texture that nobody feels as grooves
+ * any more. */
+#define HD_GROOVES_PER_TICK 1024
 
-/* The groove at or below s. Coordinates are bounded and spacings are not below 1e-9 m, so it fits. */
-HD_RT static int64_t groove_below(double spacing_m, double arc_m) {
-    HD_RT_FOREIGN_BEGIN
-    const double quotient = floor(arc_m / spacing_m);
-    HD_RT_FOREIGN_END
-    const double bounded = quotient < -9e15 ? -9e15 : quotient > 9e15 ? 9e15 : quotient;
-    int64_t k = (int64_t)bounded;
-    /* The quotient is rounded; the groove lies at the rounded product. */
-    if ((double)k * spacing_m > arc_m) {
-        k--;
-    } else if ((double)(k + 1) * spacing_m <= arc_m) {
-        k++;
-    }
-    return k;
-}
+/* One straight stretch of a tick's path along a surface. */
+struct stretch {
+    double from_m; /* s */
+    double to_m;
+    double from_fraction; /* of the tick's path */
+    double to_fraction;
+    double from_n; /* the model's normal force; below 0 there is none */
+    double to_n;
+    double half_length_m;
+    const double *tangent;
+    double speed_m_per_s; /* along the tangent */
+    double true_speed_m_per_s;
+};
 
 /* From one place to the other, the shorter way round a disc. */
-HD_RT static double way_between(double a_m, double b_m, double half_length_m) {
-    const double way = hd_magnitude(a_m - b_m);
-    return way > half_length_m ? 2.0 * half_length_m - way : way;
-}
-
-/* Whether groove k has a shape: it lies on the disc whole, or its halves meet at the bottom. */
-HD_RT static int is_whole(const struct hd_material *material, int64_t k, double half_length_m) {
-    const double middle_m = hd_magnitude((double)k * material->spacing_m);
-    return middle_m + 0.5 * material->width_m <= half_length_m ||
-           hd_magnitude(middle_m - half_length_m) <= HD_GROOVE_SEAM * half_length_m;
-}
-
-HD_RT double hd_groove_profile(const struct hd_material *material, double arc_m, double half_length_m, double *slope) {
-    *slope = 0.0;
-    const int64_t k = groove_below(material->spacing_m, arc_m + 0.5 * material->spacing_m);
-    const double offset = arc_m - (double)k * material->spacing_m;
-    if (2.0 * hd_magnitude(offset) >= material->width_m || !is_whole(material, k, half_length_m)) {
-        return 0.0;
-    }
-    const double turn = 2.0 * HD_PI / material->width_m;
-    HD_RT_FOREIGN_BEGIN
-    *slope = -0.5 * turn * sin(turn * offset);
-    return 0.5 + 0.5 * cos(turn * offset);
-    HD_RT_FOREIGN_END
+HD_RT static double distance_between(double a_m, double b_m, double half_length_m) {
+    const double distance = hd_magnitude(a_m - b_m);
+    return distance > half_length_m ? 2.0 * half_length_m - distance : distance;
 }
 
 HD_RT void hd_grooves_arm(struct hd_slot *slot, double arc_m, double half_length_m) {
-    if (way_between(arc_m, slot->groove_m, half_length_m) >= slot->groove_free_m) {
+    if (distance_between(arc_m, slot->groove_m, half_length_m) >= slot->groove_free_m) {
         slot->held = 0;
     }
 }
 
 HD_RT static void strike(struct hd_context *context, uint32_t index, const struct hd_material *material,
-                         const struct hd_stretch *stretch, int64_t k) {
+                         const struct stretch *stretch, int64_t k) {
     struct hd_state *state = context->state;
     struct hd_slot *slot = &state->slots[index];
     const double groove_m = (double)k * material->spacing_m;
     /* At the bottom of a disc the first and the last groove may be one. */
-    const double apart_m = way_between(groove_m, slot->groove_m, stretch->half_length_m);
+    const double apart_m = distance_between(groove_m, slot->groove_m, stretch->half_length_m);
     if (slot->held && apart_m <= HD_GROOVE_SAME * material->spacing_m) {
         return;
     }
@@ -106,7 +83,7 @@ HD_RT static void strike(struct hd_context *context, uint32_t index, const struc
 /* The last groove that lies before s, where a point of the way counts as beyond a groove that it lies on, and the place
  * where two materials meet does not: that groove is one of the latter's. */
 HD_RT static int64_t last_before(double spacing_m, double arc_m, int meeting) {
-    const int64_t k = groove_below(spacing_m, arc_m);
+    const int64_t k = hd_groove_below(spacing_m, arc_m);
     return meeting && (double)k * spacing_m == arc_m ? k - 1 : k;
 }
 
@@ -121,7 +98,7 @@ struct part {
 };
 
 HD_RT static void pass_material(struct hd_context *context, uint32_t index, const struct hd_material *material,
-                                const struct hd_stretch *stretch, struct part *part) {
+                                const struct stretch *stretch, struct part *part) {
     if (material->texture != HD_TEXTURE_STRIKES) {
         return;
     }
@@ -143,7 +120,7 @@ HD_RT static void pass_material(struct hd_context *context, uint32_t index, cons
 }
 
 HD_RT static void pass(struct hd_context *context, uint32_t index, const struct hd_object *object,
-                       const struct hd_stretch *stretch) {
+                       const struct stretch *stretch) {
     const struct hd_table *table = context->table;
     if (stretch->from_m == stretch->to_m) {
         return;
@@ -170,8 +147,9 @@ HD_RT static void pass(struct hd_context *context, uint32_t index, const struct 
     }
 }
 
-HD_RT void hd_grooves_pass(struct hd_context *context, uint32_t index, const struct hd_object *object,
-                           const struct hd_stretch *stretch) {
+/* Strikes what the stretch passes, and arms. */
+HD_RT static void pass_and_arm(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                               const struct stretch *stretch) {
     struct hd_slot *slot = &context->state->slots[index];
     if (slot->held) {
         hd_grooves_arm(slot, stretch->from_m, stretch->half_length_m);
@@ -180,4 +158,46 @@ HD_RT void hd_grooves_pass(struct hd_context *context, uint32_t index, const str
     if (slot->held) {
         hd_grooves_arm(slot, stretch->to_m, stretch->half_length_m);
     }
+}
+
+HD_RT void hd_grooves_pass(struct hd_context *context, uint32_t index, const struct hd_object *object,
+                           const struct hd_travel *travel) {
+    const struct hd_slot *slot = &context->state->slots[index];
+    const struct hd_surface *surface = &slot->surface;
+    const struct hd_contact_point *point = &travel->point;
+    const double *velocity = context->input->velocity_m_per_s;
+    const double half_length_m = travel->half_length_m;
+    const double fraction = travel->fraction;
+    const double part = travel->part;
+    const double damping_n = -surface->damping_n_s_per_m * hd_dot(velocity, point->normal);
+    const double from_n = slot->last.depth_m > 0.0 ? slot->normal_n : damping_n;
+    const double to_n = surface->stiffness_n_per_m * (point->depth_m - surface->lowering_m) + damping_n;
+    const double travel_m = part * (point->arc_m + travel->jump_m - slot->last.arc_m);
+    struct stretch stretch = {
+        .from_m = slot->last.arc_m,
+        .to_m = part < 1.0 ? slot->last.arc_m + travel_m : point->arc_m + travel->jump_m,
+        .from_fraction = fraction,
+        .to_fraction = fraction + part * (1.0 - fraction),
+        .from_n = from_n,
+        .to_n = from_n + part * (to_n - from_n),
+        .half_length_m = half_length_m,
+        .tangent = travel->tangent,
+        .speed_m_per_s = hd_dot(velocity, travel->tangent),
+        .true_speed_m_per_s = hd_dot(context->input->true_velocity_m_per_s, travel->tangent),
+    };
+    if (travel->jump_m != 0.0 && hd_magnitude(stretch.to_m) >= half_length_m) {
+        const double bottom = (1.0 + HD_GROOVE_SEAM) * half_length_m;
+        const double end = stretch.to_m > 0.0 ? bottom : -bottom;
+        const double first_part = (end - stretch.from_m) / (stretch.to_m - stretch.from_m);
+        struct stretch first = stretch;
+        first.to_m = end;
+        first.to_fraction = stretch.from_fraction + first_part * (stretch.to_fraction - stretch.from_fraction);
+        first.to_n = stretch.from_n + first_part * (stretch.to_n - stretch.from_n);
+        pass_and_arm(context, index, object, &first);
+        stretch.from_m = -end;
+        stretch.from_fraction = first.to_fraction;
+        stretch.from_n = first.to_n;
+        stretch.to_m -= stretch.to_m > 0.0 ? 2.0 * half_length_m : -2.0 * half_length_m;
+    }
+    pass_and_arm(context, index, object, &stretch);
 }

@@ -10,34 +10,22 @@
 #ifndef HD_GROOVE_H
 #define HD_GROOVE_H
 
-#include "tick/hd_broad_phase.h"
+#include "tick/hd_context.h"
 
-/* Strikes on one stretch of a tick's way along one object; what is beyond is a texture that nobody feels as grooves any
- * more. */
-#define HD_GROOVES_PER_TICK 1024
-/* So near to the bottom of a disc, in half its circumference, a groove lies on it: rounding does not lose it. */
-#define HD_GROOVE_SEAM 1e-12
-
-/* The raised cosine over the nearest groove, 0 to 1, and its slope over s. */
-HD_RT double hd_groove_profile(const struct hd_material *material, double arc_m, double half_length_m, double *slope);
-
-/* One straight stretch of a tick's way along a surface. */
-struct hd_stretch {
-    double from_m; /* s */
-    double to_m;
-    double from_fraction; /* of the tick's way */
-    double to_fraction;
-    double from_n; /* the model's normal force; below 0 there is none */
-    double to_n;
-    double half_length_m;
+/* How the probe went along a surface since the last tick, or since the onset. */
+struct hd_travel {
+    struct hd_contact_point point; /* where it is */
     double tangent[2];
-    double speed_m_per_s; /* along the tangent */
-    double true_speed_m_per_s;
+    double half_length_m; /* of a round surface, from the top to the bottom; of others unbounded */
+    double jump_m;        /* of s, over the bottom, where it starts again */
+    double fraction;      /* of the path since the last sample, at which the contact began; 0: before */
+    double part;          /* of the rest, in which it lasted */
 };
 
-/* Strikes what the stretch passes, and arms. */
+/* Strikes the grooves that are passed, and arms. The path is one stretch, or on a disc, over its bottom where s jumps,
+ * two. The normal force goes in a straight line from what it was to what stiffness and damping give at the end. */
 HD_RT void hd_grooves_pass(struct hd_context *context, uint32_t index, const struct hd_object *object,
-                           const struct hd_stretch *stretch);
+                           const struct hd_travel *travel);
 /* The probe is at s: whether the groove that was struck last may strike again. */
 HD_RT void hd_grooves_arm(struct hd_slot *slot, double arc_m, double half_length_m);
 

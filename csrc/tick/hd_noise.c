@@ -24,8 +24,6 @@
 #include "base/hd_normal.h"
 #include "scene/hd_world.h"
 
-#define HD_LARGEST_RMS 1e9
-#define HD_TAPS_TOLERANCE 1e-9
 /* Taps on the way to their opposites pass by zero: below this sum of squares they are quieter instead of turning over
  * within a tick. */
 #define HD_SMALLEST_TAPS 0.01
@@ -116,16 +114,12 @@ HD_RT static inline void interpolate(const struct place *place, const double *nu
     }
 }
 
-HD_RT static inline size_t node_size(const struct hd_noise *noise) {
-    return 1u + (size_t)noise->order + (noise->taps ? (size_t)noise->order + 1u : 0u);
-}
-
 /* `cell` comes in as a guess. */
 HD_RT static inline struct place find_place(const struct hd_noise *noise, const double *numbers, double speed,
                                             double force, const uint32_t cell[2]) {
     const double *speeds = numbers + noise->first;
     const double *forces = speeds + noise->speed_count;
-    const size_t size = node_size(noise);
+    const size_t size = hd_noise_node_size(noise);
     const size_t row = size * noise->force_count;
     struct place place = {.cell = {cell[0], cell[1]}};
     place.part[0] = locate(speeds, noise->speed_count, speed, &place.cell[0]);
@@ -288,93 +282,6 @@ HD_RT double hd_noise_next(struct hd_active_noise *active, const struct hd_noise
 
 HD_RT double hd_noise_last(struct hd_active_noise *active) {
     return active->rms > 0.0 ? active->scale_n.now * (active->rms * sample(active)) : 0.0;
-}
-
-static int at_least_zero(double value) {
-    return isfinite(value) && value >= 0.0;
-}
-
-/* Finite, at least 0 and strictly rising. */
-static int rises(const double *axis, uint32_t count) {
-    int ok = at_least_zero(axis[0]) && at_least_zero(axis[count - 1]);
-    for (uint32_t i = 1; i < count; i++) {
-        ok = ok && axis[i] > axis[i - 1];
-    }
-    return ok;
-}
-
-static int check_node(const struct hd_noise *noise, const double *node, const char *what, uint64_t index) {
-    const unsigned long long which = (unsigned long long)index;
-    if (!(node[0] >= 0.0 && node[0] <= HD_LARGEST_RMS)) {
-        return hd_invalid("%s: RMS %g m/s^2 of node %llu is not between 0 and %g", what, node[0], which,
-                          HD_LARGEST_RMS);
-    }
-    const double *sine = node + 1;
-    for (uint32_t m = 0; m < noise->order; m++) {
-        if (!(sine[m] > -1.0 && sine[m] < 1.0)) {
-            return hd_invalid("%s: reflection coefficient %u of node %llu is %.17g, not between -1 and 1: unstable",
-                              what, m + 1, which, sine[m]);
-        }
-    }
-    if (noise->taps) {
-        const double *tap = sine + noise->order;
-        double squares = 0.0;
-        for (uint32_t m = 0; m <= noise->order; m++) {
-            squares += tap[m] * tap[m];
-        }
-        if (!(squares >= 1.0 - HD_TAPS_TOLERANCE && squares <= 1.0 + HD_TAPS_TOLERANCE)) {
-            return hd_invalid("%s: the squares of the taps of node %llu add up to %.12g, not to 1", what, which,
-                              squares);
-        }
-    }
-    return HD_OK;
-}
-
-int hd_noise_check(const struct hd_noise *noise, const double *numbers, uint32_t number_count, const char *what) {
-    if (noise->order > HD_NOISE_ORDER) {
-        return hd_invalid("%s: order %u is above %d", what, noise->order, HD_NOISE_ORDER);
-    }
-    if (noise->taps > 1 || noise->along_normal > 1) {
-        return hd_invalid("%s: taps %u and along_normal %u are 0 or 1", what, noise->taps, noise->along_normal);
-    }
-    if (!at_least_zero(noise->threshold_m_per_s) || !at_least_zero(noise->force_per_unit)) {
-        return hd_invalid("%s: threshold %g m/s and force per unit %g must be finite and at least 0", what,
-                          noise->threshold_m_per_s, noise->force_per_unit);
-    }
-    if (!isfinite(noise->velocity_gain_per_s) || !isfinite(noise->force_gain_m_per_s2_per_n)) {
-        return hd_invalid("%s: velocity gain %g and force gain %g must be finite", what, noise->velocity_gain_per_s,
-                          noise->force_gain_m_per_s2_per_n);
-    }
-    if (noise->speed_count == 0 || noise->force_count == 0) {
-        return hd_invalid("%s: a grid of %u speeds and %u forces; one of each is the least", what, noise->speed_count,
-                          noise->force_count);
-    }
-    /* In this order nothing overflows: the product of two 32-bit counts fits, and so does a node's size times
-     * number_count. */
-    const uint64_t size = node_size(noise);
-    const uint64_t nodes = (uint64_t)noise->speed_count * noise->force_count;
-    const uint64_t axes = (uint64_t)noise->speed_count + noise->force_count;
-    if (nodes > number_count || (uint64_t)noise->first + axes + nodes * size > number_count) {
-        return hd_invalid(
-            "%s: %u speeds, %u forces and their nodes of %llu numbers from number %u on do not fit into %u", what,
-            noise->speed_count, noise->force_count, (unsigned long long)size, noise->first, number_count);
-    }
-    const double *speeds = numbers + noise->first;
-    const double *forces = speeds + noise->speed_count;
-    if (!rises(speeds, noise->speed_count)) {
-        return hd_invalid("%s: the speeds must be finite, at least 0 and rising", what);
-    }
-    if (!rises(forces, noise->force_count)) {
-        return hd_invalid("%s: the forces must be finite, at least 0 and rising", what);
-    }
-    const double *node = forces + noise->force_count;
-    for (uint64_t i = 0; i < nodes; i++, node += size) {
-        const int status = check_node(noise, node, what, i);
-        if (status != HD_OK) {
-            return status;
-        }
-    }
-    return HD_OK;
 }
 
 int hd_noise_run(const struct hd_noise *noise, const double *numbers, uint32_t number_count, size_t count,

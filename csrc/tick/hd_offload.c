@@ -3,7 +3,6 @@
  * when the one becomes the other. Several strikes of one effect in one tick count together. */
 #include "tick/hd_offload.h"
 
-#include "device/hd_effects.h"
 
 /* The place of an effect in reserves[], or where it would come. */
 HD_RT static uint32_t find(const struct hd_state *state, uint32_t effect) {
@@ -45,7 +44,7 @@ HD_RT void hd_offload_strike(struct hd_state *state, const struct hd_strike *str
     offload->force_n[1] = force * strike->direction[1];
     struct hd_reserve *reserve = &state->reserves[find(state, mode->effect)];
     const double most_n = force * mode->effect_peak;
-    const uint32_t ticks = (uint32_t)((mode->effect_s + HD_EFFECT_SLACK_S) / period_s) + 2u;
+    const uint32_t ticks = (uint32_t)((mode->effect_s + HD_OFFLOAD_LATE_S) / period_s) + 2u;
     reserve->most_n = most_n > reserve->most_n ? most_n : reserve->most_n;
     reserve->left = ticks > reserve->left ? ticks : reserve->left;
     sum_up(state);

@@ -20,38 +20,8 @@
 #ifndef HD_PASSIVITY_H
 #define HD_PASSIVITY_H
 
-#include "api/hd_core.h"
 #include "base/hd_rt.h"
-
-#define HD_PASSIVITY_PERIODS 1024u /* a power of two, more than HD_PASSIVITY_AGE_MAX and a report's interval need */
-
-struct hd_state;
-struct hd_input;
-
-struct hd_push {
-    double force_n[2];
-    double size_n;
-};
-
-struct hd_passivity {
-    uint64_t next;       /* the tick that goes on from here; any other begins anew */
-    uint64_t acted;      /* ticks in which the controller changed the force */
-    uint64_t contacts;   /* so far */
-    uint64_t restrained; /* of them, those in which it did */
-    double energy_j;     /* given to the hand in this contact, or in the last one */
-    double largest_j;    /* of all contacts */
-    double taken_j;      /* by the handle itself, in this contact */
-    double brake; /* how much of its brake the controller has, 0 to 1: over the ramp it goes with what is touched */
-    uint32_t interval;   /* the longest between two samples of this contact, in periods */
-    uint32_t hold;       /* the longest between two ticks of it */
-    uint32_t pushed;     /* periods in pushes[] */
-    uint32_t newest;     /* place in pushes[] */
-    uint32_t waited;     /* periods since the last sample */
-    uint8_t running;     /* in contact, or a part of its work is not known yet */
-    uint8_t acting;      /* in this contact */
-    struct hd_push held; /* commanded since the last tick */
-    struct hd_push pushes[HD_PASSIVITY_PERIODS];
-};
+#include "tick/hd_state.h"
 
 /* A contact force and the part of it that objects make. */
 struct hd_pushed {

@@ -18,7 +18,7 @@
 #define HD_RAMP_H
 
 #include "base/hd_rt.h"
-#include "tick/hd_broad_phase.h"
+#include "tick/hd_context.h"
 
 /* What a tick knows of its ramps. */
 struct hd_ramped {

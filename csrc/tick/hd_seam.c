@@ -2,42 +2,38 @@
 
 #define HD_SEAM_TICKS UINT16_MAX /* the longest ramp */
 
-/* Where the last sample was on a membrane or a box that is touched, and half the width of its surface. 0: another
- * shape. */
-HD_RT static double place_of(const struct hd_context *context, const struct hd_slot *slot,
+/* Where the last sample was on a touched surface that has ends, and half its length. 0: it has none. */
+HD_RT static double point_on(const struct hd_context *context, const struct hd_slot *slot,
                              const struct hd_object *object, struct hd_contact_point *point) {
-    switch (object->shape) {
-    case HD_SHAPE_MEMBRANE:
-        hd_membrane_place(object, slot->side, context->from_m, point);
-        return object->half_m[0];
-    case HD_SHAPE_BOX:
-        hd_box_place(object, slot->face, context->from_m, point);
-        return object->half_m[slot->face % 2 != 0];
-    default:
+    const struct hd_shape_operations *shape = hd_shape_of(object);
+    if (shape->half_length == NULL) {
         return 0.0;
     }
+    shape->contact_point(object, slot->feature, slot->last.normal, NULL, context->proxy.from_m, point);
+    return shape->half_length(object, slot->feature);
 }
 
 HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot, const struct hd_object *object) {
     const struct hd_table *table = context->table;
     struct hd_contact_point here;
-    const double half = place_of(context, slot, object, &here);
-    for (uint32_t i = 0; half > 0.0 && i < context->path.plane_count; i++) {
-        const uint32_t index = context->path.plane[i].slot;
+    const double half = point_on(context, slot, object, &here);
+    for (uint32_t i = 0; half > 0.0 && i < context->proxy.plane_count; i++) {
+        const uint32_t index = context->proxy.plane[i].slot;
         const struct hd_slot *other = &context->state->slots[index];
         struct hd_contact_point there;
-        if (other == slot || other->touched || index >= table->object_count) {
-            continue; /* it holds the probe itself */
+        if (other == slot || other->touched || index >= table->object_count ||
+            table->objects[index].shape == HD_SHAPE_NONE) {
+            continue; /* it holds the probe itself, or is no more */
         }
-        const double reach = half + place_of(context, other, &table->objects[index], &there);
-        const double way = (double)(slot->side * other->side); /* of s there, over that here */
-        if (reach == half || other->generation != table->objects[index].generation || !hd_flush(&here, &there) ||
-            hd_magnitude(here.arc_m - way * there.arc_m) > reach + HD_RIM_M) {
+        const double reach = half + point_on(context, other, &table->objects[index], &there);
+        const double along = (double)(slot->feature.side * other->feature.side); /* of s there, over that here */
+        if (reach == half || other->generation != table->objects[index].generation ||
+            !hd_seam_is_flush(&here, &there) || hd_magnitude(here.arc_m - along * there.arc_m) > reach + HD_RIM_M) {
             continue;
         }
         const struct hd_material *material = &table->materials[object->material];
         const double ticks = 1.0 / table->ramp_step;
-        slot->anchor_m = here.arc_m - way * (there.arc_m - other->anchor_m);
+        slot->anchor_m = here.arc_m - along * (there.arc_m - other->anchor_m);
         slot->surface.friction_coefficient = other->surface.friction_coefficient;
         slot->surface.friction_stiffness_n_per_m = other->surface.friction_stiffness_n_per_m;
         if (material->friction_coefficient != other->surface.friction_coefficient ||

@@ -6,16 +6,16 @@
 #ifndef HD_SEAM_H
 #define HD_SEAM_H
 
-#include "shapes/hd_shape.h"
+#include "tick/hd_context.h"
 
-/* Whether two places lie in one surface: as deep, and facing the same way. */
-HD_RT static inline int hd_flush(const struct hd_contact_point *a, const struct hd_contact_point *b) {
+/* Whether two contact points lie in one surface: as deep, and facing the same way. */
+HD_RT static inline int hd_seam_is_flush(const struct hd_contact_point *a, const struct hd_contact_point *b) {
     const double turn = a->normal[0] * b->normal[1] - a->normal[1] * b->normal[0];
     return hd_magnitude(a->depth_m - b->depth_m) <= HD_RIM_M && hd_magnitude(turn) <= HD_RIM_M &&
            hd_dot(a->normal, b->normal) > 0.0;
 }
 
-/* The slot was reached along a surface that was left in this tick, or not; `slot->side` and `slot->face` are set. */
+/* The slot was reached along a surface that was left in this tick, or not; `slot->feature` is set. */
 HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot, const struct hd_object *object);
 /* A tick of the ramp: the slot's surface is the material's, what is given that of the last tick. */
 HD_RT void hd_seam_ease(struct hd_slot *slot, double arc_m, double coefficient, double stiffness_n_per_m);

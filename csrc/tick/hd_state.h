@@ -27,9 +27,9 @@
 
 #include "api/hd_core.h"
 #include "base/hd_memory.h"
-#include "scene/hd_index.h"
+#include "scene/hd_world.h"
+#include "shapes/hd_shape.h"
 #include "tick/hd_noise.h"
-#include "tick/hd_passivity.h"
 #include "tick/hd_velocity.h"
 
 #define HD_ACTIVE_MODE_CAPACITY 4096u /* ringing at once; beyond that, one that is near its end is given up */
@@ -38,18 +38,13 @@
 #define HD_PLAYED_CAPACITY 64u        /* modes played by hand within one tick */
 #define HD_NOISE_CAPACITY 256u        /* surfaces with noise that are touched at once; further ones are silent */
 #define HD_OFFLOAD_CAPACITY 8u        /* strikes of one tick that the device plays by itself */
+#define HD_OFFLOAD_LATE_S 0.07        /* so late an effect may begin after its strike: hd_effects.h */
 #define HD_RESERVE_CAPACITY 16u       /* effects that may play at once */
 #define HD_WAVE_CAPACITY 32u /* waveforms that play at once; beyond that, the one nearest its end is given up */
 #define HD_STATE_REGIONS 16u
+#define HD_PASSIVITY_PERIODS 1024u /* a power of two, more than HD_PASSIVITY_AGE_MAX and a report's interval need */
 
 enum hd_mode_use { HD_MODE_TAP = 0, HD_MODE_RUPTURE = 1, HD_MODE_GROOVE = 2, HD_MODE_SECOND = 3, HD_MODE_USES = 4 };
-
-/* Where the probe is on a surface: how deep below it, where along it, and which way the surface faces there. */
-struct hd_contact_point {
-    double depth_m;
-    double arc_m; /* the tangential coordinate s */
-    double normal[2];
-};
 
 /* What the material gives where the probe is: see hd_surface.h. */
 struct hd_surface {
@@ -100,17 +95,16 @@ struct hd_slot {
     double groove_m;             /* s of the groove that was struck last, and how far from it it may strike again */
     double groove_free_m;
     uint8_t touched;
-    int8_t side;       /* membrane: of the normal that the contact came from, +1 or -1; others: +1 */
-    uint8_t face;      /* box: that was entered; see hd_box.c */
-    uint8_t disarmed;  /* let go, and the probe has not been far enough from it since to tap it */
-    uint8_t resume;    /* its contact was cleared while it was pressed */
-    uint8_t changed;   /* what it presses with at the end of this tick is a command's doing */
-    uint8_t held;      /* the groove at `groove_m` was struck and the probe has not been away from it since */
-    uint16_t seam;     /* ticks in which friction goes over from what was left to this material */
-    double ramp;       /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
-    double anchor_m;   /* friction: where the probe sticks, along the surface */
-    double normal_n;   /* the normal force at the last tick, without ramp */
-    double force_n[2]; /* at the last tick, with it */
+    struct hd_feature feature; /* that is in contact */
+    uint8_t disarmed;          /* let go, and the probe has not been far enough from it since to tap it */
+    uint8_t resume;            /* its contact was cleared while it was pressed */
+    uint8_t changed;           /* what it presses with at the end of this tick is a command's doing */
+    uint8_t held;              /* the groove at `groove_m` was struck and the probe has not been away from it since */
+    uint16_t seam;             /* ticks in which friction goes over from what was left to this material */
+    double ramp;               /* of the contact force, 0 to 1, for a contact without an onset that is no command's */
+    double anchor_m;           /* friction: where the probe sticks, along the surface */
+    double normal_n;           /* the normal force at the last tick, without ramp */
+    double force_n[2];         /* at the last tick, with it */
     struct hd_contact_point last; /* at the last tick; its normal outlives the contact */
     struct hd_surface surface;    /* at the last tick */
     uint32_t tail[HD_MODE_USES];  /* as `mode`, of the tails; last, because few ever ring */
@@ -183,6 +177,33 @@ struct hd_reserve {
     uint32_t effect;
     uint32_t left; /* ticks */
     double most_n;
+};
+
+/* What was commanded in a period. */
+struct hd_push {
+    double force_n[2];
+    double size_n;
+};
+
+/* The passivity observer and controller: see hd_passivity.h. */
+struct hd_passivity {
+    uint64_t next;       /* the tick that goes on from here; any other begins anew */
+    uint64_t acted;      /* ticks in which the controller changed the force */
+    uint64_t contacts;   /* so far */
+    uint64_t restrained; /* of them, those in which it did */
+    double energy_j;     /* given to the hand in this contact, or in the last one */
+    double largest_j;    /* of all contacts */
+    double taken_j;      /* by the handle itself, in this contact */
+    double brake; /* how much of its brake the controller has, 0 to 1: over the ramp it goes with what is touched */
+    uint32_t interval;   /* the longest between two samples of this contact, in periods */
+    uint32_t hold;       /* the longest between two ticks of it */
+    uint32_t pushed;     /* periods in pushes[] */
+    uint32_t newest;     /* place in pushes[] */
+    uint32_t waited;     /* periods since the last sample */
+    uint8_t running;     /* in contact, or a part of its work is not known yet */
+    uint8_t acting;      /* in this contact */
+    struct hd_push held; /* commanded since the last tick */
+    struct hd_push pushes[HD_PASSIVITY_PERIODS];
 };
 
 struct hd_state {

@@ -1,6 +1,6 @@
 #include "tick/hd_surface.h"
 
-#include "tick/hd_groove.h"
+#include "tick/hd_groove_profile.h"
 
 HD_RT static double mixed(double from, double to, double weight) {
     return from + weight * (to - from);

@@ -6,10 +6,15 @@
 #include "tick/hd_tick.h"
 
 #include "tick/hd_contact.h"
+#include "tick/hd_context.h"
+#include "tick/hd_field.h"
 #include "tick/hd_limit.h"
 #include "tick/hd_mode.h"
+#include "tick/hd_narrow_phase.h"
 #include "tick/hd_offload.h"
+#include "tick/hd_passivity.h"
 #include "tick/hd_ramp.h"
+#include "tick/hd_strike.h"
 
 /* Positions are rounded, so that motion at the very limit may seem to exceed it. */
 #define HD_SPEED_ROUNDING 1e-9
@@ -76,7 +81,7 @@ HD_RT static inline double toward(double value, double target, double step) {
 }
 
 /* The tick that met something that is not a number: zero, latched, and nothing of it is remembered. */
-HD_RT static void stop(struct hd_state *state, const struct hd_input *input, struct hd_sample *sample) {
+HD_RT static void stop(struct hd_state *state, const struct hd_input *input, uint32_t flags, struct hd_sample *sample) {
     hd_modes_silence(state);
     state->strike_count = 0;
     state->played_count = 0;
@@ -92,6 +97,8 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, str
         sample->vibration_force_n[axis] = 0.0;
         sample->force_n[axis] = 0.0;
     }
+    sample->flags = flags | HD_FLAG_FAULT;
+    state->tick++;
 }
 
 HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table, double felt) {
@@ -104,91 +111,43 @@ HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_tabl
     return any ? (uint32_t)HD_FLAG_RAMPING : 0u;
 }
 
-/* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. Returns
- * whether it changed the latter. */
-HD_RT static int watch_energy(struct hd_context *context, double controlled, double object_n[2], double contact_n[2],
-                              struct hd_ramped *ramped, uint32_t *flags) {
-    struct hd_state *state = context->state;
-    const double before[2] = {contact_n[0], contact_n[1]};
-    const double still[2] = {ramped->still_n[0], ramped->still_n[1]};
-    const struct hd_pushed is = {object_n, contact_n, state->controls};
-    const struct hd_pushed was = {ramped->still_object_n, ramped->still_n, controlled};
-    hd_passivity_tick(state, context->table, context->input, context->resync, &is, &was, flags);
-    for (int axis = 0; axis < 2; axis++) {
-        ramped->whole_n[axis] += contact_n[axis] - before[axis];
-        ramped->still_whole_n[axis] += ramped->still_n[axis] - still[axis];
-    }
-    return ramped->still_n[0] != still[0] || ramped->still_n[1] != still[1];
-}
-
-HD_RT static void nothing_ramped(const double object_n[2], const double contact_n[2], struct hd_ramped *ramped) {
-    ramped->changed = 0;
-    for (int axis = 0; axis < 2; axis++) {
-        ramped->still_n[axis] = ramped->still_whole_n[axis] = ramped->whole_n[axis] = contact_n[axis];
-        ramped->still_object_n[axis] = object_n[axis];
-    }
-}
-
-/* What is heard of the noise of this tick, and what would be if every ramp stood still, without the gains of `display`.
- */
-HD_RT static void hear_noise(const struct hd_context *context, const struct hd_ramped *ramped,
-                             const double contact_n[2], double shown, double noise_n[2], double still_n[2],
-                             uint32_t *flags) {
-    struct hd_state *state = context->state;
-    const struct hd_table *table = context->table;
-    const struct hd_change *change = &state->change;
-    const struct hd_noisy is = {{context->noise_n[0], context->noise_n[1]}, context->noise_rms_n};
-    double most_n;
-    if (ramped->any || change->eases || shown != state->show_vibration) {
-        struct hd_noisy was = {{0.0, 0.0}, context->noise_rms_n + change->noise_rms_n};
-        for (int axis = 0; axis < 2; axis++) {
-            was.noise_n[axis] = context->noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
-        }
-        const double still = hd_limit_noise(state, table, ramped->still_whole_n, &was, shown, &most_n);
-        still_n[0] = still * was.noise_n[0];
-        still_n[1] = still * was.noise_n[1];
-    }
-    const double *whole = ramped->any ? ramped->whole_n : contact_n;
-    const double gain = hd_limit_noise(state, table, whole, &is, state->show_vibration, &most_n);
-    noise_n[0] = gain * is.noise_n[0];
-    noise_n[1] = gain * is.noise_n[1];
-    if (gain < 1.0) {
-        state->yields = 1;
-        hd_limit_report(state, most_n, context->input->time_ns, flags);
-    }
-    state->noise_gain = gain;
-}
-
 HD_RT static inline int is_ringing(const struct hd_state *state) {
     return (state->active_mode_count | state->wave_count) != 0;
 }
 
-HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const struct hd_input *input,
-                   struct hd_sample *sample) {
-    const struct hd_table *table = &world->table;
-    sample->tick = state->tick;
-    sample->time_ns = input->time_ns;
-    sample->revision = table->revision;
-    uint32_t flags = (input->periods != 1 && state->started ? HD_FLAG_SKIPPED : 0u) |
-                     (input->interval_s > 0.0 || !state->located ? 0u : HD_FLAG_REPEATED);
-    if (!finite4(input->position_m, input->velocity_m_per_s)) {
-        stop(state, input, sample);
-        sample->flags = flags | HD_FLAG_FAULT;
-        state->tick++;
-        return;
-    }
-
+/* What the stages of a tick hand on to each other. */
+struct tick {
     struct hd_context context;
-    context.world = world;
-    context.table = table;
-    context.state = state;
-    context.input = input;
-    context.new_table = state->revision != table->revision || !state->started;
+    struct hd_ramped ramped;
+    uint32_t flags;
+    int steady;              /* nothing of a command or of the passivity controller is under way */
+    int watches;             /* the passivity observer does */
+    int restrained;          /* the controller changed what would be felt if every ramp stood still */
+    int eases;               /* vibration is on a ramp */
+    double elapsed;          /* since the last tick, in ramps */
+    double shown;            /* of vibration, at the last tick */
+    double contact_n[2];     /* as it is displayed: its weights, ramps and the controller are in it */
+    double object_n[2];      /* the objects' part of it, where a ramp or the observer needs it */
+    double vibration_n[2];   /* the same of noise and modes */
+    double noise_still_n[2]; /* noise, if every ramp stood still, without the gains of `display` */
+    double force_n[2];       /* the command, before its gain */
+};
+
+/* What this tick is of, and since when. */
+HD_RT static inline void begin(struct tick *tick, const struct hd_world *world, struct hd_state *state,
+                               const struct hd_input *input) {
+    struct hd_context *context = &tick->context;
+    const struct hd_table *table = &world->table;
+    context->world = world;
+    context->table = table;
+    context->state = state;
+    context->input = input;
+    context->new_table = state->revision != table->revision || !state->started;
     /* A ramp counts ticks, not the periods that were missed before it began. */
-    context.ramp_step = table->ramp_step;
-    context.force_n[0] = context.force_n[1] = 0.0;
-    context.noise_n[0] = context.noise_n[1] = context.noise_rms_n = 0.0;
-    if ((context.new_table || state->change.any) && state->started) {
+    context->ramp_step = table->ramp_step;
+    context->force_n[0] = context->force_n[1] = 0.0;
+    context->noise_n[0] = context->noise_n[1] = context->noise_rms_n = 0.0;
+    if ((context->new_table || state->change.any) && state->started) {
         state->commanded_tick = state->tick;
         state->commanded = 1;
     }
@@ -197,156 +156,294 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
         state->show_force = (double)table->display_force;
         state->show_vibration = (double)table->display_vibration;
     }
-    /* A jump, or a stall longer than the ramp: what was felt before says nothing about now. */
+    state->ended_count = 0;
+    state->yields = 0;
+    tick->elapsed = (double)input->periods * table->ramp_step;
+}
+
+/* A jump, or a stall longer than the ramp: what was felt before says nothing about now. */
+HD_RT static inline void locate(struct tick *tick) {
+    struct hd_context *context = &tick->context;
+    struct hd_state *state = context->state;
+    const struct hd_input *input = context->input;
     const int jumped = input->glitch_m_per_s > 0.0;
-    const double elapsed = (double)input->periods * table->ramp_step; /* in ramps */
-    const int stalled = state->started && elapsed > 1.0;
-    context.resync = state->resync || !state->located || jumped || stalled;
-    if (context.resync) {
+    const int stalled = state->started && tick->elapsed > 1.0;
+    context->resync = state->resync || !state->located || jumped || stalled;
+    if (context->resync) {
         resynchronise(state, input, stalled && !jumped);
         state->resync = 0;
     }
-    const double *from = context.resync ? input->position_m : state->position_m;
-    context.from_m[0] = from[0];
-    context.from_m[1] = from[1];
+    const double *from = context->resync ? input->position_m : state->position_m;
+    for (int axis = 0; axis < 2; axis++) {
+        context->proxy.from_m[axis] = from[axis];
+        context->proxy.to_m[axis] = input->position_m[axis];
+    }
     if (jumped) {
-        flags |= HD_FLAG_GLITCH;
+        tick->flags |= HD_FLAG_GLITCH;
         state->glitches_total++;
         hd_event_add(state, HD_EVENT_GLITCH, input->time_ns, 0, input->glitch_m_per_s);
     }
+}
 
-    state->ended_count = 0;
+/* Time goes on for what rings. */
+HD_RT static inline void advance(struct hd_state *state, uint32_t periods) {
     if (is_ringing(state)) {
-        hd_modes_advance(state, input->periods);
+        hd_modes_advance(state, periods);
     }
     if (state->reserve_count > 0) {
-        hd_offload_advance(state, input->periods);
+        hd_offload_advance(state, periods);
     }
-    hd_walk_objects(&context);
-    context.object_n[0] = context.force_n[0];
-    context.object_n[1] = context.force_n[1];
-    hd_field_walk(&context);
+}
 
-    const double shows = (double)table->display_force;
-    const double shown = state->show_vibration;
-    double controlled = 0.0;
-    double contact[2] = {shows * context.force_n[0], shows * context.force_n[1]};
-    double object[2];
-    struct hd_ramped ramped;
-    ramped.any = 0;
-    int watches = 0;
-    int restrained = 0;
-    int eases = 0;
-    const int steady = state->steady && !context.new_table && !state->change.any && !state->change.eases;
-    if (!steady) {
-        state->show_vibration = toward(shown, (double)table->display_vibration, context.ramp_step);
-        controlled = state->controls;
-        const int controls = table->passivity == HD_PASSIVITY_CONTROL;
-        ramped.cuts = controls || controlled > 0.0;
-        if (ramped.cuts) {
-            const double wanted = controls ? 1.0 : 0.0;
-            state->controls = state->started ? toward(controlled, wanted, context.ramp_step) : wanted;
-        }
-        const int due = state->change.any || state->residual.left > 0 || state->show_force != shows || ramped.cuts;
-        ramped.any = due && hd_ramp_contact(&context, object, contact, &ramped);
-        watches = table->passivity != HD_PASSIVITY_OFF || ramped.cuts;
-        eases = shown != state->show_vibration || state->change.eases;
-        if (!ramped.any && (watches || eases)) {
-            object[0] = shows * context.object_n[0];
-            object[1] = shows * context.object_n[1];
-            nothing_ramped(object, contact, &ramped);
-        }
-        if (watches) {
-            restrained = watch_energy(&context, controlled, object, contact, &ramped, &flags);
-        }
+/* The force of objects and fields, into the context. */
+HD_RT static inline void touch(struct hd_context *context) {
+    hd_narrow_phase(context);
+    context->object_n[0] = context->force_n[0];
+    context->object_n[1] = context->force_n[1];
+    hd_field_add(context);
+}
+
+/* The passivity controller's part: of what is felt, and of what would be felt if every ramp stood still. `controlled`:
+ * how much of it was done at the last tick. */
+HD_RT static void watch_energy(struct tick *tick, double controlled) {
+    struct hd_context *context = &tick->context;
+    struct hd_ramped *ramped = &tick->ramped;
+    struct hd_state *state = context->state;
+    const double before[2] = {tick->contact_n[0], tick->contact_n[1]};
+    const double still[2] = {ramped->still_n[0], ramped->still_n[1]};
+    const struct hd_pushed is = {tick->object_n, tick->contact_n, state->controls};
+    const struct hd_pushed was = {ramped->still_object_n, ramped->still_n, controlled};
+    hd_passivity_tick(state, context->table, context->input, context->resync, &is, &was, &tick->flags);
+    for (int axis = 0; axis < 2; axis++) {
+        ramped->whole_n[axis] += tick->contact_n[axis] - before[axis];
+        ramped->still_whole_n[axis] += ramped->still_n[axis] - still[axis];
     }
-    if (state->strike_count > 0) {
-        /* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. Noise
-         * leaves room for it. */
-        /* What the controller left is within the limit, which is not the scene's doing. */
-        const int alone = ramped.any && ramped.cuts && state->residual.left == 0;
-        const double *still = alone ? ramped.still_whole_n : ramped.any ? ramped.still_n : contact;
-        if (hd_strikes_apply(state, table, hd_root(hd_dot(still, still))) < 1.0) {
-            flags |= HD_FLAG_SATURATED;
-        }
+    tick->restrained = ramped->still_n[0] != still[0] || ramped->still_n[1] != still[1];
+}
+
+HD_RT static void nothing_ramped(struct tick *tick) {
+    struct hd_ramped *ramped = &tick->ramped;
+    const double shows = (double)tick->context.table->display_force;
+    ramped->changed = 0;
+    for (int axis = 0; axis < 2; axis++) {
+        tick->object_n[axis] = shows * tick->context.object_n[axis];
+        ramped->still_n[axis] = ramped->still_whole_n[axis] = ramped->whole_n[axis] = tick->contact_n[axis];
+        ramped->still_object_n[axis] = tick->object_n[axis];
     }
-    double vibration[2] = {0.0, 0.0};
-    double noise_still[2] = {0.0, 0.0};
-    state->yields = 0;
-    if (context.noise_rms_n > 0.0 || state->change.eases || state->change.any) {
-        hear_noise(&context, &ramped, contact, shown, vibration, noise_still, &flags);
+}
+
+/* What commands and the passivity controller make of the contact force. */
+HD_RT static void ramp_contact(struct tick *tick) {
+    struct hd_context *context = &tick->context;
+    const struct hd_table *table = context->table;
+    struct hd_state *state = context->state;
+    struct hd_ramped *ramped = &tick->ramped;
+    state->show_vibration = toward(tick->shown, (double)table->display_vibration, context->ramp_step);
+    const double controlled = state->controls;
+    const int controls = table->passivity == HD_PASSIVITY_CONTROL;
+    ramped->cuts = controls || controlled > 0.0;
+    if (ramped->cuts) {
+        const double wanted = controls ? 1.0 : 0.0;
+        state->controls = state->started ? toward(controlled, wanted, context->ramp_step) : wanted;
+    }
+    const int due = state->change.any || state->residual.left > 0 ||
+                    state->show_force != (double)table->display_force || ramped->cuts;
+    ramped->any = due && hd_ramp_contact(context, tick->object_n, tick->contact_n, ramped);
+    tick->watches = table->passivity != HD_PASSIVITY_OFF || ramped->cuts;
+    tick->eases = tick->shown != state->show_vibration || state->change.eases;
+    if (!ramped->any && (tick->watches || tick->eases)) {
+        nothing_ramped(tick);
+    }
+    if (tick->watches) {
+        watch_energy(tick, controlled);
+    }
+}
+
+/* The contact force as it is displayed. */
+HD_RT static inline void display_contact(struct tick *tick) {
+    const struct hd_context *context = &tick->context;
+    const struct hd_state *state = context->state;
+    const double shows = (double)context->table->display_force;
+    tick->shown = state->show_vibration;
+    tick->contact_n[0] = shows * context->force_n[0];
+    tick->contact_n[1] = shows * context->force_n[1];
+    tick->ramped.any = 0;
+    tick->watches = 0;
+    tick->restrained = 0;
+    tick->eases = 0;
+    tick->steady = state->steady && !context->new_table && !state->change.any && !state->change.eases;
+    if (!tick->steady) {
+        ramp_contact(tick);
+    }
+}
+
+/* A strike does not hear of ramps: what it leaves room for is what would be felt if they stood still. What the
+ * controller left is within the limit, which is not the scene's doing. Noise leaves room for it. */
+HD_RT static void strike(struct tick *tick) {
+    struct hd_state *state = tick->context.state;
+    const struct hd_ramped *ramped = &tick->ramped;
+    const int alone = ramped->any && ramped->cuts && state->residual.left == 0;
+    const double *still_n = alone ? ramped->still_whole_n : ramped->any ? ramped->still_n : tick->contact_n;
+    if (hd_strikes_apply(state, tick->context.table, hd_root(hd_dot(still_n, still_n))) < 1.0) {
+        tick->flags |= HD_FLAG_SATURATED;
+    }
+}
+
+/* What is heard of the noise of this tick, and what would be if every ramp stood still. */
+HD_RT static void hear_noise(struct tick *tick) {
+    const struct hd_context *context = &tick->context;
+    const struct hd_ramped *ramped = &tick->ramped;
+    const struct hd_table *table = context->table;
+    struct hd_state *state = context->state;
+    const struct hd_change *change = &state->change;
+    const struct hd_noisy is = {{context->noise_n[0], context->noise_n[1]}, context->noise_rms_n};
+    double most_n;
+    if (ramped->any || change->eases || tick->shown != state->show_vibration) {
+        struct hd_noisy was = {{0.0, 0.0}, context->noise_rms_n + change->noise_rms_n};
+        for (int axis = 0; axis < 2; axis++) {
+            was.noise_n[axis] = context->noise_n[axis] + change->noise_n[axis] - change->eased_n[axis];
+        }
+        const double still = hd_limit_noise(state, table, ramped->still_whole_n, &was, tick->shown, &most_n);
+        tick->noise_still_n[0] = still * was.noise_n[0];
+        tick->noise_still_n[1] = still * was.noise_n[1];
+    }
+    const double *whole_n = ramped->any ? ramped->whole_n : tick->contact_n;
+    const double gain = hd_limit_noise(state, table, whole_n, &is, state->show_vibration, &most_n);
+    tick->vibration_n[0] = gain * is.noise_n[0];
+    tick->vibration_n[1] = gain * is.noise_n[1];
+    if (gain < 1.0) {
+        state->yields = 1;
+        hd_limit_report(state, most_n, context->input->time_ns, &tick->flags);
+    }
+    state->noise_gain = gain;
+}
+
+/* Noise and modes, as they are displayed. */
+HD_RT static inline void vibrate(struct tick *tick) {
+    struct hd_state *state = tick->context.state;
+    for (int axis = 0; axis < 2; axis++) {
+        tick->vibration_n[axis] = 0.0;
+        tick->noise_still_n[axis] = 0.0;
+    }
+    if (tick->context.noise_rms_n > 0.0 || state->change.eases || state->change.any) {
+        hear_noise(tick);
     } else {
         state->noise_gain = 1.0;
     }
     if (is_ringing(state)) {
-        vibration[0] += state->ringing_n[0];
-        vibration[1] += state->ringing_n[1];
-        flags |= HD_FLAG_RINGING;
+        tick->vibration_n[0] += state->ringing_n[0];
+        tick->vibration_n[1] += state->ringing_n[1];
+        tick->flags |= HD_FLAG_RINGING;
     }
-    vibration[0] *= state->show_vibration;
-    vibration[1] *= state->show_vibration;
+    tick->vibration_n[0] *= state->show_vibration;
+    tick->vibration_n[1] *= state->show_vibration;
+}
 
-    double force[2];
-    const int checking = input->checking && state->enabled;
-    const double felt = state->enabled && !checking ? 1.0 : 0.0;
-    /* Only on its way out does the command hurry: zero is due by the clock. */
-    const double gain = toward(state->gain, felt, felt > 0.0 ? context.ramp_step : elapsed);
-    if (ramped.any || eases) {
-        double still[2];
-        for (int axis = 0; axis < 2; axis++) {
-            const double noise = noise_still[axis];
-            still[axis] = shown * (is_ringing(state) ? noise + state->ringing_n[axis] : noise);
-            ramped.held_n[axis] = 0.0;
-        }
-        hd_ramp_command(&context, &ramped, contact, vibration, still, gain - state->gain, force, &flags);
-        if (restrained && (ramped.held_n[0] != 0.0 || ramped.held_n[1] != 0.0)) {
-            flags |= HD_FLAG_RESTRAINED; /* the command is held at what the controller left */
-        }
-    } else {
-        hd_limit_apply(state, table, contact, vibration, input->time_ns, force, &flags);
+/* The command within the limit, while a ramp is under way. `gain_step`: what the gain moves by. */
+HD_RT static void ramp_command(struct tick *tick, double gain_step) {
+    struct hd_ramped *ramped = &tick->ramped;
+    const struct hd_state *state = tick->context.state;
+    double still_n[2];
+    for (int axis = 0; axis < 2; axis++) {
+        const double noise_n = tick->noise_still_n[axis];
+        still_n[axis] = tick->shown * (is_ringing(state) ? noise_n + state->ringing_n[axis] : noise_n);
+        ramped->held_n[axis] = 0.0;
     }
-    const int checked = checking && gain == 0.0 && state->gain == 0.0;
-    if (checked) {
-        const double cut = hd_limit_cut(input->check_n, table->max_force_n);
-        force[0] = cut * input->check_n[0];
-        force[1] = cut * input->check_n[1];
+    hd_ramp_command(&tick->context, ramped, tick->contact_n, tick->vibration_n, still_n, gain_step, tick->force_n,
+                    &tick->flags);
+    if (tick->restrained && (ramped->held_n[0] != 0.0 || ramped->held_n[1] != 0.0)) {
+        tick->flags |= HD_FLAG_RESTRAINED; /* the command is held at what the controller left */
     }
-    if (!finite4(force, contact)) {
-        stop(state, input, sample);
-        sample->flags = flags | HD_FLAG_FAULT;
-        state->tick++;
-        return;
+}
+
+/* The passivity observer is told what is commanded from now on. */
+HD_RT static void tell_observer(struct tick *tick) {
+    struct hd_state *state = tick->context.state;
+    const struct hd_ramped *ramped = &tick->ramped;
+    double contact_n[2] = {tick->contact_n[0], tick->contact_n[1]};
+    for (int axis = 0; axis < 2 && (ramped->any || tick->eases); axis++) { /* what was held is commanded, too */
+        contact_n[axis] += ramped->held_n[axis];
+        tick->object_n[axis] += ramped->held_n[axis];
     }
-    state->gain = gain;
-    if (watches) {
-        double held[2] = {contact[0], contact[1]};
-        for (int axis = 0; axis < 2 && (ramped.any || eases); axis++) { /* what was held is commanded, too */
-            held[axis] += ramped.held_n[axis];
-            object[axis] += ramped.held_n[axis];
-        }
-        hd_passivity_hold(&state->passivity, table, state->tick, state->gain, object, held);
+    hd_passivity_hold(&state->passivity, tick->context.table, state->tick, state->gain, tick->object_n, contact_n);
+}
+
+/* The state goes on, and the sample tells of it. `felt`: the gain on its way to which the command is. */
+HD_RT static inline void finish(struct tick *tick, double felt, double gain, struct hd_sample *sample) {
+    const struct hd_table *table = tick->context.table;
+    const struct hd_input *input = tick->context.input;
+    struct hd_state *state = tick->context.state;
+    if (tick->watches) {
+        tell_observer(tick);
     }
-    if (!steady) {
-        state->steady = !watches && state->residual.left == 0 && !state->change.any && !state->change.eases &&
-                        state->show_force == shows && state->show_vibration == (double)table->display_vibration;
+    if (!tick->steady) {
+        state->steady = !tick->watches && state->residual.left == 0 && !state->change.any && !state->change.eases &&
+                        state->show_force == (double)table->display_force &&
+                        state->show_vibration == (double)table->display_vibration;
     }
-    flags |= (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) | (state->enabled ? HD_FLAG_FORCES_ON : 0u) |
-             (state->faults != 0 ? HD_FLAG_FAULT : 0u) | (checking ? HD_FLAG_CHECKING : 0u) |
-             ramping(state, table, felt);
-    const double *whole = ramped.any ? ramped.whole_n : contact;
+    sample->flags = tick->flags | (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) |
+                    (state->enabled ? HD_FLAG_FORCES_ON : 0u) | (state->faults != 0 ? HD_FLAG_FAULT : 0u) |
+                    ramping(state, table, felt);
+    const double *whole_n = tick->ramped.any ? tick->ramped.whole_n : tick->contact_n;
     for (int axis = 0; axis < 2; axis++) {
         sample->position_m[axis] = input->position_m[axis];
         sample->velocity_m_per_s[axis] = input->velocity_m_per_s[axis];
-        sample->contact_force_n[axis] = whole[axis];
-        sample->vibration_force_n[axis] = vibration[axis];
-        sample->force_n[axis] = checked ? force[axis] : state->gain * force[axis];
+        sample->contact_force_n[axis] = whole_n[axis];
+        sample->vibration_force_n[axis] = tick->vibration_n[axis];
+        sample->force_n[axis] = gain * tick->force_n[axis];
         state->position_m[axis] = input->position_m[axis];
     }
-    sample->flags = flags;
     state->located = 1;
     state->started = 1;
     state->played_count = 0;
     state->tick++;
+}
+
+HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const struct hd_input *input,
+                   struct hd_sample *sample) {
+    const struct hd_table *table = &world->table;
+    struct tick tick;
+    sample->tick = state->tick;
+    sample->time_ns = input->time_ns;
+    sample->revision = table->revision;
+    tick.flags = (input->periods != 1 && state->started ? HD_FLAG_SKIPPED : 0u) |
+                 (input->interval_s > 0.0 || !state->located ? 0u : HD_FLAG_REPEATED);
+    if (!finite4(input->position_m, input->velocity_m_per_s)) {
+        stop(state, input, tick.flags, sample);
+        return;
+    }
+    begin(&tick, world, state, input);
+    locate(&tick);
+    advance(state, input->periods);
+    touch(&tick.context);
+    display_contact(&tick);
+    if (state->strike_count > 0) {
+        strike(&tick);
+    }
+    vibrate(&tick);
+
+    const int checking = input->checking && state->enabled;
+    const double felt = state->enabled && !checking ? 1.0 : 0.0;
+    /* Only on its way out does the command hurry: zero is due by the clock. */
+    const double gain = toward(state->gain, felt, felt > 0.0 ? tick.context.ramp_step : tick.elapsed);
+    if (tick.ramped.any || tick.eases) {
+        ramp_command(&tick, gain - state->gain);
+    } else {
+        hd_limit_apply(state, table, tick.contact_n, tick.vibration_n, input->time_ns, tick.force_n, &tick.flags);
+    }
+    const int checked = checking && gain == 0.0 && state->gain == 0.0;
+    if (checked) {
+        const double cut = hd_limit_cut(input->check_n, table->max_force_n);
+        tick.force_n[0] = cut * input->check_n[0];
+        tick.force_n[1] = cut * input->check_n[1];
+    }
+    if (!finite4(tick.force_n, tick.contact_n)) {
+        stop(state, input, tick.flags, sample);
+        return;
+    }
+    state->gain = gain;
+    tick.flags |= checking ? HD_FLAG_CHECKING : 0u;
+    finish(&tick, felt, checked ? 1.0 : gain, sample);
 }
 
 HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const double direction[2],
@@ -365,6 +462,10 @@ HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const
     };
     hd_strike_add(state, &strike);
     return HD_OK;
+}
+
+HD_RT void hd_tick_silence(struct hd_state *state) {
+    hd_modes_silence(state);
 }
 
 HD_RT void hd_tick_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns) {

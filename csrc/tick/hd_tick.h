@@ -19,6 +19,9 @@ HD_RT void hd_tick(const struct hd_world *world, struct hd_state *state, const s
  * HD_ERR_FULL: enough for this tick, try at the next. */
 HD_RT int hd_tick_play(struct hd_state *state, const struct hd_mode *mode, const double direction[2], double amplitude);
 
+/* Nothing rings any more. */
+HD_RT void hd_tick_silence(struct hd_state *state);
+
 /* Clears the contact state of a slot (HD_NO_SLOT: of all): heals it, forgets the contact, which is met anew at the next
  * tick, silently and over the ramp. Slots of another generation are left alone. */
 HD_RT void hd_tick_reset(struct hd_state *state, uint32_t slot, uint32_t generation, int64_t time_ns);

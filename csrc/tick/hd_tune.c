@@ -4,9 +4,6 @@
 
 #include "base/hd_vector.h"
 
-#define HD_TUNE_LARGEST 1e9
-#define HD_TUNE_SMALLEST 1e-9
-
 /* Between which of the rising points a value lies, and how far from the one to the other. */
 struct between {
     uint32_t from;
@@ -141,102 +138,4 @@ HD_RT void hd_tune_mode(const struct hd_table *table, const struct hd_strike *st
                              (size_t)material->tune_speeds * material->tune_forces + material->tune_first;
         compensate(table->numbers + nodes, material->tune_nodes, strike->tuned_rad_per_s, mode);
     }
-}
-
-/* ---- Checks ------------------------------------------------------------------------------------------------- */
-
-static int rises(const double *points, uint32_t count, uint32_t stride, double least) {
-    for (uint32_t i = 0; i < count; i++) {
-        const double before = i > 0 ? points[(i - 1u) * stride] + HD_TUNE_SMALLEST : least;
-        if (!(points[i * stride] >= before && points[i * stride] <= HD_TUNE_LARGEST)) {
-            return 0;
-        }
-    }
-    return 1;
-}
-
-static int lies(const double *numbers, size_t count, double least) {
-    for (size_t i = 0; i < count; i++) {
-        if (!(numbers[i] >= least && numbers[i] <= HD_TUNE_LARGEST)) {
-            return 0;
-        }
-    }
-    return 1;
-}
-
-static int highest_is_sound(const struct hd_material *material) {
-    return material->tune_highest_rad_per_s >= HD_TUNE_SMALLEST &&
-           material->tune_highest_rad_per_s <= HD_TUNE_LARGEST && material->tune_mutes <= 1;
-}
-
-static int tap_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
-    const uint32_t points = material->mode_count;
-    const uint32_t nodes = material->mode_nodes;
-    if (points == 0) {
-        return HD_OK;
-    }
-    if (points > HD_TUNE_POINTS || nodes > HD_TUNE_NODES || material->wave_count > 0 || material->mode_by_peak > 1) {
-        return hd_invalid("material %u: a tap's mode at %u speeds with %u nodes; 1 to %u, at most %u, and no waveform",
-                          index, points, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
-    }
-    const uint32_t count = 3 * points + nodes * HD_TUNE_NODE;
-    if (material->mode_first > table->number_count || count > table->number_count - material->mode_first) {
-        return hd_invalid("material %u: %u numbers of its tap's modes, from number %u on, do not fit into %u", index,
-                          count, material->mode_first, table->number_count);
-    }
-    const double *numbers = table->numbers + material->mode_first;
-    const double *node = numbers + 3 * points;
-    int sound = rises(numbers, points, 1, 0.0) && lies(numbers + points, 2 * (size_t)points, HD_TUNE_SMALLEST) &&
-                rises(node, nodes, HD_TUNE_NODE, 0.0) && lies(node, (size_t)nodes * HD_TUNE_NODE, -HD_TUNE_LARGEST);
-    for (uint32_t i = 0; i < nodes; i++) {
-        sound = sound && lies(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0);
-    }
-    if (!sound || !highest_is_sound(material)) {
-        return hd_invalid("material %u: speeds, modes or nodes of its tap do not rise, or are out of range", index);
-    }
-    return HD_OK;
-}
-
-static int grooves_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
-    const uint32_t speeds = material->tune_speeds;
-    const uint32_t forces = material->tune_forces;
-    const uint32_t nodes = material->tune_nodes;
-    if (speeds == 0) {
-        return HD_OK;
-    }
-    if (speeds > HD_TUNE_POINTS || forces == 0 || forces > HD_TUNE_POINTS || nodes > HD_TUNE_NODES) {
-        return hd_invalid(
-            "material %u: groove frequencies at %u speeds and %u forces with %u nodes; 1 to %u, at most %u", index,
-            speeds, forces, nodes, HD_TUNE_POINTS, HD_TUNE_NODES);
-    }
-    const uint32_t grid = speeds * forces;
-    const uint32_t count = speeds + forces + grid + nodes * HD_TUNE_NODE;
-    if (material->tune_first > table->number_count || count > table->number_count - material->tune_first) {
-        return hd_invalid("material %u: %u numbers of groove frequencies, from number %u on, do not fit into %u", index,
-                          count, material->tune_first, table->number_count);
-    }
-    const double *numbers = table->numbers + material->tune_first;
-    const double *node = numbers + speeds + forces + grid;
-    if (!rises(numbers, speeds, 1, 0.0) || !rises(numbers + speeds, forces, 1, 0.0) ||
-        !lies(numbers + speeds + forces, grid, HD_TUNE_SMALLEST) ||
-        !rises(node, nodes, HD_TUNE_NODE, HD_TUNE_SMALLEST) ||
-        !lies(node, (size_t)nodes * HD_TUNE_NODE, -HD_TUNE_LARGEST)) {
-        return hd_invalid(
-            "material %u: speeds, forces or nodes of its groove frequencies do not rise, or are out of range", index);
-    }
-    for (uint32_t i = 0; i < nodes; i++) {
-        if (!lies(node + (size_t)i * HD_TUNE_NODE + HD_TUNE_PEAK, 2, 0.0)) {
-            return hd_invalid("material %u: node %u of its groove frequencies has a peak below 0", index, i);
-        }
-    }
-    if (!highest_is_sound(material) || !(material->groove.decay_rate_per_s > 0.0)) {
-        return hd_invalid("material %u: groove frequencies up to %g rad/s, muted above (%u), decay rate %g 1/s", index,
-                          material->tune_highest_rad_per_s, material->tune_mutes, material->groove.decay_rate_per_s);
-    }
-    return HD_OK;
-}
-
-int hd_tune_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
-    const int status = grooves_check(material, table, index);
-    return status < 0 ? status : tap_check(material, table, index);
 }

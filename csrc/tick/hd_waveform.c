@@ -6,7 +6,6 @@
 
 #include "base/hd_vector.h"
 
-#define HD_WAVE_LARGEST 1e9
 /* Force per unit whose square could become subnormal. */
 #define HD_WAVE_SMALLEST_SQUARE 1e-290
 
@@ -122,33 +121,3 @@ HD_RT void hd_waves_scale(struct hd_state *state, double factor) {
 }
 
 /* ---- Checks ------------------------------------------------------------------------------------------------- */
-
-int hd_wave_check(const struct hd_material *material, const struct hd_table *table, uint32_t index) {
-    const uint32_t count = material->wave_count;
-    if (count == 0) {
-        return HD_OK;
-    }
-    if (count < 3 || count > HD_WAVE_SAMPLES) {
-        return hd_invalid("material %u: a waveform of %u samples; 3 to %u", index, count, HD_WAVE_SAMPLES);
-    }
-    const uint32_t needed = count + HD_WAVE_PARTS;
-    if (material->wave_first > table->number_count || needed > table->number_count - material->wave_first) {
-        return hd_invalid("material %u: %u numbers of a waveform, from number %u on, do not fit into %u", index, needed,
-                          material->wave_first, table->number_count);
-    }
-    if (!(material->wave_rate_hz >= 1e-3 && material->wave_rate_hz <= HD_WAVE_LARGEST)) {
-        return hd_invalid("material %u: a waveform of %g samples a second", index, material->wave_rate_hz);
-    }
-    const double *numbers = table->numbers + material->wave_first;
-    for (uint32_t i = 0; i < needed; i++) {
-        const double least = i < count ? -HD_WAVE_LARGEST : 0.0;
-        if (!(numbers[i] >= least && numbers[i] <= HD_WAVE_LARGEST)) {
-            return hd_invalid("material %u: number %u of its waveform, %g, is out of range", index, i, numbers[i]);
-        }
-    }
-    if (numbers[0] != 0.0 || numbers[count - 1u] != 0.0) {
-        return hd_invalid("material %u: a waveform begins and ends with 0, this one with %g and %g", index, numbers[0],
-                          numbers[count - 1u]);
-    }
-    return HD_OK;
-}

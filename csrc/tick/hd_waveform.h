@@ -26,7 +26,5 @@ HD_RT double hd_waves_bound(const struct hd_state *state);
 HD_RT void hd_waves_strike(struct hd_state *state, const struct hd_table *table, const struct hd_strike *strike,
                            const double force_n[2]);
 HD_RT void hd_waves_scale(struct hd_state *state, double factor);
-/* Control side. */
-int hd_wave_check(const struct hd_material *material, const struct hd_table *table, uint32_t index);
 
 #endif

@@ -5,8 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,20 +13,23 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from rich.progress import Progress, TaskID
 
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import Client, Subscription, connect
-from hapticd.protocol.results import Event
+from hapticd.client.blocking import Client, connect
 
 Floats = npt.NDArray[np.float64]
+Waypoints = list[list[float]]
 
 MASS_KG: Final = 0.05
 """Handle and hand of the default configuration: what makes an acceleration a force."""
 GRIP_N_PER_M: Final = 300.0
 """Stiffness of its hand."""
+FLOOR_N_PER_M: Final = 800.0
+"""Of the materials that are stroked."""
 HOVER_M: Final = 0.012
 """Where the hand waits between two performances, above the surface y = 0."""
+REST_S: Final = 0.15
+"""Before each stroke."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,90 +41,84 @@ class Recorded:
     """(n,) records with the fields of telemetry, one a tick."""
     events: tuple[dict[str, Any], ...]
     start_ns: int
+    rate_hz: float
+
+    def vibration(self, axis: int) -> Floats:
+        """(n,) what the modes and the noise ask of the handle along an axis, m/s^2."""
+        return np.ascontiguousarray(self.samples["vibration_force_n"][:, axis]) / MASS_KG
+
+    def gaps(self) -> npt.NDArray[np.intp]:
+        """Samples before which periods were missed."""
+        return np.flatnonzero(np.diff(self.time_s) > 1.5 / self.rate_hz) + 1
+
+    def told(self, kind: str) -> list[dict[str, Any]]:
+        """The events of a kind, in order."""
+        return [event for event in self.events if event["event"] == kind]
 
     def onset_s(self, event: dict[str, Any]) -> float:
         """When an event happened, between two samples."""
         return float((event["time_ns"] - self.start_ns) / 1e9 - event["before_tick_s"])
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """A bar of the progress display."""
+def stroking(
+    half_m: float, strokes: Sequence[tuple[float, float, int]]
+) -> tuple[Waypoints, list[tuple[int, float, float]]]:
+    """Waypoints of a hand that strokes the floor at y = 0 between -half_m and half_m, and of each way the number of its
+    stroke, begin and end. A stroke is its speed, the force that is pressed with, N, and how many ways it goes."""
+    now, x, path, ways = 0.5, -half_m, [[0.2, -half_m, HOVER_M]], []
+    for number, (speed, press_n, count) in enumerate(strokes):
+        # Hand and surface are springs in series.
+        depth, lasting = press_n * (1 / FLOOR_N_PER_M + 1 / GRIP_N_PER_M), 2 * half_m / speed
+        path += [[now, x, -depth]] if number == 0 else []
+        now += REST_S
+        path.append([now, x, -depth])
+        for _ in range(count):
+            ways.append((number, now, now + lasting))
+            x, now = -x, now + lasting
+            path.append([now, x, -depth])
+    path += [[now + REST_S, x, path[-1][2]], [now + REST_S + 0.2, x, HOVER_M], [now + REST_S + 0.4, 0.0, HOVER_M]]
+    return path, ways
 
-    progress: Progress
-    task: TaskID
 
-    def __call__(self, done: float) -> None:
-        """`done`, 0 to 1."""
-        self.progress.update(self.task, completed=done)
-
-
-def hand_depth_m(press_n: float, stiffness_n_per_m: float) -> float:
-    """How far below a surface the hand wants to be to press it so hard: hand and surface are springs in series."""
-    return press_n * (1 / stiffness_n_per_m + 1 / GRIP_N_PER_M)
-
-
-def perform(daemon: Client, waypoints: list[list[float]], advance: Part) -> Recorded:
-    """Has the operator follow the waypoints and records it until the end."""
-    feed: Subscription[Event]
+def perform(daemon: Client, waypoints: Waypoints, advance: Callable[[float], None]) -> Recorded:
+    """Has the operator follow the waypoints and records it until the end; `advance` hears which part is done."""
     with daemon.samples() as samples, daemon.events() as feed:
         answer = daemon.set_operator(waypoints)
         begin, lasting = int(answer["tick"]), float(answer["duration_s"])
         rate = float(daemon.get_status()["rate_hz"])
-        batches = []
+        batches: list[npt.NDArray[np.void]] = []
         events: list[dict[str, Any]] = []
-        start_ns = None
-        while True:
+        done_s = 0.0
+        while done_s <= lasting + 5 / rate:
             batch = next(samples)
             if batch.lost:
                 raise HapticdError(f"{batch.lost} samples were lost: the machine is too busy for the demo")
             while (event := feed.receive(0.0)) is not None:
                 events.append({**event})
-            kept = batch[batch["tick"] >= begin]
-            if len(kept):
-                start_ns = int(kept["time_ns"][0]) if start_ns is None else start_ns
+            if len(kept := batch[batch["tick"] >= begin]):
                 batches.append(np.array(kept))
-                advance(min(1.0, (int(kept["time_ns"][-1]) - start_ns) / 1e9 / lasting))
-                if int(kept["time_ns"][-1]) - start_ns > (lasting + 5 / rate) * 1e9:
-                    break
+                done_s = (int(kept["time_ns"][-1]) - int(batches[0]["time_ns"][0])) / 1e9
+                advance(min(1.0, done_s / lasting))
         end_ns = int(batches[-1]["time_ns"][-1])
         # What happened until the end may still be on its way; what happened after it says that it has come.
         while not (events and events[-1]["time_ns"] > end_ns) and (event := feed.receive(0.1)) is not None:
             events.append({**event})
     data = np.concatenate(batches)
     zero = int(data["time_ns"][0])
-    return Recorded(
-        time_s=(data["time_ns"] - zero) / 1e9,
-        samples=data,
-        events=tuple(event for event in events if begin <= event["tick"] and event["time_ns"] <= end_ns),
-        start_ns=zero,
-    )
+    told = tuple(event for event in events if begin <= event["tick"] and event["time_ns"] <= end_ns)
+    return Recorded((data["time_ns"] - zero) / 1e9, data, told, zero, rate)
 
 
 @contextmanager
 def running_daemon(directory: Path) -> Iterator[Client]:
     """`hapticd run` in a process of its own, stopped (and checked to have stopped well) at the end."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "hapticd", "--runtime-dir", str(directory), "run"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(directory), "run"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
-        yield _connected(process, directory)
+        with connect(directory, wait_s=30.0) as daemon:
+            yield daemon
     finally:
         process.send_signal(signal.SIGTERM)
         _, said = process.communicate(timeout=30)
-    if process.returncode != 0:
-        raise HapticdError(f"the daemon ended with {process.returncode}: {said.strip()}")
-
-
-def _connected(process: subprocess.Popen[str], directory: Path) -> Client:
-    deadline = time.monotonic() + 30
-    while not (directory / "hapticd.command").exists():
-        if process.poll() is not None:
-            raise HapticdError(f"the daemon does not start: {process.communicate()[1].strip()}")
-        if time.monotonic() > deadline:
-            raise HapticdError("the daemon was not ready within 30 s")
-        time.sleep(0.02)  # it is another process, and what it says last is this file
-    return connect(directory)
+        if process.returncode != 0:
+            raise HapticdError(f"the daemon ended with {process.returncode}: {said.strip()}")

@@ -9,9 +9,9 @@ import numpy as np
 
 from examples.demo import comb, puncture, sandpaper
 from examples.demo.comb import Combing
-from examples.demo.perform import MASS_KG, Floats, Recorded
+from examples.demo.perform import Floats, Recorded
 from examples.demo.sandpaper import Sanding
-from examples.demo.taps import Fitted
+from examples.demo.taps import Tapped
 from hapticd.config.materials import Material, Materials, Mode
 from hapticd.config.texture import Grooves, Stochastic
 
@@ -25,7 +25,7 @@ THERE_AND_BACK: Final = (4, 3)
 
 def save(
     tapped: Mapping[str, Recorded],
-    fits: Mapping[str, Fitted],
+    fits: Mapping[str, Tapped],
     library: Materials,
     combed: Recorded,
     combing: Combing,
@@ -62,29 +62,27 @@ def _ringing(since: Floats, mode: Mode) -> Floats:
     return np.asarray(np.exp(-mode.decay_rate_per_s * since) * np.sin(mode.angular_frequency_rad_per_s * since))
 
 
-def _tap(panel: Axes, name: str, recorded: Recorded, found: Fitted, material: Material) -> None:
+def _tap(panel: Axes, name: str, recorded: Recorded, found: Tapped, material: Material) -> None:
     assert material.tap is not None
     mode = material.tap.mode
-    chosen = max((tap for tap in found.taps if tap.scale == 1.0), key=lambda tap: tap.speed)
-    since = recorded.time_s - chosen.onset_s
+    chosen = int(np.where(found.whole, found.speed, 0.0).argmax())
+    since = recorded.time_s - found.strikes.onset_s[chosen]
     window = (since > -0.2 / mode.decay_rate_per_s) & (since < 5.5 / mode.decay_rate_per_s)
-    rendered = recorded.samples["vibration_force_n"][window, 1] / MASS_KG
-    panel.plot(1e3 * since[window], rendered, ".", ms=4, label="rendered")
+    panel.plot(1e3 * since[window], recorded.vibration(1)[window], ".", ms=4, label="rendered")
     fine = np.linspace(0, 5 / mode.decay_rate_per_s, 800)
-    closed = material.tap.amplitude_m_per_s2(chosen.speed) * _ringing(fine, mode)
+    closed = material.tap.amplitude_m_per_s2(found.speed[chosen]) * _ringing(fine, mode)
     panel.plot(1e3 * fine, closed, lw=1, label="library")
-    title = f"{name}: {found.frequency_hz:.0f} Hz, {1e3 * found.decay_time_s:.2f} ms"
+    title = f"{name}: {found.strikes.frequency_hz:.0f} Hz, {1e3 * found.strikes.decay_time_s:.2f} ms"
     _dress(panel, title, "ms after contact", "m/s²")
 
 
-def _slopes(panel: Axes, fits: Mapping[str, Fitted], library: Materials) -> None:
+def _slopes(panel: Axes, fits: Mapping[str, Tapped], library: Materials) -> None:
     for name, found in fits.items():
         tap = library[name].tap
         assert tap is not None
-        whole = [each.scale == 1.0 for each in found.taps]
-        speeds = np.array([each.true_speed for each in found.taps])
-        (line,) = panel.plot(speeds[whole], np.abs(found.amplitudes[whole]), "o", ms=3, label=name)
-        ends = np.array([0, 1.02 * speeds.max()])
+        whole = found.whole
+        (line,) = panel.plot(found.true_speed[whole], abs(found.strikes.amplitude[whole]), "o", ms=3, label=name)
+        ends = np.array([0, 1.02 * found.true_speed.max()])
         panel.plot(ends, [tap.amplitude_m_per_s2(end) for end in ends], lw=0.8, color=line.get_color())
     _dress(panel, "taps over the handle's true speed; lines: library", "m/s", "m/s²")
 
@@ -104,7 +102,7 @@ def _strokes(panel: Axes, combed: Recorded, material: Material) -> None:
     spacing = 1e3 * material.texture.spacing_m
     x, force = 1e3 * combed.samples["position_m"][:, 0], combed.samples["vibration_force_n"][:, 0]
     for number in THERE_AND_BACK:
-        begin, end = comb.stroke_times()[number]
+        begin, end = comb.WAYS[number][1:]
         window = (combed.time_s > begin) & (combed.time_s < end)
         way = "→" if x[window][-1] > x[window][0] else "←"
         panel.plot(x[window], force[window], lw=1, label=f"{way} {comb.STROKES[number][0]:g} m/s")
@@ -120,13 +118,13 @@ def _strokes(panel: Axes, combed: Recorded, material: Material) -> None:
 def _strikes(panel: Axes, combing: Combing, material: Material) -> None:
     grooves = material.texture
     assert isinstance(grooves, Grooves)
-    presses = sorted({press for _, press in comb.STROKES})
+    presses = sorted({press for _, press, _ in comb.STROKES})
     nearest = np.array([min(presses, key=lambda press: abs(press - force)) for force in combing.force_n.tolist()])
-    ends = np.array([0, 1.05 * combing.speed_m_per_s.max()])
+    ends = np.array([0, 1.05 * abs(combing.speed_m_per_s).max()])
     for press in presses:
         here = (nearest == press) & combing.whole
         amplitude = abs(combing.strikes.amplitude[here])
-        (dots,) = panel.plot(combing.speed_m_per_s[here], amplitude, "o", ms=3, label=f"{press:g} N")
+        (dots,) = panel.plot(abs(combing.speed_m_per_s[here]), amplitude, "o", ms=3, label=f"{press:g} N")
         law = grooves.velocity_gain_per_s * ends + grooves.force_gain_m_per_s2_per_n * combing.force_n[here].mean()
         panel.plot(ends, law, lw=0.8, color=dots.get_color())
     panel.set_ylim(0, None)
@@ -150,5 +148,5 @@ def _spectrum(panel: Axes, sanding: Sanding, material: Material) -> None:
     panel.plot(fine, 1e3 * asked, lw=1, label="library")
     panel.axvline(law.peak_hz, color="grey", lw=0.6, label="peak")
     panel.axvline(law.mean_hz, color="grey", lw=0.6, ls="--", label="mean")
-    title = f"{sandpaper.MATERIAL}: peak {sanding.peak_hz.value:.0f} Hz, mean {sanding.mean_hz.value:.0f} Hz"
+    title = f"{sandpaper.MATERIAL}: peak {sanding.peak_hz:.0f} Hz, mean {sanding.fit.mean_hz.value:.0f} Hz"
     _dress(panel, title, "Hz", "power over the law's, 1/kHz")

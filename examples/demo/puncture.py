@@ -9,23 +9,20 @@ from rich.table import Table
 
 from examples.demo.marks import Marks
 from examples.demo.perform import HOVER_M, Recorded
-from examples.demo.taps import fit
+from examples.demo.strikes import strikes_of
 from hapticd.config.materials import Material
 
 MATERIAL: Final = "cellophane"
 SKIN: Final = {"kind": "membrane", "center_m": [0, 0], "normal": [0, 1], "width_m": 0.02, "material": MATERIAL}
-
-
-def pressing() -> list[list[float]]:
-    """Waypoints of a hand that presses through the membrane slowly."""
-    return [[0.2, 0.0, HOVER_M], [0.5, 0.0, 0.005], [1.7, 0.0, -0.03], [1.9, 0.0, -0.03]]
+PATH: Final = [[0.2, 0.0, HOVER_M], [0.5, 0.0, 0.005], [1.7, 0.0, -0.03], [1.9, 0.0, -0.03]]
+"""Waypoints of a hand that presses through the membrane slowly."""
 
 
 def table(recorded: Recorded, material: Material, marks: Marks) -> Table:
     """The membrane's force at the tick of rupture, how far past its limit it came, and the ringing."""
     rupture = material.rupture
     assert rupture is not None
-    (event,) = [event for event in recorded.events if event["event"] == "puncture"]
+    (event,) = recorded.told("puncture")
     at = int(np.searchsorted(recorded.time_s, (event["time_ns"] - recorded.start_ns) / 1e9 - 1e-9))
     force = recorded.samples["contact_force_n"][:, 1]
     deflection = -recorded.samples["position_m"][:, 1]
@@ -37,9 +34,10 @@ def table(recorded: Recorded, material: Material, marks: Marks) -> Table:
     rows = Table(title=f"Puncture of {MATERIAL}", show_header=False)
     rows.add_row("force before, and from the tick of rupture on", f"{before:.3f} N, {after:g} N")
     rows.add_row("past the rupture deflection", f"{1e6 * past:.0f} um, of {1e6 * travel:.0f} um travelled in that tick")
-    torn = fit(recorded, rupture.mode)
+    torn = strikes_of(recorded, 1, [recorded.onset_s(event)])
+    marks.expect(torn.left_over == 0, f"puncture: {torn.left_over} samples ring otherwise")
     for what, measured, wanted, unit in (
-        ("amplitude", float(torn.amplitudes[0]), rupture.amplitude_m_per_s2, "m/s^2"),
+        ("amplitude", float(torn.amplitude[0]), rupture.amplitude_m_per_s2, "m/s^2"),
         ("angular frequency", 2 * np.pi * torn.frequency_hz, rupture.mode.angular_frequency_rad_per_s, "rad/s"),
         ("decay rate", 1 / torn.decay_time_s, rupture.mode.decay_rate_per_s, "1/s"),
     ):

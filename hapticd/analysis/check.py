@@ -17,8 +17,8 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import Disc, field_ids
 from hapticd.config.texture import Autoregressive, Stochastic
 from hapticd.config.waveform import Waveform
-from hapticd.hid.connection import Link, link_of
 from hapticd.hid.discovery import choose, find
+from hapticd.hid.link import Link, link_of
 from hapticd.hid.plan import UndrivableError
 from hapticd.hid.replay import load
 from hapticd.hid.verdict import verdict_of
@@ -39,7 +39,7 @@ from hapticd.rendering.driven_hand import driven
 from hapticd.rendering.filter_design import peak_of, resampled
 from hapticd.rendering.lagging_modes import lag_warnings
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
-from hapticd.rendering.scene_stability import Stability, judge
+from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable import Use
 
@@ -183,7 +183,7 @@ def _stability(config: Config, output: Output, loop: Loop) -> Stability:
     }
     objects = config.scene.objects
     compiler.update(config.scene, objects, silent, 1)
-    return judge(compiler.parts(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
+    return evaluate(compiler.surfaces(), compiler.names().__getitem__, lambda: field_ids(objects), loop, unsafe=False)
 
 
 class _Device(NamedTuple):

@@ -1,70 +1,26 @@
 """The C core as Python sees it: `ffi`, `lib`, its records as numpy dtypes, its enums, and a few helpers.
 
-This module alone imports the compiled extension, but for the one call of memory.py. Layouts and numbers come from the
-compiled code, never from a second definition here; that the enums are complete is tested. `csrc/api/hd_api.h` documents
-every function and field.
+This module alone imports the compiled extension, but for the one call of memory.py. Layouts, enums and numbers come
+from the compiled code, never from a second definition here; mypy knows them from hapticd/_core.pyi, which the build
+makes from the same header. `csrc/api/hd_api.h` documents every function and field.
 """
 
+import os
+import re
 from enum import IntEnum, IntFlag
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hapticd._core import ffi, lib
+from hapticd._core import ffi as ffi
+from hapticd._core import lib as lib
 
 if TYPE_CHECKING:
+    from hapticd._core import *  # noqa: F403
     from hapticd._core import CData, CType
 else:
     CData, CType = ffi.CData, ffi.CType
-
-__all__ = [
-    "COMMAND_DTYPE",
-    "COUNTERS_DTYPE",
-    "EVENT_DTYPE",
-    "FIELD_DTYPE",
-    "HISTOGRAM_EDGES_NS",
-    "KICKS",
-    "MARKS",
-    "MATERIAL_DTYPE",
-    "MODE_DTYPE",
-    "NOISE_DTYPE",
-    "NO_SLOT",
-    "OBJECT_DTYPE",
-    "PASSIVITY_AGE_MAX",
-    "PIECE_DTYPE",
-    "PLAY_SLOT",
-    "SAMPLE_DTYPE",
-    "SIM_FORCES",
-    "TABLE_DTYPE",
-    "TUNE_NODE",
-    "WAVE_PARTS",
-    "WAVE_SAMPLES",
-    "CData",
-    "ClockSource",
-    "CommandKind",
-    "EventKind",
-    "Fault",
-    "Flag",
-    "HidMeaning",
-    "HidQuantity",
-    "Interpolation",
-    "OverrunAction",
-    "PassivityMode",
-    "Realtime",
-    "Shape",
-    "SignsProblem",
-    "SignsState",
-    "Status",
-    "Texture",
-    "address",
-    "ffi",
-    "invalid_reason",
-    "lib",
-    "pointer",
-    "record_dtype",
-    "records",
-]
 
 _SCALARS: dict[str, np.dtype[Any]] = {
     "double": np.dtype(np.float64),
@@ -111,12 +67,8 @@ MATERIAL_DTYPE = record_dtype("struct hd_material")
 NOISE_DTYPE = record_dtype("struct hd_noise")
 PIECE_DTYPE = record_dtype("struct hd_piece")
 OBJECT_DTYPE = record_dtype("struct hd_object")
-FIELD_DTYPE = record_dtype("struct hd_field")
-TABLE_DTYPE = record_dtype("struct hd_table")
 SAMPLE_DTYPE = record_dtype("struct hd_sample")
 EVENT_DTYPE = record_dtype("struct hd_event")
-COMMAND_DTYPE = record_dtype("struct hd_command")
-COUNTERS_DTYPE = record_dtype("struct hd_counters")
 
 NO_SLOT = lib.HD_NO_SLOT
 """`slot` of an event or a reset that means no object in particular."""
@@ -140,177 +92,40 @@ SIM_FORCES: int = lib.HD_SIM_FORCES
 """So many frames a force may be under way to the simulated joystick."""
 
 
-class Status(IntEnum):
-    """What a C function returns: enum hd_status."""
-
-    OK = lib.HD_OK
-    ERR_INVALID = lib.HD_ERR_INVALID
-    ERR_FULL = lib.HD_ERR_FULL
-    ERR_MEMORY = lib.HD_ERR_MEMORY
-    ERR_SYSTEM = lib.HD_ERR_SYSTEM
-    ERR_TIMEOUT = lib.HD_ERR_TIMEOUT
-    ERR_DENIED = lib.HD_ERR_DENIED
-
-
-class Texture(IntEnum):
-    """How a texture is displayed: enum hd_texture."""
-
-    NONE = lib.HD_TEXTURE_NONE
-    STRIKES = lib.HD_TEXTURE_STRIKES
-    GEOMETRY = lib.HD_TEXTURE_GEOMETRY
-    DRAG = lib.HD_TEXTURE_DRAG
-    NOISE = lib.HD_TEXTURE_NOISE
-
-
-class Shape(IntEnum):
-    """What is in a slot: enum hd_shape."""
-
-    NONE = lib.HD_SHAPE_NONE
-    WALL = lib.HD_SHAPE_WALL
-    MEMBRANE = lib.HD_SHAPE_MEMBRANE
-    BOX = lib.HD_SHAPE_BOX
-    DISC = lib.HD_SHAPE_DISC
+# enum hd_event_kind is EventKind, HD_EVENT_CONTACT its CONTACT: what all names of an enum begin with is left out.
+_ENUMS = {
+    "Status": "What a C function returns.",
+    "Texture": "How a texture is displayed.",
+    "Shape": "What is in a slot.",
+    "PassivityMode": "Whether the energy that objects give to the hand is watched.",
+    "Flag": "Bits of a sample's `flags`.",
+    "EventKind": "`kind` of an event.",
+    "Fault": "Bits of latched faults.",
+    "OverrunAction": "What becomes of an overload, beside its event.",
+    "Interpolation": "Between an operator's waypoints.",
+    "Realtime": "How much real-time rights are wanted.",
+    "ClockSource": "What says that a tick is due.",
+    "HidQuantity": "What a number in an output report says of the force.",
+    "HidMeaning": "What a number in an input report says of the device.",
+    "SignsState": "How far the check of signs is.",
+    "SignsProblem": "What the check of signs met.",
+    "CommandKind": "`kind` of a command to the servo.",
+}
 
 
-class PassivityMode(IntEnum):
-    """Whether the energy that objects give to the hand is watched: enum hd_passivity_mode."""
-
-    OFF = lib.HD_PASSIVITY_OFF
-    OBSERVE = lib.HD_PASSIVITY_OBSERVE
-    CONTROL = lib.HD_PASSIVITY_CONTROL
-
-
-class Flag(IntFlag):
-    """Bits of a sample's `flags`: enum hd_flag."""
-
-    SKIPPED = lib.HD_FLAG_SKIPPED
-    CONTACT = lib.HD_FLAG_CONTACT
-    RINGING = lib.HD_FLAG_RINGING
-    SATURATED = lib.HD_FLAG_SATURATED
-    RAMPING = lib.HD_FLAG_RAMPING
-    FORCES_ON = lib.HD_FLAG_FORCES_ON
-    FAULT = lib.HD_FLAG_FAULT
-    GLITCH = lib.HD_FLAG_GLITCH
-    REPEATED = lib.HD_FLAG_REPEATED
-    RESTRAINED = lib.HD_FLAG_RESTRAINED
-    CHECKING = lib.HD_FLAG_CHECKING
+def _enum(name: str, doc: str) -> Any:
+    numbers = ffi.typeof("enum hd" + re.sub("([A-Z])", r"_\1", name).lower()).relements
+    shared = os.path.commonprefix(list(numbers)).rpartition("_")[0] + "_"  # noqa: RUF071
+    in_order = sorted(numbers.items(), key=lambda item: abs(item[1]))
+    # Enumerators 1, 2, 4, ... are bits.
+    kind: Any = IntFlag if [number for _, number in in_order[:3]] == [1, 2, 4] else IntEnum
+    made = kind(name, {one.removeprefix(shared): number for one, number in in_order}, module=__name__)
+    made.__doc__ = doc
+    return made
 
 
-class EventKind(IntEnum):
-    """`kind` of an event: enum hd_event_kind."""
-
-    CONTACT = lib.HD_EVENT_CONTACT
-    RELEASE = lib.HD_EVENT_RELEASE
-    PUNCTURE = lib.HD_EVENT_PUNCTURE
-    SATURATION = lib.HD_EVENT_SATURATION
-    OVERRUN = lib.HD_EVENT_OVERRUN
-    FAULT = lib.HD_EVENT_FAULT
-    REVISION = lib.HD_EVENT_REVISION
-    GLITCH = lib.HD_EVENT_GLITCH
-    DEVICE_LOST = lib.HD_EVENT_DEVICE_LOST
-    DEVICE_FOUND = lib.HD_EVENT_DEVICE_FOUND
-    GROOVE = lib.HD_EVENT_GROOVE
-    OVERLOAD = lib.HD_EVENT_OVERLOAD
-    RATE = lib.HD_EVENT_RATE
-    RESUMED = lib.HD_EVENT_RESUMED
-    MEMORY_REFUSED = lib.HD_EVENT_MEMORY_REFUSED
-    MARK = lib.HD_EVENT_MARK
-    GESTURE_END = lib.HD_EVENT_GESTURE_END
-
-
-class Fault(IntFlag):
-    """Bits of latched faults: enum hd_fault."""
-
-    NONFINITE = lib.HD_FAULT_NONFINITE
-    CONTROL = lib.HD_FAULT_CONTROL
-    LEASE = lib.HD_FAULT_LEASE
-    DEVICE = lib.HD_FAULT_DEVICE
-    OVERRUN = lib.HD_FAULT_OVERRUN
-    FROZEN = lib.HD_FAULT_FROZEN
-    SIGNS = lib.HD_FAULT_SIGNS
-
-
-class OverrunAction(IntEnum):
-    """What becomes of an overload, beside its event: enum hd_overrun_action."""
-
-    WARN = lib.HD_OVERRUN_WARN
-    FAULT = lib.HD_OVERRUN_FAULT
-    STEP_DOWN = lib.HD_OVERRUN_STEP_DOWN
-
-
-class Interpolation(IntEnum):
-    """Between an operator's waypoints: enum hd_interpolation."""
-
-    LINEAR = lib.HD_LINEAR
-    MINIMUM_JERK = lib.HD_MINIMUM_JERK
-
-
-class Realtime(IntEnum):
-    """How much real-time rights are wanted: enum hd_realtime."""
-
-    OFF = lib.HD_REALTIME_OFF
-    PREFERRED = lib.HD_REALTIME_PREFERRED
-    REQUIRED = lib.HD_REALTIME_REQUIRED
-
-
-class ClockSource(IntEnum):
-    """What says that a tick is due: enum hd_clock_source."""
-
-    TIMER = lib.HD_CLOCK_TIMER
-    DEVICE = lib.HD_CLOCK_DEVICE
-
-
-class HidQuantity(IntEnum):
-    """What a number in an output report says of the force: enum hd_hid_quantity."""
-
-    X = lib.HD_HID_X
-    Y = lib.HD_HID_Y
-    MAGNITUDE = lib.HD_HID_MAGNITUDE
-    DIRECTION = lib.HD_HID_DIRECTION
-
-
-class HidMeaning(IntEnum):
-    """What a number in an input report says of the device: enum hd_hid_meaning."""
-
-    RESET = lib.HD_HID_RESET
-    ACTUATORS = lib.HD_HID_ACTUATORS
-    PAUSED = lib.HD_HID_PAUSED
-    SAFETY = lib.HD_HID_SAFETY
-    POWER = lib.HD_HID_POWER
-
-
-class SignsState(IntEnum):
-    """How far the check is: enum hd_signs_state."""
-
-    UNCHECKED = lib.HD_SIGNS_UNCHECKED
-    TRUSTED = lib.HD_SIGNS_TRUSTED
-    CHECKING = lib.HD_SIGNS_CHECKING
-    WAITING = lib.HD_SIGNS_WAITING
-    RIGHT = lib.HD_SIGNS_RIGHT
-    WRONG = lib.HD_SIGNS_WRONG
-    UNCLEAR = lib.HD_SIGNS_UNCLEAR
-
-
-class SignsProblem(IntEnum):
-    """What it met: enum hd_signs_problem."""
-
-    FINE = lib.HD_SIGNS_FINE
-    REVERSED = lib.HD_SIGNS_REVERSED
-    SWAPPED = lib.HD_SIGNS_SWAPPED
-    STILL = lib.HD_SIGNS_STILL
-    UNCERTAIN = lib.HD_SIGNS_UNCERTAIN
-    MOVING = lib.HD_SIGNS_MOVING
-    CONTACT = lib.HD_SIGNS_CONTACT
-
-
-class CommandKind(IntEnum):
-    """`kind` of a command to the servo: enum hd_command_kind."""
-
-    PLAY = lib.HD_COMMAND_PLAY
-    RESET = lib.HD_COMMAND_RESET
-    FORCES = lib.HD_COMMAND_FORCES
-    OPERATOR = lib.HD_COMMAND_OPERATOR
-    MARK = lib.HD_COMMAND_MARK
+if not TYPE_CHECKING:
+    globals().update({name: _enum(name, doc) for name, doc in _ENUMS.items()})
 
 
 def records(dtype: np.dtype[np.void], count: int) -> npt.NDArray[np.void]:
@@ -329,16 +144,6 @@ def pointer(ctype: str, array: npt.NDArray[np.generic]) -> CData:
     if array.nbytes % item:
         raise ValueError(f"{array.nbytes} bytes are no whole number of {ctype} items of {item} bytes")
     return ffi.from_buffer(ctype, array)
-
-
-def address(array: npt.NDArray[np.generic]) -> int:
-    """Where an array lies, for a pointer field of TABLE_DTYPE; the caller keeps the array alive.
-
-    Raises ValueError if the array is not C-contiguous.
-    """
-    if not array.flags.c_contiguous:
-        raise ValueError("an array for C must be C-contiguous")
-    return int(array.ctypes.data)
 
 
 def invalid_reason() -> str:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Final
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.files import numbered, put
+from hapticd.base.files import displaced, numbered, put
 
 _LONGEST: Final = 1 << 26
 """Bytes of a line; of ours, scene and materials together have some megabytes at most."""
@@ -232,3 +232,33 @@ def write_file(target: Path, data: bytes, overwrite: bool) -> Path:
             part.discard()
     finally:
         folder.close()
+
+
+def check_new(target: str, overwrite: bool) -> None:
+    """Raises HapticdError for an output that would replace a file unasked, or has no folder to go to."""
+    if os.path.exists(target) and not overwrite and (os.path.isfile(target) or os.path.isdir(target)):
+        raise HapticdError(f"{target}: is there already; give another name, or --overwrite")
+    folder = os.path.dirname(target) or "."
+    if not os.path.isdir(folder):
+        raise HapticdError(f"{target}: cannot be written: there is no folder {folder}")
+
+
+def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
+    """Writes a file, or leaves the one that is there as it is. Raises HapticdError.
+
+    A file that has appeared since `check_new` keeps its name without `overwrite`; what was to be written then gets the
+    next free one, which the error says.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    target = resolved(path)
+    try:
+        if target.exists() and not target.is_file():
+            # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
+            with open(target, "wb") as file:
+                file.write(data)
+            return
+        placed = write_file(target, data, overwrite)
+    except OSError as error:
+        raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
+    if placed != target:
+        raise HapticdError(displaced(path, placed))

@@ -71,15 +71,6 @@ class Document:
             text += ": what belongs to it is indented below it"
         return Problem(self.where(path), text)
 
-    def line_of(self, path: Sequence[str | int]) -> int | None:
-        """The line, from 1, of the key or list item at `path`; None where the document has no such place."""
-        marks = self._marks
-        for element in self.own(path):
-            if marks is None:
-                return None
-            marks = marks.children.get(element)
-        return None if marks is None else marks.line
-
     def place(self, path: Sequence[str | int]) -> str:
         """`FILE:LINE:COLUMN` of the key or list item at `path`, or of the nearest one around it."""
         marks = near = self._marks

@@ -16,7 +16,6 @@ from hapticd.protocol.messages import MAX_BODY
 from hapticd.protocol.remote import PORT, host_and_port, is_loopback
 from hapticd.system.trusted_files import read_trusted
 
-DEFAULT_PATH: Final = "/etc/hapticd/bridge.yaml"
 METRICS_PORT: Final = 9417
 MOST_CONNECTIONS: Final = 128
 """Each takes eight descriptors and one of the thousand sockets of libzmq, or two."""

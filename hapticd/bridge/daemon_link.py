@@ -12,7 +12,7 @@ import zmq.asyncio
 from zmq.utils.monitor import recv_monitor_message
 
 from hapticd.base.errors import HapticdError
-from hapticd.protocol import calls, messages
+from hapticd.protocol import calls, messages, places
 from hapticd.system.paths import RuntimePaths
 
 STALE_S: Final = 3.0
@@ -55,7 +55,7 @@ class DaemonLink:
 
     def _probe(self) -> HapticdError | None:
         try:
-            calls.probe(self._paths)
+            places.probe(self._paths)
         except HapticdError as error:
             return error
         return None

@@ -91,7 +91,7 @@ class Gate:
 
     # ---- coming ------------------------------------------------------------------------------------------------------
 
-    def door(self, kind: Kind) -> Callable[[], asyncio.Protocol]:
+    def protocol_factory(self, kind: Kind) -> Callable[[], asyncio.Protocol]:
         """What takes the connections of a listening socket."""
         return lambda: Connection(self, kind)
 
@@ -141,7 +141,7 @@ class Gate:
             connection.account.connections -= 1
             self._attend()
 
-    def judge(self, domain: str, key: str) -> bytes:
+    def authorize(self, domain: str, key: str) -> bytes:
         """Whether a connection may go on with this key, as a status of ZAP."""
         connection = self._connections.get(domain)
         if connection is None or connection.account is not None:

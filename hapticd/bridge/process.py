@@ -114,7 +114,7 @@ class _Bridge:
             stack.callback(gate.close)
             stack.callback(link.listen, False)
             tasks: list[asyncio.Task[Any]] = [
-                asyncio.create_task(zap.authenticate(authenticator, gate.judge), name="zap"),
+                asyncio.create_task(zap.authenticate(authenticator, gate.authorize), name="zap"),
                 asyncio.create_task(link.run(), name="link"),
                 asyncio.create_task(self._tick(), name="tick"),
                 asyncio.create_task(stop.wait(), name="stop"),
@@ -166,9 +166,12 @@ class _Bridge:
         host, port = host_and_port(self._config.listen)
         loop = asyncio.get_running_loop()
         command, telemetry = _bind_both(None if host == "*" else host, port)
-        for sockets, door in ((command, gate.door("command")), (telemetry, gate.door("telemetry"))):
+        for sockets, factory in (
+            (command, gate.protocol_factory("command")),
+            (telemetry, gate.protocol_factory("telemetry")),
+        ):
             for listening in sockets:
-                server = await loop.create_server(door, sock=listening, backlog=_BACKLOG)
+                server = await loop.create_server(factory, sock=listening, backlog=_BACKLOG)
                 stack.callback(server.close)
         return f"tcp://{_name(command[0])}"
 

@@ -26,16 +26,16 @@ _VERSION: Final = b"1.0"
 
 _log = logging.getLogger("hapticd.bridge")
 
-Judge = Callable[[str, str], bytes]
+Authorize = Callable[[str, str], bytes]
 """Of a socket's domain and a public key in Z85, the status."""
 
 
-async def authenticate(socket: zmq.asyncio.Socket, judge: Judge) -> None:
+async def authenticate(socket: zmq.asyncio.Socket, authorize: Authorize) -> None:
     """Answers every handshake of this context, until cancelled."""
     repeats = Repeats()
     while True:
         frames: list[bytes] = await socket.recv_multipart()
-        await socket.send_multipart(_answer(frames, judge, repeats))
+        await socket.send_multipart(_answer(frames, authorize, repeats))
         repeats.flush()
 
 
@@ -47,13 +47,13 @@ def bind(context: zmq.asyncio.Context) -> zmq.asyncio.Socket:
     return socket
 
 
-def _answer(frames: list[bytes], judge: Judge, repeats: Repeats) -> list[bytes]:
+def _answer(frames: list[bytes], authorize: Authorize, repeats: Repeats) -> list[bytes]:
     # Version, request id, domain, address, routing id, mechanism, and CURVE's public key.
     version, request, domain, _, _, mechanism, *credentials = frames
     status = REFUSED
     if version == _VERSION and mechanism == b"CURVE" and len(credentials) == 1 and len(credentials[0]) == 32:
         try:
-            status = judge(domain.decode("ascii", "replace"), z85.encode(credentials[0]).decode())
+            status = authorize(domain.decode("ascii", "replace"), z85.encode(credentials[0]).decode())
         except Exception as error:
             # A defect of ours, or no descriptors left: it costs this connection, nobody else's.
             failure = error

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
+from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Choice,
     Finite,
-    check_new,
     config_option,
     json_option,
     note,
     overwrite_option,
     print_json,
-    write_whole,
-    yaml_text,
 )
 
 if TYPE_CHECKING:

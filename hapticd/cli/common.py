@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import json
 import math
-import os
 import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -13,9 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 from click.core import ParameterSource
 
-from hapticd.base.errors import HapticdError, known_names, quoted
-from hapticd.base.files import displaced
-from hapticd.base.partial_files import resolved, write_file
+from hapticd.base.errors import known_names, quoted
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli import names
 from hapticd.cli.shell import shell_words
 from hapticd.system.journal import LEVELS
@@ -25,8 +23,6 @@ if TYPE_CHECKING:
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
-# Strings that need no quotes in YAML, whatever stands around them.
-_PLAIN = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
 _UNITS = {"ms": 1e-3, "s": 1.0, "min": 60.0, "h": 3600.0}
 
 
@@ -205,64 +201,9 @@ def _notes(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -
     return notes
 
 
-def check_new(target: str, overwrite: bool) -> None:
-    """Raises HapticdError for an output that would replace a file unasked, or has no folder to go to."""
-    if os.path.exists(target) and not overwrite and (os.path.isfile(target) or os.path.isdir(target)):
-        raise HapticdError(f"{target}: is there already; give another name, or --overwrite")
-    folder = os.path.dirname(target) or "."
-    if not os.path.isdir(folder):
-        raise HapticdError(f"{target}: cannot be written: there is no folder {folder}")
-
-
-def write_whole(path: str, content: str | bytes, overwrite: bool) -> None:
-    """Writes a file, or leaves the one that is there as it is. Raises HapticdError.
-
-    A file that has appeared since `check_new` keeps its name without `overwrite`; what was to be written then gets the
-    next free one, which the error says.
-    """
-    data = content.encode() if isinstance(content, str) else content
-    target = resolved(path)
-    try:
-        if target.exists() and not target.is_file():
-            # A terminal or a pipe is written to: nothing takes its place. A folder says what it is.
-            with open(target, "wb") as file:
-                file.write(data)
-            return
-        placed = write_file(target, data, overwrite)
-    except OSError as error:
-        raise HapticdError(f"{path}: cannot be written: {error.strerror}") from None
-    if placed != target:
-        raise HapticdError(displaced(path, placed))
-
-
 def print_yaml(value: Mapping[str, object]) -> None:
     """YAML that the loader takes back: mappings of plain values on one line, larger ones as a block."""
     click.echo(yaml_text(value))
-
-
-def yaml_text(value: Mapping[str, object]) -> str:
-    """As print_yaml prints it, without the last line's end."""
-    return "\n".join(_block(value, ""))
-
-
-def _block(mapping: Mapping[str, object], pad: str) -> list[str]:
-    lines = []
-    for key, value in mapping.items():
-        if isinstance(value, dict) and any(isinstance(inner, dict) for inner in value.values()):
-            lines += [f"{pad}{_flow(key)}:", *_block(value, pad + "  ")]
-        else:
-            lines.append(f"{pad}{_flow(key)}: {_flow(value)}")
-    return lines
-
-
-def _flow(value: object) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{_flow(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_flow, value)) + "]"
-    if isinstance(value, str) and _PLAIN.fullmatch(value) and value.lower() not in ("null", "true", "false"):
-        return value
-    return json.dumps(value, ensure_ascii=False)
 
 
 def changed(result: Mapping[str, object]) -> str:

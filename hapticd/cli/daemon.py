@@ -7,7 +7,7 @@ import gc
 import click
 
 from hapticd.cli.common import change, change_options, config_option, daemon, json_option, log_options, print_json
-from hapticd.cli.status import lines, text_of
+from hapticd.daemon.status_text import lines, text_of
 
 RELOAD_S = 60.0
 """So long is a reload waited for: the daemon itself gives up files that do not come after 10 s."""

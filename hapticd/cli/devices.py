@@ -12,25 +12,24 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, quoted
+from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Finite,
-    check_new,
     config_option,
     duration,
     json_option,
     note,
     overwrite_option,
     print_json,
-    write_whole,
-    yaml_text,
 )
 from hapticd.hid.texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid
     from hapticd.hid.claim import Claims
+    from hapticd.hid.descriptor.layout import SetEffect
     from hapticd.hid.discovery import Found
-    from hapticd.hid.layout import SetEffect
     from hapticd.hid.plan import Plan
     from hapticd.hid.verdict import Verdict
 
@@ -53,7 +52,7 @@ def devices_command(ctx: click.Context, configs: tuple[str, ...], as_json: bool)
     from hapticd.hid.discovery import find
 
     hid = _hid_of(configs)
-    found = [item.judged_by(hid) for item in find()]
+    found = [item.evaluated_with(hid) for item in find()]
     claimed = Claims().names()
     if as_json:
         print_json([{**item.to_dict(), "claimed": item.hid_name in claimed} for item in found])

@@ -6,58 +6,37 @@ import datetime
 import math
 import os
 import sys
-import warnings
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import click
 
 from hapticd.base.errors import HapticdError
+from hapticd.base.partial_files import check_new, write_whole
+from hapticd.base.yaml_text import yaml_text
 from hapticd.cli.common import (
     Choice,
     Finite,
-    check_new,
     json_option,
     note,
     overwrite_option,
     print_json,
-    write_whole,
-    yaml_text,
 )
 from hapticd.cli.synthesize import synthesize_command
 
 if TYPE_CHECKING:
-    from hapticd.config.materials import Material
     from hapticd.config.modes import Attack
-    from hapticd.fit.left_out import LeftOut
+    from hapticd.fit.from_files import Fitting
     from hapticd.fit.provenance import Fit, Kind
-    from hapticd.fit.recording import Recording
     from hapticd.fit.tap_kind import TapKind
     from hapticd.fit.taps.amplitude import LawKind
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
 STIFFNESS_N_PER_M: Final = 800.0
 """As most of the library's."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Fitted:
-    """A fit, and what of it goes into the material."""
-
-    fit: Fit
-    figures: Mapping[str, object]
-    notes: tuple[str, ...] = ()
-    """What a person may want to do about it."""
-    without: Collection[str] = ()
-    """Figures that say nothing of the material, as it is taken."""
-
-
-_Step: TypeAlias = "Callable[[str], None]"
-_Fitting: TypeAlias = "Callable[[Sequence[Recording], _Step, LeftOut], _Fitted]"
 
 
 @click.group("fit", no_args_is_help=False, short_help="Make a material from recordings.")
@@ -157,41 +136,9 @@ def tap_command(
                 f"{option} and --attack do not go together: leave out one, {option} is of coefficients"
             )
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
-        from hapticd.fit.provenance import estimates
-        from hapticd.fit.tap_kind import fit_taps
-        from hapticd.fit.waveform import WaveformFit
+    from hapticd.fit.from_files import of_taps
 
-        found = fit_taps(recordings, as_form, lambda recording: step(f"fitting {recording.name}"), left)
-        if isinstance(found, WaveformFit):
-            told = () if as_form == "waveform" else (AS_WAVEFORM,)
-            return _Fitted(found, found.material(), told, ("first_peak_slope_per_s",) if found.amplitudes else ())
-        notes = []
-        kind = taken or found.law.kind
-        if kind == "power" and found.law.power is not None:
-            notes.append(
-                f"the power law is written as {len(found.law.power.points)} amplitudes over speed, which are within "
-                f"{100 * found.law.power.off:.2g} % of it from {found.law.power.points[0][0]:.3g} to "
-                f"{found.law.power.points[-1][0]:.3g} m/s"
-            )
-        two = two_modes if two_modes is not None else found.second is not None and found.second.kept
-        if found.second is not None and not two:
-            notes.append("--two-modes takes both modes into the material")
-        # Intervals of what the material does not have would mislead.
-        said = set(estimates(found))
-        second = {name for name in said if name.startswith("second.")}
-        without = said - second if two else second
-        if kind != "line":
-            without |= {name for name in said if "slope" in name or "offset" in name}
-        if kind != "power":
-            without |= {name for name in said if name.startswith("power.")}
-        figures = found.material(attack or "coefficient", taken, two, mode_table)
-        tap = figures["tap"]
-        if isinstance(tap, dict) and "mode_table" in tap:
-            without |= {"frequency_hz", "decay_time_s", "second.first_frequency_hz", "second.first_decay_time_s"}
-        return _Fitted(found, figures, tuple(notes), without)
-
-    _run("tap", fit, per_file=2, **options)
+    _run("tap", of_taps(as_form, attack, taken, two_modes, mode_table), per_file=2, **options)
 
 
 @fit_command.command("grooves")
@@ -199,14 +146,10 @@ def tap_command(
 def grooves_command(**options: Any) -> None:
     """Spacing, mode and gains of grooves, from strokes over them."""
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
-        from hapticd.fit.grooves import fit_grooves
+    from hapticd.fit.from_files import of_one_kind
+    from hapticd.fit.grooves import fit_grooves
 
-        step("fitting")
-        found = fit_grooves(recordings, left=left)
-        return _Fitted(found, found.material())
-
-    _run("grooves", fit, **options)
+    _run("grooves", of_one_kind(fit_grooves), **options)
 
 
 @fit_command.command("texture")
@@ -215,14 +158,10 @@ def grooves_command(**options: Any) -> None:
 def texture_command(autoregressive: bool, **options: Any) -> None:
     """Spectrum and loudness of a texture, from strokes over it."""
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
-        from hapticd.fit.texture import fit_texture
+    from hapticd.fit.from_files import of_one_kind
+    from hapticd.fit.texture import fit_texture
 
-        step("fitting")
-        found = fit_texture(recordings, autoregressive=autoregressive, left=left)
-        return _Fitted(found, found.material())
-
-    _run("texture", fit, **options)
+    _run("texture", of_one_kind(partial(fit_texture, autoregressive=autoregressive)), **options)
 
 
 @fit_command.command("puncture", short_help="Stiffness, rupture and mode of a membrane.")
@@ -230,19 +169,15 @@ def texture_command(autoregressive: bool, **options: Any) -> None:
 def puncture_command(**options: Any) -> None:
     """Stiffness, rupture and mode of a membrane, from recordings of punctures."""
 
-    def fit(recordings: Sequence[Recording], step: _Step, left: LeftOut) -> _Fitted:
-        from hapticd.fit.puncture import fit_puncture
+    from hapticd.fit.from_files import of_one_kind
+    from hapticd.fit.puncture import fit_puncture
 
-        step("fitting")
-        found = fit_puncture(recordings, left=left)
-        return _Fitted(found, found.material())
-
-    _run("puncture", fit, **options)
+    _run("puncture", of_one_kind(fit_puncture), **options)
 
 
 def _run(
     kind: Kind,
-    fit: _Fitting,
+    fit: Fitting,
     files: tuple[str, ...],
     output: str | None,
     name: str | None,
@@ -257,6 +192,7 @@ def _run(
     from hapticd.analysis.statistics import require_scipy
     from hapticd.fit import provenance
     from hapticd.fit import report as drawing
+    from hapticd.fit.from_files import fitted_files, materials_of
 
     require_scipy()
     if merge and output is None:
@@ -265,10 +201,11 @@ def _run(
     _check(files, output, name, report, overwrite, merge)
     if report is not None:
         drawing.require(report)
-    library = _library(output) if merge and output is not None and os.path.exists(output) else {}
+    library = materials_of(output) if merge and output is not None and os.path.exists(output) else {}
     onto = library.get(name)
 
-    recordings, unused, fitted = _fit(files, fit, per_file, strict)
+    with _progress(len(files) * per_file + (per_file == 1)) as step:
+        recordings, unused, fitted = fitted_files(files, fit, step, strict)
     notes = list(fitted.notes)
     given = stiffness_n_per_m
     if given is None:
@@ -338,53 +275,8 @@ def _check(
         raise HapticdError(f"{output}: cannot be both the material and the report; give another name")
 
 
-def _library(path: str) -> dict[str, Material]:
-    """The materials of a file that is added to. Raises InvalidError, or HapticdError where it holds more than these."""
-    from hapticd.base.yaml_source import load_path, one_line
-    from hapticd.config.configuration import load_config
-
-    data = load_path(path).data
-    if not isinstance(data, dict) or list(data) != ["materials"]:
-        raise HapticdError(f"{one_line(path)}: holds something else than materials, and is not added to")
-    found = load_config(path).materials
-    given = data["materials"]
-    assert isinstance(given, dict)
-    return {name: found[name] for name in given}
-
-
-def _fit(
-    files: Sequence[str], fit: _Fitting, per_file: int, strict: bool
-) -> tuple[list[Recording], list[Recording], _Fitted]:
-    """The recordings that were used, those that were left out, and what was made of them."""
-    from hapticd.fit.left_out import LeftOut
-    from hapticd.fit.recording import NoRecordingError, RecordingError, load
-
-    left = LeftOut(strict)
-    with _progress(len(files) * per_file + (per_file == 1)) as step:
-        recordings: list[Recording] = []
-        for file in files:
-            step(f"reading {Path(file).name}")
-            try:
-                recordings.append(load(file))
-            except RecordingError as error:
-                if len(files) == 1 or isinstance(error, NoRecordingError):
-                    raise
-                left.add(error.name, error.reason)
-        if not recordings:
-            raise left.refused(f"none of {len(files)} recordings can be read")
-        # What comes of a division by zero and the like is no number, and no material takes one.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)
-            fitted = fit(recordings, step, left)
-    used: list[Recording] = []
-    unused: list[Recording] = []
-    for recording in recordings:
-        (unused if recording.name in left.recordings else used).append(recording)
-    return used, unused, fitted
-
-
 @contextmanager
-def _progress(steps: int) -> Iterator[_Step]:
+def _progress(steps: int) -> Iterator[Callable[[str], None]]:
     """What is being done, over the files and the fit, in one line on a terminal."""
     if not sys.stderr.isatty():
         yield lambda text: None

@@ -59,8 +59,8 @@ def simulate_command(
     The same core as the daemon's; the result is the same on every run. The handle starts at the first
     waypoint if that is at 0 s, otherwise, and with a gesture, at device.sim.start_m of the configuration.
     """
-    from hapticd.cli.simulation import configuration, simulate_files
     from hapticd.config.shipped_files import shipped
+    from hapticd.recording.simulated import configuration, simulate_files
 
     file = scene_file(scene)
     operator = operator or _own_operator(file)

@@ -11,16 +11,15 @@ import click
 
 from hapticd.base import wording
 from hapticd.base.errors import HapticdError, known_names, quoted
+from hapticd.base.partial_files import check_new, write_whole
 from hapticd.cli import names
 from hapticd.cli.common import (
     Finite,
-    check_new,
     config_option,
     json_option,
     note,
     overwrite_option,
     print_json,
-    write_whole,
 )
 
 if TYPE_CHECKING:

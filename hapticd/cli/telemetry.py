@@ -129,7 +129,7 @@ def flight_command(ctx: click.Context, file: str | None, overwrite: bool, as_jso
     found: dict[str, object] = {"file": written}
     line = written  # through a bridge all that is known of it
     if here:
-        from hapticd.cli.flown import summed_up
+        from hapticd.client.flight_summary import summed_up
 
         found, line = summed_up(written, file, overwrite)
     if as_json:

@@ -6,13 +6,13 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING
 
 from hapticd.base import arguments, wording
 from hapticd.base.errors import HapticdError
 from hapticd.base.files import displaced
-from hapticd.client.blocking import Client
-from hapticd.client.record import STOPPED, RecordSummary, record
+from hapticd.client.record import STOPPED, Daemon, RecordSummary, record
 from hapticd.protocol.calls import MissedPeriods, TelemetryLoss
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class Recorder:
 
     def __init__(
         self,
-        connect: Callable[[], Client],
+        connect: Callable[[], AbstractContextManager[Daemon]],
         path: str | os.PathLike[str],
         overwrite: bool,
         notes: Mapping[str, object],

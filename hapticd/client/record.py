@@ -12,7 +12,8 @@ from array import array
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, cast
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Protocol, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +21,12 @@ import numpy.typing as npt
 from hapticd.base import wording
 from hapticd.base.clock import Moment, moment_of
 from hapticd.base.errors import HapticdError
-from hapticd.client.blocking import Client, Subscription
 from hapticd.client.samples import SampleBatch, SampleStream
-from hapticd.protocol import calls
-from hapticd.protocol.calls import Topic
+from hapticd.protocol.calls import DaemonNotRunning, Topic
+from hapticd.protocol.places import Place, has_ended, no_telemetry
+from hapticd.protocol.results import ConfigResult, MaterialsResult, SceneResult, Status
 from hapticd.recording.formats import open_writer
-from hapticd.recording.missed_periods import gaps_of, missed_periods, share
+from hapticd.recording.missed_periods import gaps_of, missed_periods, missed_text, share
 from hapticd.recording.writer import DiskFullError, RecordingWriter, Samples
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ ENDED: Final = "the daemon stopped"
 ENDED_AFTER_S: Final = 0.2
 """A daemon's last samples are here once nothing came for so long after its socket was gone."""
 
-_LOOKS: Final = 10
+_ATTEMPTS: Final = 10
 """Attempts to read scene and materials while somebody changes the materials."""
 
 
@@ -94,15 +95,31 @@ class RecordSummary:
         return text
 
 
-def missed_text(missed: int, rendered: int) -> str:
-    """Missed periods, and their share of those that were due, in words."""
-    if not missed:
-        return "no period missed"
-    return f"{wording.count(missed, 'period')} missed ({wording.percent(share(missed, rendered))})"
+class Messages(Protocol):
+    """A subscription to telemetry."""
+
+    def receive(self, timeout_s: float) -> tuple[Topic, dict[str, object]] | None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
+    ) -> None: ...
+
+
+class Daemon(Protocol):
+    """What a recording needs of a client, which itself needs recordings."""
+
+    paths: Place
+    timeout_s: float
+
+    def get_status(self, detail: bool = False) -> Status: ...
+    def get_config(self) -> ConfigResult: ...
+    def get_scene(self) -> SceneResult: ...
+    def get_materials(self) -> MaterialsResult: ...
+    def telemetry(self, *topics: Topic) -> Messages: ...
 
 
 def record(
-    client: Client,
+    client: Daemon,
     target: str | os.PathLike[str],
     duration_s: float | None = None,
     *,
@@ -120,48 +137,48 @@ def record(
     replaced, before anything is recorded.
     """
     with open_writer(target, overwrite) as writer:
-        take = _Take(client, writer, duration_s, dict(notes or {}))
+        session = _Session(client, writer, duration_s, dict(notes or {}))
         try:
-            ended = take.run(stop or threading.Event(), progress)
+            ended = session.run(stop or threading.Event(), progress)
             if ended is None:
-                take.look_at_clock()
+                session.read_clock()
         except DiskFullError as error:
             ended = str(error)
-            take.look_at_clock()
+            session.read_clock()
         if writer.count == 0:
             raise HapticdError(f"{target}: nothing was recorded{f' ({ended})' if ended else ''}")
         # Told again where the disk was full, and the end gave way to what else is in the file.
-        writer.finish(lambda: {"recording": take.account(ended)})
-        kept, name = take.account(ended), os.fspath(target)
+        writer.finish(lambda: {"recording": session.account(ended)})
+        account, name = session.account(ended), os.fspath(target)
         return RecordSummary(
             str(writer.target) if writer.displaced else name,
             writer.count,
-            kept["duration_s"],
+            account["duration_s"],
             writer.event_count,
-            kept["lost"],
-            kept["dropped"],
-            tuple(kept["missing_revisions"]),
-            kept["missed_periods"],
-            moment_of(kept["started"]),
-            moment_of(kept["ended"]),
+            account["lost"],
+            account["dropped"],
+            tuple(account["missing_revisions"]),
+            account["missed_periods"],
+            moment_of(account["started"]),
+            moment_of(account["ended"]),
             ended,
             name if writer.displaced else None,
-            take.warning(kept),
+            session.warning(account),
         )
 
 
-class _Take:
+class _Session:
     """One recording under way."""
 
     def __init__(
-        self, client: Client, writer: RecordingWriter, duration_s: float | None, notes: dict[str, Json]
+        self, client: Daemon, writer: RecordingWriter, duration_s: float | None, notes: dict[str, Json]
     ) -> None:
         self._client = client
         self._notes = notes
         self._writer = writer
         self._scenes = _Scenes(client, writer)
         self._stream = SampleStream(warn=False)
-        self._span = _Span(duration_s)
+        self._interval = _Interval(duration_s)
         self._gaps: list[tuple[int, int]] = []
         self._status: Mapping[str, Any] = {}
         """At the start."""
@@ -175,22 +192,22 @@ class _Take:
 
     def run(self, stop: threading.Event, progress: Callable[[float], None]) -> str | None:
         """Takes what comes; why it ended early, None where it did not."""
-        client, span = self._client, self._span
+        client, interval = self._client, self._interval
         # Who is not there says so at once to a question; to wait for telemetry takes longer.
         client.get_status()
         with client.telemetry("samples", "event", "change", "status", "bridge") as messages:
             self._begin()
             silent_since, ended = time.monotonic(), 0
-            while not span.over:
-                if stop.is_set() and not span.ends:
+            while not interval.over:
+                if stop.is_set() and not interval.ends:
                     # What somebody did before stopping it is in it.
-                    span.end_at(self._look())
+                    interval.end_at(self._current_tick())
                     continue
                 received = messages.receive(0.1)
                 if received is None:
                     silent_s = time.monotonic() - silent_since
                     if silent_s > client.timeout_s:
-                        return str(calls.silent(client.paths, client.timeout_s))
+                        return str(no_telemetry(client.paths, client.timeout_s))
                     # Twice in a row: what was on its way when its socket went is here then.
                     ended = ended + 1 if silent_s > ENDED_AFTER_S and self._has_ended() else 0
                     if ended > 1:
@@ -205,32 +222,32 @@ class _Take:
                     if self._stream.restarts or (batch.lost and self._restarted()):
                         return "the daemon was restarted"
                     self._take(batch)
-                    progress(span.recorded_s)
+                    progress(interval.recorded_s)
                 elif topic == "event":
                     if message["event"] == "rate":
                         self._rates.append((int(str(message["tick"])), float(str(message["rate_hz"]))))
-                    span.hold(message)
+                    interval.queue(message)
                 elif topic == "change":
-                    self._scenes.take(message)
+                    self._scenes.apply(message)
                 else:
                     self._newest = message
                     self._writer.write_status(message)
             self._await_changes(messages)
-        return STOPPED if span.ends else None
+        return STOPPED if interval.ends else None
 
     def _has_ended(self) -> bool:
-        return self._away or calls.has_ended(self._client.paths)
+        return self._away or has_ended(self._client.paths)
 
-    def _look(self) -> int | None:
+    def _current_tick(self) -> int | None:
         """The tick that the servo is at; None where nobody answers."""
         with suppress(HapticdError):
             self._newest = self._client.get_status()
             return cast("int | None", self._newest.get("tick"))
         return None
 
-    def look_at_clock(self) -> None:
+    def read_clock(self) -> None:
         """Asks the daemon for its clocks, where it is there; a status of the last second has them anyway."""
-        self._look()
+        self._current_tick()
 
     def _begin(self) -> None:
         start = self._scenes.begin()
@@ -240,24 +257,24 @@ class _Take:
         self._writer.begin({"config": self._client.get_config()["config"], **start}, about)
         self._writer.write_change({"revision": self._scenes.revision})
 
-    def _await_changes(self, messages: Subscription[tuple[Topic, dict[str, object]]]) -> None:
+    def _await_changes(self, messages: Messages) -> None:
         """The last samples may have come before the message of the change that they were rendered with."""
         deadline = time.monotonic() + LAST_CHANGE_S
         while self._scenes.missing and (left_s := deadline - time.monotonic()) > 0:
             received = messages.receive(left_s)
             if received is not None and received[0] == "change":
-                self._scenes.take(received[1])
+                self._scenes.apply(received[1])
 
     def _restarted(self) -> bool:
         """Whether those whose samples are missing are another daemon's. Where nobody answers, silence will tell."""
-        with suppress(calls.DaemonNotRunning):
+        with suppress(DaemonNotRunning):
             return bool(self._client.get_status()["started_ns"] != self._status["started_ns"])
         return False
 
     def _take(self, batch: SampleBatch) -> None:
         if self._writer.count == 0:
             batch = batch[self._scenes.reached(batch["revision"])]
-        samples = self._span.cut(batch).view(np.ndarray)
+        samples = self._interval.clip(batch).view(np.ndarray)
         if len(samples) == 0:
             return
         ticks = samples["tick"].astype(np.int64)
@@ -269,16 +286,16 @@ class _Take:
         if missed:
             self._missed_at.append(int(ticks[-1]))
             self._missed.append(missed)
-        self._scenes.show(samples["revision"])
+        self._scenes.note_used(samples["revision"])
         self._writer.write(samples)
-        for event in self._span.release():
+        for event in self._interval.due_events():
             self._writer.write_event(event)
 
     def account(self, ended: str | None) -> dict[str, Any]:
         """What the recording holds and what it lacks, as its file says it."""
         return {
             "ticks": self._writer.count,
-            "duration_s": self._span.duration_s(self._writer.last_time_ns),
+            "duration_s": self._interval.duration_s(self._writer.last_time_ns),
             "events": self._writer.event_count,
             "lost": self._stream.lost,
             "dropped": self._stream.dropped,
@@ -293,10 +310,10 @@ class _Take:
             "notes": self._notes,
         }
 
-    def warning(self, kept: Mapping[str, Any]) -> str | None:
+    def warning(self, account: Mapping[str, Any]) -> str | None:
         """Where more periods were missed than the configuration puts up with."""
         threshold = self._status.get("overruns", {}).get("threshold")
-        missed, rendered = kept["missed_periods"], kept["ticks"] + kept["lost"] + kept["dropped"]
+        missed, rendered = account["missed_periods"], account["ticks"] + account["lost"] + account["dropped"]
         if threshold is None or share(missed, rendered) <= threshold:
             return None
         part = wording.percent(share(missed, rendered))
@@ -313,13 +330,13 @@ class _Scenes:
     meanwhile is missing in the recording, which says so.
     """
 
-    def __init__(self, client: Client, writer: RecordingWriter) -> None:
+    def __init__(self, client: Daemon, writer: RecordingWriter) -> None:
         self._client = client
         self._writer = writer
         self.revision = 0
         """The newest one that is known."""
         self._known: set[int] = set()
-        self._shown: set[int] = set()
+        self._used: set[int] = set()
         self._scene: dict[str, Any] = {}
         self._objects: dict[str, Any] = {}
         self._materials: dict[str, Any] = {}
@@ -328,7 +345,7 @@ class _Scenes:
     @property
     def missing(self) -> list[int]:
         """Revisions that samples were rendered with, and nobody said what they are."""
-        return sorted(self._shown - self._known)
+        return sorted(self._used - self._known)
 
     def begin(self) -> dict[str, Any]:
         """Status, scene and materials at the start."""
@@ -345,11 +362,11 @@ class _Scenes:
         """Those that are the newest one known, or come after it."""
         return (revisions - np.uint32(self.revision)).astype(np.int32) >= 0
 
-    def show(self, revisions: npt.NDArray[np.uint32]) -> None:
+    def note_used(self, revisions: npt.NDArray[np.uint32]) -> None:
         """Samples were rendered with these."""
-        self._shown.update(np.unique(revisions).tolist())
+        self._used.update(np.unique(revisions).tolist())
 
-    def take(self, change: dict[str, Any]) -> None:
+    def apply(self, change: dict[str, Any]) -> None:
         """Takes what a message of the topic `change` says."""
         if "revision" not in change:
             self._writer.write_change(change)
@@ -387,16 +404,16 @@ class _Scenes:
 
     def _read(self) -> tuple[int, dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]] | None:
         """Revision, scene, objects, materials and status; None where materials or rate never stood still."""
-        materials, status = self._beside()
-        for _ in range(_LOOKS):
-            scene, after = self._client.get_scene(), self._beside()
+        materials, status = self._materials_and_status()
+        for _ in range(_ATTEMPTS):
+            scene, after = self._client.get_scene(), self._materials_and_status()
             if after[0] == materials and after[1]["rate_hz"] == status["rate_hz"]:  # so they were in between, too
                 rest = dict(scene["scene"])
                 return scene["revision"], rest, cast("dict[str, Any]", rest.pop("objects")), materials, status
             materials, status = after
         return None
 
-    def _beside(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _materials_and_status(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """What else a scene is rendered with: the materials, and the status, which has the rate."""
         return dict(self._client.get_materials()["materials"]), dict(self._client.get_status(detail=True))
 
@@ -415,7 +432,7 @@ def _changes(before: Mapping[str, object], after: Mapping[str, object]) -> dict[
     return changed | dict.fromkeys(name for name in before if name not in after)
 
 
-class _Span:
+class _Interval:
     """The stretch of the daemon's time that is recorded, from the first sample that came.
 
     Events are sent before the samples of their ticks, so that those of a stretch are complete when its
@@ -429,7 +446,7 @@ class _Span:
         self._end_tick = 0
         self._last_ns = 0
         self._period_ns = 0
-        self._held: list[dict[str, Any]] = []
+        self._queued: list[dict[str, Any]] = []
         self._last_tick = 0
         self._give_up_at = 0.0
         self.ends = False
@@ -459,7 +476,7 @@ class _Span:
         """From the first sample to the end of one at `last_ns`."""
         return (last_ns + self._period_ns - self._first_ns) / 1e9
 
-    def cut(self, batch: SampleBatch) -> Samples:
+    def clip(self, batch: SampleBatch) -> Samples:
         if len(batch) == 0:
             return batch
         times = batch["time_ns"]
@@ -468,31 +485,31 @@ class _Span:
             self._first_ns = int(times[0])
         if len(batch) > 1:
             self._period_ns = int(np.min(np.diff(times)))
-        kept: Samples = batch
+        clipped: Samples = batch
         if self._duration_ns is not None:
             # A deadline is rounded to whole nanoseconds: half a period decides which tick is the first
             # outside.
             inside = times - self._first_ns + self._period_ns // 2 < self._duration_ns
-            kept = batch[inside]
-            self._complete = len(kept) < len(batch)
-        if len(kept):
-            self._end_tick = int(kept["tick"][-1]) + 1
-            self._last_ns = int(kept["time_ns"][-1])
-        return kept
+            clipped = batch[inside]
+            self._complete = len(clipped) < len(batch)
+        if len(clipped):
+            self._end_tick = int(clipped["tick"][-1]) + 1
+            self._last_ns = int(clipped["time_ns"][-1])
+        return clipped
 
-    def hold(self, event: dict[str, Any]) -> None:
-        self._held.append(event)
+    def queue(self, event: dict[str, Any]) -> None:
+        self._queued.append(event)
 
-    def release(self) -> list[dict[str, Any]]:
+    def due_events(self) -> list[dict[str, Any]]:
         """The events of the ticks recorded so far."""
         if self._first_tick is None:
             return []
-        held, self._held = self._held, []
-        released = []
-        for event in held:
+        queued, self._queued = self._queued, []
+        due = []
+        for event in queued:
             tick = int(event.get("tick", 0))
             if tick >= self._end_tick:
-                self._held.append(event)
+                self._queued.append(event)
             elif tick >= self._first_tick:
-                released.append(event)
-        return released
+                due.append(event)
+        return due

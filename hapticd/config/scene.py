@@ -176,6 +176,15 @@ def material_names(item: SceneObject) -> Collection[str]:
     return materials_of(item)
 
 
+def same_materials(one: SceneObject | None, other: SceneObject) -> bool:
+    """Whether two objects are surely made of the same materials, in the same places."""
+    if one is None or one.kind != other.kind:
+        return False
+    if one.kind == "wall":
+        return one.material == other.material and one.patches is other.patches  # type: ignore[union-attr]
+    return getattr(one, "material", None) == getattr(other, "material", None)
+
+
 def material_places(item: SceneObject) -> Iterator[tuple[str, Path]]:
     """The materials of an object, each once, and where it first names them."""
     if item.kind == "spring" or item.kind == "viscous" or item.kind == "constant":
@@ -234,10 +243,17 @@ class Scene(Model):
         if len(objects) > MAX_OBJECTS:
             problem = f"must hold at most {MAX_OBJECTS} entries, holds {len(objects)}"
             raise InvalidError([Problem("objects", problem)])
-        # All three are valid already; copying the model would cost more than the rest of an update.
-        return Scene.model_construct(
-            display=self.display, ramp_s=self.ramp_s, passivity=self.passivity, objects=objects
-        )
+        # All is valid already; pydantic's ways to copy a model would cost more than the rest of an update.
+        scene = Scene.__new__(Scene)
+        values = {**self.__dict__, "objects": objects}
+        for slot, value in (
+            ("__dict__", values),
+            ("__pydantic_fields_set__", set(values)),
+            ("__pydantic_extra__", None),
+            ("__pydantic_private__", None),
+        ):
+            object.__setattr__(scene, slot, value)
+        return scene
 
 
 SceneSource: TypeAlias = "Scene | Mapping[str, object] | str | os.PathLike[str]"

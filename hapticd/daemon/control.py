@@ -31,6 +31,7 @@ from hapticd.config.scene import (
     material_names,
     materials_of,
     reference_problems,
+    same_materials,
     used_materials,
     validate_scene,
 )
@@ -351,10 +352,14 @@ class Control:
         engine = self._engine
         changes = patched_objects(params.objects, engine.scene)
         present = {id: item for id, item in changes.items() if item is not None}
-        problems = self._problems_of(present)
-        if problems:
-            raise _faulty(problems)
-        self._weigh(present, engine.materials)
+        # What is made of the same as before is known to go together with it.
+        before = engine.scene.objects
+        others = {id: item for id, item in present.items() if not same_materials(before.get(id), item)}
+        if others:
+            problems = self._problems_of(others)
+            if problems:
+                raise _faulty(problems)
+            self._weigh(others, engine.materials)
         self._told.prepare(present)
         revision = engine.update_objects(changes, params.expect_revision)
         return Changed(revision, params.wait, self._warnings(present, ("objects",)))
@@ -551,7 +556,7 @@ class Control:
     def _warnings(self, objects: Mapping[str, SceneObject], root: Path, sent: Collection[str] = ()) -> list[Problem]:
         """What of these objects and materials, which are in force, is not displayed as it was meant."""
         engine = self._engine
-        return change_warnings(objects, sent, engine.materials, engine.output, root, engine.played(), engine.working)
+        return change_warnings(objects, sent, engine.materials, engine.report_of, root, engine.played(), engine.working)
 
     def _material_warnings(self, sent: Collection[str]) -> list[Problem]:
         return self._warnings({}, (), sent)

@@ -44,29 +44,29 @@ from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, field_ids, material_names, used_materials
 from hapticd.daemon.counters import Counters, Granted, Histogram, read_counters, read_faults, read_histograms
 from hapticd.daemon.plays import Play, Plays
-from hapticd.hid.connection import Connection, Link
+from hapticd.hid.connection import Connection
+from hapticd.hid.link import Link
 from hapticd.hid.offload import Offload, Offloaded
 from hapticd.hid.signs import Check, SignsLog
 from hapticd.hid.sources import source_of
 from hapticd.hid.stopper import StopFile
 from hapticd.protocol.changes import Change, Reset, Revised, revised
+from hapticd.protocol.displayability_warnings import MaterialReport
 from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import (
     displayed_mode,
-    material_warnings,
     materials_in,
     rate_faults,
-    undisplayable,
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
 from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
-from hapticd.rendering.scene_stability import Stability, judge
+from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
 from hapticd.rendering.undisplayable import Undisplayable
-from hapticd.system.idle_states import Awake
+from hapticd.system.idle_states import IdleStateLock
 
 SAMPLE_CAPACITY: Final = 16384
 """Room in the telemetry ring: more than a second at 10 kHz, which outlasts a garbage collection."""
@@ -81,7 +81,7 @@ CHANGES: Final = 1024
 
 WAIT_S: Final = 1.0
 """How long a command waits for the servo to take it."""
-JUDGED_AT_ONCE: Final = 512
+EVALUATED_AT_ONCE: Final = 512
 """Larger scenes are judged by a thread: nobody waits for it."""
 
 LOOK_EVERY_NS: Final = 50_000_000
@@ -113,15 +113,6 @@ class State(NamedTuple):
     scene: Scene
     materials: Materials
     revision: int
-
-
-class _Told(NamedTuple):
-    """What is said of a material."""
-
-    material: Material
-    output: Output
-    undisplayable: list[Undisplayable]
-    warnings: list[Problem]
 
 
 class _Working(threading.local):
@@ -160,7 +151,7 @@ class Engine:
         self._look_ns = 0
         self._suspends = 0
         self._signs = SignsLog()
-        self._awake = Awake()
+        self._idle_lock = IdleStateLock()
         self._sim: CData | None = None
         self.connection: Connection | None = None
         self._offload: Offload | None = None
@@ -195,14 +186,14 @@ class Engine:
         self.output = self._output_at(servo.rate_hz)
         self._loop = self._loop_at(self.output)
         self._compiling = threading.Lock()
-        self._judged: tuple[int, Stability] | None = None
-        self._judging = threading.Lock()
-        self._told: dict[str, _Told] = {}
+        self._evaluated: tuple[int, Stability] | None = None
+        self._evaluating = threading.Lock()
+        self._reports: dict[str, MaterialReport] = {}
         refused = rate_faults(config.scene.objects, config.materials, self.output)
         if refused:
             raise InvalidError(refused)
         if self._offload is not None:
-            self._offload.judge_by(self.output.carried_hz)
+            self._offload.evaluate_at(self.output.carried_hz)
         self._operators: deque[tuple[int, CData]] = deque()
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
@@ -306,7 +297,7 @@ class Engine:
             missing.append(f"locked memory: {os.strerror(grant.memory)} ({kept})")
         if servo.realtime != "off":
             try:
-                self._awake.hold()
+                self._idle_lock.hold()
             except OSError as error:
                 missing.append(f"processors kept out of deep idle states: {error.strerror} ({error.filename})")
         if self.connection is not None and self.connection.denied:
@@ -325,14 +316,14 @@ class Engine:
             priority=grant.priority,
             cpu=None if grant.affinity else servo.cpu,
             memory=_MEMORY_KINDS[grant.memory_kind],
-            awake=self._awake.held,
+            awake=self._idle_lock.held,
             missing=tuple(missing),
         )
         return self.granted
 
     def stop(self) -> None:
         """Fades the force out over the ramp, puts zero, ends the thread and lets the device go."""
-        self._awake.release()
+        self._idle_lock.release()
         ended = lib.hd_servo_stop(self._servo)
         self._disconnect()
         if ended != Status.OK:
@@ -413,7 +404,7 @@ class Engine:
             set_rate(self._sim, self.config.device.sim, rate_hz)
         self.output, self.rate_hz, self._loop = output, rate_hz, self._loop_at(output)
         if self._offload is not None:
-            self._offload.judge_by(output.carried_hz)
+            self._offload.evaluate_at(output.carried_hz)
         self._compiler.turn_to(output)
         self._plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
@@ -461,21 +452,19 @@ class Engine:
         """What of the scene the rate cannot carry, and what is shown otherwise than it was meant. For any thread."""
         scene, materials, _ = self.state
         objects = _of_all_materials(scene.objects)
-        told = {name: self._tell(name, each) for name, each in materials_in(objects, materials).items()}
-        self._told = dict(told)
+        reports = {name: self.report_of(name, each) for name, each in materials_in(objects, materials).items()}
+        self._reports = dict(reports)
         played = self.played()
-        lacking = [one for each in told.values() for one in each.undisplayable]
-        found = [one for each in told.values() for one in each.warnings]
+        lacking = [one for each in reports.values() for one in each.undisplayable]
+        found = [one for each in reports.values() for one in each.warnings]
         found += warnings(objects, {}, self.output)
         return [one for one in lacking if (one.material, one.mode) not in played], found
 
-    def _tell(self, name: str, material: Material) -> _Told:
-        """What the rate cannot carry of a material, and what is shown otherwise; found once while it is in use."""
-        known = self._told.get(name)
+    def report_of(self, name: str, material: Material) -> MaterialReport:
+        """What of a material is not displayed as it was meant; found once while it is in use. For any thread."""
+        known = self._reports.get(name)
         if known is None or known.material is not material or known.output is not self.output:
-            output = self.output
-            lacking = undisplayable({name: material}, output)
-            known = self._told[name] = _Told(material, output, lacking, material_warnings(name, material, output))
+            known = self._reports[name] = MaterialReport.of(name, material, self.output)
         return known
 
     def played(self) -> set[tuple[str, str]]:
@@ -497,11 +486,11 @@ class Engine:
         """Which sets of objects that act together are not safe, of the scene in force. For any thread.
 
         Found anew only where the scene changed. While another thread changes it, that of the scene before; of a scene
-        of more than JUDGED_AT_ONCE objects and patches, until a thread has found it, which takes seconds at most.
+        of more than EVALUATED_AT_ONCE objects and patches, until a thread has found it, which takes seconds at most.
         """
         if self._loop is None:
             return Stability(UNKNOWN_HANDLE, None)
-        known = self._judged
+        known = self._evaluated
         # Nobody waits here for the filters of many textures; but the first one is always told.
         if not self._compiling.acquire(blocking=known is None):
             assert known is not None
@@ -509,31 +498,31 @@ class Engine:
         try:
             if known is not None and known[0] == self.revision:
                 return known[1]
-            revision, scene, parts = self.revision, self.scene, self._compiler.parts()
+            revision, scene, parts = self.revision, self.scene, self._compiler.surfaces()
             names = self._compiler.names()
         finally:
             self._compiling.release()
         loop = self._loop
 
         def find() -> Stability:
-            found = judge(parts, names.__getitem__, lambda: field_ids(scene.objects), loop)
-            self._judged = revision, found
+            found = evaluate(parts, names.__getitem__, lambda: field_ids(scene.objects), loop)
+            self._evaluated = revision, found
             return found
 
-        if known is None or np.count_nonzero(parts.objects["shape"]) + len(parts.pieces) <= JUDGED_AT_ONCE:
+        if known is None or np.count_nonzero(parts.objects["shape"]) + len(parts.pieces) <= EVALUATED_AT_ONCE:
             return find()
-        if self._judging.acquire(blocking=False):
+        if self._evaluating.acquire(blocking=False):
 
             def run() -> None:
                 try:
                     find()
                 finally:
-                    self._judging.release()
+                    self._evaluating.release()
 
             try:
                 threading.Thread(target=run, name="stability", daemon=True).start()
             except RuntimeError:  # there may be no more threads: whoever asks finds it
-                self._judging.release()
+                self._evaluating.release()
                 return find()
         return known[1]
 
@@ -555,7 +544,7 @@ class Engine:
         self._compiler.prepare(names, materials, progress)
         if progress is not None:
             for name in names:  # or who asks for the status first would have to find it out
-                self._tell(name, materials[name])
+                self.report_of(name, materials[name])
                 progress.step()
         with self._compiling:
             before = self.state

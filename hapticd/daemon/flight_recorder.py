@@ -149,9 +149,10 @@ class Flight:
 
     def turn(self, kept_ns: int) -> None:
         """Hands over to the writer what is due at `kept_ns`: the time until which everything is kept, or on its way."""
-        moment = self._read_clock()
-        if moment.monotonic_ns - self._moments[-1].monotonic_ns >= CLOCK_EVERY_NS:
-            self._moments.append(moment)
+        if kept_ns - self._moments[-1].monotonic_ns >= CLOCK_EVERY_NS:
+            self._moments.append(self._read_clock())
+        if not self._asked:
+            return
         with self._lock:
             held = self._dumping
             # A change may come a moment later than the samples that were rendered with it.

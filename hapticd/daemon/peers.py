@@ -13,6 +13,7 @@ import socket
 import struct
 import time
 from collections import deque
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Final
@@ -253,25 +254,28 @@ class Peers:
         """Sends bytes after those that were sent before; whatever the peer does not take at once waits."""
         if peer.closed:
             return
+        if peer.out:
+            self._keep(peer, (data, *more))
+            return
+        try:
+            sent = peer.sock.send(data)
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            self._end(peer)
+            return
+        if sent < len(data):
+            self._keep(peer, (memoryview(data)[sent:], *more))
+        elif more:
+            self._keep(peer, more)
+
+    def _keep(self, peer: Peer, unsent: Iterable[bytes | memoryview]) -> None:
+        """What is to be sent once the peer took what waits before it."""
         if not peer.out:
-            try:
-                sent = peer.sock.send(data)
-            except BlockingIOError:
-                sent = 0
-            except OSError:
-                self._end(peer)
-                return
-            if sent < len(data):
-                peer.out.append(memoryview(data)[sent:])
-            elif not more:
-                return
-            peer.unsent = len(data) - sent
             self._epoll.modify(peer.sock, _IN_AND_OUT)
-        else:
+        for data in unsent:
             peer.out.append(data)
             peer.unsent += len(data)
-        peer.out += more
-        peer.unsent += sum(map(len, more))
         self._account(peer)
 
     def _write(self, peer: Peer) -> None:

@@ -11,7 +11,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.modes import Attack, Mode
 from hapticd.hid.offload import EffectUse
 from hapticd.protocol.changes import Played
-from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.output import Output
 
 _MOST: Final = 4096

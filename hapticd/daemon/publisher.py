@@ -5,6 +5,7 @@ A subscriber that does not keep up loses the oldest of what waits for it (`backl
 
 from __future__ import annotations
 
+import errno
 import itertools
 import logging
 import socket
@@ -13,6 +14,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from hapticd.base import wording
+from hapticd.base.core import ffi, lib
 from hapticd.daemon.backlog import Backlog, Reader
 from hapticd.daemon.peers import Limits, Peer, Peers
 from hapticd.protocol import zmtp
@@ -52,20 +54,42 @@ class Publisher(Peers):
         name = topic.encode()
         return bool(self._subscribers[name]) or self._backlog.waits(name)
 
-    def publish(self, topic: str, body: bytes) -> None:
-        """To all who subscribed to it."""
+    def publish(self, topic: str, body: bytes, data: bytes | memoryview = b"") -> None:
+        """To all who subscribed to it; `data` is sent from where it stands, behind `body`."""
         name = topic.encode()
         listening = self._subscribers[name]
         for peer in [each for each in listening if each.out]:
             self._fall_behind(peer)
-        if not listening and not self._backlog.waits(name):
+        if not self.wants(topic):
             return
-        data = zmtp.message([name, body])
-        self._backlog.put(name, data)
-        for peer in list(listening):
-            self._send(peer, data)
-            if peer.out:
-                self._fall_behind(peer)
+        head = zmtp.header(len(name), zmtp.MORE) + name + zmtp.header(len(body) + len(data)) + body
+        if self._backlog.waits(name):
+            self._backlog.put(name, b"".join((head, data)))
+        if listening:
+            self._send_each(list(listening), head, data)
+
+    def _send_each(self, peers: list[Peer], head: bytes, data: bytes | memoryview) -> None:
+        """To those that keep up. Who does not take all of it falls behind."""
+        size, taken = len(head) + len(data), ffi.new("int64_t[]", len(peers))
+        sockets = ffi.new("int32_t[]", [peer.sock.fileno() for peer in peers])
+        lib.hd_send_each(
+            sockets,
+            len(peers),
+            ffi.from_buffer("char[]", head),
+            len(head),
+            ffi.from_buffer("char[]", data),
+            len(data),
+            taken,
+        )
+        for peer, count in zip(peers, taken, strict=True):
+            if count == size:
+                continue
+            if count < 0 and -count not in (errno.EAGAIN, errno.EWOULDBLOCK):
+                self._end(peer)
+                continue
+            # A copy: what stands in `data` is another message soon.
+            self._keep(peer, (b"".join((head, data))[max(count, 0) :],))
+            self._fall_behind(peer)
 
     def wait(self, timeout_s: float) -> None:
         """Serves those who listen for so long, at least one of them; returns at once when somebody calls `wake`."""

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.base import codec
+from hapticd.base.codec import encode
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
 from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
 from hapticd.daemon.flight_recorder import Flight
@@ -30,7 +30,24 @@ STATUS_EVERY_S: Final = 1.0
 TOPICS: Final = ("samples", "state", "event", "change", "status")
 
 _EVENT_READS: Final = 2
-_DESCRIPTION: Final = np.lib.format.dtype_to_descr(SAMPLE_DTYPE)
+_EVERY_NS: Final = {
+    "samples": round(SAMPLES_EVERY_S * 1e9),
+    "state": round(STATE_EVERY_S * 1e9),
+    "status": round(STATUS_EVERY_S * 1e9),
+}
+_TO_FIRST_TICK: Final = b"\x84" + encode("first_tick")
+_TO_DROPPED: Final = encode("dropped")
+_TO_DATA: Final = encode("dtype") + encode(np.lib.format.dtype_to_descr(SAMPLE_DTYPE)) + encode("data")
+
+
+def _samples_head(first_tick: int, dropped: int, size: int) -> bytes:
+    """What stands before `size` bytes of samples in their message."""
+    begin = _TO_FIRST_TICK + encode(first_tick) + _TO_DROPPED + encode(dropped) + _TO_DATA
+    if size < 2**8:
+        return begin + b"\xc4" + size.to_bytes(1, "big")
+    if size < 2**16:
+        return begin + b"\xc5" + size.to_bytes(2, "big")
+    return begin + b"\xc6" + size.to_bytes(4, "big")
 
 
 def sample_map(sample: np.void) -> dict[str, object]:
@@ -85,14 +102,11 @@ class Telemetry:
         """Publishes until `stop` is set, and once more after it."""
         now = monotonic_ns()
         due = {"samples": now, "state": now, "status": now}
-        every = {
-            "samples": round(SAMPLES_EVERY_S * 1e9),
-            "state": round(STATE_EVERY_S * 1e9),
-            "status": round(STATUS_EVERY_S * 1e9),
-        }
         send = {"samples": self._send_samples, "state": self._send_state, "status": self._send_status}
         while True:
-            self._publisher.wait(max(0.0, (min(due.values()) - monotonic_ns()) / 1e9))
+            # Nobody is woken for a state that nobody subscribed to.
+            next_ns = min(due["samples"], due["status"], *((due["state"],) if self._publisher.wants("state") else ()))
+            self._publisher.wait(max(0.0, (next_ns - monotonic_ns()) / 1e9))
             if stop.is_set():
                 break
             drained_ns = monotonic_ns()
@@ -105,9 +119,9 @@ class Telemetry:
             for topic, time in due.items():
                 if now >= time:
                     send[topic]()
-                    # After a stall the rhythm starts anew instead of catching up.
-                    late = now - time
-                    due[topic] = time + every[topic] if late < every[topic] else now + every[topic]
+                    # After a stall the rhythm starts again instead of catching up.
+                    every_ns = _EVERY_NS[topic]
+                    due[topic] = (time if now - time < every_ns else now) + every_ns
             if self._flight is not None:
                 self._flight.turn(drained_ns)
         self._drain()
@@ -122,13 +136,13 @@ class Telemetry:
         count, self._dropped = self._engine.read_samples(self._samples[self._held :])
         if count:
             self._held += count
-            self._newest = self._samples[self._held - 1 : self._held].copy()
+            self._newest = self._samples[self._held - 1 : self._held]  # stays as it is until there is a newer one
         if self._held == len(self._samples):
             self._send_samples()
         # Bounded: a flood of events must not keep the samples waiting, and the ring counts what it has to drop.
         for _ in range(_EVENT_READS):
             count, _ = self._engine.read_events(self._events)
-            for message in self._maps(self._events[:count]):
+            for message in self._maps(self._events[:count]) if count else ():
                 self._send("event", message)
                 self._log.note(message)
                 if self._flight is not None:
@@ -159,18 +173,15 @@ class Telemetry:
             yield event_map(overruns[-1], None) | total
 
     def _send_samples(self) -> None:
-        if self._held:
-            batch = self._samples[: self._held]
-            self._held = 0
-            message: dict[str, object] = {
-                "first_tick": int(batch["tick"][0]),
-                "dropped": self._dropped,
-                "dtype": _DESCRIPTION,
-                "data": batch.tobytes(),
-            }
-            self._send("samples", message)
-            if self._flight is not None:
-                self._flight.keep_samples(batch)
+        if not self._held:
+            return
+        batch = self._samples[: self._held]
+        self._held = 0
+        if self._publisher.wants("samples"):
+            data = memoryview(batch.view(np.uint8))  # type: ignore[arg-type]
+            self._publisher.publish("samples", _samples_head(int(batch["tick"][0]), self._dropped, len(data)), data)
+        if self._flight is not None:
+            self._flight.keep_samples(batch)
 
     def _send_changes(self) -> None:
         for change in self._engine.read_changes():
@@ -200,7 +211,8 @@ class Telemetry:
         self._send("status", self._status())
 
     def _send(self, topic: str, message: dict[str, object]) -> None:
-        self._publisher.publish(topic, codec.encode(message))
+        if self._publisher.wants(topic):
+            self._publisher.publish(topic, encode(message))
 
     def _note(self, event: Any) -> dict[str, object]:
         """An event's map."""

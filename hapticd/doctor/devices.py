@@ -21,15 +21,15 @@ _MOST_PROCESSES: Final = 32768
 _SHOWN: Final = 4
 
 
-def judged(machine: Machine, needs: Needs) -> list[Found]:
-    """The HID devices, each judged by the configuration if that may mean it."""
+def evaluated(machine: Machine, needs: Needs) -> list[Found]:
+    """The HID devices, each evaluated by the configuration if that may mean it."""
     devices = machine.find(machine.path("/sys/class/hidraw"), machine.path("/dev"))
-    return devices if needs.device is None else [device.judged_by(needs.device) for device in devices]
+    return devices if needs.device is None else [device.evaluated_with(needs.device) for device in devices]
 
 
 def drivable(machine: Machine, needs: Needs) -> list[Found]:
     """Those that can be driven."""
-    return [device for device in judged(machine, needs) if device.usable]
+    return [device for device in evaluated(machine, needs) if device.usable]
 
 
 def refused(devices: Iterable[Found], needs: Needs) -> Iterator[Finding]:
@@ -46,7 +46,7 @@ def refused(devices: Iterable[Found], needs: Needs) -> Iterator[Finding]:
 
 def permissions(machine: Machine, needs: Needs) -> Iterator[Finding]:
     """Whether the joysticks that can be driven may be."""
-    devices = judged(machine, needs)
+    devices = evaluated(machine, needs)
     usable = [device for device in devices if device.usable]
     if not usable:
         other = f"; there are {len(devices)} other HID devices" if devices else ""

@@ -15,7 +15,7 @@ import numpy as np
 
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.base.lattice import coefficients_of
-from hapticd.fit.spectrum_apart import apart_db
+from hapticd.fit.spectral_distance import apart_db
 from hapticd.rendering.filter_design import power_spectrum
 
 SAME_PLACE: Final = 0.1

@@ -24,10 +24,11 @@ import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, common, least_squares
 from hapticd.config.modes import Mode
-from hapticd.fit.impossible import without_impossible
-from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import tell_lines
+from hapticd.fit.duplicates import refuse_twins
+from hapticd.fit.exclusions import Left, LeftOut, weigh
+from hapticd.fit.invalid_samples import without_impossible
 from hapticd.fit.recording import Recording
+from hapticd.fit.spectral_lines import tell_lines
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strikes.spacing import slope_of_row
 from hapticd.fit.strikes.stroke import GROUP, Group, Strike, Stroke, StrokeFit
@@ -42,7 +43,6 @@ from hapticd.fit.strokes import (
     told_of,
     varied_force,
 )
-from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 
 LEAST_S: Final = 0.1

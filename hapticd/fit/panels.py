@@ -17,8 +17,8 @@ from hapticd.analysis.statistics import Estimate, FitError
 from hapticd.base.lattice import reflection_of
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
-from hapticd.fit.impossible import without_impossible
-from hapticd.fit.left_out import RECORDING, Left
+from hapticd.fit.exclusions import RECORDING, Left
+from hapticd.fit.invalid_samples import without_impossible
 from hapticd.fit.provenance import Fit, Kind, estimates, plain_figures
 from hapticd.fit.recording import Recording
 from hapticd.fit.report import Curve, Page, Panel

@@ -13,7 +13,7 @@ from hapticd._version import __version__
 from hapticd.analysis.statistics import Estimate
 from hapticd.base.errors import InvalidError, Problem
 from hapticd.config.materials import MAX_REASON, MAX_REASONS, Material, validate_materials
-from hapticd.fit.left_out import Left
+from hapticd.fit.exclusions import Left
 from hapticd.fit.recording import Recording
 from hapticd.fit.verdict import Verdict
 

@@ -16,10 +16,11 @@ import numpy as np
 
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, common, with_offset
-from hapticd.fit.impossible import Kept, without_impossible
-from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import Line, lines_beside, tell_lines
+from hapticd.fit.duplicates import refuse_twins
+from hapticd.fit.exclusions import Left, LeftOut, weigh
+from hapticd.fit.invalid_samples import Kept, without_impossible
 from hapticd.fit.recording import Recording
+from hapticd.fit.spectral_lines import Line, lines_beside, tell_lines
 from hapticd.fit.stretches import gaps_told, in_gap
 from hapticd.fit.strokes import (
     acceleration_of,
@@ -34,7 +35,6 @@ from hapticd.fit.strokes import (
     too_slow,
 )
 from hapticd.fit.taps.ringing import Ringing, fit_ringing
-from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 
 DROP_S: Final = 0.002

@@ -11,11 +11,9 @@ and nothing of what is in it is ever executed.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import io
 import os
-import stat
 from dataclasses import dataclass
 from typing import Annotated, TypeAlias
 
@@ -23,17 +21,15 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from hapticd.analysis.recordings.clock import HIGHEST_HZ, LOWEST_HZ, RATES_ALIKE, uniform
-from hapticd.analysis.recordings.csv_table import csv_table
-from hapticd.analysis.recordings.npz_table import npz_table
+from hapticd.analysis.recordings.files import READERS, ending_of, file_bytes
 from hapticd.analysis.recordings.quantities import NAMES, UNITS, Quantity
 from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.recordings.table import MAX_BYTES, Table, short_name, shown_name
-from hapticd.analysis.recordings.wav_table import wav_table
 from hapticd.analysis.statistics import Floats
 from hapticd.base.errors import HapticdError, InvalidError, Problem, known_names
 from hapticd.base.model import Model, faults_of
 from hapticd.base.yaml_source import MAX_BYTES as MAX_YAML_BYTES
-from hapticd.base.yaml_source import load_bytes, one_line, read_file
+from hapticd.base.yaml_source import load_bytes, one_line
 from hapticd.config.document_kinds import refuse_documents
 
 Rate: TypeAlias = Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)]
@@ -108,7 +104,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
     shown = one_line(name)
     refuse_documents(name)
     try:
-        content = _content(name, MAX_BYTES)
+        content = file_bytes(name, MAX_BYTES)
     except ValueError as error:
         raise NoRecordingError(shown, str(error)) from None
     try:
@@ -118,7 +114,7 @@ def load(path: str | os.PathLike[str]) -> Recording:
         if rate_hz is not None and beside.rate_hz is not None and abs(rate_hz / beside.rate_hz - 1) > RATES_ALIKE:
             raise ValueError(f"the file says {rate_hz:g} Hz, the YAML says {beside.rate_hz:g} Hz: which is right?")
         even, rate_hz, gaps = uniform(found, rate_hz if beside.rate_hz is None else beside.rate_hz, rounding_s)
-    except (ValueError, csv.Error) as error:
+    except ValueError as error:
         raise RecordingError(shown, str(error)) from None
     except MemoryError:
         raise RecordingError(shown, "there is not enough memory for it: cut it into several files") from None
@@ -167,29 +163,13 @@ def save(recording: Recording, path: str | os.PathLike[str]) -> None:
 # ---- The YAML beside it ---------------------------------------------------------------------------------------------
 
 
-def _content(name: str, most: int) -> bytes:
-    """The bytes of a regular file; a pipe would be waited for, a device has no end. Raises ValueError."""
-    try:
-        found = os.stat(name)
-    except OSError as error:
-        raise ValueError(f"cannot be read: {error.strerror}") from None
-    if stat.S_ISDIR(found.st_mode):
-        raise ValueError("cannot be read: is a folder")
-    if not stat.S_ISREG(found.st_mode):
-        raise ValueError("cannot be read: is a pipe or a device, not a file")
-    # Before it is read: what a sparse file says of its size costs nothing.
-    if found.st_size > most or len(content := read_file(name, most)) > most:
-        raise ValueError(f"is larger than {most} bytes: cut it into several files")
-    return content
-
-
 def _beside(name: str) -> RecordingSidecar:
     path = f"{name}.yaml"
     # A link that leads nowhere is a YAML that cannot be read, and not none.
     if not os.path.lexists(path):
         return RecordingSidecar()
     try:
-        content = _content(path, MAX_YAML_BYTES)
+        content = file_bytes(path, MAX_YAML_BYTES)
     except ValueError as error:
         raise HapticdError(f"{one_line(path)}: {error}") from None
     document = load_bytes(content, path)
@@ -235,16 +215,12 @@ def _spelt(unit: str) -> str:
 
 
 def _table(name: str, content: bytes, named: bool) -> Table:
-    ending = os.path.splitext(name)[1].lower()
-    if ending == ".csv":
-        return csv_table(content)
-    if ending == ".npz":
-        return npz_table(content)
-    if ending == ".wav":
-        if not named:
-            raise ValueError(f"a .wav needs {one_line(name)}.yaml, with its columns and their scale")
-        return wav_table(content)
-    raise ValueError("a recording ends in .csv, .npz or .wav")
+    ending = ending_of(name)
+    if ending not in READERS:
+        raise ValueError("a recording ends in .csv, .npz or .wav")
+    if ending == ".wav" and not named:
+        raise ValueError(f"a .wav needs {one_line(name)}.yaml, with its columns and their scale")
+    return READERS[ending](content)
 
 
 def _quantities(

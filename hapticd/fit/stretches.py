@@ -11,7 +11,7 @@ import numpy as np
 from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.spans import spans_of
 from hapticd.analysis.statistics import FitError, Floats
-from hapticd.fit.left_out import PART, LeftOut
+from hapticd.fit.exclusions import PART, LeftOut
 from hapticd.fit.recording import Recording
 
 LEAST_PART: Final = 0.5

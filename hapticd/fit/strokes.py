@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, MistakenError, student_t
-from hapticd.fit.impossible import SPEED, Kept
+from hapticd.fit.invalid_samples import SPEED, Kept
 from hapticd.fit.recording import Recording
 from hapticd.fit.verdict import Doubts
 

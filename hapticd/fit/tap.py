@@ -17,19 +17,19 @@ import numpy as np
 from hapticd.analysis.statistics import Estimate, FitError, common, require_scipy, through_origin, with_offset
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Attack, Mode
-from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
-from hapticd.fit.lines import Line, lines_beside, tell_lines
+from hapticd.fit.duplicates import refuse_twins
+from hapticd.fit.exclusions import Left, LeftOut, most_are_left_out
 from hapticd.fit.recording import Recording, Source
+from hapticd.fit.spectral_lines import Line, lines_beside, tell_lines
 from hapticd.fit.strokes import tell_few_samples
 from hapticd.fit.taps.amplitude import Law, LawKind, Power, doubt_the_law, law_of
 from hapticd.fit.taps.events import hits_of
 from hapticd.fit.taps.hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit, check_speeds
+from hapticd.fit.taps.lack_of_fit import misfit
 from hapticd.fit.taps.law import TABLE as TABLE
 from hapticd.fit.taps.law import Amplitudes, check_hardness, check_slope, json_table, one_astray
-from hapticd.fit.taps.misfit import misfit
 from hapticd.fit.taps.modes import Modes, modes_of
 from hapticd.fit.taps.second_mode import SecondMode, as_pairs, second_mode
-from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 
 LEAST_HZ: Final = 15.0

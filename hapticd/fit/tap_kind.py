@@ -16,13 +16,13 @@ import numpy as np
 
 from hapticd.analysis.statistics import FitError, MistakenError, require_scipy
 from hapticd.config.waveform import LONGEST_S
-from hapticd.fit.left_out import LeftOut
+from hapticd.fit.duplicates import refuse_twins
+from hapticd.fit.exclusions import LeftOut
 from hapticd.fit.recording import Recording
 from hapticd.fit.tap import TapFit, fit_tap
 from hapticd.fit.taps.events import LEAST_REST, Loud, No, loud_in
 from hapticd.fit.taps.law import check_hardness
 from hapticd.fit.taps.pulse_shape import Pulse
-from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import AT_LEAST
 from hapticd.fit.waveform import WaveformFit, fit_waveform
 

@@ -17,11 +17,12 @@ import numpy as np
 
 from hapticd.analysis.statistics import Estimate, FitError, Floats, least_squares, student_t
 from hapticd.fit.autoregressive import ArModel, model_rate, models_of
-from hapticd.fit.impossible import without_impossible
-from hapticd.fit.left_out import Left, LeftOut, weigh
-from hapticd.fit.lines import lines_of, tell_lines
+from hapticd.fit.duplicates import refuse_twins
+from hapticd.fit.exclusions import Left, LeftOut, weigh
+from hapticd.fit.invalid_samples import without_impossible
 from hapticd.fit.recording import Recording
-from hapticd.fit.spectrum_apart import apart_db
+from hapticd.fit.spectral_distance import apart_db
+from hapticd.fit.spectral_lines import lines_of, tell_lines
 from hapticd.fit.spectrum_peak import LOW_HZ, Peak, jackknifed, peak_of
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strokes import (
@@ -35,7 +36,6 @@ from hapticd.fit.strokes import (
     varied_force,
 )
 from hapticd.fit.texture_blocks import BLOCK_S, StrokeBlocks, Tail, blocks_of, centroid_of, slices_of, top_of
-from hapticd.fit.twins import refuse_twins
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter
 

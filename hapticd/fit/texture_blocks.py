@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from hapticd.analysis.statistics import FitError, Floats
-from hapticd.fit.impossible import Kept
+from hapticd.fit.invalid_samples import Kept
 from hapticd.fit.spectrum_peak import LOW_HZ, smoothed
 from hapticd.fit.strokes import acceleration_of, motion_of, pressed
 from hapticd.fit.verdict import Doubts

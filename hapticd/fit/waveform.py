@@ -18,7 +18,7 @@ import numpy as np
 from hapticd.analysis.statistics import Estimate, FitError, Floats, jackknife_error, student_t, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.waveform import LONGEST_S, MOST_SAMPLES, Curve
-from hapticd.fit.left_out import Left, LeftOut, most_are_left_out
+from hapticd.fit.exclusions import Left, LeftOut, most_are_left_out
 from hapticd.fit.recording import Source
 from hapticd.fit.taps.amplitude import doubt_the_law, law_of
 from hapticd.fit.taps.hit import check_speeds

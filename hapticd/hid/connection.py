@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import os
-import statistics
 import threading
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from typing import Final
 from hapticd.base.core import CData, HidMeaning, Status, ffi, invalid_reason, lib
 from hapticd.base.errors import HapticdError
 from hapticd.hid.device import Device, Driver
-from hapticd.hid.drivers.restore import paced
+from hapticd.hid.link import Link, link_of, measured_force_hz, paced
 from hapticd.hid.offload import Offload
 from hapticd.hid.plan import DeviceError, Plan
 from hapticd.hid.signs import Check
@@ -39,8 +38,6 @@ TELL_S: Final = 1.0
 """A device whose reports have room for it has this long to say that an effect plays."""
 STOP_S: Final = 2.0
 """So long the end waits for a set-up that is under way."""
-_MEASURED_ROUNDS: Final = 8
-_MEASURED_S: Final = 0.05
 _RATE_EVERY_S: Final = 1.0
 
 _log = logging.getLogger("hapticd")
@@ -65,30 +62,6 @@ class Opened:
 
 Source = Callable[[], Opened]
 """Finds and opens the device. Raises HapticdError, one line, while it cannot."""
-
-
-@dataclass(frozen=True, slots=True)
-class Link:
-    """How fast a device takes forces."""
-
-    endpoint_hz: float | None
-    """What the endpoint's interval allows, for whole forces."""
-    measured_hz: float | None
-    """What was measured when the device was set up."""
-    limit_hz: float | None
-    """What the configuration allows."""
-
-    @property
-    def rate_hz(self) -> float | None:
-        """The least of them; None: nothing is known to hold it up."""
-        return min(
-            (rate for rate in (self.endpoint_hz, self.measured_hz, self.limit_hz) if rate is not None), default=None
-        )
-
-    def carried_hz(self, servo_hz: float) -> float | None:
-        """Forces a second that reach the device of a servo at this rate; None: all of them."""
-        rate_hz = self.rate_hz
-        return None if rate_hz is None or rate_hz >= servo_hz else rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,7 +249,7 @@ class Connection:
         opened = self._source()
         try:
             plan = opened.driver.set_up(opened.device)
-            measured_hz = _measured_hz(opened.device, plan) if opened.measure else None
+            measured_hz = measured_force_hz(opened.device, plan) if opened.measure else None
             link = link_of(plan, opened.out_interval_s, measured_hz)
             on_change = opened.on_change
             if on_change is None:
@@ -386,26 +359,6 @@ class Connection:
 def _why(raw: CData) -> str:
     """What ended a connection."""
     return os.strerror(raw.error) if raw.error else "the connection ended"
-
-
-def link_of(plan: Plan, out_interval_s: float | None, measured_hz: float | None = None) -> Link:
-    """How often a whole force, all of its reports, can be sent through an endpoint of this interval (None: unknown)."""
-    count = max(1, len(plan.force))
-    endpoint = None if not out_interval_s else 1.0 / (out_interval_s * count)
-    limit = None if plan.write_interval_s <= 0.0 else 1.0 / (plan.write_interval_s * count)
-    return Link(endpoint, measured_hz, limit)
-
-
-def _measured_hz(device: Device, plan: Plan) -> float | None:
-    reports = [message.at_rest() for message in plan.force]
-    took_s: list[float] = []
-    begun = time.monotonic()
-    while reports and len(took_s) < _MEASURED_ROUNDS and time.monotonic() - begun < _MEASURED_S:
-        start = time.monotonic()
-        for report in reports:
-            device.write(report)
-        took_s.append(time.monotonic() - start)
-    return 1.0 / max(statistics.median(took_s), 1e-6) if took_s else None
 
 
 def _reports_steadily(device: Device, numbered: bool, stop: threading.Event) -> bool:

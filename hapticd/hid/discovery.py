@@ -14,8 +14,8 @@ from typing import Final, Literal
 
 from hapticd.base.errors import quoted
 from hapticd.config.hid import Hid
+from hapticd.hid.descriptor.layout import Layout
 from hapticd.hid.device import RULE
-from hapticd.hid.layout import Layout
 from hapticd.hid.plan import DeviceError, UndrivableError
 from hapticd.hid.verdict import Verdict, verdict_of
 
@@ -48,7 +48,7 @@ class Found:
     port: str = ""
     """Where it is plugged in."""
     hid: Hid = field(default=Hid(), kw_only=True)
-    """The configuration by which it is judged."""
+    """The configuration by which it is evaluated."""
     verdict: Verdict = field(init=False, repr=False, compare=False)
     """Whether it can be driven."""
 
@@ -97,8 +97,8 @@ class Found:
         """Whether it is no device of the PID class at all, or none that can be read."""
         return self.layout is None or self.layout.constant_force is None
 
-    def judged_by(self, hid: Hid) -> Found:
-        """The same, judged by a configuration if that may mean it."""
+    def evaluated_with(self, hid: Hid) -> Found:
+        """The same, evaluated by a configuration if that may mean it."""
         return replace(self, hid=hid) if hid != self.hid and is_meant(hid, self) else self
 
     def to_dict(self) -> dict[str, object]:
@@ -150,23 +150,23 @@ def choose(hid: Hid, found: Sequence[Found]) -> Found:
     if not meant:
         others = f"; there are {_listed(found)}" if found and wanted else ""
         raise DeviceError(f"no HID device{text} is connected{others}; {_HERE}")
-    judged = [item.judged_by(hid) for item in meant]
-    usable = [item for item in judged if item.usable]
+    evaluated = [item.evaluated_with(hid) for item in meant]
+    usable = [item for item in evaluated if item.usable]
     if not usable:
         # What lacks nothing by itself does not suit the configuration: whoever opens it says why.
-        near = judged if hid.report is not None else [item for item in judged if item.layout and item.layout.usable]
+        near = [item for item in evaluated if hid.report is not None or (item.layout and item.layout.usable)]
         usable = near if len(near) == 1 else []
     if not usable:
-        if len(judged) == 1:
-            hint = "; a device with reports of its own needs device.hid.report" if judged[0].is_other else ""
-            told = f"{judged[0]} cannot be driven: {judged[0].verdict.why_not}{hint}"
-            raise DeviceError(told) if judged[0].is_other and not hid.names_one else UndrivableError(told)
+        if len(evaluated) == 1:
+            hint = "; a device with reports of its own needs device.hid.report" if evaluated[0].is_other else ""
+            told = f"{evaluated[0]} cannot be driven: {evaluated[0].verdict.why_not}{hint}"
+            raise DeviceError(told) if evaluated[0].is_other and not hid.names_one else UndrivableError(told)
         if near:
             told = "; ".join(f"{item}: {item.verdict.why_not}" for item in near[:_TOLD])
             raise UndrivableError(f"no HID device{text} can be driven: {told}; {_HERE}")
-        nearly = [f"; {item}: {item.verdict.why_not}" for item in judged if not item.is_other]
+        nearly = [f"; {item}: {item.verdict.why_not}" for item in evaluated if not item.is_other]
         raise DeviceError(
-            f"no HID device{text} can be driven: none of {_listed(judged)} is a force-feedback device"
+            f"no HID device{text} can be driven: none of {_listed(evaluated)} is a force-feedback device"
             f"{''.join(nearly[:1])}; {_HERE}"
         )
     if len(usable) > 1:

@@ -236,7 +236,7 @@ class Plan:
     """Between two messages of `restore`."""
     foreign_s: float | None = None
     """At most so long another program's effect acts in the place of ours, where the device does not report it. Until
-    `restore.paced` has taken the link into account, it follows from the renewals alone. None: it keeps no effects."""
+    `link.paced` has taken the link into account, it follows from the renewals alone. None: it keeps no effects."""
     write_interval_s: float = 0.0
     """Between two writes at least; 0: as fast as the device takes them."""
     periodic: Periodic | None = None

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 from hapticd.base.core import Status, invalid_reason, lib
 from hapticd.config.hid import Hid
-from hapticd.hid.descriptor import DescriptorError, parse
+from hapticd.hid.descriptor.layout import SKIPPED, Layout, layout_of
+from hapticd.hid.descriptor.parser import DescriptorError, parse
 from hapticd.hid.device import Driver
-from hapticd.hid.drivers.pid import PidDriver, plan_of, ways_of
+from hapticd.hid.drivers.pid import PidDriver
+from hapticd.hid.drivers.pid_plan import plan_of, ways_of
 from hapticd.hid.drivers.vendor import VendorDriver
 from hapticd.hid.drivers.vendor import plan_of as vendor_plan_of
-from hapticd.hid.layout import SKIPPED, Layout, layout_of
 from hapticd.hid.plan import DeviceError, Plan, UndrivableError
 
 _MOST_STEP_M = 1.0

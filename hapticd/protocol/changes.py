@@ -122,11 +122,16 @@ def revised(
         return Revised(revision, {}, {}, {}, (after, new))
     return Revised(
         revision,
-        {name: getattr(after, name) for name in _SHOWN if getattr(after, name) != getattr(before, name)},
+        _shown_otherwise(before, after),
         {id: after.objects.get(id) for id in ids},
         {name: new.get(name) for name in names},
         None,
     )
+
+
+def _shown_otherwise(before: Scene, after: Scene) -> dict[str, object]:
+    old, new = before.__dict__, after.__dict__
+    return {name: new[name] for name in _SHOWN if new[name] is not old[name] and new[name] != old[name]}
 
 
 def _too_long(scene: Scene, ids: Collection[str], materials: Materials, names: Collection[str]) -> bool:

@@ -5,7 +5,7 @@ It is what `get_status` says of the scene (displayable.py), of no more than the 
 
 from collections.abc import Callable, Collection, Mapping
 from itertools import islice
-from typing import Final
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from hapticd.base.errors import Path, Problem, path_text
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.materials import Material, Materials
-from hapticd.config.scene import SceneObject, Wall, material_places
+from hapticd.config.scene import SceneObject, Wall, material_names, material_places
 from hapticd.rendering.displayability import (
     DISPLAYABLE,
     material_rate_faults,
@@ -22,10 +22,47 @@ from hapticd.rendering.displayability import (
     undisplayable,
 )
 from hapticd.rendering.output import Output
-from hapticd.rendering.undisplayable import Use
+from hapticd.rendering.undisplayable import Undisplayable, Use
 
 _KEYS: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
 """Where a mode stands in its material, if not under its own name."""
+
+
+class MaterialReport(NamedTuple):
+    """What of a material is not displayed as it was meant, at an output."""
+
+    material: Material
+    output: Output
+    undisplayable: list[Undisplayable]
+    """What the rate cannot carry."""
+    warnings: list[Problem]
+    """What is shown otherwise."""
+    fine: bool
+    """There is nothing of either, and no signal of the rate lacks anything."""
+
+    @classmethod
+    def of(cls, name: str, material: Material, output: Output) -> Self:
+        lacking, warnings = undisplayable({name: material}, output), material_warnings(name, material, output)
+        fine = not (lacking or warnings or material_rate_faults(name, material, output))
+        return cls(material, output, lacking, warnings, fine)
+
+    def problems(self, name: str, played: Collection[tuple[str, str]]) -> list[Problem]:
+        """All of it, at its place in a configuration; `played`: materials and modes that the device plays itself."""
+        material, output, lacking, warnings, _ = self
+        refused = material_rate_faults(name, material, output)
+        if refused:  # nobody uses it yet; whoever does is refused
+            return refused
+        return [
+            *(
+                Problem(
+                    path_text(("materials", name, *_KEYS.get(one.mode, (one.mode,)))),
+                    above_rate(one.frequency_hz, one.shown_hz, output),
+                )
+                for one in lacking
+                if (name, one.mode) not in played
+            ),
+            *warnings,
+        ]
 
 
 def above_rate(frequency_hz: float, shown_hz: float | None, output: Output) -> str:
@@ -38,16 +75,19 @@ def change_warnings(
     objects: Mapping[str, SceneObject],
     sent: Collection[str],
     materials: Materials,
-    output: Output,
+    report: Callable[[str, Material], MaterialReport],
     root: Path,
     played: Collection[tuple[str, str]] = (),
     working: Callable[[], None] = lambda: None,
 ) -> list[Problem]:
     """Of objects and materials that were sent, and of materials that these objects name, at most MAX_FAULTS.
 
-    `objects` stand below `root`, the materials named in `sent` below `materials`; another material is told where the
-    first object names it. `played`: materials and modes that the device plays by itself.
+    `objects` stand below `root`, the materials named in `sent` below `materials`; another material is reported where
+    the first object names it. `report` finds what is reported of a material, or knows it; `played`: materials and modes
+    that the device plays by itself.
     """
+    if not sent and all(_is_fine(item, materials, report) for item in objects.values()):
+        return []
     found: list[Problem] = []
     places: dict[str, Path] = {}
     for id, item in objects.items():
@@ -58,27 +98,17 @@ def change_warnings(
     named = {name: materials[name] for name in (*sent, *(name for name in places if name not in sent))}
     for name, material in islice(named.items(), MAX_FAULTS):
         working()
-        told = _of_material(name, material, output, played)
+        problems = report(name, material).problems(name, played)
         # Of a material that stood elsewhere, the whole warning is what is wrong with naming it.
-        found += told if name in sent else [Problem(path_text(places[name]), str(problem)) for problem in told]
+        found += problems if name in sent else [Problem(path_text(places[name]), str(each)) for each in problems]
     return found[:MAX_FAULTS]
 
 
-def _of_material(name: str, material: Material, output: Output, played: Collection[tuple[str, str]]) -> list[Problem]:
-    refused = material_rate_faults(name, material, output)
-    if refused:  # nobody uses it yet; whoever does is refused
-        return refused
-    lacking = [one for one in undisplayable({name: material}, output) if (name, one.mode) not in played]
-    return [
-        *(
-            Problem(
-                path_text(("materials", name, *_KEYS.get(one.mode, (one.mode,)))),
-                above_rate(one.frequency_hz, one.shown_hz, output),
-            )
-            for one in lacking
-        ),
-        *material_warnings(name, material, output),
-    ]
+def _is_fine(item: SceneObject, materials: Materials, report: Callable[[str, Material], MaterialReport]) -> bool:
+    """Whether there is surely nothing to report of an object."""
+    if item.kind == "wall" and item.patches:
+        return False
+    return all(report(name, materials[name]).fine for name in material_names(item))
 
 
 def operator_warnings(waypoints: npt.NDArray[np.float64], workspace_m: float, where: str | None) -> list[Problem]:

@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
+from pydantic import ValidationError
+
 from hapticd.base.errors import InvalidError, Path, Problem, known_names, path_text
 from hapticd.base.merge_patch import merge_patch
 from hapticd.base.model import MAX_FAULTS
@@ -26,6 +28,20 @@ def _kept_patches(before: SceneObject | None, patch: object) -> Sequence[Patch] 
     return before.patches or None
 
 
+def _same_kind(before: SceneObject, patch: object) -> SceneObject | None:
+    """An object with some of its keys replaced, as most patches do: it is not written out and read again, and its kind
+    need not be found. None: it is another patch, or faulty."""
+    if not isinstance(patch, dict) or len(patch) > len(before.__dict__) or "kind" in patch or "patches" in patch:
+        return None
+    for value in patch.values():
+        if value is None or isinstance(value, dict):
+            return None
+    try:
+        return type(before).parsed({**before.__dict__, **patch})
+    except ValidationError:
+        return None
+
+
 def patched_objects(given: Mapping[str, object], scene: Scene) -> dict[str, SceneObject | None]:
     """What merge patches make of objects; None for those that go. Raises InvalidError with the faults of all."""
     changes: dict[str, SceneObject | None] = {}
@@ -40,6 +56,9 @@ def patched_objects(given: Mapping[str, object], scene: Scene) -> dict[str, Scen
         if patch is None:
             if before is not None:
                 changes[id] = None
+            continue
+        if before is not None and (item := _same_kind(before, patch)) is not None:
+            changes[id] = item
             continue
         # Thousands of patches are not written out and validated again where nothing is said of them.
         kept = _kept_patches(before, patch)

@@ -8,6 +8,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from hapticd.base import wording
+
 SKIPPED: Final = 1
 """The flag of a tick before which periods were missed (hapticd.base.core.Flag, which loads the core)."""
 
@@ -55,3 +57,10 @@ def gaps_of(ticks: npt.NDArray[np.int64], before: int | None = None) -> list[tup
 def share(missed: int, rendered: int) -> float:
     """Part of the periods that were due."""
     return missed / (missed + rendered) if missed else 0.0
+
+
+def missed_text(missed: int, rendered: int) -> str:
+    """Missed periods, and their share of those that were due, in words."""
+    if not missed:
+        return "no period missed"
+    return f"{wording.count(missed, 'period')} missed ({wording.percent(share(missed, rendered))})"

@@ -31,8 +31,7 @@ from hapticd.rendering.stability import (
     limits,
     spectral_radius,
 )
-
-Ints = npt.NDArray[np.int64]
+from hapticd.rendering.surface_table import Ints, SurfaceTable
 
 MOST_PAIRS: Final = 40_000
 """So many pairs are looked at, or a set is what lies over a cell of a grid."""
@@ -46,35 +45,6 @@ MOST_LINES: Final = 5
 """Sets that are told as lines."""
 _CELLS: Final = 4
 """A region that is wider than so many cells of the grid is compared with all others."""
-
-
-class Parts(NamedTuple):
-    """A copy of what of a table says how surfaces and fields push."""
-
-    objects: npt.NDArray[np.void]
-    """OBJECT_DTYPE, by slot."""
-    materials: npt.NDArray[np.void]
-    """MATERIAL_DTYPE."""
-    pieces: npt.NDArray[np.void]
-    """PIECE_DTYPE."""
-    field_stiffness_n_per_m: float
-    field_damping_n_s_per_m: float
-    names: Sequence[str] = ()
-    """Of the materials, by index."""
-
-    def of(self, slots: Ints) -> Parts:
-        """Only these surfaces, in this order."""
-        objects = self.objects[slots]
-        count, first = objects["piece_count"].astype(np.int64), objects["piece_first"].astype(np.int64)
-        begin = np.cumsum(count) - count
-        pieces = self.pieces[np.repeat(first - begin, count) + np.arange(int(count.sum()))]
-        objects["piece_first"] = begin
-        return self._replace(objects=objects, pieces=pieces)
-
-    def materials_of(self, slots: Ints) -> Ints:
-        """The indices of all materials that these surfaces are made of, each once."""
-        some = self.of(slots)
-        return np.unique(np.concatenate((some.objects["material"], some.pieces["material"]))).astype(np.int64)
 
 
 class _Skins(NamedTuple):
@@ -129,34 +99,34 @@ def _material_skins(materials: npt.NDArray[np.void]) -> _Skins:
     )
 
 
-def _round(parts: Parts, skins: _Skins) -> None:
+def _round(surfaces: SurfaceTable, skins: _Skins) -> None:
     """Puts in what discs are where they have friction or shaped grooves."""
-    materials = parts.materials[parts.objects["material"]]
+    materials = surfaces.materials[surfaces.objects["material"]]
     depends = (materials["friction_coefficient"] > 0.0) | (materials["texture"] == Texture.GEOMETRY)
-    discs = np.flatnonzero((parts.objects["shape"] == Shape.DISC) & depends)
+    discs = np.flatnonzero((surfaces.objects["shape"] == Shape.DISC) & depends)
     if len(discs) == 0:
         return
-    found = round_skins(parts.objects["half_m"][discs, 0], materials[discs], PRESS_N)
+    found = round_skins(surfaces.objects["half_m"][discs, 0], materials[discs], PRESS_N)
     skins.normal[discs] = skins.normal_noise[discs] = found.normal
     skins.tangent[discs] = found.tangent
     skins.rubbed[discs] = found.rubbed
     skins.tangent_noise[discs] = found.tangent + found.spring + found.rubbed
 
 
-def _skins(parts: Parts) -> _Skins:
+def _skins(surfaces: SurfaceTable) -> _Skins:
     """Of each object: its material's, or the largest of its pieces' and of the ramps between them."""
-    materials = _material_skins(parts.materials)
-    skins = _Skins(*(values.copy() for values in materials.of(parts.objects["material"])))
-    _round(parts, skins)
-    patched = np.flatnonzero(parts.objects["piece_count"] > 0)
+    materials = _material_skins(surfaces.materials)
+    skins = _Skins(*(values.copy() for values in materials.of(surfaces.objects["material"])))
+    _round(surfaces, skins)
+    patched = np.flatnonzero(surfaces.objects["piece_count"] > 0)
     if len(patched) == 0:
         return skins
     # Where a material of stiffness K1 goes over into one of K2 over a width w, K' <= 3/2 |K2 - K1| / w and
     # K'' <= 6 |K2 - K1| / w^2; the force is -grad(K/2 d^2), pressed so deep as PRESS_N does in the middle.
-    of = parts.pieces["material"]
-    stiffness = parts.materials["stiffness_n_per_m"][of]
+    of = surfaces.pieces["material"]
+    stiffness = surfaces.materials["stiffness_n_per_m"][of]
     before = np.concatenate((stiffness[:1], stiffness[:-1]))
-    ramp = 2.0 * parts.pieces["half_ramp_m"]
+    ramp = 2.0 * surfaces.pieces["half_ramp_m"]
     step = np.where(ramp > 0.0, np.abs(stiffness - before), 0.0)
     ramp = np.where(ramp > 0.0, ramp, 1.0)
     depth = PRESS_N / np.maximum(0.5 * (stiffness + before), 1e-3)
@@ -170,8 +140,8 @@ def _skins(parts: Parts) -> _Skins:
         tangent_noise=pieces.tangent_noise + along,
     )
     # The pieces of walls follow each other without gaps, in an order of their own.
-    order = patched[np.argsort(parts.objects["piece_first"][patched], kind="stable")]
-    starts = parts.objects["piece_first"][order].astype(np.int64)
+    order = patched[np.argsort(surfaces.objects["piece_first"][patched], kind="stable")]
+    starts = surfaces.objects["piece_first"][order].astype(np.int64)
     for into, values in zip(skins, pieces, strict=True):
         into[order] = np.maximum.reduceat(values, starts)
     return skins
@@ -188,8 +158,8 @@ class _Regions(NamedTuple):
     reachable: npt.NDArray[np.bool_]
 
 
-def _regions(parts: Parts, skins: _Skins, loop: Loop) -> _Regions:
-    objects = parts.objects
+def _regions(surfaces: SurfaceTable, skins: _Skins, loop: Loop) -> _Regions:
+    objects = surfaces.objects
     shape = objects["shape"]
     center, normal = objects["point_m"].copy(), objects["normal"].copy()
     half = objects["half_m"].copy()
@@ -201,7 +171,7 @@ def _regions(parts: Parts, skins: _Skins, loop: Loop) -> _Regions:
     center[wall] = normal[wall] * (height - 0.5 * deep)[wall, None]
     half[wall, 0], half[wall, 1] = radius, 0.5 * deep[wall]
     membrane = shape == Shape.MEMBRANE
-    breaks = parts.materials["rupture_depth_m"][objects["material"]]
+    breaks = surfaces.materials["rupture_depth_m"][objects["material"]]
     half[membrane, 1] = np.where(breaks > 0.0, np.minimum(breaks, deep), deep)[membrane]
     half += loop.encoder_step_m
     reachable = ~wall | (np.abs(height - 0.5 * deep) - 0.5 * deep <= radius)
@@ -304,9 +274,9 @@ _COLUMNS: Final = 12
 and that which does not; mu K / 2 and 2 mu D, by which delayed friction follows the normal force."""
 
 
-def _rows(parts: Parts, skins: _Skins, loop: Loop) -> Floats:
+def _rows(surfaces: SurfaceTable, skins: _Skins, loop: Loop) -> Floats:
     """What each surface adds to a set: (n, _COLUMNS)."""
-    objects = parts.objects
+    objects = surfaces.objects
     normal = objects["normal"]
     tangent = np.stack((normal[:, 1], -normal[:, 0]), axis=1)
     plane = (objects["shape"] == Shape.WALL) | (objects["shape"] == Shape.MEMBRANE)
@@ -412,24 +382,24 @@ def _cell_sets(rows: Floats, grid: _Grid, reached: Ints, far: Ints) -> tuple[Flo
     return np.concatenate((sums, rows[far])), members
 
 
-class Sets:
+class ContactSets:
     """The sets of a scene, and how each stands."""
 
-    def __init__(self, parts: Parts, loop: Loop) -> None:
+    def __init__(self, surfaces: SurfaceTable, loop: Loop) -> None:
         self._loop = loop
-        skins = _skins(parts)
-        rows = _rows(parts, skins, loop)
-        pushes = (parts.objects["shape"] != Shape.NONE) & rows.any(axis=1)
+        skins = _skins(surfaces)
+        rows = _rows(surfaces, skins, loop)
+        pushes = (surfaces.objects["shape"] != Shape.NONE) & rows.any(axis=1)
         base = np.zeros(_COLUMNS)
-        base[[0, 2]] = parts.field_stiffness_n_per_m
-        base[[3, 5]] = parts.field_damping_n_s_per_m
-        base[6:8] = 0.5 * loop.encoder_step_m * parts.field_stiffness_n_per_m
-        base[8:10] = loop.speed_step_m_per_s * parts.field_damping_n_s_per_m
+        base[[0, 2]] = surfaces.field_stiffness_n_per_m
+        base[[3, 5]] = surfaces.field_damping_n_s_per_m
+        base[6:8] = 0.5 * loop.encoder_step_m * surfaces.field_stiffness_n_per_m
+        base[8:10] = loop.speed_step_m_per_s * surfaces.field_damping_n_s_per_m
         self.fields = bool(base.any())
         """Whether fields push in every set."""
         which = np.flatnonzero(pushes).astype(np.int64)
         if len(which) > 0:
-            sums, self._members = _sets(rows, _regions(parts, skins, loop), which)
+            sums, self._members = _sets(rows, _regions(surfaces, skins, loop), which)
             sums = sums + base
         else:
             sums, self._members = (base[None] if self.fields else np.zeros((0, _COLUMNS))), lambda place: ()
@@ -529,16 +499,16 @@ class Sets:
         return found
 
 
-def safe_around(parts: Parts, loop: Loop, slots: Sequence[int]) -> bool:
+def safe_around(surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> bool:
     """Whether every set that has one of these surfaces is safe; without any, whether the fields alone are."""
     if not slots:
-        return bool(Sets(parts.of(np.zeros(0, np.int64)), loop).safe.all())
+        return bool(ContactSets(surfaces.of(np.zeros(0, np.int64)), loop).safe.all())
     own = np.array(slots)
-    every = np.flatnonzero(parts.objects["shape"] != Shape.NONE)
+    every = np.flatnonzero(surfaces.objects["shape"] != Shape.NONE)
     if len(own) * len(every) <= MOST_LOOKS:
         a, b = np.repeat(own, len(every)), np.tile(every, len(own))
-        every = np.union1d(own, b[_meet(_regions(parts, _skins(parts), loop), a, b)])
-    sets = Sets(parts.of(every), loop)
+        every = np.union1d(own, b[_meet(_regions(surfaces, _skins(surfaces), loop), a, b)])
+    sets = ContactSets(surfaces.of(every), loop)
     wanted = set(np.searchsorted(every, own).tolist())
     return all(wanted.isdisjoint(sets.members(place)) for place in np.flatnonzero(~sets.safe).tolist())
 

@@ -35,11 +35,12 @@ from hapticd.config.materials import Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.scene import Scene, field_ids
-from hapticd.rendering.compiler.table import Compiler, mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.displayability import materials_in, rate_faults, undisplayable, warnings
 from hapticd.rendering.joystick import grip_of, new_operator, new_sim, target_of
 from hapticd.rendering.output import Output, loop_of, output_of
-from hapticd.rendering.scene_stability import Stability, judge
+from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.undisplayable import Undisplayable
 
 Samples: TypeAlias = npt.NDArray[np.void]
@@ -93,7 +94,7 @@ class _Scene:
         loop = loop_of(self.config.model_copy(update={"device": device}), self.rate_hz)
         assert loop is not None
         objects = self.config.scene.objects
-        return judge(self._compiler.parts(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
+        return evaluate(self._compiler.surfaces(), self._compiler.names().__getitem__, lambda: field_ids(objects), loop)
 
     def new_state(self, resolution_m: float) -> CData:
         state = lib.hd_state_new(max(1, len(self.objects)))

@@ -31,16 +31,6 @@ _SAME: Final = 1e-9
 Floats = npt.NDArray[np.float64]
 
 
-def false_taps_hz(rearm_m: float, noise_m: float, step_m: float, rate_hz: float) -> float:
-    """The most false taps a second, over all places of the probe."""
-    gap = rearm_m - step_m
-    if gap < -_SAME * step_m:
-        return rate_hz / 4.0
-    if noise_m == 0.0:
-        return 0.0 if rearm_m > 0.0 else rate_hz / 4.0
-    return rate_hz / 4.0 * math.erfc(max(gap, 0.0) / (2.0 * math.sqrt(2.0) * noise_m))
-
-
 def sigmas(rate_hz: float) -> float:
     """(h - d) / s for one false tap a day at most."""
     return -2.0 * NormalDist().inv_cdf(min(0.5, 2.0 / (rate_hz * DAY_S)))

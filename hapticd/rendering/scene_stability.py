@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hapticd.base.errors import Problem, path_text
-from hapticd.rendering.contact_sets import MOST_LINES, MOST_TOLD, Parts, Sets
+from hapticd.rendering.contact_sets import MOST_LINES, MOST_TOLD, ContactSets
 from hapticd.rendering.stability import Loop, Margin
 from hapticd.rendering.stability_remedy import with_remedy
+from hapticd.rendering.surface_table import SurfaceTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,19 +60,23 @@ def place_of(objects: Sequence[str]) -> str:
     return f"{place} with {', '.join(others[: 2 if more else 3])}{more}"
 
 
-def judge(
-    parts: Parts, name_of: Callable[[int], str], fields: Callable[[], Sequence[str]], loop: Loop, unsafe: bool = True
+def evaluate(
+    surfaces: SurfaceTable,
+    name_of: Callable[[int], str],
+    fields: Callable[[], Sequence[str]],
+    loop: Loop,
+    unsafe: bool = True,
 ) -> Stability:
     """The sets of a scene; `name_of` a slot is an object's id, `fields` are the ids of those that push everywhere.
 
     `unsafe`: tell only of sets that are not safe.
     """
-    sets = Sets(parts, loop)
+    sets = ContactSets(surfaces, loop)
     found = sets.worst(MOST_TOLD, unsafe=unsafe)
     everywhere = tuple(fields()) if found and sets.fields else ()
     named = [((*map(name_of, slots), *everywhere), place) for slots, place in found]
     worst = (
-        margin if margin.safe else with_remedy(margin, parts, loop, slots)
+        margin if margin.safe else with_remedy(margin, surfaces, loop, slots)
         for margin, (slots, _) in zip(sets.margins(named), found, strict=True)
     )
     return Stability(None, loop, len(sets), int((~sets.safe).sum()), tuple(worst))

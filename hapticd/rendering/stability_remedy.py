@@ -15,8 +15,9 @@ from typing import Final
 import numpy as np
 
 from hapticd.base.core import Shape, Texture
-from hapticd.rendering.contact_sets import Ints, Parts, safe_around
+from hapticd.rendering.contact_sets import safe_around
 from hapticd.rendering.stability import Loop, Margin
+from hapticd.rendering.surface_table import Ints, SurfaceTable
 
 _LEAST: Final = 1e-3
 """Factors below this are no remedy."""
@@ -29,23 +30,23 @@ MOST_CHECKED: Final = 200
 _SHOWN: Final = 4
 
 
-def with_remedy(margin: Margin, parts: Parts, loop: Loop, slots: Sequence[int]) -> Margin:
+def with_remedy(margin: Margin, surfaces: SurfaceTable, loop: Loop, slots: Sequence[int]) -> Margin:
     """The margin of an unsafe set with the limit that holds, and the keys to lower where one figure does not say it."""
     own = np.array(slots, dtype=np.int64)
-    alone = np.count_nonzero(parts.objects["shape"]) > MOST_CHECKED
+    alone = np.count_nonzero(surfaces.objects["shape"]) > MOST_CHECKED
     if alone:
-        parts, own, slots = parts.of(own), np.arange(len(own)), range(len(own))
-    materials = parts.materials_of(own)
-    bends = _bends(parts, own, materials)
+        surfaces, own, slots = surfaces.of(own), np.arange(len(own)), range(len(own))
+    materials = surfaces.materials_of(own)
+    bends = _bends(surfaces, own, materials)
 
-    def safe(changed: Parts) -> bool:
+    def safe(changed: SurfaceTable) -> bool:
         return safe_around(changed, loop, slots)
 
-    def softer(factor: float) -> Parts:
-        return _scaled(parts, materials, factor)
+    def softer(factor: float) -> SurfaceTable:
+        return _scaled(surfaces, materials, factor)
 
     # Boxes and discs reach as far as ever.
-    deepens = bool(np.isin(parts.objects["shape"], (Shape.WALL, Shape.MEMBRANE)).any())
+    deepens = bool(np.isin(surfaces.objects["shape"], (Shape.WALL, Shape.MEMBRANE)).any())
     # What is linear needs no search, only the check: 1 - 1e-9, as energy that is neither given nor taken is not safe.
     factor = margin.margin * (1.0 - 1e-9) if math.isfinite(margin.margin) else 0.0
     if bends or (deepens and not alone and factor > 0.0 and not _checked(safe, softer, factor)):
@@ -54,34 +55,34 @@ def with_remedy(margin: Margin, parts: Parts, loop: Loop, slots: Sequence[int]) 
     remedy = ""
     if factor > 0.0:
         single = len(own) == 1 and len(materials) == 1 and not bends
-        rubs = bool((parts.materials["friction_coefficient"][materials] > 0.0).any())
-        if not single or rubs or parts.field_stiffness_n_per_m > 0.0:
-            remedy = _softened(parts, materials, factor, rubs or parts.field_stiffness_n_per_m > 0.0)
+        rubs = bool((surfaces.materials["friction_coefficient"][materials] > 0.0).any())
+        if not single or rubs or surfaces.field_stiffness_n_per_m > 0.0:
+            remedy = _softened(surfaces, materials, factor, rubs or surfaces.field_stiffness_n_per_m > 0.0)
     elif bends:
-        remedy = _reshaped(safe, parts, materials)
+        remedy = _reshaped(safe, surfaces, materials)
     return replace(margin, margin=limit, limit_n_per_m=limit * margin.stiffness_n_per_m, remedy=remedy)
 
 
-def _bends(parts: Parts, own: Ints, materials: Ints) -> bool:
+def _bends(surfaces: SurfaceTable, own: Ints, materials: Ints) -> bool:
     """Whether anything of it has a stiffness that is not proportional to `stiffness_n_per_m`."""
-    grooved = bool((parts.materials["texture"][materials] == Texture.GEOMETRY).any())
-    rubs = parts.materials["friction_coefficient"][parts.objects["material"][own]] > 0.0
-    round_rubs = bool((rubs & (parts.objects["shape"][own] == Shape.DISC)).any())
-    return grooved or round_rubs or bool((parts.objects["piece_count"][own] > 0).any())
+    grooved = bool((surfaces.materials["texture"][materials] == Texture.GEOMETRY).any())
+    rubs = surfaces.materials["friction_coefficient"][surfaces.objects["material"][own]] > 0.0
+    round_rubs = bool((rubs & (surfaces.objects["shape"][own] == Shape.DISC)).any())
+    return grooved or round_rubs or bool((surfaces.objects["piece_count"][own] > 0).any())
 
 
-def _scaled(parts: Parts, materials: Ints, factor: float) -> Parts:
-    changed = parts.materials.copy()
+def _scaled(surfaces: SurfaceTable, materials: Ints, factor: float) -> SurfaceTable:
+    changed = surfaces.materials.copy()
     for key in ("stiffness_n_per_m", "friction_stiffness_n_per_m"):
         changed[key][materials] *= factor
-    return parts._replace(materials=changed, field_stiffness_n_per_m=factor * parts.field_stiffness_n_per_m)
+    return surfaces._replace(materials=changed, field_stiffness_n_per_m=factor * surfaces.field_stiffness_n_per_m)
 
 
-def _checked(safe: Callable[[Parts], bool], with_factor: Callable[[float], Parts], factor: float) -> bool:
+def _checked(safe: Callable[[SurfaceTable], bool], with_factor: Callable[[float], SurfaceTable], factor: float) -> bool:
     return factor >= _LEAST and all(safe(with_factor(part * factor)) for part in _CHECKED)
 
 
-def _found(safe: Callable[[Parts], bool], with_factor: Callable[[float], Parts], top: float) -> float:
+def _found(safe: Callable[[SurfaceTable], bool], with_factor: Callable[[float], SurfaceTable], top: float) -> float:
     """The largest factor below `top` that is safe, as are those a little below; 0: none was found."""
     low = high = top
     while not _checked(safe, with_factor, low):
@@ -94,8 +95,8 @@ def _found(safe: Callable[[Parts], bool], with_factor: Callable[[float], Parts],
     return low
 
 
-def _named(parts: Parts, materials: Ints) -> str:
-    names = [parts.names[index] for index in materials[:_SHOWN].tolist()]
+def _named(surfaces: SurfaceTable, materials: Ints) -> str:
+    names = [surfaces.names[index] for index in materials[:_SHOWN].tolist()]
     return ", ".join(names) + (f" and {len(materials) - _SHOWN} more" if len(materials) > _SHOWN else "")
 
 
@@ -105,42 +106,42 @@ def _rounded(value: float) -> str:
     return f"{math.floor(value / digit) * digit:.6g}"
 
 
-def _softened(parts: Parts, materials: Ints, factor: float, springs: bool) -> str:
-    stiffness = parts.materials["stiffness_n_per_m"][materials]
+def _softened(surfaces: SurfaceTable, materials: Ints, factor: float, springs: bool) -> str:
+    stiffness = surfaces.materials["stiffness_n_per_m"][materials]
     if len(materials) == 1 and not springs:
         most = _rounded(factor * float(stiffness[0]))
-        return f"a stiffness_n_per_m of at most {most} N/m for {_named(parts, materials)}"
-    of = f"of {_named(parts, materials)}" if len(materials) > 0 else "of the fields"
+        return f"a stiffness_n_per_m of at most {most} N/m for {_named(surfaces, materials)}"
+    of = f"of {_named(surfaces, materials)}" if len(materials) > 0 else "of the fields"
     more = ", springs of friction and fields included," if springs and len(materials) > 0 else ""
     return f"every stiffness {of}{more} at most {_rounded(factor)} times what it is"
 
 
-def _reshaped(safe: Callable[[Parts], bool], parts: Parts, materials: Ints) -> str:
+def _reshaped(safe: Callable[[SurfaceTable], bool], surfaces: SurfaceTable, materials: Ints) -> str:
     """The stiffest patches softer: all alike they have no ramps. Or grooves flatter; or both."""
-    stiffness = parts.materials["stiffness_n_per_m"][materials]
+    stiffness = surfaces.materials["stiffness_n_per_m"][materials]
     top = float(stiffness.max())
-    grooved = materials[parts.materials["texture"][materials] == Texture.GEOMETRY]
+    grooved = materials[surfaces.materials["texture"][materials] == Texture.GEOMETRY]
 
-    def capped(factor: float, parts: Parts = parts) -> Parts:
-        changed = parts.materials.copy()
+    def capped(factor: float, surfaces: SurfaceTable = surfaces) -> SurfaceTable:
+        changed = surfaces.materials.copy()
         changed["stiffness_n_per_m"][materials] = np.minimum(stiffness, factor * top)
-        return parts._replace(materials=changed)
+        return surfaces._replace(materials=changed)
 
-    def flatter(factor: float, parts: Parts = parts) -> Parts:
-        changed = parts.materials.copy()
+    def flatter(factor: float, surfaces: SurfaceTable = surfaces) -> SurfaceTable:
+        changed = surfaces.materials.copy()
         changed["depth_m"][grooved] *= factor
-        return parts._replace(materials=changed)
+        return surfaces._replace(materials=changed)
 
     def cap(factor: float) -> str:
         # With those that are hardly softer: left as they are, they would be the next step.
         above = materials[stiffness > _CHECKED[-1] * factor * top]
-        return f"a stiffness_n_per_m of at most {_rounded(factor * top)} N/m for {_named(parts, above)}"
+        return f"a stiffness_n_per_m of at most {_rounded(factor * top)} N/m for {_named(surfaces, above)}"
 
     def flat(factor: float) -> str:
-        depth_m = parts.materials["depth_m"][grooved]
+        depth_m = surfaces.materials["depth_m"][grooved]
         if len(grooved) > 1:
-            return f"every texture.depth_m of {_named(parts, grooved)} at most {_rounded(factor)} times what it is"
-        return f"a texture.depth_m of at most {_rounded(factor * float(depth_m[0]))} m for {_named(parts, grooved)}"
+            return f"every texture.depth_m of {_named(surfaces, grooved)} at most {_rounded(factor)} times what it is"
+        return f"a texture.depth_m of at most {_rounded(factor * float(depth_m[0]))} m for {_named(surfaces, grooved)}"
 
     factor = _found(safe, capped, 1.0)
     if factor > 0.0:

@@ -13,7 +13,7 @@ from typing import Final
 DEVICE: Final = "/dev/cpu_dma_latency"
 
 
-class Awake:
+class IdleStateLock:
     """Holds the request, or not."""
 
     def __init__(self) -> None:

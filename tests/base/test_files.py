@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from hapticd.base.errors import HapticdError
-from hapticd.base.partial_files import write_file
-from hapticd.cli.common import write_whole
+from hapticd.base.partial_files import write_file, write_whole
 
 
 @pytest.mark.parametrize("links", [True, False])

@@ -179,10 +179,10 @@ def test_a_change_comes_out_as_without_it(monkeypatch: pytest.MonkeyPatch) -> No
         monkeypatch.setattr(worker_process, "HERE", here)
         for each in (lattice._reflection_of, filter_design._resampled):
             each.cache_clear()
-        from hapticd.rendering.compiler import table as compiling
+        from hapticd.rendering.compiler import noise_filters
 
-        monkeypatch.setattr(compiling, "_designs", compiling._Designs())
-        compiling._shown_model.cache_clear()
+        monkeypatch.setattr(noise_filters, "designs", noise_filters.Designs())
+        noise_filters._shown_model.cache_clear()
         daemon = Daemon()
         daemon.engine.start()
         try:

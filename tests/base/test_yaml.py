@@ -188,13 +188,11 @@ def test_lines_of_keys_and_items() -> None:
     text = "servo:\n  rate_hz: 1\nobjects:\n  table:\n    point_m:\n      - 0\n      - 1\n"
     text += "    'odd key': [a,\n  b]\n"
     document = load_text(text, "f.yaml")
-    assert document.line_of(()) == 1
-    assert document.line_of(("servo", "rate_hz")) == 2
-    assert document.line_of(("objects", "table", "point_m")) == 5
-    assert document.line_of(("objects", "table", "point_m", 1)) == 7
-    assert document.line_of(("objects", "table", "odd key", 1)) == 9
-    assert document.line_of(("objects", "nobody")) is None
-    assert document.line_of(("servo", "rate_hz", "deeper")) is None
+    assert document.place(()) == "f.yaml:1:1"
+    assert document.place(("objects", "table", "point_m")) == "f.yaml:5:5"
+    assert document.place(("objects", "table", "point_m", 1)) == "f.yaml:7:9"
+    assert document.place(("objects", "table", "odd key", 1)) == "f.yaml:9:3"
+    assert document.place(("servo", "rate_hz", "deeper")) == "f.yaml:2:3"
     assert document.where(("servo", "rate_hz")) == "f.yaml:2:3: servo.rate_hz"
     assert document.where(("objects", "table", "point_m", 0)) == "f.yaml:6:9: objects.table.point_m[0]"
     assert document.where(("objects", "table", "normal")) == "f.yaml:4:3: objects.table.normal"

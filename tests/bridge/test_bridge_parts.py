@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from prometheus_client.parser import text_string_to_metric_families
 
 from hapticd.base.errors import HapticdError, InvalidError
-from hapticd.bridge import gate, http, relay
+from hapticd.bridge import gate, http
 from hapticd.bridge.accounts import Account, Accounts
-from hapticd.bridge.config import MOST_CONNECTIONS, BridgeClient, BridgeConfig, BridgeLimits, load_bridge
+from hapticd.bridge.config import BridgeClient, BridgeConfig, BridgeLimits, load_bridge
 from hapticd.bridge.daemon_link import DaemonLink
 from hapticd.bridge.gate import Gate
 from hapticd.bridge.limits import Bucket, Teller
@@ -539,14 +539,10 @@ def rows(heading: str) -> list[list[str]]:
 
 
 def test_every_key_of_the_file_is_described() -> None:
-    documented = {row[0].strip("` "): row[1].strip("` ") for row in rows("The file")}
-    fields = {name: field for name, field in BridgeConfig.model_fields.items() if name not in ("limits", "clients")}
-    fields |= {f"limits.{name}": field for name, field in BridgeLimits.model_fields.items()}
-    expected = {name: field.default for name, field in fields.items()}
-    expected |= {f"clients.NAME.{name}": "" for name in BridgeClient.model_fields}
-    assert documented.keys() == expected.keys()
-    for name, default in expected.items():
-        assert documented[name] == (f"{default:.0f}" if isinstance(default, float) else str(default)), name
+    keys = [name for name in BridgeConfig.model_fields if name not in ("limits", "clients")]
+    keys += [f"limits.{name}" for name in BridgeLimits.model_fields]
+    keys += [f"clients.NAME.{name}" for name in BridgeClient.model_fields]
+    assert {row[0].strip("` ") for row in rows("The file")} == set(keys)
 
 
 def test_every_metric_is_described() -> None:
@@ -557,18 +553,3 @@ def test_every_metric_is_described() -> None:
     status["faults"] = ["device"]
     text = told(status, Accounts(config_of({}))).text()
     assert documented == set(re.findall(r"^# TYPE (\w+) (\w+)$", text, flags=re.MULTILINE))
-
-
-def test_the_numbers_of_the_page() -> None:
-    text = " ".join(PAGE.split())
-    assert (
-        f"{gate.HANDSHAKES} connections that have not shown a key yet, {gate.HANDSHAKES_PER_HOST} of them from one "
-        f"address, {gate.HANDSHAKE_S:g} s and {gate._HANDSHAKE_BYTES // 1024} KiB for each"
-    ) in text
-    assert f"younger than {gate.PEACE_S:g} s" in text
-    assert f"more than {gate._SUBSCRIPTIONS} subscriptions of a connection" in text
-    assert f"{gate._WATCHER_BYTES // 2**20} MiB sent up the telemetry socket" in text
-    assert f"telemetry {gate._TELEMETRY_WAITING} messages" in text
-    assert f"a request has {http.REQUEST_BYTES // 1024} KiB and {http.REQUEST_S:g} s, and {http.AT_ONCE} may" in text
-    assert f"does not answer for {relay.ANSWER_S:g} s" in text
-    assert f"at most {MOST_CONNECTIONS}" in text

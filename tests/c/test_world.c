@@ -54,8 +54,6 @@ static int scarce_index_put(struct hd_index *index, uint32_t slot, const struct 
 #define realloc scarce_realloc
 #define hd_index_reserve scarce_index_reserve
 #define hd_index_put scarce_index_put
-#define hd_mode_check scarce_mode_check
-#define hd_play_check scarce_play_check
 #define hd_world_free scarce_world_free
 #define hd_world_load scarce_world_load
 #define hd_world_candidates scarce_world_candidates

@@ -75,10 +75,13 @@ def test_calibrate_without_matplotlib(capsys: pytest.CaptureFixture[str], monkey
     ("content", "problem"),
     [
         (None, "cannot be read: No such file or directory"),
-        ("time_s,acceleration_m_per_s2\n0,1\n1\n", "is no recording: line 3 has not 2 columns"),
-        ("time_s,a\n" + "0,1\n" * 20, "has no acceleration_m_per_s2; it has time_s, a"),
+        ("time_s,acceleration_m_per_s2\n0,1\n1\n", "line 3 has not 2 columns, but 1"),
+        ("time_s,a\n" + "0,1\n" * 20, "has no column 'acceleration_m_per_s2', known: time_s, a"),
         ("time_s,acceleration_m_per_s2\n" + "0,1\n" * 20, "time_s must rise, and every number be finite"),
-        ("time_s,acceleration_m_per_s2\n0,x\n", "is no recording: could not convert string to float: 'x'"),
+        (
+            "time_s,acceleration_m_per_s2\n0,1\n1,x\n",
+            'line 3 holds something else than numbers, "x" (a sample that is missing?)',
+        ),
     ],
 )
 def test_recordings_that_are_none(capsys: pytest.CaptureFixture[str], content: str | None, problem: str) -> None:
@@ -96,16 +99,16 @@ def _array_alone(path: Path) -> None:
 @pytest.mark.parametrize(
     ("write", "problem"),
     [
-        (lambda path: path.write_bytes(b""), "not an archive as numpy.savez writes it"),
-        (lambda path: path.write_bytes(bytes(50)), "not an archive as numpy.savez writes it"),
-        (_array_alone, "not an archive as numpy.savez writes it"),
+        (lambda path: path.write_bytes(b""), "is not an archive as numpy.savez writes it"),
+        (lambda path: path.write_bytes(bytes(50)), "is not an archive as numpy.savez writes it"),
+        (_array_alone, "is not an archive as numpy.savez writes it"),
         (
             lambda path: np.savez(path, time_s=np.arange(20) * 1j, acceleration_m_per_s2=np.zeros(20)),
-            "time_s has complex128, not real numbers",
+            "'time_s' holds no numbers in rows or columns, but complex128",
         ),
         (
             lambda path: np.savez(path, time_s=np.array(["a"] * 20), acceleration_m_per_s2=np.zeros(20)),
-            "time_s has <U1, not real numbers",
+            "'time_s' holds no numbers in rows or columns, but str32",
         ),
     ],
 )
@@ -114,7 +117,7 @@ def test_archives_that_are_none(
 ) -> None:
     write(Path("felt.npz"))
     error = said(capsys, 1, "verify", "-c", "sim.yaml", "--recording", "felt.npz")
-    assert error == f"hapticd: felt.npz: is no recording: {problem}\n"
+    assert error == f"hapticd: felt.npz: {problem}\n"
 
 
 def test_a_table_of_a_spreadsheet_is_read() -> None:

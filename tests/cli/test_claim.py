@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from hapticd.cli import main, status
+from hapticd.cli import main
+from hapticd.daemon import status_text as status
 from hapticd.hid import claim, discovery
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_tree import Kernel

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -26,7 +25,7 @@ from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.texture import Autoregressive, Grooves
-from hapticd.fit.left_out import Left
+from hapticd.fit.exclusions import Left
 from hapticd.fit.recording import Recording, load
 from hapticd.fit.report import Curve, Page, Panel, drawn, figure_rows, thinned
 from hapticd.fit.verdict import Verdict
@@ -127,17 +126,13 @@ class Fits:
 def fits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Fits:
     monkeypatch.chdir(tmp_path)
     found = Fits()
-    for kind in ("tap", "grooves", "texture", "puncture"):
-        module = ModuleType(f"hapticd.fit.{kind}")
-        setattr(module, f"fit_{kind}", found.fit)
-        monkeypatch.setitem(sys.modules, module.__name__, module)
-    kinds = ModuleType("hapticd.fit.tap_kind")
+    for kind in ("grooves", "texture", "puncture"):
+        monkeypatch.setattr(f"hapticd.fit.{kind}.fit_{kind}", found.fit)
 
     def fit_taps(recordings: Sequence[Recording], kind: str, progress: Progress, left: object) -> FakeFit:
         return found.fit(recordings, progress, left=left)
 
-    kinds.fit_taps = fit_taps  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, kinds.__name__, kinds)
+    monkeypatch.setattr("hapticd.fit.from_files.fit_taps", fit_taps)
     for name, seed in (("a.csv", 1), ("b.csv", 2)):
         values = np.random.default_rng(seed).standard_normal(100)
         lines = [f"{i / 1000:.3f},{value:.6f}" for i, value in enumerate(values)]

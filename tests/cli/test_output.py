@@ -19,11 +19,12 @@ from hapticd.cli import main
 from hapticd.cli.common import print_result
 from hapticd.cli.failure import asks_for_json, tell
 from hapticd.cli.shell import PHRASES, in_shell_words
-from hapticd.cli.status import FAULTS, lines, text_of
+from hapticd.client.methods import patch_tree
 from hapticd.daemon.control import _FAULT_WORDS
 from hapticd.daemon.counters import Granted
+from hapticd.daemon.status_text import FAULTS, lines, text_of
 from hapticd.hid.signs import Told
-from hapticd.protocol.calls import DaemonNotRunning, RemoteError, outcome, patch_tree
+from hapticd.protocol.calls import DaemonNotRunning, RemoteError, result_of
 from hapticd.protocol.events import fault_names
 from hapticd.protocol.messages import Code
 from hapticd.protocol.results import Status
@@ -294,7 +295,7 @@ def test_faults_that_the_daemon_finds_are_told_by_line(tmp_path: Path) -> None:
     params = {"objects": patch_tree(file, "objects")}
     found = [{"where": f"objects.{id}.point_m", "problem": "is missing"} for id in ("a", "b", "c")]
     with pytest.raises(RemoteError) as caught:
-        outcome(RemoteError(Code.INVALID_PARAMS, "", found), params, runtime_paths(tmp_path))
+        result_of(RemoteError(Code.INVALID_PARAMS, "", found), params, runtime_paths(tmp_path))
     assert [problem.where for problem in caught.value.problems] == [
         f"{file}:1:1: b.point_m",
         f"{file}:1:1: c.point_m",

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from hapticd.base.errors import HapticdError, InvalidError
 from hapticd.base.model import Model, problems_of
 from hapticd.base.yaml_source import Json, load_text
-from hapticd.config.configuration import Config, Device, Sim, default_config, load_config
+from hapticd.config.configuration import Config, Sim, default_config, load_config
 from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import shipped_document, shipped_materials
 from hapticd.config.operator import parse_operator
@@ -574,91 +574,6 @@ def test_schema_is_plain_json_with_words_and_units() -> None:
 )
 def test_units(key: str, unit: str | None) -> None:
     assert unit_of(key) == unit
-
-
-def limits_of(schema: Schema) -> str:
-    items = schema.get("prefixItems")
-    options = schema.get("enum", [schema["const"]] if "const" in schema else None)
-    if isinstance(items, list):
-        first, second = (limits_of(mapping(item)) for item in items)
-        return f"two numbers, {first}" if first == second else f"two numbers, {first} and {second}"
-    if isinstance(options, list):
-        return ", ".join(f"`{option}`" for option in options)
-    match schema:
-        case {"type": "boolean"}:
-            return "`true`, `false`"
-        case {"minimum": int() | float() as low, "maximum": int() | float() as high}:
-            return f"{shown_number(low)} to {shown_number(high)}" + (", whole" if schema["type"] == "integer" else "")
-        case {"items": {"prefixItems": list()} as item, "minItems": int() as least, "maxItems": int() as most}:
-            return f"{least} to {most} times {limits_of(mapping(item))}"
-        case {"pattern": "^[0-9a-f]{64}$"}:
-            return "64 hex digits"
-        case {"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}:
-            return "a day, such as 2026-01-31"
-        case {"items": {"$ref": str()} as item, "maxItems": int() as most}:
-            return f"a list, {limits_of(mapping(item))}, at most {most}"
-        case {"items": {"type": "array"} as item, "minItems": int() as least, "maxItems": int() as most}:
-            return f"{least} to {most} lists of {limits_of(mapping(item))}"
-        case {"items": {"type": "number"} as item, "minItems": int() as least, "maxItems": int() as most}:
-            return f"{least} to {most} numbers, {limits_of(mapping(item))}"
-        case {"oneOf": list() as members}:
-            return "see " + ", ".join(limits_of(mapping(member)).removeprefix("see ") for member in members)
-        case {"items": {"enum": list() as options}}:
-            return "a list of " + ", ".join(f"`{option}`" for option in options)
-        case {"items": {"minLength": 1}, "maxItems": int() as most}:
-            return f"at most {most}"
-        case {"items": {"type": "string"}, "maxItems": int() as most}:
-            return f"a list of reports in hex, at most {most}"
-        case {"maxProperties": int() as most}:
-            return f"at most {most}"
-        case {"$ref": str() as reference}:
-            return f"see {reference.rpartition('/')[2]}"
-        case {"maxLength": int() as most}:
-            return f"a name, at most {most} characters"
-    raise AssertionError(schema)
-
-
-def default_of(model: type[Model], key: str) -> str:
-    field = model.model_fields[key]
-    if field.is_required():
-        return "required"
-    if key == "effective_mass_kg":
-        return f"handle and hand, {Device().effective_mass_kg:.15g}"
-    if key == "undisplayable":
-        return f"`{Device().undisplayable}`; of a real joystick `{Device(kind='hid').undisplayable}`"
-    value: object = field.default
-    match value:
-        case None:
-            return "none"
-        case Model() | dict():
-            return ""
-        case bool():
-            return f"`{str(value).lower()}`"
-        case int() | float():
-            return f"{value:.15g}"
-        case ():
-            return "none"
-        case tuple():
-            return f"[{', '.join(f'{number:.15g}' for number in value)}]"
-    return f"`{value}`"
-
-
-def table_of(name: str, schema: Schema) -> str:
-    rows = ["| key | unit | limits | default | meaning |", "| --- | --- | --- | --- | --- |"]
-    for key, described in mapping(schema["properties"]).items():
-        described = mapping(described)
-        meaning = Model.by_name[name].model_fields[key].description or "Which kind of object this is."
-        options = described.get("allOf")
-        limits = limits_of(mapping(options[0]) if isinstance(options, list) else sound(described))
-        default = default_of(Model.by_name[name], key)
-        rows.append(f"| `{key}` | {unit_of(key) or ''} | {limits} | {default} | {meaning} |")
-    return "\n".join(rows)
-
-
-def test_the_reference_has_every_key_as_it_is() -> None:
-    sections = re.findall(r"^### (\w+)\n\n(.*?)\n\n(\|.*?)\n(?=\n|\Z)", REFERENCE.read_text(), re.M | re.S)
-    told = {name: (description, table) for name, description, table in sections}
-    assert told == {name: (schema["description"], table_of(name, schema)) for name, schema in models().items()}
 
 
 def test_the_example_of_the_reference_is_valid() -> None:

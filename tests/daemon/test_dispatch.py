@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from hapticd.base import codec, lattice
+from hapticd.base.core import ffi
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.scene import Scene
@@ -21,7 +22,7 @@ from hapticd.daemon.control import Control
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
 from hapticd.protocol import messages
-from hapticd.rendering.compiler import table as compiling
+from hapticd.rendering.compiler import noise_filters
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SANDED = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "sand"}
@@ -107,7 +108,7 @@ def daemon() -> Iterator[Daemon]:
 def hold(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[threading.Event, threading.Event]]:
     """Filters are designed only once the second event is set; the first says that somebody waits for that."""
     begun, go_on = threading.Event(), threading.Event()
-    design = compiling._new_design
+    design = noise_filters._new_design
 
     def held(texture: Any, output: Any, working: Callable[[], None]) -> Any:
         begun.set()
@@ -115,9 +116,9 @@ def hold(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[threading.Event, thr
             working()
         return design(texture, output, working)
 
-    monkeypatch.setattr(compiling, "_new_design", held)
+    monkeypatch.setattr(noise_filters, "_new_design", held)
     # Nothing that another test designed is there yet.
-    monkeypatch.setattr(compiling, "_designs", compiling._Designs())
+    monkeypatch.setattr(noise_filters, "designs", noise_filters.Designs())
     yield begun, go_on
     go_on.set()
 
@@ -287,7 +288,7 @@ def test_reloads_wait_for_each_other_and_become_one(monkeypatch: pytest.MonkeyPa
 def test_beside_comes_out_as_it_does_inline(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     inline = Engine(daemon.engine.config)
     assert Control(inline).call("apply", taken(seed=7))["revision"] == 2
-    monkeypatch.setattr(compiling, "_designs", compiling._Designs())
+    monkeypatch.setattr(noise_filters, "designs", noise_filters.Designs())
     daemon.send("apply", taken(seed=7))
     daemon.over()
     tables = [engine._compiler._table for engine in (inline, daemon.engine)]
@@ -297,8 +298,8 @@ def test_beside_comes_out_as_it_does_inline(daemon: Daemon, monkeypatch: pytest.
         ("objects", "object_count", "struct hd_object[]"),
         ("noises", "noise_count", "struct hd_noise[]"),
     ):
-        size = compiling.ffi.sizeof(kind.removesuffix("[]"))
-        one, other = (bytes(compiling.ffi.buffer(getattr(t, array), getattr(t, count) * size)) for t in tables)
+        size = ffi.sizeof(kind.removesuffix("[]"))
+        one, other = (bytes(ffi.buffer(getattr(t, array), getattr(t, count) * size)) for t in tables)
         assert one == other and one, array
 
 
@@ -336,14 +337,14 @@ def test_large_bodies_are_answered_whatever_they_are(daemon: Daemon) -> None:
 
 
 def test_designs_are_kept_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None:
-    designs = compiling._Designs()
-    monkeypatch.setattr(compiling, "_KEPT", 10_000)
+    designs = noise_filters.Designs()
+    monkeypatch.setattr(noise_filters, "_KEPT", 10_000)
     config = load_config({"device": {"kind": "sim"}})
     output = Engine(config).output
     control = Control(Engine(config))
     control.call("set_materials", {"materials": {f"sand {seed}": sand(1, seed) for seed in range(3)}})
     textures = [control._engine.materials[f"sand {seed}"].texture for seed in range(3)]
-    large = compiling._SILENCE._replace(nodes=np.zeros((1, 1, 500)))
+    large = noise_filters.SILENCE._replace(nodes=np.zeros((1, 1, 500)))
     for texture in textures:
         designs.keep(texture, output, large)  # type: ignore[arg-type]
         designs.keep(texture, output, large)  # type: ignore[arg-type]
@@ -384,7 +385,7 @@ def test_a_tiny_change_of_a_wall_looks_at_none_of_its_patches(
     library = load_config({}).materials
     daemon.engine.set_materials(library)
     daemon.control.call("set_scene", {"scene": {"objects": {"one": patched(50), "other": patched(30)}}})
-    rows = daemon.engine._compiler._pieces.copy()
+    rows = daemon.engine._compiler._walls.records.copy()
     objects = daemon.engine.scene.objects
 
     def nobody(*_: object) -> None:
@@ -400,18 +401,18 @@ def test_a_tiny_change_of_a_wall_looks_at_none_of_its_patches(
         assert daemon.control.status()["revision"] == result["revision"]
     moved = daemon.engine.scene.objects["one"]
     assert moved.patches is objects["one"].patches and moved.point_m == (0, -0.001)  # type: ignore[union-attr]
-    assert (daemon.engine._compiler._pieces == rows).all()
+    assert (daemon.engine._compiler._walls.records == rows).all()
     # The same patches sent again, another ramp, and no patches at all.
     daemon.control.call("update_scene", {"objects": {"one": patched(50)}})
-    assert (daemon.engine._compiler._pieces == rows).all()
+    assert (daemon.engine._compiler._walls.records == rows).all()
     daemon.control.call("update_scene", {"objects": {"one": {"patch_ramp_m": 1e-4}}})
-    assert len(daemon.engine._compiler._pieces) == len(rows)
-    assert not (daemon.engine._compiler._pieces == rows).all()
+    assert len(daemon.engine._compiler._walls.records) == len(rows)
+    assert not (daemon.engine._compiler._walls.records == rows).all()
     daemon.control.call("update_scene", {"objects": {"one": {"patches": None}}})
-    assert len(daemon.engine._compiler._pieces) == 61
+    assert len(daemon.engine._compiler._walls.records) == 61
     fresh = Engine(daemon.engine.config)
     fresh.replace(daemon.engine.scene, daemon.engine.materials)
-    assert (fresh._compiler._pieces == daemon.engine._compiler._pieces).all()
+    assert (fresh._compiler._walls.records == daemon.engine._compiler._walls.records).all()
 
 
 def test_the_newest_sample_is_waited_for_by_nobody_else(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,7 +98,10 @@ class Read(Names):
 class Nowhere:
     """A socket that takes everything."""
 
-    def publish(self, topic: str, body: bytes) -> None:
+    def wants(self, topic: str) -> bool:
+        return True
+
+    def publish(self, topic: str, *body: bytes) -> None:
         pass
 
 
@@ -123,8 +126,8 @@ class Heard:
     def wants(self, topic: str) -> bool:
         return True
 
-    def publish(self, topic: str, body: bytes) -> None:
-        self.last[topic] = cast(dict[str, Any], messages.decode_trusted(body))
+    def publish(self, topic: str, *body: bytes) -> None:
+        self.last[topic] = cast(dict[str, Any], messages.decode_trusted(b"".join(body)))
 
 
 def test_what_is_touched_is_right_again_after_events_were_lost() -> None:

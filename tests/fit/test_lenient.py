@@ -15,8 +15,8 @@ from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.configuration import load_config
+from hapticd.fit.exclusions import LeftOut
 from hapticd.fit.grooves import fit_grooves
-from hapticd.fit.left_out import LeftOut
 from hapticd.fit.puncture import fit_puncture
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.stretches import whole_stretches

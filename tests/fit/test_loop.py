@@ -10,7 +10,7 @@ import pytest
 
 from hapticd.analysis.statistics import Floats
 from hapticd.base.yaml_source import load_text
-from hapticd.cli.common import yaml_text
+from hapticd.base.yaml_text import yaml_text
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.fit import provenance
 from hapticd.fit.recording import Recording, Source

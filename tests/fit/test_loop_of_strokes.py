@@ -12,7 +12,7 @@ import pytest
 
 from hapticd.base.lattice import reflection_of
 from hapticd.base.yaml_source import load_text
-from hapticd.cli.common import yaml_text
+from hapticd.base.yaml_text import yaml_text
 from hapticd.config.materials import Material, validate_materials
 from hapticd.config.texture import Autoregressive
 from hapticd.fit import provenance

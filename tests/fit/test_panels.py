@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from hapticd.analysis.statistics import Estimate
-from hapticd.fit.left_out import Left
+from hapticd.fit.exclusions import Left
 from hapticd.fit.panels import compared, density, law, level, overlay, page_of
 from hapticd.fit.recording import Recording, Source
 from hapticd.fit.report import Curve, Panel

@@ -14,7 +14,7 @@ import hapticd
 from hapticd.analysis.statistics import FitError
 from hapticd.cli import main
 from hapticd.config.materials import shipped_materials, validate_materials
-from hapticd.fit.left_out import LeftOut
+from hapticd.fit.exclusions import LeftOut
 from hapticd.fit.recording import Recording, Source, save
 from hapticd.fit.synthesize import Stylus, taps
 from hapticd.fit.tap import TapFit

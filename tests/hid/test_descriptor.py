@@ -10,7 +10,7 @@ from hidtools.hid import HidReport, ReportDescriptor
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hapticd.hid.descriptor import (
+from hapticd.hid.descriptor.parser import (
     MAX_REPORT_BYTES,
     CollectionType,
     Descriptor,

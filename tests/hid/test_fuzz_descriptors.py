@@ -10,11 +10,11 @@ import pytest
 
 from hapticd.cli import main
 from hapticd.config.hid import Hid
-from hapticd.hid.descriptor import parse
-from hapticd.hid.drivers.periodic import periodic_of
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.layout import layout_of
-from hapticd.hid.offload import _times
+from hapticd.hid.drivers.pid_periodic import periodic_of
+from hapticd.hid.nearest_effect import _times
 from hapticd.hid.verdict import verdict_of
 from tests.soak import fuzz_descriptors as fuzz
 from tests.support.hid_descriptors import Joystick, logical, physical, usage

@@ -12,10 +12,10 @@ import pytest
 
 from hapticd.base.core import lib
 from hapticd.config import hid
-from hapticd.hid.descriptor import Descriptor, DescriptorError, ReportKind, parse
-from hapticd.hid.field_search import MAX_REPORT_BYTES
-from hapticd.hid.fields import Field
-from hapticd.hid.layout import Axis, Layout, layout_of
+from hapticd.hid.descriptor.field_search import MAX_REPORT_BYTES
+from hapticd.hid.descriptor.fields import Field
+from hapticd.hid.descriptor.layout import Axis, Layout, layout_of
+from hapticd.hid.descriptor.parser import Descriptor, DescriptorError, ReportKind, parse
 from tests.hid.test_descriptor import VARIANTS, mutated
 from tests.support.hid_descriptors import (
     APPLICATION,

@@ -21,11 +21,12 @@ from hapticd.config.hid import Hid
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.daemon.control import Control
-from hapticd.hid.descriptor import parse
-from hapticd.hid.drivers.periodic import periodic_of
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.layout import layout_of
-from hapticd.hid.offload import LONGEST_S, Fit, Offload, effect_messages, fit, streamed_error
+from hapticd.hid.drivers.pid_periodic import periodic_of
+from hapticd.hid.nearest_effect import LONGEST_S, NearestEffect, nearest_effect, streamed_error
+from hapticd.hid.offload import Offload, effect_messages
 from hapticd.hid.plan import DeviceError, Message, Numbers, Periodic, Plan, fill_message
 from hapticd.protocol.changes import Played
 from tests.hid.test_connection import FULL_N, World, pressed
@@ -73,7 +74,7 @@ def distance(mode: Mode, shown: Floats, time_s: Floats) -> float:
     return math.sqrt(float(np.trapezoid((shown - wanted(mode, time_s)) ** 2, time_s)) / power(mode))
 
 
-def played(found: Fit, unit_s: float, time_s: Floats) -> Floats:
+def played(found: NearestEffect, unit_s: float, time_s: Floats) -> Floats:
     """A fit, drawn anew from its counts."""
     knots = np.array([0, found.attack, found.duration - found.fade, found.duration]) * unit_s
     levels = [found.attack_level, found.magnitude, found.magnitude, found.fade_level]
@@ -103,7 +104,7 @@ def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
                 lines[:, time_s > end * 1e-3] = 0.0
                 _, left = nnls((lines * sine).T, target)
                 best = min(best, left / math.sqrt(target @ target))
-    found = fit(mode, numbers(replace(Joystick(), level=10000)))
+    found = nearest_effect(mode, numbers(replace(Joystick(), level=10000)))
     assert found is not None
     assert found.error == pytest.approx(best, abs=0.002)
 
@@ -112,7 +113,7 @@ def test_no_effect_of_whole_milliseconds_is_nearer(name: str) -> None:
 @pytest.mark.parametrize("exponent", [-3, -4, -5])
 def test_the_error_is_that_of_the_effect(name: str, exponent: int) -> None:
     mode = mode_of(name)
-    found = fit(mode, numbers(Joystick(time_exponent=exponent, level=10000)))
+    found = nearest_effect(mode, numbers(Joystick(time_exponent=exponent, level=10000)))
     assert found is not None
     time_s = np.linspace(0.0, max(12 * mode.decay_time_s, found.duration_s), 200_001)
     assert distance(mode, played(found, 10.0**exponent, time_s), time_s) == pytest.approx(found.error, abs=0.005)
@@ -123,7 +124,7 @@ def test_the_error_is_that_of_the_effect(name: str, exponent: int) -> None:
 
 @pytest.mark.parametrize("name", METALS)
 def test_metals_need_tenths_of_a_millisecond(name: str) -> None:
-    fine, coarse = (fit(mode_of(name), numbers(Joystick(time_exponent=exponent))) for exponent in (-4, -3))
+    fine, coarse = (nearest_effect(mode_of(name), numbers(Joystick(time_exponent=exponent))) for exponent in (-4, -3))
     assert fine is not None and coarse is not None
     assert 0.05 < fine.error < 0.115
     assert coarse.error > 0.5
@@ -132,7 +133,7 @@ def test_metals_need_tenths_of_a_millisecond(name: str) -> None:
 def test_levels_are_those_that_the_device_has() -> None:
     """Two counts for a level: what is told is what two counts give."""
     mode = mode_of("wood")
-    found = fit(mode, numbers(Joystick(level=2)))
+    found = nearest_effect(mode, numbers(Joystick(level=2)))
     assert found is not None
     ratios = {round(2 * level / found.peak, 9) for level in (found.attack_level, found.magnitude, found.fade_level)}
     assert ratios <= {0.0, 1.0, 2.0}
@@ -141,7 +142,7 @@ def test_levels_are_those_that_the_device_has() -> None:
 
 
 def test_no_effect_is_longer_than_a_tenth_of_a_second() -> None:
-    slow = fit(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), numbers(Joystick()))
+    slow = nearest_effect(Mode(decay_rate_per_s=1.0, angular_frequency_rad_per_s=300.0), numbers(Joystick()))
     assert slow is not None and slow.duration_s <= LONGEST_S
     # What is left of the mode after the tenth: exp(-2 * 0.1) of its power.
     assert slow.error >= math.exp(-0.1) - 0.01
@@ -152,7 +153,7 @@ def test_extreme_modes_and_devices() -> None:
     for decay in (0.1, 1.0, 1e3, 1e6):
         for angular in (0.05, 1e3, 1e6):
             for like in (Joystick(), Joystick(time_exponent=-6), Joystick(time_exponent=0, level=1)):
-                found = fit(Mode(decay, angular), numbers(like))
+                found = nearest_effect(Mode(decay, angular), numbers(like))
                 assert found is None or (0.0 <= found.error <= 1.0 + 1e-9 and found.duration_s <= LONGEST_S)
 
 
@@ -202,7 +203,7 @@ def test_what_the_device_shows_is_the_mode(name: str, angle: float, part: float)
     like, mode = DEVICES[name], mode_of("wood")
     stick = FakePid.__new__(FakePid)
     stick.layout = layout_of(parse(bytes(like)))
-    found = fit(mode, numbers(like))
+    found = nearest_effect(mode, numbers(like))
     assert found is not None
     force = part * FULL_N
     size = min(force, FULL_N / found.peak * 0.999)
@@ -291,7 +292,7 @@ def test_a_device_that_leaves_in_the_middle_of_it_is_an_error() -> None:
 
 def offload(count: int = 2, carried_hz: float = 250.0) -> Offload:
     made = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    made.judge_by(carried_hz)
+    made.evaluate_at(carried_hz)
     made.attach(periodic(FINE, count), "")
     return made
 
@@ -344,7 +345,7 @@ def test_a_device_with_other_effects_plays_none() -> None:
 def test_what_is_told_and_why() -> None:
     materials: dict[str, Material] = {name: shipped_materials()[name] for name in ("wood", "steel", "cellophane")}
     coarse = Offload(ffi.gc(lib.hd_hid_new(), lib.hd_hid_free))
-    coarse.judge_by(10_000.0)
+    coarse.evaluate_at(10_000.0)
     coarse.attach(periodic(Joystick()), "")
     for name in materials:
         coarse.take(mode_of(name))
@@ -355,7 +356,7 @@ def test_what_is_told_and_why() -> None:
     assert steel.shown_hz == 1000.0 and steel.streamed_error_percent < 100.0
     assert cellophane.mode == "rupture"
     assert wood.period_resolution_s == wood.envelope_resolution_s == pytest.approx(1e-3)
-    coarse.judge_by(250.0)
+    coarse.evaluate_at(250.0)
     assert [told.refused for told in coarse.told(materials)][1:] == [
         steel.refused,
         "the device has no more than 8 effects for this",
@@ -392,7 +393,7 @@ def ringing(world: World) -> World:
 
 def near(stick: FakePid, strike: Strike, coefficient_n: float, direction: tuple[float, float]) -> bool:
     """Whether a strike is the mode with this coefficient, within what is told of it."""
-    found = fit(MODE, numbers(FINE))
+    found = nearest_effect(MODE, numbers(FINE))
     assert found is not None
     time_s = np.linspace(0.0, 12 * MODE.decay_time_s, 20_001)
     along = FULL_N * stick.shown(strike, time_s) @ np.array(direction)
@@ -440,7 +441,7 @@ def test_play_is_left_to_the_device(ringing: World) -> None:
 
 
 def fit_hz() -> float:
-    found = fit(MODE, numbers(FINE))
+    found = nearest_effect(MODE, numbers(FINE))
     assert found is not None
     return found.frequency_hz
 
@@ -543,7 +544,7 @@ def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
     status = Control(engine).status()
     told = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
     assert told.keys() == {"ringing", "glass"}
-    found = fit(MODE, numbers(FINE))
+    found = nearest_effect(MODE, numbers(FINE))
     assert found is not None
     assert told["ringing"] == {
         "material": "ringing",

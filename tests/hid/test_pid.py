@@ -13,9 +13,10 @@ import pytest
 
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import Hid
-from hapticd.hid.descriptor import parse
-from hapticd.hid.drivers.pid import PidDriver, ways_of
-from hapticd.hid.layout import Layout, layout_of
+from hapticd.hid.descriptor.layout import Layout, layout_of
+from hapticd.hid.descriptor.parser import parse
+from hapticd.hid.drivers.pid import PidDriver
+from hapticd.hid.drivers.pid_plan import ways_of
 from hapticd.hid.plan import DeviceError, Plan
 from tests.support.hid_descriptors import Joystick
 from tests.support.hid_device import FakePid, number

@@ -16,13 +16,14 @@ import yaml
 from hapticd.base.core import ffi, lib
 from hapticd.config.hid import Hid
 from hapticd.config.modes import Mode
-from hapticd.hid.descriptor import parse
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
+from hapticd.hid.descriptor.usages import AXES
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.layout import layout_of
-from hapticd.hid.offload import effect_messages, fit
+from hapticd.hid.nearest_effect import nearest_effect
+from hapticd.hid.offload import effect_messages
 from hapticd.hid.plan import DeviceError, Plan, fill_message
 from hapticd.hid.sign_calibration import calibrate
-from hapticd.hid.usages import AXES
 from tests.support import firmware_descriptors as descriptors
 from tests.support.firmware import ADAPT, FINO, OPENFFBOARD, OPENFFBOARD_1, Firmware, Variant
 from tests.support.hid_descriptors import DESKTOP, ORDINAL, OUTPUT, Joystick, logical, pad, physical, usage, usage32
@@ -307,7 +308,7 @@ def test_a_strike_is_the_mode_along_its_direction(name: str) -> None:
     way = (0.6, -0.8)
     with driven(*FAMILIES[name], offload="auto") as (stick, plan):
         assert plan.periodic is not None, plan.no_periodic
-        shape = fit(mode, plan.periodic.numbers)
+        shape = nearest_effect(mode, plan.periodic.numbers)
         assert shape is not None
         size_n = 0.8 * FULL_N / shape.peak
         stick.now = 1.0

@@ -13,10 +13,10 @@ import pytest
 
 from hapticd.base.core import CData, Status, ffi, lib
 from hapticd.config.hid import Hid
-from hapticd.hid.descriptor import parse
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.drivers.restore import MOST_S, SHARE, paced
-from hapticd.hid.layout import layout_of
+from hapticd.hid.link import MOST_S, SHARE, paced
 from hapticd.hid.plan import Message, Plan
 from tests.support.firmware import ADAPT, FINO, OPENFFBOARD, Firmware, Variant
 from tests.support.firmware_descriptors import ADAPT_FFB_JOY, OPENFFBOARD_2

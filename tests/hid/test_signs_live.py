@@ -21,9 +21,9 @@ from hapticd.config.hid import Hid
 from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine
 from hapticd.hid.connection import Opened
-from hapticd.hid.descriptor import parse
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.layout import layout_of
 from hapticd.recording.replay import replay
 from hapticd.rendering.offline import Rerun
 from tests.hid.test_connection import COUNTS, FULL_N, STIFFNESS, TRAVEL_M, World

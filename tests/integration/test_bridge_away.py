@@ -13,7 +13,8 @@ import pytest
 import hapticd.aio
 from hapticd.client.blocking import Client
 from hapticd.client.record import RecordSummary, record
-from hapticd.protocol.calls import DaemonNotRunning, probe
+from hapticd.protocol.calls import DaemonNotRunning
+from hapticd.protocol.places import probe
 from tests.support.bridge_process import Bridge, running_bridge
 from tests.support.daemon_process import connect, running_daemon
 from tests.support.fake_daemon import fake_daemon, result

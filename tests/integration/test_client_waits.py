@@ -15,7 +15,8 @@ import pytest
 import hapticd.aio
 from hapticd import DaemonNotRunning, HapticdError, TimedOut
 from hapticd.client.blocking import Client
-from hapticd.protocol import calls
+from hapticd.client.feed import gesture_end
+from hapticd.protocol import places
 from hapticd.protocol.keys import new_certificate, write_certificate
 from hapticd.protocol.messages import GESTURE_ENDS
 from tests.support.bridge_process import running_bridge
@@ -72,13 +73,13 @@ def test_a_client_may_come_before_the_daemon(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ask: Callable[[Path, float], object]
 ) -> None:
     waits = threading.Event()
-    original = calls.await_ready
+    original = places.await_ready
 
     def awaited(*arguments: Any) -> None:
         waits.set()
         original(*arguments)
 
-    monkeypatch.setattr(calls, "await_ready", awaited)
+    monkeypatch.setattr(places, "await_ready", awaited)
     directory = tmp_path / "later"
     answer = in_thread(lambda: ask(directory, 60.0))
     assert waits.wait(60)
@@ -241,9 +242,9 @@ def test_a_daemon_that_was_started_anew_knows_of_no_gesture() -> None:
     status = {"operator": {"started_tick": None, "ends": []}}
     for operator in ({"started_tick": None, "ends": []}, {"started_tick": 3, "ends": []}, None):
         with pytest.raises(HapticdError, match="started anew"):
-            calls.gesture_end(70, "status", {"operator": operator})
+            gesture_end(70, "status", {"operator": operator})
     status["operator"] = {"started_tick": 80, "ends": []}
-    assert calls.gesture_end(70, "status", status) is None, "its event is still to come"
+    assert gesture_end(70, "status", status) is None, "its event is still to come"
 
 
 def test_asyncio_waits_for_gestures_too(daemon: Daemon) -> None:

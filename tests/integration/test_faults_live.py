@@ -137,7 +137,7 @@ def test_nothing_goes_by_the_time_of_day() -> None:
     assert len(sources) > 60
     assert [source.name for source in sources if asks.search(source.read_text())] == ["clock.py"]
     using = {source.name for source in sources if re.search(r"\bclock\.read\b", source.read_text())}
-    assert using == {"control.py", "flight_recorder.py"}
+    assert using == {"flight_recorder.py", "status.py"}
 
 
 # ---- Flight recorder -------------------------------------------------------------------------------------------------

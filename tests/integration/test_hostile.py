@@ -18,7 +18,7 @@ import pytest
 
 from hapticd.config.materials import validate_materials
 from hapticd.config.scene import validate_object
-from tests.soak import attackers, bridged, hostile
+from tests.soak import attackers, bridged, hostile, under_attack
 
 
 @pytest.mark.slow
@@ -47,7 +47,7 @@ def test_long_changes_are_valid() -> None:
 
 
 def test_what_was_found_is_a_table() -> None:
-    found = hostile.Found(seconds=1.0, samples=5, missing=2, memory_mib=[50.0, 70.0, 60.0])
+    found = under_attack.Found(seconds=1.0, samples=5, missing=2, memory_mib=[50.0, 70.0, 60.0])
     found.took_ms["under attack"] = [1.0, 3.0]
     found.faults.update(["control"])
     told = found.table().markdown()
@@ -70,16 +70,16 @@ def resting() -> Iterator[subprocess.Popen[bytes]]:
 
 
 def test_an_attacker_that_did_nothing_is_a_problem(resting: subprocess.Popen[bytes]) -> None:
-    found = hostile.Found(memory_mib=[50.0, 50.0, 50.0])
+    found = under_attack.Found(memory_mib=[50.0, 50.0, 50.0])
     found.took_ms["under attack"] = [1.0]
     said = [("connections", b"0 connections\n1,200 connections\n"), ("connections", b"34 connections\n")]
     with ExitStack() as stack:
 
-        def attacker(kind: str, words: bytes) -> hostile.Attacker:
+        def attacker(kind: str, words: bytes) -> under_attack.Attacker:
             output = stack.enter_context(tempfile.TemporaryFile())
             output.write(words)
             output.flush()
-            return hostile.Attacker(kind, resting, output)
+            return under_attack.Attacker(kind, resting, output)
 
         found.count([attacker(*each) for each in said])
         assert found.kept() and found.held()
@@ -94,12 +94,12 @@ def test_an_attacker_that_did_nothing_is_a_problem(resting: subprocess.Popen[byt
 
 
 def test_an_attacker_that_ended_is_a_problem() -> None:
-    found = hostile.Found()
+    found = under_attack.Found()
     with tempfile.TemporaryFile() as output, subprocess.Popen(["true"]) as process:
         output.write(b"5 messages\nAssertionError: no answer\n")
         output.flush()
         process.wait()
-        found.count([hostile.Attacker("fuzz", process, output)])
+        found.count([under_attack.Attacker("fuzz", process, output)])
     assert found.problems == ["fuzz ended: AssertionError: no answer"]
 
 

@@ -76,7 +76,7 @@ def test_python_beside_a_clone_finds_the_package(tmp_path: Path) -> None:
     environment = Environment(tmp_path / "environment")
     environment.install("--editable", tree, cwd=tmp_path)
     (tmp_path / "show.py").write_text(SHOW)
-    wanted = f"hapticd.client {tree / 'hapticd' / '__init__.py'}\n"
+    wanted = f"hapticd.client.blocking {tree / 'hapticd' / '__init__.py'}\n"
     for start in (["-c", SHOW], ["show.py"], ["-m", "show"]):
         assert environment.run("python", *start, cwd=tmp_path) == wanted, start
     assert environment.run("python", "-i", cwd=tmp_path, stdin=SHOW + "\n") == wanted

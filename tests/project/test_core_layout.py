@@ -21,12 +21,12 @@ RECORDS = {
     "struct hd_noise": core.NOISE_DTYPE,
     "struct hd_piece": core.PIECE_DTYPE,
     "struct hd_object": core.OBJECT_DTYPE,
-    "struct hd_field": core.FIELD_DTYPE,
-    "struct hd_table": core.TABLE_DTYPE,
+    "struct hd_field": core.record_dtype("struct hd_field"),
+    "struct hd_table": core.record_dtype("struct hd_table"),
     "struct hd_sample": core.SAMPLE_DTYPE,
     "struct hd_event": core.EVENT_DTYPE,
-    "struct hd_command": core.COMMAND_DTYPE,
-    "struct hd_counters": core.COUNTERS_DTYPE,
+    "struct hd_command": core.record_dtype("struct hd_command"),
+    "struct hd_counters": core.record_dtype("struct hd_counters"),
 }
 
 
@@ -87,16 +87,6 @@ def test_the_telemetry_record_is_as_documented() -> None:
     assert np.dtype(expected) == core.SAMPLE_DTYPE
 
 
-def test_pointer_fields_take_addresses() -> None:
-    materials = core.records(core.MATERIAL_DTYPE, 3)
-    table = core.records(core.TABLE_DTYPE, 1)
-    materials["tap"]["peak"] = [0.25, 0.5, 0.75]
-    table["materials"] = core.address(materials)
-    c_table = core.pointer("struct hd_table[]", table)[0]
-    assert [c_table.materials[index].tap.peak for index in range(3)] == [0.25, 0.5, 0.75]
-    assert c_table.objects == ffi.NULL
-
-
 def test_an_opaque_or_unknown_struct_has_no_dtype() -> None:
     with pytest.raises(ffi.error, match="hd_state"):
         core.record_dtype("struct hd_state")
@@ -110,41 +100,25 @@ def test_only_whole_contiguous_items_become_c_arrays() -> None:
     assert len(core.pointer("double[]", positions[:0])) == 0
     with pytest.raises(ValueError, match="contiguous"):
         core.pointer("double[]", positions[:, 0])
-    with pytest.raises(ValueError, match="contiguous"):
-        core.address(positions[:, 0])
     with pytest.raises(ValueError, match="9 bytes"):
         core.pointer("double[]", np.zeros(9, np.uint8))
 
 
-@pytest.mark.parametrize(
-    ("python", "c"),
-    [
-        (core.Status, "enum hd_status"),
-        (core.Texture, "enum hd_texture"),
-        (core.Shape, "enum hd_shape"),
-        (core.Flag, "enum hd_flag"),
-        (core.EventKind, "enum hd_event_kind"),
-        (core.Fault, "enum hd_fault"),
-        (core.Interpolation, "enum hd_interpolation"),
-        (core.Realtime, "enum hd_realtime"),
-        (core.CommandKind, "enum hd_command_kind"),
-        (core.ClockSource, "enum hd_clock_source"),
-        (core.HidQuantity, "enum hd_hid_quantity"),
-        (core.HidMeaning, "enum hd_hid_meaning"),
-    ],
-)
-def test_an_enum_is_complete(python: type[enum.IntEnum] | type[enum.IntFlag], c: str) -> None:
-    elements = ffi.typeof(c).relements
-    assert sorted(int(member) for member in python) == sorted(elements.values())
-    for name, number in elements.items():
-        member = next(member for member in python if name.endswith("_" + str(member.name)))
+@pytest.mark.parametrize("name", re.findall(r"^enum (hd_\w+) \{", API, re.MULTILINE))
+def test_an_enum_of_the_header_has_a_python_twin_that_is_complete(name: str) -> None:
+    twin = getattr(core, name.removeprefix("hd_").title().replace("_", ""))
+    elements = ffi.typeof(f"enum {name}").relements
+    assert issubclass(twin, enum.IntEnum | enum.IntFlag) and twin.__doc__
+    assert sorted(int(member) for member in twin) == sorted(elements.values())
+    for element, number in elements.items():
+        member = next(member for member in twin if element.endswith("_" + str(member.name)))
         assert int(member) == number
 
 
-def test_every_enum_of_the_header_has_a_python_twin() -> None:
-    in_header = set(re.findall(r"^enum (hd_\w+) \{", API, re.M))
-    named = set(re.findall(r"enum (hd_\w+)\.", (ROOT / "hapticd" / "base" / "core.py").read_text(encoding="utf-8")))
-    assert in_header == named
+def test_bits_are_flags_and_everything_else_is_not() -> None:
+    twins = [one for one in vars(core).values() if isinstance(one, enum.EnumType) and one.__module__ == core.__name__]
+    assert {one for one in twins if issubclass(one, enum.IntFlag)} == {core.Flag, core.Fault}
+    assert len(twins) == len(re.findall(r"^enum hd_\w+ \{", API, re.MULTILINE))
 
 
 def _stub_type(ctype: "core.CType") -> str:
@@ -174,6 +148,20 @@ def test_the_type_stub_says_what_the_library_has() -> None:
             ctype = ffi.typeof(member)
             compiled[name] = (*map(_stub_type, ctype.args), _stub_type(ctype.result))
     assert stub == compiled
+
+
+def test_the_type_stub_says_what_the_enums_have() -> None:
+    tree = ast.parse((ROOT / "hapticd" / "_core.pyi").read_text(encoding="utf-8"))
+    stub = {
+        node.name: (ast.unparse(node.bases[0]), ast.unparse(node.body).splitlines())
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and node.bases
+    }
+    assert stub == {
+        name: (twin.__base__.__name__, [f"{member.name} = {int(member)}" for member in twin])
+        for name, twin in vars(core).items()
+        if isinstance(twin, enum.EnumType) and twin.__module__ == core.__name__
+    }
 
 
 def test_only_core_imports_the_extension() -> None:

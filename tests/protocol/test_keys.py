@@ -17,7 +17,6 @@ from zmq.utils import z85
 from hapticd.base.errors import HapticdError
 from hapticd.bridge.config import load_bridge
 from hapticd.cli import cli, main
-from hapticd.protocol.calls import place_of
 from hapticd.protocol.keys import (
     Certificate,
     is_key,
@@ -27,6 +26,7 @@ from hapticd.protocol.keys import (
     public_key_of,
     write_certificate,
 )
+from hapticd.protocol.places import place_of
 from hapticd.protocol.remote import Named, host_and_port, is_loopback, remote
 
 

@@ -12,8 +12,9 @@ import pytest
 
 from hapticd.bridge import gate
 from hapticd.protocol import remote
-from hapticd.protocol.calls import DaemonNotRunning, KeyRefused, probe
+from hapticd.protocol.calls import DaemonNotRunning, KeyRefused
 from hapticd.protocol.keys import new_certificate
+from hapticd.protocol.places import probe
 from hapticd.protocol.remote import Refusal, Remote
 
 GREETING = 64  # bytes, of ZMTP 3

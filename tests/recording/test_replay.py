@@ -16,13 +16,13 @@ from hapticd import shipped
 from hapticd.base.core import SAMPLE_DTYPE, Flag
 from hapticd.base.errors import HapticdError
 from hapticd.cli import main
-from hapticd.cli.simulation import simulate_files
 from hapticd.config.configuration import default_config, load_config
 from hapticd.config.modes import Mode
 from hapticd.config.scene import validate_scene
 from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.replay import FORCES, _Revision, _turn, replay
+from hapticd.recording.simulated import simulate_files
 from hapticd.rendering.offline import Rerun, render_run, simulate_run
 from hapticd.rendering.output import output_of
 

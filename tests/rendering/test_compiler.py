@@ -15,7 +15,7 @@ from scipy import signal
 from hapticd.base.core import OBJECT_DTYPE, WAVE_PARTS, CData, Shape, Status, Texture, ffi, invalid_reason, lib
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.config.scene import Scene, validate_scene
-from hapticd.rendering.compiler import retired_names as gone_module
+from hapticd.rendering.compiler import retired_names
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.output import Output
 
@@ -168,7 +168,7 @@ def test_names_are_kept_over_the_end_of_revisions() -> None:
 
 
 def test_where_nobody_reads_the_events_the_newest_names_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gone_module, "MOST", 10)
+    monkeypatch.setattr(retired_names, "MOST", 10)
     taken = Taken()
     taken.take(scene(stays=WALL))
     places = gone(taken, *(f"a{index}" for index in range(25)))

@@ -21,7 +21,7 @@ from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.daemon.engine import Engine
 from hapticd.rendering.compensation import LARGEST, Ringing, pole_gain, shape_of
-from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.displayed_error import band_error, displayed_error, handle_acceleration, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import simulate_run

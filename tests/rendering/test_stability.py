@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from bench.stability import SEED, counted, draw, fate_of, judged, linear_grows
+from bench.stability import SEED, counted, draw, evaluated, fate_of, linear_grows
 from hapticd.base.core import HidQuantity, ffi, lib
 from hapticd.cli import main
 from hapticd.config.actuator import Actuator
@@ -26,7 +26,7 @@ from hapticd.daemon.control import Control
 from hapticd.daemon.engine import Engine
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.rendering import contact_sets
-from hapticd.rendering.contact_sets import Sets
+from hapticd.rendering.contact_sets import ContactSets
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
 from hapticd.rendering.output import loop_of
@@ -171,7 +171,7 @@ def test_a_slow_actuator_holds_less() -> None:
     limit = 0.2 / (0.5e-4 + 1 / (200 * math.pi))
     for part, fate in ((0.95, "rests"), (1.1, "cycles")):
         config = config_of({"w": FLOOR, "push": push}, {"m": {"stiffness_n_per_m": part * limit}}, **sim)
-        assert judged(config).factors(0)["passivity"] == pytest.approx(1 / part)
+        assert evaluated(config).factors(0)["passivity"] == pytest.approx(1 / part)
         assert fate_of(config, [[0, 0, 0.005], [0.01, 0, 0.005]]).fate == fate
 
 
@@ -248,7 +248,7 @@ def test_what_is_safe_is_linearly_stable() -> None:
 
 
 def test_the_default_floor() -> None:
-    sets = judged(config_of({"floor": FLOOR}))
+    sets = evaluated(config_of({"floor": FLOOR}))
     (margin,) = sets.margins([(("floor",), 0)])
     assert margin.stiffness_n_per_m == pytest.approx(800)
     # b / (T/2), against 2 (c - q/2) / step
@@ -265,7 +265,7 @@ def test_two_walls_in_a_corner_act_together() -> None:
     for degrees in (10, 60, 90, 150):
         normals = [[math.sin(math.radians(turn)), math.cos(math.radians(turn))] for turn in (0, 180 - degrees)]
         objects = {f"w{i}": {**FLOOR, "normal": normal} for i, normal in enumerate(normals)}
-        sets = judged(config_of(objects))
+        sets = evaluated(config_of(objects))
         assert len(sets) == 1
         expected = 800 * (1 + abs(math.cos(math.radians(degrees))))
         assert sets.stiffness_n_per_m[0] == pytest.approx(expected)
@@ -278,25 +278,25 @@ def test_walls_apart_do_not_act_together() -> None:
         "left": {**FLOOR, "point_m": [-0.03, 0], "normal": [1, 0]},
         "right": {**FLOOR, "point_m": [0.03, 0], "normal": [-1, 0]},
     }
-    sets = judged(config_of(room))
+    sets = evaluated(config_of(room))
     assert len(sets) == 4
     np.testing.assert_allclose(sets.stiffness_n_per_m, 800)
     thin = {"floor": FLOOR, "ceiling": {**FLOOR, "point_m": [0, 0.001], "normal": [0, -1]}}
-    assert judged(config_of(thin)).stiffness_n_per_m == pytest.approx([800, 800])
+    assert evaluated(config_of(thin)).stiffness_n_per_m == pytest.approx([800, 800])
     gone = {"floor": FLOOR, "ceiling": {**FLOOR, "point_m": [0, -0.001], "normal": [0, -1]}}
-    assert judged(config_of(gone)).stiffness_n_per_m == pytest.approx([1600])
+    assert evaluated(config_of(gone)).stiffness_n_per_m == pytest.approx([1600])
 
 
 def test_friction_springs_and_fields_count() -> None:
     materials = {"m": {"stiffness_n_per_m": 300, "friction": {"coefficient": 0.3, "stiffness_n_per_m": 700}}}
     spring = {"kind": "spring", "center_m": [0, 0], "stiffness_n_per_m": 50, "damping_n_s_per_m": 0.01}
     honey = {"kind": "viscous", "damping_n_s_per_m": 0.02}
-    sets = judged(config_of({"floor": FLOOR, "spring": spring, "honey": honey}, materials))
+    sets = evaluated(config_of({"floor": FLOOR, "spring": spring, "honey": honey}, materials))
     assert sets.stiffness_n_per_m == pytest.approx([750])
     assert sets.damping_n_s_per_m == pytest.approx([0.03])
-    alone = judged(config_of({"spring": spring, "honey": honey}))
+    alone = evaluated(config_of({"spring": spring, "honey": honey}))
     assert alone.stiffness_n_per_m == pytest.approx([50])
-    assert len(judged(config_of({"push": {"kind": "constant", "force_n": [1, 0]}}))) == 0
+    assert len(evaluated(config_of({"push": {"kind": "constant", "force_n": [1, 0]}}))) == 0
 
 
 def test_noise_is_the_most_that_positions_half_a_step_off_can_do() -> None:
@@ -314,7 +314,7 @@ def test_noise_is_the_most_that_positions_half_a_step_off_can_do() -> None:
             for axis, *signs in product((0, 1), (-1, 1), (-1, 1))
             for off in [0.5e-4 * np.array(signs)]
         )
-        bound = 0.5 / judged(config).factors(0)["quantisation"]
+        bound = 0.5 / evaluated(config).factors(0)["quantisation"]
         # Of two walls the corner of the box that is worst for one need not be so for the other.
         assert worst <= bound * (1 + 1e-12)
         assert bound <= 2.0 * worst
@@ -342,7 +342,7 @@ def test_what_stiffens_under_force_is_counted_up_to_the_force_that_is_assumed(te
     pressed = np.hypot(*forces[0].T) <= PRESS_N
     jacobian = np.stack(((forces[0] - forces[1]) / (2 * step), (forces[2] - forces[3]) / (2 * step)), axis=-1)[pressed]
     stiffness = float(np.linalg.norm(jacobian, 2, axis=(-2, -1)).max())
-    found = float(judged(config).stiffness_n_per_m[0])
+    found = float(evaluated(config).stiffness_n_per_m[0])
     assert 800 < stiffness <= found
     assert found < 2.5 * stiffness
 
@@ -396,7 +396,7 @@ def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: p
         for name, item in objects.items():
             if "normal" in item:
                 item["normal"] = (normals[name] / np.linalg.norm(normals[name])).tolist()
-        sets = judged(config_of(objects))
+        sets = evaluated(config_of(objects))
         names = list(objects)
         found = [{names[slot] for slot in members} for members, _ in sets.worst(10_000, unsafe=False)]
         touched = {
@@ -409,7 +409,7 @@ def test_whatever_holds_a_point_at_once_is_within_a_set(way: str, monkeypatch: p
 
 def test_a_set_is_no_larger_than_a_pair_and_what_meets_both() -> None:
     row = {f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 6e-4, "material": "m"} for i in range(30)}
-    sets = judged(config_of(row))
+    sets = evaluated(config_of(row))
     assert len(sets) == 29
     np.testing.assert_allclose(sets.stiffness_n_per_m, 1600)
 
@@ -437,7 +437,7 @@ def test_walls_beyond_a_limit_cycle() -> None:
     for sim, limited in ((still, "passivity"), (rough, "quantisation")):
         for part, fate in ((0.5, "rests"), (1.5 if limited == "passivity" else 4.0, "cycles")):
             base = {"hand": hand, "start_m": [0, 0.005], **sim}
-            factor = judged(config_of({"w": FLOOR, "push": push}, **base)).factors(0)
+            factor = evaluated(config_of({"w": FLOOR, "push": push}, **base)).factors(0)
             materials = {"m": {"stiffness_n_per_m": 800 * part * min(factor.values())}}
             config = config_of({"w": FLOOR, "push": push}, materials, **base)
             assert fate_of(config, [[0, 0, 0.005], [0.01, 0, 0.005]], 64.0).fate == fate
@@ -504,27 +504,27 @@ def test_many_sets_are_counted_and_few_told() -> None:
 
 def test_nobody_waits_until_a_large_scene_is_judged(monkeypatch: pytest.MonkeyPatch) -> None:
     go_on, done = threading.Event(), threading.Event()
-    judge = engines.judge
+    evaluate = engines.evaluate
 
     def held(*args: Any) -> Any:
         assert go_on.wait(60)
         try:
-            return judge(*args)
+            return evaluate(*args)
         finally:
             done.set()
 
     discs = {
         f"d{i}": {"kind": "disc", "center_m": [0.001 * i, 0], "radius_m": 2e-4, "material": "m"}
-        for i in range(engines.JUDGED_AT_ONCE + 2)
+        for i in range(engines.EVALUATED_AT_ONCE + 2)
     }
     engine = Engine(load_config({**LINKED, "materials": {"m": {"stiffness_n_per_m": 800}}}))
     before = engine.stability()
-    monkeypatch.setattr(engines, "judge", held)
+    monkeypatch.setattr(engines, "evaluate", held)
     engine.set_scene(validate_scene({"objects": discs}))
     assert engine.stability() is before and engine.stability() is before
     go_on.set()
     assert done.wait(60)
-    with engine._judging:  # until the thread that judged has ended
+    with engine._evaluating:  # until the thread that judged has ended
         pass
     assert engine.stability().sets == len(discs)
 
@@ -626,8 +626,8 @@ def test_check_of_a_joystick_that_nobody_knows(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_sets_of_an_empty_scene() -> None:
-    sets = judged(config_of({}))
-    assert isinstance(sets, Sets)
+    sets = evaluated(config_of({}))
+    assert isinstance(sets, ContactSets)
     assert len(sets) == 0
     assert sets.worst(5, unsafe=False) == []
     assert sets.margins([]) == []

@@ -26,7 +26,7 @@ from bench.daemon import daemon
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import Client, connect
 from hapticd.protocol.keys import new_certificate, write_certificate
-from tests.soak import hostile, strangers
+from tests.soak import strangers, under_attack
 
 CLIENTS = {"ours": "command", "theirs": "command"}
 READY = "ready: commands at "
@@ -44,7 +44,7 @@ class Bridge:
     def enter(self, wait_s: float = 0.0) -> Client:
         """A client of ours. Raises HapticdError."""
         key, server_key = self.keys / "ours.key_secret", self.keys / "server.key"
-        return connect(self.address, hostile.PATIENCE_S, wait_s=wait_s, key=key, server_key=server_key)
+        return connect(self.address, under_attack.PATIENCE_S, wait_s=wait_s, key=key, server_key=server_key)
 
     def attackers(self, connections: int) -> list[tuple[str, Sequence[str]]]:
         """All of them, by kind and command."""
@@ -93,7 +93,7 @@ class Newcomer(threading.Thread):
     def run(self) -> None:
         while not self.stop.wait(0.1):
             begin = time.monotonic()
-            with contextlib.suppress(HapticdError), self._through.enter(wait_s=hostile.PATIENCE_S) as client:
+            with contextlib.suppress(HapticdError), self._through.enter(wait_s=under_attack.PATIENCE_S) as client:
                 client.get_status()
                 self._took_s.append(time.monotonic() - begin)
 
@@ -105,40 +105,40 @@ def attack(
     settle_s: float,
     nice: int = 0,
     tell: Callable[[str], None] = lambda _: None,
-) -> hostile.Found:
+) -> under_attack.Found:
     """Attacks a bridge of its own for so long."""
-    found = hostile.Found("the bridge")
+    found = under_attack.Found("the bridge")
     found.newcomers_s = []
     with daemon(rate_hz=rate_hz) as running, bridge(running.paths.directory) as attacked:
-        watcher = hostile.Watcher(attacked.enter)
+        watcher = under_attack.Watcher(attacked.enter)
         watcher.start()
-        if not watcher.begun.wait(hostile.PATIENCE_S):
+        if not watcher.begun.wait(under_attack.PATIENCE_S):
             raise HapticdError("there is no telemetry")
         with attacked.enter() as client:
             time.sleep(settle_s)
-            found.memory_mib = [hostile.memory_mib(attacked.pid)] * 3
-            measure = hostile.Measure(attacked.pid, watcher, found, tell)
+            found.memory_mib = [under_attack.memory_mib(attacked.pid)] * 3
+            measure = under_attack.Measure(attacked.pid, watcher, found, tell)
             newcomer = Newcomer(attacked, found.newcomers_s)
             begin = time.monotonic()
             try:
                 measure.phase(client, "before", min(60.0, seconds / 4), [])
-                with hostile.attacked(attacked.attackers(connections), nice) as those:
+                with under_attack.attacked(attacked.attackers(connections), nice) as those:
                     newcomer.start()
                     try:
                         measure.phase(client, "under attack", seconds, those)
                     finally:
                         newcomer.stop.set()
                         found.count(those)
-                        found.processor_s = hostile.scheduled_s(attacked.pid)
-                newcomer.join(hostile.PATIENCE_S)
+                        found.processor_s = under_attack.scheduled_s(attacked.pid)
+                newcomer.join(under_attack.PATIENCE_S)
                 time.sleep(settle_s)
-                found.memory_mib[2] = hostile.memory_mib(attacked.pid)
+                found.memory_mib[2] = under_attack.memory_mib(attacked.pid)
                 found.problems += [f"the fault {name} is latched" for name in client.get_status()["faults"]]
             except (HapticdError, OSError, KeyboardInterrupt) as error:
                 found.problems.append(f"{type(error).__name__}: {error}")
             found.seconds = time.monotonic() - begin
             watcher.stop.set()
-            watcher.join(hostile.PATIENCE_S)
+            watcher.join(under_attack.PATIENCE_S)
     found.samples, found.missing, found.dropped = watcher.samples, watcher.missing, watcher.dropped
     found.faults = watcher.faults
     return found

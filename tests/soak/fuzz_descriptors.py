@@ -26,13 +26,13 @@ from typing import Final
 from hapticd.base.core import CData, ffi, lib
 from hapticd.config.hid import ForceAxes, ForceAxis, Hid
 from hapticd.config.modes import Mode
-from hapticd.hid import offload
+from hapticd.hid import nearest_effect, offload
 from hapticd.hid import verdict as judged
-from hapticd.hid.descriptor import Descriptor, parse
-from hapticd.hid.drivers import pid, pool
+from hapticd.hid.descriptor.fields import Field
+from hapticd.hid.descriptor.layout import Layout
+from hapticd.hid.descriptor.parser import Descriptor, parse
+from hapticd.hid.drivers import pid, pid_pool
 from hapticd.hid.drivers.pid import PidDriver
-from hapticd.hid.fields import Field
-from hapticd.hid.layout import Layout
 from hapticd.hid.plan import Bits, DeviceError, Message, Plan, fill_message
 from hapticd.hid.verdict import Verdict, verdict_of
 from tests.hid import test_descriptor, test_layout
@@ -345,7 +345,7 @@ def check_plan(reports: Reports, plan: Plan, *, endless: bool) -> None:
 def check_periodic(reports: Reports, plan: Plan) -> None:
     """Effects that the device plays by itself, of one mode."""
     assert plan.periodic is not None
-    shape = offload.fit(_MODE, plan.periodic.numbers)
+    shape = nearest_effect.nearest_effect(_MODE, plan.periodic.numbers)
     if shape is None:
         return
 
@@ -413,7 +413,7 @@ def drive(source: random.Random, hid: Hid, verdict: Verdict, reports: Reports) -
 @contextmanager
 def without_pauses() -> Iterator[None]:
     """A device that answers at once is not waited for, and no descriptor is read twice."""
-    before = pid.time, pool.time, judged.parse
+    before = pid.time, pid_pool.time, judged.parse
 
     class Clock:
         @staticmethod
@@ -424,12 +424,12 @@ def without_pauses() -> Iterator[None]:
         _parsed[:] = [parse(descriptor)]
         return _parsed[0]
 
-    pid.time = pool.time = Clock  # type: ignore[assignment]
+    pid.time = pid_pool.time = Clock  # type: ignore[assignment]
     judged.parse = parse_once
     try:
         yield
     finally:
-        pid.time, pool.time, judged.parse = before
+        pid.time, pid_pool.time, judged.parse = before
 
 
 def fuzz(source: random.Random, runs: int, every: int = 0) -> tuple[Counter[str], float]:

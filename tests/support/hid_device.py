@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from hapticd.hid.descriptor import parse
-from hapticd.hid.fields import Choice, Field
-from hapticd.hid.layout import Layout, layout_of
+from hapticd.hid.descriptor.fields import Choice, Field
+from hapticd.hid.descriptor.layout import Layout, layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.plan import Bits
 from tests.support.hid_node import Node
 

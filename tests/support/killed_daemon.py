@@ -18,10 +18,10 @@ from hapticd.config.hid import Hid
 from hapticd.daemon import engine
 from hapticd.hid import stopper
 from hapticd.hid.connection import Opened, Source
-from hapticd.hid.descriptor import parse
+from hapticd.hid.descriptor.layout import layout_of
+from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.device import Device
-from hapticd.hid.drivers.pid import plan_of
-from hapticd.hid.layout import layout_of
+from hapticd.hid.drivers.pid_plan import plan_of
 from hapticd.hid.plan import Plan
 from tests.support.hid_descriptors import Joystick
 

@@ -17,7 +17,7 @@ import pytest
 from hapticd.base.errors import HapticdError
 from hapticd.client.blocking import DaemonNotRunning
 from hapticd.daemon.process import run
-from hapticd.protocol.calls import probe
+from hapticd.protocol.places import probe
 from hapticd.system.paths import RuntimePaths, runtime_paths
 from hapticd.system.runtime_directory import Owned, owned
 

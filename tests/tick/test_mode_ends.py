@@ -12,7 +12,7 @@ import pytest
 
 from hapticd.base.core import EventKind, Status, ffi, lib
 from hapticd.config.materials import Mode
-from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig, still
 

@@ -8,7 +8,8 @@ import pytest
 
 from hapticd.base.core import EventKind, Flag
 from hapticd.config.materials import Mode, shipped_materials
-from hapticd.rendering.compiler import table as compiling
+from hapticd.rendering.displayability import displayed_mode
+from hapticd.rendering.output import Output
 from tests.support.rig import FLOOR, Rig, line
 
 RATES = [1000, 1333, 2000, 3000, 4000, 5000, 7000, 8000, 10_000]
@@ -169,8 +170,8 @@ def test_modes_beyond_the_rate_are_muted_or_lowered_never_aliased(rate_hz: float
     ticks = int(6 / mode.decay_rate_per_s * rate_hz) + 3
     muted, _ = one_strike(mode, steel.attack_slope_per_s, rate_hz, ticks)
     assert not np.any(muted["vibration_force_n"])
-    output = compiling.Output(rate_hz, MASS, 100, 5, "lower")
-    shown, factor = compiling.displayed_mode(mode, output)
+    output = Output(rate_hz, MASS, 100, 5, "lower")
+    shown, factor = displayed_mode(mode, output)
     assert shown is not None
     assert shown.frequency_hz == pytest.approx(0.4 * rate_hz)
     # The same peak, computed independently by a fine scan of both closed forms.

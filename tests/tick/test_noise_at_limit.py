@@ -11,7 +11,7 @@ import pytest
 
 from hapticd.base.core import EventKind, Flag, Status, ffi, lib
 from hapticd.config.materials import Mode
-from hapticd.rendering.compiler.table import mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig
 

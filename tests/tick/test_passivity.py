@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bench.passivity import GROUPS, Group, draw, simulated, work
-from bench.stability import judged
+from bench.stability import evaluated
 from hapticd.base.core import Flag, ffi, lib
 from hapticd.config.configuration import default_config, load_config
 from hapticd.daemon.control import Control
@@ -374,7 +374,7 @@ def test_what_is_grazed_within_the_margins_is_not_changed(shape: str) -> None:
         "materials": {"plain": {"stiffness_n_per_m": 340.0}},
         "scene": {"objects": GRAZED[shape]},
     }
-    assert judged(load_config(source)).safe.all()
+    assert evaluated(load_config(source)).safe.all()
     touched = 0
     for along in (0.03, 0.08, 0.2):
         for deep in np.linspace(5e-5, 4e-4, 5):

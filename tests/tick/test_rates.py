@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hapticd.base.core import HISTOGRAM_EDGES_NS, MATERIAL_DTYPE, NOISE_DTYPE, OBJECT_DTYPE, ffi, lib, pointer
-from hapticd.cli.status import quantile_ns
 from hapticd.config.configuration import Sim, load_config
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.status_text import quantile_ns
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
 from hapticd.rendering.output import output_of

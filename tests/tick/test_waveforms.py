@@ -13,11 +13,11 @@ import pytest
 
 from hapticd.base.core import EventKind, lib
 from hapticd.base.errors import InvalidError
-from hapticd.cli.simulation import simulate_files
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.waveform import MOST_SAMPLES, Curve, Waveform
 from hapticd.recording.replay import replay
+from hapticd.recording.simulated import simulate_files
 from hapticd.rendering.displayability import material_warnings, undisplayable, warnings
 from hapticd.rendering.offline import render_run, simulate_run
 from hapticd.rendering.output import output_of

@@ -3,12 +3,13 @@
 .npz  `time_s` and `acceleration_m_per_s2`, each (n,)
 .csv  the same as columns, named in the first line
 
+They are read as recordings for a fit are (hapticd.analysis.recordings), without a YAML beside them.
+
 The recording's clock starts anywhere: where in it a drive lies is found by cross-correlation.
 """
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 from dataclasses import dataclass
@@ -19,6 +20,9 @@ import numpy.typing as npt
 
 from hapticd.analysis.calibration.fit import Fit, Point, model_motion, tapered
 from hapticd.analysis.calibration.sweep import Floats, Record
+from hapticd.analysis.recordings.clock import LEAST_SAMPLES
+from hapticd.analysis.recordings.files import READERS, ending_of, file_bytes
+from hapticd.analysis.recordings.table import MAX_BYTES
 from hapticd.base.errors import HapticdError
 
 TIME: Final = "time_s"
@@ -49,7 +53,7 @@ class Recording:
 
 def check_name(name: str) -> None:
     """Raises HapticdError (one line) for what is no recording by its name; it may be there only later."""
-    if os.path.splitext(name)[1].lower() not in (".npz", ".csv"):
+    if ending_of(name) not in (".npz", ".csv"):
         raise HapticdError(f"{name}: a recording ends in .npz or .csv")
 
 
@@ -58,57 +62,15 @@ def load_recording(path: str | os.PathLike[str], scale: float = 1.0) -> Recordin
     name = os.fspath(path)
     check_name(name)
     try:
-        columns = _from_csv(name) if name.lower().endswith(".csv") else _from_npz(name)
-    except OSError as error:
-        raise HapticdError(f"{name}: cannot be read: {error.strerror or error}") from None
-    except (ValueError, csv.Error) as error:
-        raise HapticdError(f"{name}: is no recording: {error}") from None
-    missing = [key for key in (TIME, ACCELERATION) if key not in columns]
-    if missing:
-        raise HapticdError(f"{name}: has no {' and no '.join(missing)}; it has {', '.join(columns) or 'nothing'}")
-    time_s, acceleration = columns[TIME], columns[ACCELERATION]
-    if time_s.ndim != 1 or time_s.shape != acceleration.shape or len(time_s) < 16:
-        raise HapticdError(f"{name}: {TIME} and {ACCELERATION} must be of one length, at least 16")
+        table = READERS[ending_of(name)](file_bytes(name, MAX_BYTES))
+        time_s, acceleration = table.read([table.place(TIME), table.place(ACCELERATION)])
+    except ValueError as error:
+        raise HapticdError(f"{name}: {error}") from None
+    if len(time_s) != len(acceleration) or len(time_s) < LEAST_SAMPLES:
+        raise HapticdError(f"{name}: {TIME} and {ACCELERATION} must be of one length, at least {LEAST_SAMPLES}")
     if not (np.isfinite(time_s).all() and np.isfinite(acceleration).all() and (np.diff(time_s) > 0).all()):
         raise HapticdError(f"{name}: {TIME} must rise, and every number be finite")
     return Recording(name, time_s, (acceleration - acceleration.mean()) * scale)
-
-
-def _from_npz(name: str) -> dict[str, Floats]:
-    import zipfile
-
-    # What is no archive numpy takes for an array alone, for the end of the input or for a pickle.
-    with open(name, "rb") as stream:
-        if not zipfile.is_zipfile(stream):
-            raise ValueError("not an archive as numpy.savez writes it")
-    columns: dict[str, Floats] = {}
-    try:
-        with np.load(name) as archive:
-            for key in archive.files:
-                if key not in (TIME, ACCELERATION):
-                    continue
-                numbers = archive[key]
-                if numbers.dtype.kind not in "iuf":
-                    raise ValueError(f"{key} has {numbers.dtype}, not real numbers")
-                columns[key] = np.asarray(numbers, dtype=np.float64)
-    except zipfile.BadZipFile as error:
-        raise ValueError(str(error)) from None
-    return columns
-
-
-def _from_csv(name: str) -> dict[str, Floats]:
-    with open(name, newline="", encoding="utf-8-sig") as stream:
-        rows = list(csv.reader(stream))
-    while rows and not rows[-1]:
-        rows.pop()
-    if not rows:
-        return {}
-    heads = [head.strip() for head in rows[0]]
-    wrong = next((number for number, row in enumerate(rows, 1) if len(row) != len(heads)), None)
-    if wrong is not None:
-        raise ValueError(f"line {wrong} has not {len(heads)} columns")
-    numbers = np.array([[float(cell) for cell in row] for row in rows[1:]], dtype=np.float64).reshape(-1, len(heads))
-    return {head: numbers[:, index] for index, head in enumerate(heads)}
 
 
 def offset_of(recording: Recording, expected: Floats, rate_hz: float) -> float:

@@ -19,7 +19,8 @@ from hapticd.config.configuration import Config
 from hapticd.config.modes import Mode
 from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 from hapticd.protocol.events import fault_names
-from hapticd.rendering.compiler.table import Compiler, mode_record
+from hapticd.rendering.compiler.mode_record import mode_record
+from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Samples, new_world
 from hapticd.rendering.output import Output, output_of

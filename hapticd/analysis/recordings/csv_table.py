@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import re
 from array import array
 from collections.abc import Iterator, Sequence
@@ -29,11 +28,7 @@ def csv_table(content: bytes) -> Table:
         raise ValueError("is no text")
     layout = _Layout.of(_lines(content, encoding))
 
-    def read(places: Sequence[int]) -> list[Floats]:
-        quick = layout.quickly(_lines(content, encoding), places)
-        return layout.numbers(_lines(content, encoding), places) if quick is None else quick
-
-    return Table(layout.names, read, layout.units)
+    return Table(layout.names, lambda places: layout.columns(_lines(content, encoding), places), layout.units)
 
 
 def _is_utf8(content: bytes) -> bool:
@@ -52,11 +47,11 @@ def _lines(content: bytes, encoding: str) -> Iterator[tuple[int, str]]:
         while line := stream.readline(MAX_LINE + 1):
             number += 1
             if len(line) > MAX_LINE:
-                raise ValueError(f"line {number} is longer than {MAX_LINE} characters")
+                raise _LineError(f"line {number} is longer than {MAX_LINE} characters")
             if line.strip(" ,;\t\r\n"):
                 yield number, line.strip("\r\n")
     except UnicodeError:
-        raise ValueError("is no text") from None
+        raise _LineError("is no text") from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,59 +103,58 @@ class _Layout:
             number,
         )
 
-    def quickly(self, lines: Iterator[tuple[int, str]], places: Sequence[int]) -> list[Floats] | None:
-        """As `numbers`, in a fifth of the time; None where something is not quite as it should be."""
-        separators = len(self.names) - 1
+    def columns(self, lines: Iterator[tuple[int, str]], places: Sequence[int]) -> list[Floats]:
+        """Those at these places. Raises ValueError, with the line where it is wrong."""
+        numbers = array("I")
+        """Of the lines that were read."""
+        last = ""
 
-        def plain() -> Iterator[str]:
+        def rows() -> Iterator[str]:
+            nonlocal last
             for number, line in lines:
                 if number < self.first or line.lstrip().startswith("#"):
                     continue
-                found = line.count(self.delimiter) if self.delimiter else len(line.split()) - 1
-                if found != separators or '"' in line:
-                    raise ValueError
+                self._check_width(number, line)
+                numbers.append(number)
+                last = line
                 yield line if self.delimiter == "," else line.replace(",", ".")
 
         try:
             table = np.loadtxt(
-                plain(), delimiter=self.delimiter or None, usecols=places, ndmin=2, comments=None,
+                rows(), delimiter=self.delimiter or None, usecols=places, ndmin=2, comments=None, quotechar='"',
                 max_rows=MAX_SAMPLES + 1,
             )  # fmt: skip
+        except _LineError:
+            raise
         except ValueError:
-            return None
-        if len(table) > MAX_SAMPLES or not np.isfinite(table).all():
-            return None
+            cells = _cells(last, self.delimiter)
+            cell = next((cells[place] for place in places if not _is_number(cells[place], self.delimiter)), last)
+            raise ValueError(
+                f"line {numbers[-1]} holds something else than numbers, {quoted(cell)} (a sample that is missing?)"
+            ) from None
+        if len(table) > MAX_SAMPLES:
+            raise ValueError(f"has more than {MAX_SAMPLES} samples: cut it into several files")
+        broken = np.flatnonzero(~np.isfinite(table).all(axis=1))
+        if len(broken):
+            raise ValueError(
+                f"{len(broken)} rows hold NaN or infinity, the first in line {numbers[broken[0]]}: cut them off, or "
+                "record anew"
+            )
         return [np.array(column, dtype=np.float64) for column in table.T]
 
-    def numbers(self, lines: Iterator[tuple[int, str]], places: Sequence[int]) -> list[Floats]:
-        """The columns at these places. Raises ValueError, with the line where it is wrong."""
+    def _check_width(self, number: int, line: str) -> None:
+        """Raises _LineError for a line with fewer cells than there are names, or with more that hold anything."""
         count = len(self.names)
-        found = array("d")
-        broken, first = 0, 0
-        for number, line in lines:
-            if number < self.first or line.lstrip().startswith("#"):
-                continue
-            cells = line.split(self.delimiter) if self.delimiter and '"' not in line else _cells(line, self.delimiter)
-            if len(cells) != count and (len(cells) < count or any(cell.strip() for cell in cells[count:])):
-                raise ValueError(f"line {number} has not {count} columns, but {len(cells)}")
-            try:
-                row = [_number(cells[place], self.delimiter) for place in places]
-            except ValueError:
-                cell = next(cells[place] for place in places if not _is_number(cells[place], self.delimiter))
-                raise ValueError(
-                    f"line {number} holds something else than numbers, {quoted(cell)} (a sample that is missing?)"
-                ) from None
-            if not math.isfinite(sum(row)) and not all(map(math.isfinite, row)):
-                broken, first = broken + 1, first or number
-            found.extend(row)
-            if len(found) > MAX_SAMPLES * len(places):
-                raise ValueError(f"has more than {MAX_SAMPLES} samples: cut it into several files")
-        if broken:
-            raise ValueError(
-                f"{broken} rows hold NaN or infinity, the first in line {first}: cut them off, or record anew"
-            )
-        table = np.frombuffer(found, dtype=np.float64).reshape(-1, len(places))
-        return [table[:, index].copy() for index in range(len(places))]
+        quick = line.count(self.delimiter) + 1 if self.delimiter else len(line.split())
+        if quick == count and '"' not in line:
+            return
+        cells = _cells(line, self.delimiter)
+        if len(cells) < count or any(cell.strip() for cell in cells[count:]):
+            raise _LineError(f"line {number} has not {count} columns, but {len(cells)}")
+
+
+class _LineError(ValueError):
+    """A line that says itself what is wrong with it."""
 
 
 def _delimiter(line: str) -> str:
@@ -175,7 +169,10 @@ def _delimiter(line: str) -> str:
 def _cells(line: str, delimiter: str) -> list[str]:
     if not delimiter:
         return [cell.strip('"') for cell in line.split()]
-    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
+    try:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
+    except csv.Error as error:
+        raise _LineError(str(error)) from None
 
 
 def _number(cell: str, delimiter: str) -> float:

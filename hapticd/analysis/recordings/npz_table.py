@@ -49,8 +49,8 @@ def npz_table(content: bytes) -> Table:
         return arrays[name]
 
     for name, shape in shapes.items():
-        if shape is None:
-            others[name] = "holds no numbers in rows or columns"
+        if isinstance(shape, str):
+            others[name] = f"holds no numbers in rows or columns, but {shape}"
         elif len(shape) == 2 and 1 not in shape:
             count = min(shape)
             others[name] = f"holds {count} columns, {short_name(name)}[1] and so on"
@@ -77,7 +77,7 @@ def npz_table(content: bytes) -> Table:
         return float(np.spacing(np.abs(values).max(initial=0.0).astype(kind))) if kind.kind == "f" else 1.0
 
     rate_hz: float | None = None
-    if shapes.get("rate_hz") is not None:
+    if not isinstance(shapes.get("rate_hz", ""), str):
         single = whole("rate_hz")
         if single.size != 1:
             raise ValueError("rate_hz must be one number")
@@ -94,13 +94,15 @@ def _npy_header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]
     raise ValueError(f"an array of version {version[0]}.{version[1]}")
 
 
-def _npy_shape(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, ...] | None:
-    """Of an array of at most two dimensions of numbers; None for everything else."""
+def _npy_shape(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, ...] | str:
+    """Of an array of at most two dimensions of numbers; of everything else, what it is."""
     if not entry.filename.endswith(".npy"):
-        return None
+        return "no array"
     with archive.open(entry) as stream:
         shape, _, kind = _npy_header(stream)
-    return shape if kind.kind in "iuf" and len(shape) <= 2 else None
+    if kind.kind not in "iuf":
+        return kind.name
+    return shape if len(shape) <= 2 else f"{len(shape)} dimensions"
 
 
 def _npy(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> npt.NDArray[Any]:

@@ -14,8 +14,8 @@ import numpy as np
 from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.config.modes import Mode
-from hapticd.fit.impossible import Kept
-from hapticd.fit.lines import Line, lines_beside
+from hapticd.fit.invalid_samples import Kept
+from hapticd.fit.spectral_lines import Line, lines_beside
 from hapticd.fit.strikes.free_ringing import Complexes, FreeRinging
 from hapticd.fit.strikes.onsets import LEAST_STRIKES, loudest_frequency, pick_strikes, ringing_steps, unit_strike
 from hapticd.fit.strikes.spacing import row_of, slope_of_row

@@ -14,8 +14,8 @@ from hapticd.analysis.recordings.clipping import clipped
 from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.statistics import FitError, Floats, MistakenError
 from hapticd.config.modes import Mode
-from hapticd.fit.impossible import ACCELERATION, without_impossible
-from hapticd.fit.left_out import LeftOut
+from hapticd.fit.exclusions import LeftOut
+from hapticd.fit.invalid_samples import ACCELERATION, without_impossible
 from hapticd.fit.recording import Recording
 from hapticd.fit.stretches import between_gaps
 from hapticd.fit.strokes import force_of, gravity_of, too_slow

@@ -14,7 +14,7 @@ from hapticd.analysis.recordings.sensor import Sensor
 from hapticd.analysis.statistics import Estimate, Floats, common, improbable, through_origin
 from hapticd.base.yaml_source import Json
 from hapticd.config.modes import Mode
-from hapticd.fit.left_out import LeftOut
+from hapticd.fit.exclusions import LeftOut
 from hapticd.fit.taps.hit import (
     CHANCE,
     COLOURED,

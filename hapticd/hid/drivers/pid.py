@@ -1,62 +1,42 @@
-"""Devices of the PID class: set-up, and the plan of what is sent then, from the layout of their descriptor alone.
+"""Devices of the PID class: set-up. pid_plan.py has what is sent afterwards, pid_reports.py how reports are encoded.
 
-A constant force is shown by
-
-- two effects, one for each axis, whose magnitudes carry a sign: a component that did not change costs no report, unless
-  the directions are not quite along the axes (`directions.parts`); or
-- one effect whose magnitude and direction are both sent, where magnitudes have no sign, or one effect is all there is.
-
-Effects have a finite duration and are started again in time: a daemon that is stopped or killed leaves no force.
-A direction is where a force comes from, clockwise from away from the user ("north"), as the specification and Linux
-have it; `device.hid.force_axes` says where a device has it otherwise.
+A set-up resets the device, enables its actuators, sets its gain, has it make the effects, and starts them with a force
+of zero. Where it has no room for two effects, one with a direction is used.
 """
 
 from __future__ import annotations
 
 import logging
-import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final, Literal
+from typing import Final
 
-from hapticd.base.core import HidMeaning, HidQuantity, lib
-from hapticd.config.hid import HandleAxis, Hid
+from hapticd.base.core import lib
+from hapticd.config.hid import Hid
+from hapticd.hid.descriptor.layout import BlockLoad, Layout
 from hapticd.hid.device import Device
-from hapticd.hid.drivers.directions import angle_of, has_one_axis, has_vector, leak, parts
-from hapticd.hid.drivers.periodic import periodic_of, periodic_problem
-from hapticd.hid.drivers.pool import Pool, number_in, read_feature
-from hapticd.hid.drivers.reports import (
-    Effect,
+from hapticd.hid.drivers.pid_periodic import periodic_of, periodic_problem
+from hapticd.hid.drivers.pid_plan import Way, axes_of, effects_of, plan_of, stop_messages, ways_of
+from hapticd.hid.drivers.pid_pool import Pool, number_in, read_feature
+from hapticd.hid.drivers.pid_reports import (
     Report,
-    bits_of,
     block_free_report,
     constant_force_report,
     control_report,
     duration_of,
-    envelope_report,
     gain_report,
-    is_by_angle,
     operation_report,
-    polar_effect_report,
     set_effect_report,
 )
-from hapticd.hid.drivers.same_report import shared_report
-from hapticd.hid.layout import Axis, BlockLoad, Layout
-from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, PlayingBits, StateBit
+from hapticd.hid.plan import DeviceError, Plan
 
 LOAD_TRIES: Final = 30
 LOAD_PAUSE_S: Final = 0.01
 """A device that has not yet loaded an effect is asked again so often, after this time."""
 
-RENEWED_ENOUGH_S: Final = 0.05
-"""What is renewed so often needs no restoring."""
-
 _log = logging.getLogger("hapticd")
-
-Way = Literal["two", "polar", "one", "sides"]
-"""two: an effect for each axis; polar: one with direction; one: a single axis; sides: that, with an effect each way."""
 
 
 class _FullError(DeviceError):
@@ -84,7 +64,7 @@ class PidDriver:
         """Resets the device, enables it, and leaves its effects running with a force of zero."""
         self._prepare(device)
         ways, most = self._ways, self._room(device)
-        needed = len(_effects(ways[0], self._hid))
+        needed = len(effects_of(ways[0], self._hid))
         if most is not None and most < needed:
             other = "one effect with direction is used" if len(ways) > 1 else "PID Block Load decides"
             self._pool.tell(f"{device.path}: plays {most} effect at a time, {needed} are needed; {other}")
@@ -113,7 +93,7 @@ class PidDriver:
 
     def _room(self, device: Device) -> int | None:
         """How many effects the device says that it plays, where more than one is wanted; None: not known."""
-        several = len(_effects(self._ways[0], self._hid)) > 1
+        several = len(effects_of(self._ways[0], self._hid)) > 1
         wanted = several or periodic_problem(self._layout, self._hid) is None
         return self._pool.simultaneous(device) if wanted else None
 
@@ -135,7 +115,7 @@ class PidDriver:
         """The constant forces, made and started, and their plan."""
         layout, indices = self._layout, list[int]()
         try:
-            for effect in _effects(way, self._hid):
+            for effect in effects_of(way, self._hid):
                 index = self._create(device)
                 if index in indices:
                     raise DeviceError(f"{device.path}: PID Block Load gives effect {index} twice")
@@ -200,211 +180,11 @@ class PidDriver:
         raise DeviceError(f"{device.path}: PID Block Load does not say that the effect is loaded")
 
 
-# ---- Ways and axes ---------------------------------------------------------------------------------------------------
-
-
-def ways_of(layout: Layout, hid: Hid) -> tuple[Way, ...]:
-    """How a force can be shown, the best first. Raises DeviceError."""
-    effect, force = layout.set_effect, layout.constant_force
-    assert effect is not None and force is not None
-    shared = shared_report(layout)
-    if shared is not None:
-        raise DeviceError(shared)
-    angle, signed = angle_of(effect), force.magnitude.is_signed
-    if not signed and force.magnitude.physical_min < 0 < force.magnitude.physical_max:
-        raise DeviceError(
-            f"the magnitude of Set Constant Force counts from {force.magnitude.logical_min}, and its physical range "
-            "begins below zero: it does not say which count is no force"
-        )
-    room = layout.effect_indices is None or layout.effect_indices[1] > layout.effect_indices[0]
-    room = room and "one_effect" not in hid.quirks
-    both = len(effect.axes_enable) >= 2 or has_vector(effect)
-    if has_one_axis(layout, hid):
-        if signed:
-            return ("one",)
-        if angle is not None and room:
-            return ("sides",)
-        raise DeviceError("the device has magnitudes without a sign, and no way to say the direction of a force")
-    ways: list[Way] = []
-    if signed and room and (angle is not None or both):
-        ways.append("two")
-    if angle is not None:
-        ways.append("polar")
-    if not ways:
-        if not both:
-            told = "and neither Direction nor Axes Enable to tell them apart in a force"
-        elif signed:
-            told = "room for one effect, and no angle to say the direction of a force"
-        else:
-            told = "magnitudes without a sign, and no angle to say the direction of a force"
-        raise DeviceError(f"the device has two axes, {told}")
-    return tuple(ways)
-
-
-def axes_of(layout: Layout, hid: Hid) -> tuple[AxisPlan, AxisPlan]:
-    """The handle's axes. Raises DeviceError where the device has no such axis."""
-    x = _axis(layout, hid.axes.x, "x", hid)
-    if has_one_axis(layout, hid) and hid.axes.y.usage.lower() not in layout.input:
-        return x, AxisPlan(x.bits, x.report_id, x.zero_counts, STILL_M_PER_COUNT)
-    return x, _axis(layout, hid.axes.y, "y", hid)
-
-
-def _axis(layout: Layout, axis: HandleAxis, name: str, hid: Hid) -> AxisPlan:
-    found: Axis | None = layout.input.get(axis.usage.lower())
-    if found is None:
-        known = ", ".join(usage.capitalize() for usage in layout.input)
-        raise DeviceError(f"device.hid.axes.{name}.usage: the device has no axis {axis.usage}; it has {known}")
-    field = found.field
-    half = (field.logical_max - field.logical_min) / 2.0
-    middle = field.logical_min + half
-    return AxisPlan(bits_of(field), field.report_id, middle, axis.sign * hid.travel_m / half)
-
-
-def _effects(way: Way, hid: Hid) -> tuple[Effect, ...]:
-    axes, swap = hid.force_axes, hid.force_axes.swap
-    along_x, along_y = (HidQuantity.Y, HidQuantity.X) if swap else (HidQuantity.X, HidQuantity.Y)
-    # A force to the right comes from the left, one away from the user from the user.
-    right, away = 0.75, 0.5
-    match way:
-        case "two":
-            return (Effect("x", right, along_x, axes.x.sign), Effect("y", away, along_y, axes.y.sign))
-        case "polar":
-            return (Effect("x", 0.0, HidQuantity.MAGNITUDE, 1),)
-        case "one":
-            return (Effect("x", right, HidQuantity.X, axes.x.sign),)
-        case "sides":
-            sign = axes.x.sign
-            return (Effect("x", right, HidQuantity.X, sign, True), Effect("x", 1 - right, HidQuantity.X, -sign, True))
-
-
-# ---- The plan --------------------------------------------------------------------------------------------------------
-
-
-def plan_of(layout: Layout, hid: Hid, way: Way, indices: Sequence[int]) -> Plan:
-    """What a connection does once these effects exist."""
-    x, y = axes_of(layout, hid)
-    effects = _effects(way, hid)
-    # The direction first: the new strength is never shown the old way.
-    force = [polar_effect_report(layout, hid, indices[0])] if way == "polar" else []
-    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
-        force.append(constant_force_report(layout, index, effect, hid, part))
-    infinite = "infinite_duration" in hid.quirks
-    _, duration_s = duration_of(layout, hid)
-    renew_s = hid.renew_s if infinite else min(hid.renew_s, 0.5 * duration_s)
-    watched = _playing(layout, indices, math.ceil(duration_s / renew_s) + 2)
-    return Plan(
-        x=x,
-        y=y,
-        force=tuple(force),
-        renew=tuple(operation_report(layout, index, "start") for index in indices),
-        restore=tuple(_restore(layout, hid, way, indices, renew_s)),
-        stop=_stop(layout, indices),
-        # Most devices say that an effect plays when it begins to. The set-up began it before anybody listened; the
-        # first renewal comes at once.
-        begin=tuple(operation_report(layout, index, "stop") for index in indices) if watched else (),
-        effects=watched,
-        states=_states(layout),
-        renew_s=renew_s,
-        foreign_s=renew_s if renew_s <= RENEWED_ENOUGH_S else 0.0,
-        write_interval_s=0.0 if hid.max_rate_hz is None else 1.0 / (hid.max_rate_hz * len(force)),
-        leak=_leak_of(layout) if way == "polar" else 0.0,
-        effect_reports=_effect_reports(layout),
-    )
-
-
-def _effect_reports(layout: Layout) -> dict[int, tuple[str, Bits]]:
-    """What is sent for an effect, by the specification's names."""
-    effect, force, operation = layout.set_effect, layout.constant_force, layout.effect_operation
-    assert effect is not None and force is not None and operation is not None
-    return {
-        effect.report_id: ("Set Effect", bits_of(effect.effect_index)),
-        force.report_id: ("Set Constant Force", bits_of(force.effect_index)),
-        operation.report_id: ("Effect Operation", bits_of(operation.effect_index)),
-    }
-
-
-def _parts(layout: Layout, effects: Sequence[Effect]) -> list[tuple[float, float]]:
-    """What the magnitude of each effect has of the force along its axis, and of the other one."""
-    to = layout.set_effect
-    assert to is not None
-    angle = angle_of(to)
-    straight = [(1.0, 0.0)] * len(effects)
-    if (
-        len({effect.axis for effect in effects}) < 2
-        or angle is None
-        or not all(is_by_angle(to, one) for one in effects)
-    ):
-        return straight
-    sign = effects[0].sign * effects[1].sign
-    shown = parts(angle, effects[0].from_turns, effects[1].from_turns)
-    return [(along, other * sign) for along, other in shown]
-
-
-def _leak_of(layout: Layout) -> float:
-    assert layout.set_effect is not None
-    angle = angle_of(layout.set_effect)
-    return 0.0 if angle is None else leak(angle)
-
-
-def _restore(layout: Layout, hid: Hid, way: Way, indices: Sequence[int], renew_s: float) -> Iterator[Message]:
-    """What an effect of another program changes in the place of ours, and is not renewed often enough anyway."""
-    effects = _effects(way, hid)
-    for effect, index, part in zip(effects, indices, _parts(layout, effects), strict=True):
-        if way != "polar":
-            yield Message(set_effect_report(layout, hid, index, effect))
-        elif renew_s > RENEWED_ENOUGH_S:
-            yield polar_effect_report(layout, hid, index)
-        if layout.set_envelope is not None:
-            yield Message(envelope_report(layout.set_envelope, index))
-        if renew_s > RENEWED_ENOUGH_S:
-            yield constant_force_report(layout, index, effect, hid, part)
-            yield operation_report(layout, index, "start")
-    gain = gain_report(layout, hid)
-    if gain is not None:
-        yield Message(gain)
-
-
-def _stop(layout: Layout, indices: Sequence[int]) -> tuple[Message, ...]:
-    """Stops and frees these effects, and switches the actuators off."""
-    control = [control_report(layout, name) for name in ("stop_all_effects", "disable_actuators")]
-    stop = [
-        *(operation_report(layout, index, "stop") for index in indices),
-        *(block_free_report(layout, index) for index in indices),
-        *(Message(data) for data in control if data),
-    ]
-    return tuple(message for message in stop if message is not None)
-
-
 def _undo(layout: Layout, device: Device, indices: Sequence[int]) -> None:
     """Ends a set-up that failed half way, as far as the device still takes it: what it has room for is free again."""
     with suppress(DeviceError):
-        for message in _stop(layout, indices):
+        for message in stop_messages(layout, indices):
             device.write(message.data)
-
-
-def _states(layout: Layout) -> tuple[StateBit, ...]:
-    state = layout.pid_state
-    if state is None:
-        return ()
-    told = (
-        (state.device_reset, HidMeaning.RESET),
-        (state.actuators_enabled, HidMeaning.ACTUATORS),
-        (state.device_paused, HidMeaning.PAUSED),
-        (state.safety_switch, HidMeaning.SAFETY),
-        (state.actuator_power, HidMeaning.POWER),
-    )
-    return tuple(StateBit(bits_of(field), field.report_id, meaning) for field, meaning in told if field is not None)
-
-
-def _playing(layout: Layout, indices: Sequence[int], proof: int) -> PlayingBits | None:
-    """Where the device says which effects play; None where it does not, or cannot name ours."""
-    state = layout.pid_state
-    if state is None or state.effect_index is None or state.effect_playing is None:
-        return None
-    index, playing = state.effect_index, state.effect_playing
-    if not all(index.logical_min <= ours <= index.logical_max for ours in indices):
-        return None
-    return PlayingBits(bits_of(index), bits_of(playing), state.report_id, tuple(indices), proof)
 
 
 def _send(device: Device, report: bytes | None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hapticd.base.core import HidQuantity
 from hapticd.config.hid import Hid, VendorBits, VendorInputAxis, VendorReport
-from hapticd.hid.descriptor import Descriptor, DescriptorError, ReportKind, parse
+from hapticd.hid.descriptor.parser import Descriptor, DescriptorError, ReportKind, parse
 from hapticd.hid.device import Device
 from hapticd.hid.plan import STILL_M_PER_COUNT, AxisPlan, Bits, DeviceError, Message, Plan, Value
 

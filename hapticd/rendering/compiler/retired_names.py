@@ -17,7 +17,7 @@ Place: TypeAlias = tuple[int, int]
 """Slot and generation."""
 
 
-class Gone:
+class RetiredNames:
     """`add`, `close` and `take_back` are for one thread at a time, `read` for another one, `name_of` for any."""
 
     def __init__(self) -> None:

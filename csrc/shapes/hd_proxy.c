@@ -1,0 +1,63 @@
+#include "shapes/hd_proxy.h"
+
+#include "base/hd_vector.h"
+
+/* How far above a surface its proxy lies: enough to be told from on it, too little to be felt. */
+#define HD_PROXY_LIFT_M 1e-9
+#define HD_PROXY_ITERATIONS 3
+
+HD_RT int hd_proxy_project(const struct hd_proxy *proxy, const double position_m[2], uint32_t slot,
+                           double projected_m[2]) {
+    int moved = 0;
+    projected_m[0] = position_m[0];
+    projected_m[1] = position_m[1];
+    /* One iteration does it for surfaces at right angles; the others approach it. */
+    for (int iteration = 0; iteration < HD_PROXY_ITERATIONS; iteration++) {
+        int any = 0;
+        for (uint32_t i = 0; i < proxy->plane_count; i++) {
+            const struct hd_proxy_plane *plane = &proxy->plane[i];
+            if (plane->slot == slot) {
+                continue;
+            }
+            double step[2];
+            hd_difference(projected_m, proxy->from_m, step);
+            const double depth = plane->depth_m - hd_dot(step, plane->normal);
+            if (depth > 0.0) {
+                projected_m[0] += (depth + HD_PROXY_LIFT_M) * plane->normal[0];
+                projected_m[1] += (depth + HD_PROXY_LIFT_M) * plane->normal[1];
+                any = 1;
+            }
+        }
+        moved |= any;
+        if (!any) {
+            break;
+        }
+    }
+    return moved;
+}
+
+HD_RT double hd_proxy_offset(const struct hd_proxy *proxy, uint32_t slot, const double normal[2],
+                             const double position_m[2]) {
+    double projected_m[2];
+    if (!hd_proxy_project(proxy, position_m, slot, projected_m)) {
+        return 0.0;
+    }
+    double shift[2];
+    double tangent[2];
+    hd_tangent(normal, tangent);
+    hd_difference(projected_m, position_m, shift);
+    return hd_dot(shift, tangent);
+}
+
+HD_RT const struct hd_proxy *hd_proxy_sweep(struct hd_proxy *proxy) {
+    if (proxy->known) {
+        return proxy;
+    }
+    proxy->known = 1;
+    const int lifted = hd_proxy_project(proxy, proxy->from_m, HD_NO_SLOT, proxy->point[0]) |
+                       hd_proxy_project(proxy, proxy->to_m, HD_NO_SLOT, proxy->point[1]);
+    proxy->segments = lifted ? 2u : 1u;
+    proxy->point[proxy->segments][0] = proxy->to_m[0];
+    proxy->point[proxy->segments][1] = proxy->to_m[1];
+    return proxy;
+}

@@ -1,0 +1,25 @@
+/* The force of the fields: one affine law, whatever their number. Servo thread. */
+#ifndef HD_FIELD_H
+#define HD_FIELD_H
+
+#include "tick/hd_context.h"
+
+/* The state takes over the table's fields. */
+HD_RT void hd_field_follow(struct hd_context *context);
+
+/* Adds their force. */
+HD_RT static inline void hd_field_add(struct hd_context *context) {
+    struct hd_state *state = context->state;
+    if (!state->field_known || state->field_version != context->table->field_version || state->field_ramp < 1.0) {
+        hd_field_follow(context);
+    }
+    if (state->field_active) {
+        for (int axis = 0; axis < 2; axis++) {
+            context->force_n[axis] += state->field.force_n[axis] -
+                                      state->field.stiffness_n_per_m * context->input->position_m[axis] -
+                                      state->field.damping_n_s_per_m * context->input->velocity_m_per_s[axis];
+        }
+    }
+}
+
+#endif

@@ -1,0 +1,260 @@
+"""Writes what pages repeat of the code: `make docs-tables`. A test compares the pages with it.
+
+Tables of keys stand below the heading of their model in materials.md. Other tables stand between two marks,
+`<!-- NAME: written by make docs-tables -->` and `<!-- end -->`; of tables with
+explanations only the figures are written.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from hapticd.base import codec
+from hapticd.base.model import Model
+from hapticd.base.yaml_source import Json
+from hapticd.bridge import gate, http, relay
+from hapticd.bridge.config import MOST_CONNECTIONS, BridgeConfig, BridgeLimits
+from hapticd.config.configuration import Device
+from hapticd.config.schema import config_schema, unit_of
+from hapticd.daemon import backlog, peers, publisher, router
+from hapticd.fit.verdict import AT_LEAST, AT_MOST
+from hapticd.protocol import messages
+
+DOCS = Path(__file__).resolve().parent
+Schema = dict[str, Json]
+
+
+# ---- The parts of a page ---------------------------------------------------------------------------------------------
+
+
+def block(page: str, name: str, rows: Sequence[tuple[str, object]]) -> str:
+    """The page with these rows as the table between the marks of that name."""
+    table = "\n".join(f"| {what} | {figure} |" for what, figure in (("what", "limit"), ("---", "---"), *rows))
+    begin, end = f"<!-- {name}: written by make docs-tables -->", "<!-- end -->"
+    before, _, rest = page.partition(begin)
+    if not rest:
+        raise ValueError(f"no {begin}")
+    return f"{before}{begin}\n\n{table}\n\n{end}{rest.partition(end)[2]}"
+
+
+def filled(page: str, name: str, cells: Mapping[int, object]) -> str:
+    """The page with these cells, by their column, in the row whose first cell begins with a name."""
+    row = re.search(rf"^\| {re.escape(name)}(?=[ ,:]).*\|$", page, flags=re.MULTILINE)
+    if row is None:
+        raise ValueError(f"no row of {name}")
+    found = row[0].split(" | ")
+    for column, cell in cells.items():
+        found[column] = f"{cell} |" if column == len(found) - 1 else str(cell)
+    return page.replace(row[0], " | ".join(found), 1)
+
+
+# ---- materials.md ----------------------------------------------------------------------------------------------------
+
+
+def materials(page: str) -> str:
+    """Description and keys of every model."""
+    for name, schema in _models().items():
+        stands = re.search(rf"^### {name}\n\n.*?\n\n\|.*?\n(?=\n|\Z)", page, flags=re.MULTILINE | re.DOTALL)
+        if stands is None:
+            raise ValueError(f"no ### {name} with a description and a table")
+        told = f"### {name}\n\n{schema['description']}\n\n{_keys(name, schema)}\n"
+        # The code has no links.
+        if re.sub(r"\[([^]]+)\]\([^)]+\)", r"\1", stands[0]) != told:
+            page = page.replace(stands[0], told)
+    return page
+
+
+def _map(value: Json) -> Schema:
+    assert isinstance(value, dict)
+    return value
+
+
+def _models() -> dict[str, Schema]:
+    return {name: _map(schema) for name, schema in _map(config_schema()["$defs"]).items()}
+
+
+def _sound(schema: Schema) -> Schema:
+    """A property without `| null`."""
+    options = schema.get("anyOf")
+    if isinstance(options, list):
+        return _map(next(option for option in options if _map(option).get("type") != "null"))
+    return schema
+
+
+def _number(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:.15g}"
+
+
+def _limits(schema: Schema) -> str:
+    items = schema.get("prefixItems")
+    options = schema.get("enum", [schema["const"]] if "const" in schema else None)
+    if isinstance(items, list):
+        first, second = (_limits(_map(item)) for item in items)
+        return f"two numbers, {first}" if first == second else f"two numbers, {first} and {second}"
+    if isinstance(options, list):
+        return ", ".join(f"`{option}`" for option in options)
+    match schema:
+        case {"type": "boolean"}:
+            return "`true`, `false`"
+        case {"minimum": int() | float() as low, "maximum": int() | float() as high}:
+            return f"{_number(low)} to {_number(high)}" + (", whole" if schema["type"] == "integer" else "")
+        case {"items": {"prefixItems": list()} as item, "minItems": int() as least, "maxItems": int() as most}:
+            return f"{least} to {most} times {_limits(_map(item))}"
+        case {"pattern": "^[0-9a-f]{64}$"}:
+            return "64 hex digits"
+        case {"pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}$"}:
+            return "a day, such as 2026-01-31"
+        case {"items": {"$ref": str()} as item, "maxItems": int() as most}:
+            return f"a list, {_limits(_map(item))}, at most {most}"
+        case {"items": {"type": "array"} as item, "minItems": int() as least, "maxItems": int() as most}:
+            return f"{least} to {most} lists of {_limits(_map(item))}"
+        case {"items": {"type": "number"} as item, "minItems": int() as least, "maxItems": int() as most}:
+            return f"{least} to {most} numbers, {_limits(_map(item))}"
+        case {"oneOf": list() as members}:
+            return "see " + ", ".join(_limits(_map(member)).removeprefix("see ") for member in members)
+        case {"items": {"enum": list() as options}}:
+            return "a list of " + ", ".join(f"`{option}`" for option in options)
+        case {"items": {"minLength": 1}, "maxItems": int() as most}:
+            return f"at most {most}"
+        case {"items": {"type": "string"}, "maxItems": int() as most}:
+            return f"a list of reports in hex, at most {most}"
+        case {"maxProperties": int() as most}:
+            return f"at most {most}"
+        case {"$ref": str() as reference}:
+            return f"see {reference.rpartition('/')[2]}"
+        case {"maxLength": int() as most}:
+            return f"a name, at most {most} characters"
+    raise AssertionError(schema)
+
+
+def _default(model: type[Model], key: str) -> str:
+    field = model.model_fields[key]
+    if field.is_required():
+        return "required"
+    if key == "effective_mass_kg":
+        return f"handle and hand, {Device().effective_mass_kg:.15g}"
+    if key == "undisplayable":
+        return f"`{Device().undisplayable}`; of a real joystick `{Device(kind='hid').undisplayable}`"
+    value: object = field.default
+    match value:
+        case None:
+            return "none"
+        case Model() | dict():
+            return ""
+        case bool():
+            return f"`{str(value).lower()}`"
+        case int() | float():
+            return f"{value:.15g}"
+        case ():
+            return "none"
+        case tuple():
+            return f"[{', '.join(f'{number:.15g}' for number in value)}]"
+    return f"`{value}`"
+
+
+def _keys(name: str, schema: Schema) -> str:
+    rows = ["| key | unit | limits | default | meaning |", "| --- | --- | --- | --- | --- |"]
+    for key, described in _map(schema["properties"]).items():
+        described = _map(described)
+        meaning = Model.by_name[name].model_fields[key].description or "Which kind of object this is."
+        options = described.get("allOf")
+        limits = _limits(_map(options[0]) if isinstance(options, list) else _sound(described))
+        default = _default(Model.by_name[name], key)
+        rows.append(f"| `{key}` | {unit_of(key) or ''} | {limits} | {default} | {meaning} |")
+    return "\n".join(rows)
+
+
+# ---- Other pages -----------------------------------------------------------------------------------------------------
+
+
+def fit(page: str) -> str:
+    """From where on a figure is a reason against a fit."""
+    for name, bound in {**AT_LEAST, **AT_MOST}.items():
+        page = filled(page, name, {2: f"{bound.fair:g}", 3: f"{bound.poor:g}"})
+    return page
+
+
+def bridge(page: str) -> str:
+    """Defaults of the bridge's file, and its limits."""
+    defaults = {name: BridgeConfig.model_fields[name].default for name in ("listen", "server_key", "metrics")}
+    for name, default in defaults.items():
+        page = filled(page, f"`{name}`", {1: f"`{default}`"})
+    for name, field in BridgeLimits.model_fields.items():
+        page = filled(page, f"`limits.{name}`", {1: f"{field.default:.0f}"})
+    return block(
+        page,
+        "limits",
+        [
+            ("connections of all clients", f"{MOST_CONNECTIONS} at most, whatever `limits.connections` says"),
+            ("connections that have not shown a key yet", gate.HANDSHAKES),
+            ("of them from one address", gate.HANDSHAKES_PER_HOST),
+            ("each of them", f"{gate.HANDSHAKE_S:g} s and {gate._HANDSHAKE_BYTES // 1024} KiB"),
+            ("age from which it gives its place to a new one", f"{gate.PEACE_S:g} s"),
+            ("subscriptions of a connection", gate._SUBSCRIPTIONS),
+            ("bytes sent up the telemetry socket", f"{gate._WATCHER_BYTES // 2**20} MiB"),
+            ("telemetry kept for a client that does not read", f"{gate._TELEMETRY_WAITING} messages"),
+            ("time in which the daemon answers", f"{relay.ANSWER_S:g} s"),
+            ("a request for metrics", f"{http.REQUEST_BYTES // 1024} KiB and {http.REQUEST_S:g} s"),
+            ("requests for metrics at once", http.AT_ONCE),
+        ],
+    )
+
+
+def protocol(page: str) -> str:
+    """Limits of connections and of bodies, and the version."""
+    mib = 2**20
+    page = block(
+        page,
+        "connections",
+        [
+            (
+                "connections of one process to a socket",
+                f"{router.LIMITS.process_connections}; a new one is ended",
+            ),
+            (
+                "all connections to a socket",
+                f"{router.LIMITS.connections:,}; the newest of whoever has most is ended",
+            ),
+            ("parts of a message", f"{router.MOST_FRAMES:,}"),
+            (
+                "a message, all parts together",
+                f"{router.LARGEST_MESSAGE // mib} MiB; {publisher.LIMITS.message.size // 1024} KiB to the telemetry "
+                "socket",
+            ),
+            ("a handshake", f"{peers.HANDSHAKE_S:g} s"),
+            ("subscriptions to what is no topic", f"{publisher.MOST_USELESS:,}"),
+            (
+                "parts of messages that came, and answers that are not read, of all clients together",
+                f"{router.LIMITS.buffers // mib} MiB; it ends whoever has most",
+            ),
+            ("anything that is not ZMTP 3", ""),
+        ],
+    )
+    return block(
+        page,
+        "body",
+        [
+            ("version of the protocol", messages.PROTOCOL),
+            ("length", f"{messages.MAX_BODY // mib} MiB"),
+            ("depth, the body itself counted", codec.MAX_DEPTH),
+            ("members of a map", f"{messages.MAX_MEMBERS:,}"),
+            ("messages of a topic that are kept for a slow subscriber", backlog.MESSAGES),
+            ("bytes of a topic that are kept for it", f"{backlog.BYTES // mib} MiB"),
+        ],
+    )
+
+
+PAGES: dict[str, Callable[[str], str]] = {
+    "materials.md": materials,
+    "fit.md": fit,
+    "bridge.md": bridge,
+    "protocol.md": protocol,
+}
+
+
+if __name__ == "__main__":
+    for name, written in PAGES.items():
+        text = (DOCS / name).read_text(encoding="utf-8")
+        (DOCS / name).write_text(written(text), encoding="utf-8")

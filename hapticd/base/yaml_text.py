@@ -1,0 +1,36 @@
+"""YAML that the loader takes back: mappings of plain values on one line, larger ones as a block."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Final
+
+_PLAIN: Final = re.compile("[A-Za-z_][A-Za-z0-9_-]*")
+"""Strings that need no quotes, whatever stands around them."""
+
+
+def yaml_text(value: Mapping[str, object]) -> str:
+    """The text, without the last line's end."""
+    return "\n".join(_block(value, ""))
+
+
+def _block(mapping: Mapping[str, object], pad: str) -> list[str]:
+    lines = []
+    for key, value in mapping.items():
+        if isinstance(value, dict) and any(isinstance(inner, dict) for inner in value.values()):
+            lines += [f"{pad}{_flow(key)}:", *_block(value, pad + "  ")]
+        else:
+            lines.append(f"{pad}{_flow(key)}: {_flow(value)}")
+    return lines
+
+
+def _flow(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{_flow(key)}: {_flow(inner)}" for key, inner in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    if isinstance(value, str) and _PLAIN.fullmatch(value) and value.lower() not in ("null", "true", "false"):
+        return value
+    return json.dumps(value, ensure_ascii=False)

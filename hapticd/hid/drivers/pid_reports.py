@@ -1,0 +1,260 @@
+"""The reports that a device of the PID class is sent, encoded by the layout of its descriptor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from hapticd.base.core import HidQuantity
+from hapticd.config.hid import Hid
+from hapticd.hid.descriptor.fields import Choice, Field, duration_fault
+from hapticd.hid.descriptor.layout import Layout, SetEffect, SetEnvelope
+from hapticd.hid.drivers.pid_directions import angle_of, counts_of, enabled_for, mirrored
+from hapticd.hid.plan import Bits, DeviceError, Message, Scale, Value
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One effect: the axis it is for, where its force comes from (turns), and what its magnitude is."""
+
+    axis: Literal["x", "y"]
+    from_turns: float
+    quantity: HidQuantity
+    sign: int
+    needs_angle: bool = False
+    """An enabled axis would not say which way."""
+
+
+class Report:
+    """A report in the making, its id first."""
+
+    def __init__(self, report_id: int, report_bytes: int) -> None:
+        self.data = bytearray(report_bytes + (report_id == 0))
+        self.data[0] = report_id
+
+    def put(self, field: Field | None, counts: float) -> None:
+        """The number of counts, rounded and limited to the field's range; nothing where there is no field."""
+        if field is not None:
+            bits_of(field).put(self.data, min(max(round(counts), field.logical_min), field.logical_max))
+
+    def flag(self, field: Field | None, is_on: bool = True) -> None:
+        """A flag, on or off, whatever its range says."""
+        if field is not None:
+            bits_of(field).put(self.data, (field.counts_when_on() or 0) if is_on else 0)
+
+    def fill(self, field: Field | None) -> None:
+        """All ones: none, or without end."""
+        if field is not None:
+            Bits(field.bit_offset, field.bit_size, False).put(self.data, (1 << field.bit_size) - 1)
+
+    def choose(self, choice: Choice, name: str) -> None:
+        """One of several names."""
+        entry = choice.entries[name]
+        bits_of(entry.field).put(self.data, entry.value)
+
+
+def set_effect_report(
+    layout: Layout, hid: Hid, index: int, effect: Effect | None, kind: str = "constant_force"
+) -> bytes:
+    """Set Effect; without `effect` its direction is sent later. `kind`: of EFFECT_TYPES."""
+    to = layout.set_effect
+    assert to is not None
+    report = Report(to.report_id, to.report_bytes)
+    report.put(to.effect_index, index)
+    report.choose(to.effect_type, kind)
+    if "infinite_duration" in hid.quirks:
+        report.fill(to.duration)
+    else:
+        report.put(to.duration, duration_of(layout, hid)[0])
+    for absent in (to.trigger_repeat_interval, to.sample_period, to.start_delay):
+        report.put(absent, 0)
+    if to.gain is not None:
+        report.put(to.gain, to.gain.logical_max)
+    report.fill(to.trigger_button)
+    _aim(report, to, hid, effect)
+    return bytes(report.data)
+
+
+def _aim(report: Report, to: SetEffect, hid: Hid, effect: Effect | None) -> None:
+    """Where the force of an effect comes from: an angle if the device takes one, else the axes that are enabled."""
+    angle, by_angle = angle_of(to), is_by_angle(to, effect)
+    if by_angle:
+        report.flag(to.direction_enable)
+        if effect is not None:
+            assert angle is not None
+            report.put(angle, counts_of(angle, effect.from_turns))
+    elif angle is not None and effect is not None:
+        # Without Direction Enable there is a direction for each axis; firmware that takes it for a factor has no
+        # force along x where it is 0.
+        for field in to.direction:
+            report.put(field, counts_of(field, effect.from_turns))
+    elif to.is_direction_cartesian and effect is not None:
+        for name, field in zip(("x", "y"), to.direction, strict=False):
+            report.put(field, field.logical_max if name == effect.axis else 0)
+        report.flag(to.direction_enable, not to.axes_enable)
+    if not by_angle or to.direction_enable is None:
+        for name, field in to.axes_enable.items():
+            report.flag(field, effect is None or name == enabled_for(to, hid.axes, effect.axis))
+
+
+def is_by_angle(to: SetEffect, effect: Effect | None) -> bool:
+    """Whether an effect's direction is an angle, rather than the axes that are enabled."""
+    needed = effect is None or effect.needs_angle
+    return angle_of(to) is not None and (to.direction_enable is not None or not to.axes_enable or needed)
+
+
+def duration_of(layout: Layout, hid: Hid) -> tuple[int, float]:
+    """The duration of an effect, in counts and as the device understands them, s; of endless ones, what is asked for.
+    Raises DeviceError where the device has none that would do.
+    """
+    assert layout.set_effect is not None
+    field = layout.set_effect.duration
+    if "infinite_duration" in hid.quirks:
+        return field.logical_max, hid.effect_duration_s
+    scale = time_scale(field)
+    counts = min(max(scale.counts(hid.effect_duration_s), 1), field.logical_max)
+    duration_s = scale.quantity(counts)
+    fault = duration_fault(field, scale.resolution, duration_s, hid.effect_duration_s)
+    if fault is not None:
+        raise DeviceError(fault)
+    return counts, duration_s
+
+
+def operation_report(layout: Layout, index: int, name: str) -> Message:
+    """Effect Operation; `name` is of OPERATIONS."""
+    to = layout.effect_operation
+    assert to is not None
+    report = Report(to.report_id, to.report_bytes)
+    report.put(to.effect_index, index)
+    report.choose(to.operation, name)
+    report.put(to.loop_count, 1)
+    return Message(bytes(report.data))
+
+
+def block_free_report(layout: Layout, index: int) -> Message | None:
+    """PID Block Free; None where the device has no such report, or it cannot carry this index."""
+    to = layout.block_free
+    if to is None or not to.effect_index.logical_min <= index <= to.effect_index.logical_max:
+        return None
+    report = Report(to.report_id, to.report_bytes)
+    report.put(to.effect_index, index)
+    return Message(bytes(report.data))
+
+
+def control_report(layout: Layout, name: str) -> bytes | None:
+    """A command of Device Control; None where the device knows no such command."""
+    to = layout.device_control
+    assert to is not None
+    if name not in to.command.entries:
+        return None
+    report = Report(to.report_id, to.report_bytes)
+    report.choose(to.command, name)
+    return bytes(report.data)
+
+
+def gain_report(layout: Layout, hid: Hid) -> bytes | None:
+    """Device Gain at its maximum; None where the device has no such report, or does not take it."""
+    to = layout.device_gain
+    if to is None or "no_device_gain" in hid.quirks:
+        return None
+    report = Report(to.report_id, to.report_bytes)
+    report.put(to.gain, to.gain.logical_max)
+    return bytes(report.data)
+
+
+def constant_force_report(
+    layout: Layout,
+    index: int,
+    effect: Effect | None = None,
+    hid: Hid | None = None,
+    part: tuple[float, float] = (1.0, 0.0),
+) -> Message:
+    """Set Constant Force of an effect; without `effect` for a force of zero.
+
+    `part`: what the magnitude has of the force along the effect's own axis, and of the force along the other one.
+    """
+    force = layout.constant_force
+    assert force is not None
+    field = force.magnitude
+    report = Report(force.report_id, force.report_bytes)
+    report.put(force.effect_index, index)
+    report.put(field, 0)
+    if effect is None or hid is None:
+        return Message(bytes(report.data))
+    scale = level_scale(field, hid)
+    least = max(field.logical_min, -field.logical_max) if field.is_signed else scale.zero_counts
+    along, other = (effect.sign * scale.counts_per_unit * share for share in part)
+    value = Value(scale.bits, effect.quantity, along, scale.zero_counts, least, field.logical_max, other)
+    return Message(bytes(report.data), (value,))
+
+
+def polar_effect_report(layout: Layout, hid: Hid, index: int, kind: str = "constant_force") -> Message:
+    """Set Effect of this kind that carries the direction of the force."""
+    assert layout.set_effect is not None
+    field = angle_of(layout.set_effect)
+    assert field is not None
+    per_turn = field.counts_per_turn()
+    slope, turns = mirrored(hid.force_axes)
+    # Within one turn of the range's begin, so that C has to take at most one away or add one.
+    zero = counts_of(field, turns)
+    value = Value(
+        bits_of(field),
+        HidQuantity.DIRECTION,
+        slope * per_turn / (2.0 * math.pi),
+        zero,
+        field.logical_min,
+        field.logical_max,
+    )
+    return Message(set_effect_report(layout, hid, index, None, kind), (value,))
+
+
+def envelope_report(to: SetEnvelope, index: int) -> bytes:
+    """Set Envelope of an effect, with times and levels of zero."""
+    report = Report(to.report_id, to.report_bytes)
+    report.put(to.effect_index, index)
+    return bytes(report.data)
+
+
+def shared_report(layout: Layout, *, with_periodic: bool = False) -> str | None:
+    """Which output reports of a device share an id, so that sending one sets the others to zero; None: none do.
+    `with_periodic`: periodic effects are sent, too."""
+    sent = {
+        "Set Effect": layout.set_effect,
+        "Set Constant Force": layout.constant_force,
+        "Effect Operation": layout.effect_operation,
+        "Device Control": layout.device_control,
+        "Device Gain": layout.device_gain,
+        "PID Block Free": layout.block_free,
+        "Set Envelope": layout.set_envelope,
+        "Set Periodic": layout.set_periodic if with_periodic else None,
+    }
+    by_id: dict[int, list[str]] = {}
+    for name, report in sent.items():
+        if report is not None:
+            by_id.setdefault(report.report_id, []).append(name)
+    for number, names in by_id.items():
+        if len(names) > 1:
+            which = f"output report {number}" if number else "the one output report, which has no id"
+            return f"{', '.join(names[:-1])} and {names[-1]} are {which}: sending one would set the others to zero"
+    return None
+
+
+def time_scale(field: Field) -> Scale:
+    """A time, s; counts of the specification's own unit, 1 ms, where the descriptor names none."""
+    step_s = field.seconds_per_count()
+    zero = 0.0 if step_s is None else field.logical_min - field.physical_min * 10.0**field.unit_exponent / step_s
+    return Scale(bits_of(field), 1.0 / (step_s or 1e-3), zero, field.logical_min, field.logical_max)
+
+
+def level_scale(field: Field, hid: Hid) -> Scale:
+    """A level, N; the largest number is the full force."""
+    zero = min(max(0, field.logical_min), field.logical_max)
+    return Scale(
+        bits_of(field), (field.logical_max - zero) / hid.full_scale_force_n, zero, field.logical_min, field.logical_max
+    )
+
+
+def bits_of(field: Field) -> Bits:
+    """Where a field lies, for what is handed to C."""
+    return Bits(field.bit_offset, field.bit_size, field.is_signed)

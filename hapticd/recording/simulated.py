@@ -1,0 +1,107 @@
+"""What `hapticd simulate` does: a scene and an operator from files, rendered into a recording."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import asdict
+from typing import Final, TypedDict
+
+import numpy as np
+
+from hapticd.base.core import EventKind
+from hapticd.base.errors import HapticdError
+from hapticd.base.files import displaced
+from hapticd.base.yaml_source import load_path
+from hapticd.config.configuration import Config, load_config
+from hapticd.config.document_kinds import Kind, refuse_other_kinds
+from hapticd.protocol.events import event_map
+from hapticd.recording.formats import open_writer
+from hapticd.recording.writer import RecordingWriter
+from hapticd.rendering.offline import Run, simulate_run
+
+_TAKERS: Final[dict[Kind, str]] = dict.fromkeys(("waypoints", "gesture"), "simulate SCENE --operator")
+
+
+class SimulationResult(TypedDict):
+    """What was simulated."""
+
+    file: str | None
+    """Where it was written to, if it was."""
+    ticks: int
+    duration_s: float
+    events: int
+    event_counts: dict[str, int]
+    """How many there were of each kind of event."""
+    largest_force_n: float
+    """Largest magnitude of the command."""
+    undisplayable: list[dict[str, object]]
+    warnings: list[dict[str, str]]
+
+
+def simulate_files(
+    scene: str,
+    operator_file: str,
+    output: str | None,
+    duration_s: float | None,
+    rate_hz: float | None,
+    *,
+    overwrite: bool = False,
+    notes: Mapping[str, str] | None = None,
+) -> SimulationResult:
+    """Runs a scene or a configuration with the simulated joystick, into a file if one is named; without a rate at its
+    own.
+
+    Raises HapticdError or InvalidError for what cannot be read, run or written, before anything is run for a file that
+    is there already and not to be replaced.
+    """
+    with nullcontext() if output is None else open_writer(output, overwrite) as writer:
+        config = configuration(scene)
+        run = simulate_run(config, operator_file, duration_s, rate_hz)
+        if writer is not None:
+            _write(writer, config, run, notes or {})
+            if writer.displaced:
+                raise HapticdError(displaced(str(output), writer.target))
+    magnitudes = np.hypot(*run.samples["force_n"].T)
+    return {
+        "file": output,
+        "ticks": len(run.samples),
+        "duration_s": len(run.samples) / run.rate_hz,
+        "events": len(run.events),
+        "event_counts": dict(Counter(EventKind(int(kind)).name.lower() for kind in run.events["kind"])),
+        "largest_force_n": float(magnitudes.max(initial=0.0)),
+        "undisplayable": [asdict(mode) for mode in run.undisplayable],
+        "warnings": [asdict(problem) for problem in run.warnings],
+    }
+
+
+def _write(writer: RecordingWriter, config: Config, run: Run, notes: Mapping[str, str]) -> None:
+    servo = config.servo.model_copy(update={"rate_hz": run.rate_hz})
+    writer.begin(
+        {
+            "config": {"servo": servo.to_dict(), "device": config.device.to_dict()},
+            "scene": config.scene.to_dict(),
+            "materials": {name: material.to_dict() for name, material in config.materials.items()},
+        }
+    )
+    writer.write_change({"revision": 1})
+    writer.write(run.samples)
+    for event in run.events:
+        place = int(event["slot"]), int(event["generation"])
+        writer.write_event(event_map(event, run.objects.get(place)))
+    ticks = len(run.samples)
+    about = {
+        "ticks": ticks,
+        "duration_s": ticks / run.rate_hz,
+        "events": len(run.events),
+        "missed_periods": 0,
+        "notes": dict(notes),
+    }
+    writer.finish({"recording": about}, {} if run.truth is None else {"truth": run.truth})
+
+
+def configuration(path: str) -> Config:
+    """That of a file which holds a scene or a whole one. Raises HapticdError or InvalidError."""
+    refuse_other_kinds(load_path(path), "configuration", "change", "scene", "bare scene", takers=_TAKERS)
+    return load_config(path)

@@ -1,0 +1,82 @@
+"""The numbers of a mode in the table: its recursion at the rate, and what is struck for it."""
+
+from __future__ import annotations
+
+import cmath
+from typing import Final, TypeAlias
+
+from hapticd.base.core import KICKS
+from hapticd.config.modes import Mode
+from hapticd.rendering.compensation import Ringing, Shape
+from hapticd.rendering.displayability import TOUCHED_N_PER_M, UNTOUCHED, Touched, displayed_mode, struck_shapes
+from hapticd.rendering.output import Output
+
+Effect: TypeAlias = tuple[int, float, float]
+"""What a device plays in place of a mode: its id, its largest level over the coefficient, and how long, s."""
+
+_NO_TAIL: Final[tuple[float, ...]] = (0.0,) * 7
+_NO_FREE: Final[tuple[float, ...]] = (0.0,) * 6
+_NO_KICKS: Final[tuple[list[float], int, int]] = ([0.0] * (2 * KICKS), 0, 0)
+
+
+def mode_record(
+    mode: Mode,
+    amplitude_per_unit: float,
+    coefficient_per_unit: float,
+    output: Output,
+    effect: Effect | None = None,
+    touched: Touched = UNTOUCHED,
+) -> tuple[float | list[float], ...]:
+    """The numbers of a `struct hd_mode`, in its order. `touched`: the surface that its compensation is chosen
+    for; what presses in fact is known when it is struck.
+
+    `amplitude_per_unit` (m/s^2 per unit of what excites the mode) is reported, `coefficient_per_unit` is struck.
+    """
+    shown, factor = displayed_mode(mode, output)
+    decay, omega = mode.decay_rate_per_s, mode.angular_frequency_rad_per_s
+    whole_force = output.effective_mass_kg * coefficient_per_unit
+    force = 0.0
+    shapes: tuple[Shape, Shape] | None = None
+    if shown is not None:
+        omega = shown.angular_frequency_rad_per_s
+        force = whole_force * factor
+        shapes = struck_shapes(shown, output, touched)
+    period = 1.0 / output.rate_hz
+    rotor = cmath.exp(complex(-decay * period, omega * period))
+    heard = mode if shown is None else shown
+    peak, peak_time_s, gain, tail = heard.peak, heard.peak_time_s, complex(1.0), _NO_TAIL
+    free, kicks = _NO_FREE, _NO_KICKS
+    if shapes is not None:
+        assert output.dynamics is not None
+        untouched, shape = shapes
+        force = output.dynamics.mass_kg * coefficient_per_unit * factor
+        peak, peak_time_s, gain = shape.peak, shape.peak_time_s, shape.mode.gain
+        tail = _NO_TAIL if shape.tail is None else _tail_record(shape.tail, period)
+        other, its_tail = untouched.mode.gain, 0j if untouched.tail is None else untouched.tail.gain
+        if shape.kicks:
+            kicks = ([number for pair in shape.kicks for number in pair], len(shape.kicks), 0)
+        met_n_per_m = touched.stiffness_n_per_m or TOUCHED_N_PER_M
+        free = (met_n_per_m, untouched.peak, other.real, other.imag, its_tail.real, its_tail.imag)
+    return (
+        rotor.real,
+        rotor.imag,
+        decay,
+        omega,
+        5.0 / decay,
+        peak,
+        peak_time_s,
+        amplitude_per_unit,
+        force,
+        gain.real,
+        gain.imag,
+        *tail,
+        *free,
+        *kicks,
+        *((0, 0, 0.0, 0.0, 0.0) if effect is None else (effect[0], 0, whole_force, effect[1], effect[2])),
+    )
+
+
+def _tail_record(tail: Ringing, period_s: float) -> tuple[float, ...]:
+    rotor = cmath.exp(tail.pole * period_s)
+    decay, omega = -tail.pole.real, tail.pole.imag
+    return rotor.real, rotor.imag, decay, omega, tail.end_s, tail.gain.real, tail.gain.imag

@@ -1,0 +1,40 @@
+"""What of a compiled table says how surfaces and fields push: what the analysis of contact sets reads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Ints = npt.NDArray[np.int64]
+
+
+class SurfaceTable(NamedTuple):
+    """A copy of it."""
+
+    objects: npt.NDArray[np.void]
+    """OBJECT_DTYPE, by slot."""
+    materials: npt.NDArray[np.void]
+    """MATERIAL_DTYPE."""
+    pieces: npt.NDArray[np.void]
+    """PIECE_DTYPE."""
+    field_stiffness_n_per_m: float
+    field_damping_n_s_per_m: float
+    names: Sequence[str] = ()
+    """Of the materials, by index."""
+
+    def of(self, slots: Ints) -> SurfaceTable:
+        """Only these surfaces, in this order."""
+        objects = self.objects[slots]
+        count, first = objects["piece_count"].astype(np.int64), objects["piece_first"].astype(np.int64)
+        begin = np.cumsum(count) - count
+        pieces = self.pieces[np.repeat(first - begin, count) + np.arange(int(count.sum()))]
+        objects["piece_first"] = begin
+        return self._replace(objects=objects, pieces=pieces)
+
+    def materials_of(self, slots: Ints) -> Ints:
+        """The indices of all materials that these surfaces are made of, each once."""
+        some = self.of(slots)
+        return np.unique(np.concatenate((some.objects["material"], some.pieces["material"]))).astype(np.int64)

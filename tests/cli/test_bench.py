@@ -1,0 +1,29 @@
+"""`hapticd bench`: what it lists, and what it says where there are no benchmarks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from bench import __main__ as bench
+from hapticd import cli
+from hapticd.cli import bench as command
+
+
+def test_the_command_names_what_there_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "--list"]) == 0
+    said = capsys.readouterr().out
+    assert all(name in said for name in bench.MEASUREMENTS)
+    assert cli.main(["bench", "nothing"]) == 2
+    assert "unknown benchmark nothing; known: rendered," in capsys.readouterr().err
+
+
+def test_an_installed_hapticd_says_where_the_benchmarks_are(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "TREE", tmp_path)
+    assert cli.main(["bench"]) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "the benchmarks are not installed with hapticd: run this in a source tree" in said

@@ -1,0 +1,86 @@
+"""The rooms of csrc/ and their order: `python -m tests.project.check_includes` names each include that breaks it.
+
+A room includes only rooms above it in ROOMS, and of another room only its door. Within a room, a .c file and its header
+count as one file, and files include each other in no circle.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+from typing import Final
+
+ROOMS: Final = ("api", "base", "shapes", "scene", "tick", "device", "servo")
+DOORS: Final = {
+    "api": "hd_core.h",
+    "shapes": "hd_shape.h",
+    "scene": "hd_world.h",
+    "tick": "hd_tick.h",
+    "device": "hd_device.h",
+}
+"""The header of each room for the others. Each header of base/ is one tool, for everybody."""
+
+CSRC: Final = Path(__file__).resolve().parents[2] / "csrc"
+INCLUDE: Final = re.compile(r'^\s*#\s*include\s*"([^"]+)"', re.M)
+
+Includes = dict[str, list[str]]
+"""What each file includes, both as ROOM/NAME."""
+
+
+def includes_of(csrc: Path) -> Includes:
+    return {
+        path.relative_to(csrc).as_posix(): INCLUDE.findall(path.read_text(encoding="utf-8"))
+        for path in sorted(csrc.glob("*/*.[ch]"))
+    }
+
+
+def _wrong(file: str, included: str) -> str | None:
+    room, other = file.split("/")[0], included.split("/")[0]
+    if room not in ROOMS:
+        return f"csrc/{file}: {room}/ is none of the rooms {', '.join(ROOMS)}"
+    if other not in ROOMS or "/" not in included:
+        return f'csrc/{file} includes "{included}", which does not begin with a room'
+    if ROOMS.index(other) > ROOMS.index(room):
+        return f"csrc/{file} includes {included}, of a room below its own"
+    if other not in (room, "base") and included.split("/")[1] != DOORS[other]:
+        return f"csrc/{file} includes {included}, an inner header; the door of {other}/ is {DOORS[other]}"
+    return None
+
+
+def _circle(edges: dict[str, set[str]]) -> list[str]:
+    """The first circle, beginning and ending with the same name; [] where there is none."""
+    done: set[str] = set()
+
+    def visit(name: str, path: list[str]) -> list[str]:
+        if name in path:
+            return [*path[path.index(name) :], name]
+        if name not in done:
+            for other in sorted(edges.get(name, ())):
+                if circle := visit(other, [*path, name]):
+                    return circle
+            done.add(name)
+        return []
+
+    return next((circle for name in sorted(edges) if (circle := visit(name, []))), [])
+
+
+def faults(includes: Includes) -> list[str]:
+    """One line each."""
+    found = [fault for file, all_of in includes.items() for one in all_of if (fault := _wrong(file, one))]
+    edges: dict[str, set[str]] = {}
+    for file, all_of in includes.items():
+        name = file.removesuffix(".c").removesuffix(".h")
+        others = {
+            one.removesuffix(".c").removesuffix(".h") for one in all_of if one.split("/")[0] == file.split("/")[0]
+        }
+        edges.setdefault(name, set()).update(others - {name})
+    if circle := _circle(edges):
+        found.append(f"these files of csrc/ include each other in a circle: {' -> '.join(circle)}")
+    return found
+
+
+if __name__ == "__main__":
+    lines = faults(includes_of(CSRC))
+    print("\n".join(lines), file=sys.stderr, end="\n" if lines else "")
+    sys.exit(1 if lines else 0)
