@@ -41,6 +41,15 @@ HD_RT static inline void hd_device_put(const struct hd_device *device, int64_t n
     }
 }
 
+/* Asks for the memory that the next tick touches of it. */
+HD_RT static inline void hd_device_fetch(const struct hd_device *device) {
+    if (device->sim != NULL) {
+        hd_sim_step_fetch(device->sim);
+    } else {
+        hd_hid_step_fetch(device->hid);
+    }
+}
+
 /* Whether it plays effects by itself, when it is told to strike them. */
 HD_RT static inline int hd_device_has_effects(const struct hd_device *device) {
     return device->hid != NULL && hd_hid_step_has_effects(device->hid);

@@ -30,6 +30,8 @@ HD_RT void hd_hid_step_strike(struct hd_hid *hid, int64_t now_ns, uint32_t effec
 HD_RT void hd_hid_step_silence(struct hd_hid *hid);
 /* Sleeps until there is a position that no earlier call has told of, or `until_ns`. 1: there is, and when it came. */
 HD_RT int hd_hid_step_await(struct hd_hid *hid, int64_t until_ns, int64_t *arrival_ns);
+/* Asks for the memory that a look and a put touch. */
+HD_RT void hd_hid_step_fetch(const struct hd_hid *hid);
 /* Control, before the servo starts: somebody awaits positions, so the reader has to wake. */
 void hd_hid_await_enable(struct hd_hid *hid);
 /* Control, before the servo starts: the writer need not look for a force sooner than that after another. 0 at first. */

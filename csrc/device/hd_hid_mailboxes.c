@@ -6,6 +6,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "base/hd_cache.h"
 #include "base/hd_clock.h"
 
 #define HD_UNUSUAL_S 0.05     /* longer intervals between reports are pauses */
@@ -126,6 +127,12 @@ HD_RT void hd_hid_step_strike(struct hd_hid *hid, int64_t now_ns, uint32_t effec
 
 HD_RT void hd_hid_step_silence(struct hd_hid *hid) {
     hd_effect_queue_silence(&hid->effect_queue);
+}
+
+HD_RT void hd_hid_step_fetch(const struct hd_hid *hid) {
+    hd_cache_fetch(&hid->seen, sizeof *hid - offsetof(struct hd_hid, seen));
+    hd_cache_fetch(&hid->position_triple, sizeof hid->position_triple);
+    hd_cache_fetch(&hid->force_triple, sizeof hid->force_triple);
 }
 
 HD_RT static void futex_wait(const struct hd_atomic_u32 *word, uint32_t seen, int64_t until_ns) {

@@ -16,6 +16,8 @@ enum hd_progress { HD_PROGRESS_NONE = 0, HD_PROGRESS_UNDER_WAY = 1, HD_PROGRESS_
 HD_RT enum hd_progress hd_sim_step_progress(const struct hd_sim *sim);
 /* A path that the hand is through is nothing to tell any more: HD_PROGRESS_NONE until the next one. */
 HD_RT void hd_sim_step_announced(struct hd_sim *sim);
+/* Asks for the memory that a period of free motion touches. */
+HD_RT void hd_sim_step_fetch(const struct hd_sim *sim);
 HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
 
 /* How much memory *sim is: the servo locks it. */

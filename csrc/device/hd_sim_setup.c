@@ -153,6 +153,11 @@ static void count_in(struct hd_sim *sim, const struct hd_sim_config *config, dou
     sim->sample_interval_s = interval_s;
     sim->sample_interval = (uint64_t)(interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
     sim->sample_delay = (uint64_t)(config->report_delay_s / unit_s * (1.0 + 1e-15) + 1e-3);
+    /* One that can be read, those that cannot yet, and one that is being taken; check_config leaves room for all. */
+    sim->sample_mask = 3u;
+    while (sim->sample_mask < sim->sample_delay / sim->sample_interval + 3u) {
+        sim->sample_mask = 2u * sim->sample_mask + 1u;
+    }
     sim->force_interval = (uint64_t)(config->force_interval_s / unit_s * (1.0 + 1e-15) + 1e-3);
 }
 

@@ -20,7 +20,7 @@
 #define HD_SERIES_TERMS 14
 /* Times closer than this part of a period are the same. */
 #define HD_SAME_TIME 1e-9
-/* Encoder samples under way, a power of two. */
+/* Encoder samples under way at most, a power of two. */
 #define HD_SAMPLES 2048u
 #define HD_FRACTION_SHIFT 24
 #define HD_FRACTION_UNIT (1.0 / 16777216.0)
@@ -53,6 +53,7 @@ struct hd_sent {
     uint64_t at; /* when it acts, in 2^-24 of a period since origin_tick */
 };
 
+/* What a period of free motion touches comes first and stands together. */
 struct hd_sim {
     /* The device and the hand: constant. */
     double period_s;
@@ -66,17 +67,10 @@ struct hd_sim {
     double encoder_per_m;
     double force_step_n;
     double force_per_n;
-    double force_top; /* in N, or in steps where the force has a resolution */
-    double force_timeout_s;
+    double force_top;             /* in N, or in steps where the force has a resolution */
     uint64_t force_whole_periods; /* after a put, before it expires */
-    double limit_s;               /* the longest step of this device */
+    uint64_t force_interval;      /* of the link; 0: there is none */
     struct hd_kernel period;      /* one period, or its equal parts */
-    struct hd_kernel lagging;     /* the same while the actuator is under way */
-    uint32_t stretch_periods;     /* several periods in one step */
-    struct hd_kernel stretch;
-    double series[2][HD_SERIES_TERMS]; /* of J_4 and J_5 */
-    struct hd_actuator actuator;
-    double lag_limit_s; /* the longest step while it is under way; 0: it never is */
 
     /* The motion. */
     struct hd_axis axes[2];
@@ -86,34 +80,45 @@ struct hd_sim {
     uint64_t put_tick; /* the force has acted since then, and as much later in that period: */
     double put_late_s;
 
-    /* The link of forces; times as those of encoder samples. */
-    uint64_t force_interval; /* 0: there is none */
-    uint64_t force_intervals;
-    uint64_t arrive_at; /* when the next one arrives; UINT64_MAX: none is under way */
-    uint32_t sent_first;
-    uint32_t sent_count;
-    struct hd_sent sent[HD_SIM_FORCES]; /* a ring, in order of time */
-
     /* The reference. */
-    const struct hd_operator *path; /* NULL: it rests */
-    size_t path_index;
     uint64_t path_tick;
-    double path_end_s;   /* of the last waypoint */
-    bool path_announced; /* nobody waits to be told of the path's end */
+    uint64_t calm_tick; /* periods that begin before it lie in this segment and need one step */
     struct hd_segment segment;
-    double segment_limit_s; /* limit_s, or less where the reference is curved */
-    uint64_t calm_tick;     /* periods that begin before it lie in this segment and need one step */
+    bool path_announced; /* nobody waits to be told of the path's end */
 
     /* Encoder samples, which the servo reads as reports; times in 2^-24 of a period since origin_tick. */
+    bool read_before;
     double sample_interval_s;
     uint64_t sample_interval;
     uint64_t sample_delay;
     uint64_t origin_tick;
     uint64_t sample_count; /* samples taken: the number of the next */
     uint64_t sample_at;    /* when the next is made */
+    uint64_t sample_mask;  /* of the places in samples[] that are used: as many as can be under way, a power of two */
     uint64_t read_number;  /* the newest that could be read */
     uint64_t read_next_at; /* when the one after it can be read */
-    bool read_before;
+    uint64_t arrive_at;    /* when the next force of the link arrives; UINT64_MAX: none is under way */
+
+    /* What a period with events touches, too. */
+    const struct hd_operator *path; /* NULL: it rests */
+    size_t path_index;
+    double path_end_s;      /* of the last waypoint */
+    double segment_limit_s; /* limit_s, or less where the reference is curved */
+    double limit_s;         /* the longest step of this device */
+    double lag_limit_s;     /* the same while the actuator is under way; 0: it never is */
+    double force_timeout_s;
+    uint32_t stretch_periods; /* several periods in one step */
+    struct hd_kernel stretch;
+    struct hd_kernel lagging;          /* of a period while the actuator is under way */
+    double series[2][HD_SERIES_TERMS]; /* of J_4 and J_5 */
+    struct hd_actuator actuator;
+
+    /* The link of forces; times as those of encoder samples. */
+    uint64_t force_intervals;
+    uint32_t sent_first;
+    uint32_t sent_count;
+    struct hd_sent sent[HD_SIM_FORCES]; /* a ring, in order of time */
+
     struct hd_encoder_sample samples[HD_SAMPLES];
 };
 

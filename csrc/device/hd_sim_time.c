@@ -8,6 +8,9 @@
 #include "device/hd_sim_state.h"
 
 #include <math.h>
+#include <stddef.h>
+
+#include "base/hd_cache.h"
 
 /* Adding and subtracting it rounds to the nearest integer, up to 2^51. */
 #define HD_ROUND_MAGIC 6755399441055744.0
@@ -92,7 +95,7 @@ HD_RT static double encoded(const struct hd_sim *sim, double x) {
 }
 
 HD_RT void hd_sim_sample(struct hd_sim *sim) {
-    struct hd_encoder_sample *to = &sim->samples[sim->sample_count & (HD_SAMPLES - 1u)];
+    struct hd_encoder_sample *to = &sim->samples[sim->sample_count & sim->sample_mask];
     for (int which = 0; which < 2; which++) {
         to->position_m[which] = encoded(sim, sim->axes[which].x);
         to->velocity_m_per_s[which] = sim->axes[which].v;
@@ -333,11 +336,16 @@ HD_RT void hd_sim_step_read(struct hd_sim *sim, struct hd_reading *reading) {
         }
     }
     sim->read_before = true;
-    const struct hd_encoder_sample *from = &sim->samples[sim->read_number & (HD_SAMPLES - 1u)];
+    const struct hd_encoder_sample *from = &sim->samples[sim->read_number & sim->sample_mask];
     for (int which = 0; which < 2; which++) {
         reading->position_m[which] = from->position_m[which];
         reading->true_velocity_m_per_s[which] = from->velocity_m_per_s[which];
     }
+}
+
+HD_RT void hd_sim_step_fetch(const struct hd_sim *sim) {
+    hd_cache_fetch(sim, offsetof(struct hd_sim, path));
+    hd_cache_fetch(&sim->samples[sim->sample_count & sim->sample_mask], sizeof sim->samples[0]);
 }
 
 HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]) {

@@ -17,13 +17,14 @@
  *   beat, lease_ns, stopping,
  *   memory_refused                    control writes, the servo reads
  *   counters, taken_*, adopted_*      the servo writes, control reads
- *   state and the fields under it     the servo's own
+ *   the rest                          as struct hd_servo says
  *
  * Times are CLOCK_MONOTONIC nanoseconds. */
 #ifndef HD_SERVO_H
 #define HD_SERVO_H
 
 #include <pthread.h>
+#include <stdalign.h>
 
 #include "base/hd_atomic.h"
 #include "base/hd_histogram.h"
@@ -53,14 +54,94 @@ struct hd_touching {
     struct hd_touched touched[HD_TOUCHED_MAX];
 };
 
+/* Grouped by who touches it and how often. What a tick touches between its wake-up and the force that is put comes
+ * first and stands together, so that a servo that slept finds it in few cache lines; what another thread writes has
+ * lines of its own. */
 struct hd_servo {
-    struct hd_servo_config config;
-    struct hd_device device;
+    /* Each tick. Constant while the thread runs. */
     double period_ns;
     double period_s;
+    struct hd_device device;
+    struct hd_state *state;
+    struct hd_servo_config config;
 
+    /* Each tick. The servo's own. */
+    alignas(HD_CACHE_LINE) const struct hd_world *world;
+    uint64_t last_beat;
+    uint64_t ticks_since_beat;
+    double since_report_s;
+    uint64_t load_periods; /* since load was judged last */
+    uint64_t load_missed;
+    int64_t last_work_ns;
+    uint32_t missed;     /* periods, just before this tick */
+    uint32_t until_look; /* ticks, to the next look whether the machine was suspended */
+    uint32_t connection; /* of the device, that positions are of */
+    uint8_t device_lost;
+    uint8_t offloading; /* the device may be playing something by itself */
+    uint8_t ending;     /* the force fades out, whatever is still commanded */
+    uint8_t stepping;   /* that is for another rate */
+    uint8_t wanted;     /* stepping: whether forces are wanted then */
+    double last_force_n;
+    int64_t late_ns;            /* of this tick, against the first deadline that it missed */
+    uint64_t touches_published; /* of the state's */
+
+    /* Each tick. Control writes, the servo reads. */
+    alignas(HD_CACHE_LINE) struct hd_atomic_u64 beat;
+    struct hd_atomic_i64 lease_ns;
+    struct hd_atomic_u32 stopping;
+    struct hd_atomic_u32 memory_refused;
+
+    /* Each tick. Both sides, each on lines of its own. */
     struct hd_triple table_triple;
-    struct hd_world worlds[3];
+    struct hd_ring commands;
+    struct hd_ring samples;
+    struct hd_ring events;
+
+    /* Each tick, when the force has been put. The servo writes, control reads. */
+    alignas(HD_CACHE_LINE) struct hd_atomic_u64 ticks;
+    struct hd_atomic_u64 strikes;
+    struct hd_atomic_u64 glitches;
+    struct hd_atomic_u64 saturations;
+    struct hd_atomic_u32 faults;
+    struct hd_atomic_u32 forces_on;
+    struct hd_atomic_u32 signs;
+    struct hd_atomic_u32 revision;
+    struct hd_atomic_f64 energy_j;
+    struct hd_atomic_f64 largest_energy_j;
+    struct hd_atomic_u64 contacts;
+    struct hd_atomic_u64 restrained;
+    struct hd_atomic_u64 acted;
+    struct hd_histogram_counts lateness;
+    struct hd_histogram_counts work;
+
+    /* Now and then. The servo writes, control reads. */
+    struct hd_atomic_u64 skipped;
+    struct hd_atomic_u64 overruns;
+    struct hd_atomic_u64 overloads;
+    struct hd_atomic_u64 suspends;
+    struct hd_atomic_f64 missed_share;
+    struct hd_atomic_u32 running;
+    struct hd_atomic_u32 overloaded;
+    struct hd_atomic_u64 taken; /* commands taken; the tick that took each is in taken_tick */
+    struct hd_atomic_u64 taken_tick[HD_COMMAND_CAPACITY];
+    struct hd_atomic_u64 adopted; /* revisions taken; each with its first tick below */
+    struct hd_atomic_u32 adopted_revision[HD_ADOPTED_CAPACITY];
+    struct hd_atomic_u64 adopted_tick[HD_ADOPTED_CAPACITY];
+    struct hd_triple touching_triple;
+    struct hd_touching touching[3];
+
+    /* Now and then. The servo's own; control's while no thread runs. */
+    alignas(HD_CACHE_LINE) uint32_t refused; /* memory_refused, as it was told */
+    int64_t suspended_ns;                    /* by how much CLOCK_BOOTTIME is ahead, at most */
+    double still_s;                          /* that the reported position has not changed, under force */
+    double still_m[2];
+    struct hd_signs signs_check;
+    uint64_t pause_periods; /* that the first tick of a thread is told of, beside its own */
+    int64_t ended_ns;
+    double new_rate_hz; /* a restarted thread has another rate than the one before: its first tick says so; 0: no */
+
+    /* Control's own, but for the world that the servo reads. */
+    alignas(HD_CACHE_LINE) struct hd_world worlds[3];
     struct hd_changes changes[3]; /* of each world */
     uint32_t object_count;        /* of the table that was published last */
     double max_force_n;           /* of every table; 0: none was published yet */
@@ -69,75 +150,9 @@ struct hd_servo {
     int32_t memory_error;
     uint32_t locked_slots;
     uint8_t locking; /* only regions are locked, so that those that come later must be, too */
-    struct hd_ring commands;
-    struct hd_ring samples;
-    struct hd_ring events;
-    uint64_t sent; /* the sender's own: commands sent so far */
-    struct hd_triple touching_triple;
-    struct hd_touching touching[3];
-
-    struct hd_atomic_u64 beat;
-    struct hd_atomic_i64 lease_ns;
-    struct hd_atomic_u32 stopping;
-
-    struct hd_atomic_u64 ticks;
-    struct hd_atomic_u64 skipped;
-    struct hd_atomic_u64 overruns;
-    struct hd_atomic_u64 strikes;
-    struct hd_atomic_u64 glitches;
-    struct hd_atomic_u64 saturations;
-    struct hd_atomic_f64 energy_j;
-    struct hd_atomic_f64 largest_energy_j;
-    struct hd_atomic_u64 contacts;
-    struct hd_atomic_u64 restrained;
-    struct hd_atomic_u64 acted;
-    struct hd_atomic_u32 revision;
-    struct hd_atomic_u32 faults;
-    struct hd_atomic_u32 forces_on;
-    struct hd_atomic_u32 running;
-    struct hd_atomic_u32 memory_refused;
-    struct hd_atomic_u32 overloaded;
-    struct hd_atomic_u64 overloads;
-    struct hd_atomic_u64 suspends;
-    struct hd_atomic_f64 missed_share;
-    struct hd_atomic_u32 signs;
-    struct hd_histogram_counts lateness;
-    struct hd_histogram_counts work;
-    struct hd_atomic_u64 taken; /* commands taken; the tick that took each is in taken_tick */
-    struct hd_atomic_u64 taken_tick[HD_COMMAND_CAPACITY];
-    struct hd_atomic_u64 adopted; /* revisions taken; each with its first tick below */
-    struct hd_atomic_u32 adopted_revision[HD_ADOPTED_CAPACITY];
-    struct hd_atomic_u64 adopted_tick[HD_ADOPTED_CAPACITY];
-
-    struct hd_state *state;
-    const struct hd_world *world;
-    uint64_t touches_published; /* of the state's */
-    uint64_t last_beat;
-    uint64_t ticks_since_beat;
-    double since_report_s;
-    uint32_t connection; /* of the device, that positions are of */
-    uint8_t device_lost;
-    uint8_t offloading;    /* the device may be playing something by itself */
-    uint8_t ending;        /* the force fades out, whatever is still commanded */
-    uint8_t stepping;      /* that is for another rate */
-    uint8_t wanted;        /* stepping: whether forces are wanted then */
-    uint32_t refused;      /* memory_refused, as it was told */
-    uint64_t load_periods; /* since load was judged last */
-    uint64_t load_missed;
-    uint32_t missed; /* periods, just before this tick */
-    int64_t last_work_ns;
-    int64_t late_ns;      /* of this tick, against the first deadline that it missed */
-    uint32_t until_look;  /* ticks, to the next look whether the machine was suspended */
-    int64_t suspended_ns; /* by how much CLOCK_BOOTTIME is ahead, at most */
-    double still_s;       /* that the reported position has not changed, under force */
-    double still_m[2];
-    double last_force_n;
-    struct hd_signs signs_check;
-    uint64_t pause_periods; /* that the first tick of a thread is told of, beside its own */
-    int64_t ended_ns;
-    double new_rate_hz; /* a restarted thread has another rate than the one before: told by its first tick; 0: no */
-    pthread_t thread;
     uint8_t started;
+    uint64_t sent; /* commands sent so far */
+    pthread_t thread;
 };
 
 /* hd_servo_thread.c: the thread, as pthread_create takes it. */

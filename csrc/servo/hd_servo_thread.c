@@ -14,6 +14,7 @@
 
 #include <sys/prctl.h>
 
+#include "base/hd_cache.h"
 #include "base/hd_clock.h"
 #include "base/hd_vector.h"
 #include "tick/hd_tick.h"
@@ -104,12 +105,22 @@ HD_RT static int64_t deadline_of(const struct hd_servo *servo, int64_t start_ns,
     return start_ns + (int64_t)((double)period * servo->period_ns + 0.5);
 }
 
+/* What every tick touches of the servo, its device, the state and the table. */
+HD_RT static void fetch(const struct hd_servo *servo) {
+    hd_cache_fetch(servo, offsetof(struct hd_servo, samples));
+    hd_device_fetch(&servo->device);
+    hd_cache_fetch(servo->state, offsetof(struct hd_state, velocity) + sizeof(struct hd_velocity) / 64);
+    hd_cache_fetch(&servo->world->table, sizeof servo->world->table);
+}
+
 /* Waits for the deadline; returns the time that it is then. */
-HD_RT static int64_t wait_until(int64_t deadline_ns, int64_t spin_ns) {
+HD_RT static int64_t wait_until(const struct hd_servo *servo, int64_t deadline_ns) {
+    const int64_t spin_ns = servo->config.spin_ns;
     if (spin_ns > 0) {
         if (hd_clock_now_ns() < deadline_ns - spin_ns) {
             hd_clock_sleep_until(deadline_ns - spin_ns);
         }
+        fetch(servo);
         int64_t now = hd_clock_now_ns();
         while (now < deadline_ns) {
             now = hd_clock_now_ns();
@@ -117,12 +128,13 @@ HD_RT static int64_t wait_until(int64_t deadline_ns, int64_t spin_ns) {
         return now;
     }
     hd_clock_sleep_until(deadline_ns);
+    fetch(servo);
     return hd_clock_now_ns();
 }
 
 HD_RT static void wait_timer(struct hd_servo *servo, struct hd_pace *pace, struct hd_due *due) {
     due->time_ns = deadline_of(servo, pace->start_ns, pace->period);
-    due->now_ns = wait_until(due->time_ns, servo->config.spin_ns);
+    due->now_ns = wait_until(servo, due->time_ns);
     due->periods = 1;
 }
 

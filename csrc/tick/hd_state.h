@@ -280,11 +280,11 @@ struct hd_state {
     uint32_t *free_noises;
     struct hd_strike *strikes;
     struct hd_event *events;
+    struct hd_velocity velocity;
     struct hd_offload offloads[HD_OFFLOAD_CAPACITY];
     struct hd_reserve reserves[HD_RESERVE_CAPACITY];
     struct hd_mode tuned; /* of the strike that is dealt with, where that has a frequency of its own */
     struct hd_mode played[HD_PLAYED_CAPACITY]; /* copies: strikes[] points to them until the tick is over */
-    struct hd_velocity velocity;
     struct hd_passivity passivity;
 };
 
