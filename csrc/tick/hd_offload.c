@@ -3,7 +3,6 @@
  * when the one becomes the other. Several strikes of one effect in one tick count together. */
 #include "tick/hd_offload.h"
 
-
 /* The place of an effect in reserves[], or where it would come. */
 HD_RT static uint32_t find(const struct hd_state *state, uint32_t effect) {
     uint32_t place = 0;
