@@ -18,21 +18,20 @@ HD_RT void hd_surface_lower(const struct hd_material *material, double arc_m, do
     }
 }
 
-HD_RT void hd_surface_blend(const struct hd_surface *from, double blend, struct hd_surface *surface) {
-    surface->stiffness_n_per_m = mixed(from->stiffness_n_per_m, surface->stiffness_n_per_m, blend);
-    surface->stiffness_slope = mixed(from->stiffness_slope, surface->stiffness_slope, blend);
-    surface->damping_n_s_per_m = mixed(from->damping_n_s_per_m, surface->damping_n_s_per_m, blend);
-    surface->lowering_m = mixed(from->lowering_m, surface->lowering_m, blend);
-    surface->lowering_slope = mixed(from->lowering_slope, surface->lowering_slope, blend);
-    surface->drag_n_s_per_m = mixed(from->drag_n_s_per_m, surface->drag_n_s_per_m, blend);
+/* Into `surface`, which may be one of the two: 0 is `from`, 1 is `to`. */
+HD_RT static void blend_into(const struct hd_surface *from, const struct hd_surface *to, double blend,
+                             struct hd_surface *surface) {
+    surface->stiffness_n_per_m = mixed(from->stiffness_n_per_m, to->stiffness_n_per_m, blend);
+    surface->stiffness_slope = mixed(from->stiffness_slope, to->stiffness_slope, blend);
+    surface->damping_n_s_per_m = mixed(from->damping_n_s_per_m, to->damping_n_s_per_m, blend);
+    surface->lowering_m = mixed(from->lowering_m, to->lowering_m, blend);
+    surface->lowering_slope = mixed(from->lowering_slope, to->lowering_slope, blend);
+    surface->drag_n_s_per_m = mixed(from->drag_n_s_per_m, to->drag_n_s_per_m, blend);
     /* What has no friction has no spring of its own either. */
-    if (surface->friction_stiffness_n_per_m == 0.0) {
-        surface->friction_stiffness_n_per_m = from->friction_stiffness_n_per_m;
-    } else if (from->friction_stiffness_n_per_m != 0.0) {
-        surface->friction_stiffness_n_per_m =
-            mixed(from->friction_stiffness_n_per_m, surface->friction_stiffness_n_per_m, blend);
-    }
-    surface->friction_coefficient = mixed(from->friction_coefficient, surface->friction_coefficient, blend);
+    const double first = from->friction_stiffness_n_per_m;
+    const double last = to->friction_stiffness_n_per_m;
+    surface->friction_stiffness_n_per_m = last == 0.0 ? first : first == 0.0 ? last : mixed(first, last, blend);
+    surface->friction_coefficient = mixed(from->friction_coefficient, to->friction_coefficient, blend);
 }
 
 HD_RT uint32_t hd_surface_piece(const struct hd_table *table, const struct hd_object *object, double arc_m) {
@@ -73,14 +72,14 @@ HD_RT struct hd_dominant_material hd_surface_of_pieces(const struct hd_table *ta
     const struct hd_material *other = &table->materials[pieces[edge == here ? here - 1 : edge].material];
     struct hd_surface second;
     hd_surface_of(other, arc_m, half_length_m, &second);
-    const struct hd_surface before = edge == here ? second : *surface;
-    struct hd_surface mix = edge == here ? *surface : second;
-    const double stiffness_step = mix.stiffness_n_per_m - before.stiffness_n_per_m;
-    const double lowering_step = mix.lowering_m - before.lowering_m;
-    hd_surface_blend(&before, weight, &mix);
-    mix.stiffness_slope += slope * stiffness_step;
-    mix.lowering_slope += slope * lowering_step;
-    *surface = mix;
+    const struct hd_surface *const before = edge == here ? &second : surface;
+    const struct hd_surface *const after = edge == here ? surface : &second;
+    const double stiffness_step = after->stiffness_n_per_m - before->stiffness_n_per_m;
+    const double lowering_step = after->lowering_m - before->lowering_m;
+    /* In place: a copy would wait for the stores of the one before it. */
+    blend_into(before, after, weight, surface);
+    surface->stiffness_slope += slope * stiffness_step;
+    surface->lowering_slope += slope * lowering_step;
     const double own = edge == here ? weight : 1.0 - weight;
     const int both = other->texture == HD_TEXTURE_NOISE;
     return (struct hd_dominant_material){material, both ? 1.0 : own > 0.5 ? 2.0 * own - 1.0 : 0.0};

@@ -50,8 +50,6 @@ HD_RT static inline struct hd_dominant_material hd_surface_at(const struct hd_ta
     hd_surface_of(material, arc_m, half_length_m, surface);
     return (struct hd_dominant_material){material, 1.0};
 }
-/* Mixes: 0 is `from`, 1 is `surface`, which takes the result. */
-HD_RT void hd_surface_blend(const struct hd_surface *from, double blend, struct hd_surface *surface);
 /* The index, among the wall's pieces, of the one that holds s; the object has pieces. */
 HD_RT uint32_t hd_surface_piece(const struct hd_table *table, const struct hd_object *object, double arc_m);
 
