@@ -2,7 +2,7 @@
  * of unit power, from splitmix64. */
 #include <string.h>
 
-#include "base/hd_normal.h"
+#include "base/hd_gaussian.h"
 #include "peers.h"
 #include "tick/hd_noise.h"
 
@@ -12,7 +12,7 @@ static inline double white(uint64_t *random) {
     z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9u;
     z = (z ^ (z >> 27)) * 0x94d049bb133111ebu;
     z ^= z >> 31;
-    return hd_normal(z);
+    return hd_gaussian(z);
 }
 
 static void direct(size_t order, const double *coefficients, const double *gains, size_t count, const uint8_t *which,

@@ -90,17 +90,18 @@ enum hd_texture {
 /* What a surface is made of. Between the points of a tap's amplitude lie straight lines, from rest, where it is 0, to
  * the first point, and beyond the last one as the line before it, never below 0. */
 struct hd_material {
-    uint32_t texture;      /* enum hd_texture */
-    uint32_t noise;        /* index in the table's noises, for HD_TEXTURE_NOISE; else 0 */
-    uint32_t heals;        /* membranes: closes again when the probe withdraws */
-    uint32_t tap_count;    /* points of the tap's amplitude over the approach speed, up to HD_TAP_POINTS; 0: a slope */
-    uint32_t tap_first;    /* index in the table's numbers: speeds [tap_count], m/s, rising; amplitudes [tap_count] */
-    uint32_t tune_speeds;  /* points of the groove's frequency over the speed, see hd_numbers.h; 0: it is the mode's */
+    uint32_t texture;   /* enum hd_texture */
+    uint32_t noise;     /* index in the table's noises, for HD_TEXTURE_NOISE; else 0 */
+    uint32_t heals;     /* membranes: closes again when the probe withdraws */
+    uint32_t tap_count; /* points of the tap's amplitude over the approach speed, up to HD_TAP_POINTS; 0: a slope */
+    uint32_t tap_first; /* index in the table's numbers: speeds [tap_count], m/s, rising; amplitudes [tap_count] */
+    uint32_t
+        tune_speeds; /* points of the groove's frequency over the speed, see hd_table_numbers.h; 0: it is the mode's */
     uint32_t tune_forces;  /* the same over the force */
     uint32_t tune_nodes;   /* of its compensation; 0: there is none */
     uint32_t tune_first;   /* index in the table's numbers */
     uint32_t tune_mutes;   /* a strike above tune_highest_rad_per_s is 0: lowered to that, 1: silent */
-    uint32_t mode_count;   /* points of the tap's mode over the approach speed, see hd_numbers.h; 0: it is one */
+    uint32_t mode_count;   /* points of the tap's mode over the approach speed, see hd_table_numbers.h; 0: it is one */
     uint32_t mode_nodes;   /* of its compensation; 0: there is none */
     uint32_t mode_first;   /* index in the table's numbers */
     uint32_t mode_by_peak; /* 1: what the tap is struck with is the first peak, 0: the coefficient */

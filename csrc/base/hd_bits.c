@@ -1,5 +1,5 @@
-/* A number of up to 32 bits that starts at any bit touches five bytes at most; they are gathered into one word, lowest
- * byte first. */
+/* Numbers of HID reports are read from and written to any bit of a report. A number of up to 32 bits touches five bytes
+ * at most; they are gathered into one word, lowest byte first. */
 #include "base/hd_bits.h"
 
 HD_RT int hd_bits_fit(const struct hd_hid_field *field, size_t length) {

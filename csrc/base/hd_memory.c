@@ -1,4 +1,5 @@
-/* See hd_memory.h. MCL_ONFAULT matters: without it a Python process locks three times the memory that it uses. */
+/* Memory is touched and locked, so that the servo never waits for a page. MCL_ONFAULT matters: without it a Python
+ * process locks three times the memory that it uses. */
 #include "base/hd_memory.h"
 
 #include "api/hd_core.h"

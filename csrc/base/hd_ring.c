@@ -1,4 +1,4 @@
-/* The ring's memory, and the copies that are not worth inlining. hd_ring.h teaches the model. */
+/* The ring's memory, and the copies of records that are not worth inlining. hd_ring.h teaches the model. */
 #include <stdlib.h>
 #include <string.h>
 

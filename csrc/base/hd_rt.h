@@ -1,6 +1,22 @@
 /* The mark of functions that the servo thread may call: no allocation, no lock, no log, no system call but clock and
  * sleep. Where clang knows the attribute, -Wfunction-effects proves it at compile time and RealtimeSanitizer at run
- * time. */
+ * time.
+ *
+ * The files of this room, each a tool for every other room:
+ *
+ *   hd_rt         the marks of functions that the servo may call
+ *   hd_atomic     atomics whose every access names its memory order
+ *   hd_ring       records from one thread to one other, none lost
+ *   hd_triple     the newest value from one thread to one other
+ *   hd_clock      the servo's clock and its sleep
+ *   hd_memory     memory touched and locked before the servo starts
+ *   hd_cache      memory fetched before a tick uses it
+ *   hd_histogram  how often a time was how long
+ *   hd_vector     vectors of the plane
+ *   hd_gaussian   Gaussian numbers out of random bits
+ *   hd_bits       numbers at any bit of a HID report
+ *   hd_send       one message to many sockets in one call
+ */
 #ifndef HD_RT_H
 #define HD_RT_H
 

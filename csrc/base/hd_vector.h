@@ -1,4 +1,4 @@
-/* Vectors of the plane. */
+/* Vectors of the plane: products, lengths, differences and turns of pairs of doubles. */
 #ifndef HD_VECTOR_H
 #define HD_VECTOR_H
 

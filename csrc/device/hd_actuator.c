@@ -1,3 +1,4 @@
+/* An actuator that lags: its response over a step as a power series, made once and applied in each step. */
 #include "device/hd_actuator.h"
 
 double hd_actuator_fastest(const struct hd_sim_config *config) {

@@ -1,9 +1,32 @@
-/* The servo's device: the simulated joystick or a HID device. All of it is the servo thread's own. */
+/* The servo's device: the simulated joystick or a HID device. All of it is the servo thread's own.
+ *
+ * The files of this room:
+ *
+ *   hd_device          one of the two, behind the same functions
+ *   hd_sim             the simulated joystick: what the servo calls
+ *   hd_sim_setup       made, put at another rate or another place
+ *   hd_sim_state       what the files of the simulation share
+ *   hd_sim_time        time goes on, from event to event
+ *   hd_sim_solver      the motion of the handle between two events
+ *   hd_actuator        an actuator that lags
+ *   hd_operator        the path of the hand: waypoints, cut into segments
+ *   hd_gesture_end     the event at the end of such a path
+ *   hd_hid             a HID device: what the servo calls
+ *   hd_hid_connection  what the files of a HID device share: mailboxes and threads
+ *   hd_hid_control     connected, disconnected; what is known of a connection
+ *   hd_hid_mailboxes   the servo's side: the newest position, the newest force
+ *   hd_hid_reader      the thread that reads reports
+ *   hd_hid_writer      the thread that writes reports
+ *   hd_report          reports: positions read from them, forces put into them
+ *   hd_effects         strikes that the device plays by itself, made reports
+ *   hd_signs           the check that a device pushes the right way
+ *   hd_last_report     zero force when the process ends by a fault
+ */
 #ifndef HD_DEVICE_H
 #define HD_DEVICE_H
 
 #include "base/hd_memory.h"
-#include "device/hd_gesture.h"
+#include "device/hd_gesture_end.h"
 #include "device/hd_hid.h"
 #include "device/hd_signs.h"
 #include "device/hd_sim.h"

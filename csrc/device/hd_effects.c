@@ -1,5 +1,5 @@
-/* See hd_effects.h. The servo's side makes no system call and waits for nothing; the writer's side may take its time.
- */
+/* Device effects: the queue of strikes from the servo, and the sender that makes reports of them. The servo's side
+ * makes no system call and waits for nothing; the writer's side may take its time. */
 #include "device/hd_effects.h"
 
 #include <math.h>

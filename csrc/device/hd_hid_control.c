@@ -216,10 +216,10 @@ int hd_hid_connect(struct hd_hid *hid, const struct hd_hid_plan *plan, int fd, i
  * seconds, and nothing can interrupt it. 0 or an errno. */
 static int join_writer(struct hd_connection *connection) {
     const pthread_t writer = connection->writer;
-    struct pollfd left = {.fd = connection->left_fd, .events = POLLIN};
+    struct pollfd has_left = {.fd = connection->left_fd, .events = POLLIN};
     for (;;) {
         const int64_t rest_ns = connection->parting_until_ns - hd_clock_now_ns();
-        if (poll(&left, 1, rest_ns > 0 ? (int)(rest_ns / 1000000) + 1 : 1) > 0) {
+        if (poll(&has_left, 1, rest_ns > 0 ? (int)(rest_ns / 1000000) + 1 : 1) > 0) {
             pthread_join(writer, NULL);
             const int error = connection->parting_error;
             hd_connection_free(connection);

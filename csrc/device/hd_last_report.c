@@ -1,5 +1,6 @@
-/* See hd_last_report.h. The handler uses nothing but static memory and calls that are safe in a signal handler. What it
- * sends lies ready in one of two places; control fills the other one and then points to it. */
+/* The signal handler that takes the device's force to zero when the process ends by a fault. It uses nothing but static
+ * memory and calls that are safe in a signal handler. What it sends lies ready in one of two places; control fills the
+ * other one and then points to it. */
 #include "device/hd_last_report.h"
 
 #include "api/hd_core.h"

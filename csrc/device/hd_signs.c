@@ -1,4 +1,4 @@
-/* The check of a device's signs; see hd_signs.h. */
+/* The check of a device's signs, step by step in the servo: it pushes, watches, and decides. hd_signs.h says how. */
 #include "device/hd_signs.h"
 
 #include <stdlib.h>
@@ -170,8 +170,10 @@ HD_RT static void step_rest(struct hd_signs *signs, const double position_m[2]) 
 
 /* Goes to `target` at the pace of commands. */
 HD_RT static void go(struct hd_signs *signs, double target_n, double step_n) {
-    const double left = target_n - signs->force_n;
-    signs->force_n = left > step_n ? signs->force_n + step_n : left < -step_n ? signs->force_n - step_n : target_n;
+    const double remaining_n = target_n - signs->force_n;
+    signs->force_n = remaining_n > step_n    ? signs->force_n + step_n
+                     : remaining_n < -step_n ? signs->force_n - step_n
+                                             : target_n;
 }
 
 HD_RT static void step_pulse(struct hd_signs *signs, const double position_m[2], double elapsed_s, double most_n,

@@ -1,7 +1,6 @@
+/* The motion of the simulated handle: a handle on an actuator, held by a hand that follows a reference. */
 // clang-format off
-/* The motion of the simulated handle: a handle on an actuator, held by a hand that follows a reference.
- *
- * The two axes are alike and independent. Handle and hand move as one mass M = m + m_h:
+/* The two axes are alike and independent. Handle and hand move as one mass M = m + m_h:
  *
  *     M x'' = F - b x' - b_h (x' - w') - k (x - w) - c sign(x')
  *

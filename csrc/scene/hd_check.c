@@ -3,6 +3,7 @@
 
 #include <stdio.h>
 
+#include "scene/hd_index.h"
 #include "shapes/hd_shape.h"
 
 /* Slots are counted in 32 bits, and the highest numbers are names (HD_NO_SLOT). */
@@ -128,7 +129,7 @@ int hd_object_check(const struct hd_object *object, const struct hd_table *parts
     if (object->shape == HD_SHAPE_NONE) {
         return HD_OK;
     }
-    if (object->shape >= HD_SHAPES) {
+    if (object->shape >= HD_SHAPES || !hd_index_holds(object->shape)) {
         return hd_invalid("object %u: shape %u", slot, object->shape);
     }
     if (!hd_check_bounded(object->point_m[0]) || !hd_check_bounded(object->point_m[1])) {

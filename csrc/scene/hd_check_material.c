@@ -2,7 +2,7 @@
 #include <stdio.h>
 
 #include "scene/hd_check.h"
-#include "scene/hd_numbers.h"
+#include "scene/hd_table_numbers.h"
 
 /* What turns and decays, of a mode or of its tail. */
 static int ringing_check(double rotor_re, double rotor_im, double decay_rate_per_s, double angular_frequency_rad_per_s,

@@ -2,7 +2,7 @@
 #include <math.h>
 
 #include "scene/hd_check.h"
-#include "scene/hd_numbers.h"
+#include "scene/hd_table_numbers.h"
 
 #define HD_LARGEST_RMS 1e9
 #define HD_TAPS_TOLERANCE 1e-9

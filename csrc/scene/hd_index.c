@@ -1,4 +1,5 @@
-/* See hd_index.h. */
+/* The spatial index: objects are put into its grid and its heaps of walls, and those within a radius of a point are
+ * found. hd_index.h describes the two structures. */
 #include "scene/hd_index.h"
 
 #include <math.h>
@@ -123,9 +124,28 @@ static void member_remove(struct hd_index *index, uint32_t level, uint32_t slot)
     }
 }
 
+/* How far a bounded shape reaches from its centre; below 0: the shape is none of them. */
+static double bounded_reach_m(const struct hd_object *object) {
+    switch ((enum hd_shape)object->shape) {
+    case HD_SHAPE_MEMBRANE:
+    case HD_SHAPE_DISC:
+        return object->half_m[0];
+    case HD_SHAPE_BOX:
+        return hypot(object->half_m[0], object->half_m[1]);
+    case HD_SHAPE_NONE:
+    case HD_SHAPE_WALL:
+        break;
+    }
+    return -1.0;
+}
+
+int hd_index_holds(uint32_t shape) {
+    const struct hd_object object = {.shape = shape};
+    return shape == HD_SHAPE_WALL || bounded_reach_m(&object) >= 0.0;
+}
+
 static void bounded_put(struct hd_index *index, uint32_t slot, const struct hd_object *object) {
-    const double reach_m =
-        object->shape == HD_SHAPE_BOX ? hypot(object->half_m[0], object->half_m[1]) : object->half_m[0];
+    const double reach_m = bounded_reach_m(object);
     uint32_t level = 0;
     while (level < HD_INDEX_LEVELS - 1 && level_cell_m(level) < 2.0 * reach_m) {
         level++;
@@ -341,13 +361,26 @@ HD_RT static void add(struct query *query, uint32_t slot, double distance_m) {
         (struct hd_candidate){.distance_m = distance_m > 0.0 ? distance_m : 0.0, .slot = slot};
 }
 
-/* A membrane is a box without thickness. */
+/* Whether a bounded shape is a disc; the others are boxes, a membrane one without thickness. */
+HD_RT static inline int is_round(const struct hd_object *object) {
+    switch ((enum hd_shape)object->shape) {
+    case HD_SHAPE_DISC:
+        return 1;
+    case HD_SHAPE_NONE:
+    case HD_SHAPE_WALL:
+    case HD_SHAPE_MEMBRANE:
+    case HD_SHAPE_BOX:
+        break;
+    }
+    return 0;
+}
+
 HD_RT static void visit(struct query *query, uint32_t slot) {
     const struct hd_object *object = &query->objects[slot];
     const double from[2] = {query->point_m[0] - object->point_m[0], query->point_m[1] - object->point_m[1]};
     double square;
     double nearer_m;
-    if (object->shape == HD_SHAPE_DISC) {
+    if (is_round(object)) {
         square = from[0] * from[0] + from[1] * from[1];
         nearer_m = object->half_m[0] + query->slack_m;
     } else {

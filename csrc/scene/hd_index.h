@@ -80,6 +80,8 @@ struct hd_index {
 
 /* Control side. An index of all zeros is empty. HD_ERR_MEMORY leaves it as it was. */
 int hd_index_reserve(struct hd_index *index, uint32_t slot_count);
+/* Whether the index has bounds and a distance for this shape; the check of a table refuses every other one. */
+int hd_index_holds(uint32_t shape);
 /* The slot now holds `object` (HD_SHAPE_NONE: nothing), whatever it held before; slot < the count reserved.
  * HD_ERR_MEMORY leaves the index as it was; it can come of a wall only, and not of one for which there was room before:
  * a sector keeps its room when walls leave it. */

@@ -9,7 +9,7 @@
 #include "base/hd_memory.h"
 #include "scene/hd_check.h"
 #include "scene/hd_index.h"
-#include "scene/hd_numbers.h"
+#include "scene/hd_table_numbers.h"
 
 #define HD_WORLD_REGIONS (8u + HD_INDEX_SECTORS)
 

@@ -51,8 +51,8 @@ HD_RT static double half_length(const struct hd_object *object, struct hd_featur
     return object->half_m[feature.face % 2 == 0 ? 0 : 1];
 }
 
-HD_RT static int left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
-                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
+HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                          struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
     if (!(point->depth_m > 0.0)) {
         return 1;
     }
@@ -107,7 +107,7 @@ HD_RT static int begins(const struct hd_proxy *proxy, const struct hd_object *ob
                         struct hd_onset *onset) {
     if (onset->slid) {
         point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
-        if (left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
+        if (has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
             return 0;
         }
     }
@@ -140,7 +140,7 @@ HD_RT static int appears(const struct hd_proxy *proxy, const struct hd_object *o
     onset->feature.face = nearest_face(object, to);
     point_on_face(object, onset->feature.face, proxy->to_m, &onset->point);
     /* What lies behind a surface that is pressed is not touched. */
-    return !left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point);
+    return !has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point);
 }
 
 HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, int fresh, struct hd_onset *onset) {
@@ -205,7 +205,7 @@ static int is_sized(const double half_m[2], double least_m, double most_m) {
 const struct hd_shape_operations hd_box = {
     .meets = meets,
     .contact_point = contact_point,
-    .left = left,
+    .has_left = has_left,
     .holds = holds,
     .distance = distance,
     .half_length = half_length,

@@ -81,8 +81,8 @@ HD_RT static void lever(const struct hd_object *object, double depth_m, struct h
     }
 }
 
-HD_RT static int left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
-                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
+HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                          struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
     (void)feature;
     if (!(point->depth_m > 0.0)) {
         return 1;
@@ -126,7 +126,7 @@ HD_RT static int begins(const struct hd_proxy *proxy, const struct hd_object *ob
     const double bearing[2] = {offset[0] / distance, offset[1] / distance};
     if (onset->slid) {
         point_at(object, bearing, MOVED, proxy->to_m, &onset->point);
-        if (left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
+        if (has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
             return 0;
         }
     }
@@ -214,7 +214,7 @@ static int is_sized(const double half_m[2], double least_m, double most_m) {
 const struct hd_shape_operations hd_disc = {
     .meets = meets,
     .contact_point = contact_point,
-    .left = left,
+    .has_left = has_left,
     .holds = holds,
     .distance = distance,
     .arc_length = arc_length,

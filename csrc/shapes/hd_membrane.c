@@ -57,8 +57,8 @@ HD_RT static double half_length(const struct hd_object *object, struct hd_featur
     return object->half_m[0];
 }
 
-HD_RT static int left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
-                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
+HD_RT static int has_left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                          struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point) {
     (void)feature;
     if (!(point->depth_m >= 0.0)) {
         return 1;
@@ -94,7 +94,7 @@ HD_RT static int meets(struct hd_proxy *proxy, const struct hd_object *object, i
             onset->stood = segment > 0 && crosses(object, proxy->point[0], proxy->from_m, &straight, &side) &&
                            side == onset->feature.side;
             point_on_side(object, onset->feature.side, proxy->to_m, &onset->point);
-            if (onset->slid && left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
+            if (onset->slid && has_left(proxy, object, HD_NO_SLOT, onset->feature, proxy->to_m, &onset->point)) {
                 return 0; /* it lies behind, and the proxy is not on it */
             }
         }
@@ -128,7 +128,7 @@ static int is_sized(const double half_m[2], double least_m, double most_m) {
 const struct hd_shape_operations hd_membrane = {
     .meets = meets,
     .contact_point = contact_point,
-    .left = left,
+    .has_left = has_left,
     .holds = holds,
     .distance = distance,
     .half_length = half_length,

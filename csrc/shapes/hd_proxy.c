@@ -1,3 +1,4 @@
+/* The path of the proxy in a tick: lifted out of what is pressed, and cut into swept segments. */
 #include "shapes/hd_proxy.h"
 
 #include "base/hd_vector.h"

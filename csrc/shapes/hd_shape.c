@@ -1,3 +1,4 @@
+/* The table of shapes: from enum hd_shape to the operations of that shape. */
 #include "shapes/hd_shape.h"
 
 const struct hd_shape_operations *const hd_shapes[HD_SHAPES] = {

@@ -1,10 +1,30 @@
 /* Shapes: pure geometry. Where the probe's path meets one, where the probe is on it, when it has left it.
  *
- * To add a shape, write a file beside hd_wall.c that fills a struct hd_shape_operations, and name it in enum hd_shape
- * (csrc/api/hd_api.h), below and in hd_shape.c. The tick and the checks of a table ask these operations. The spatial
- * index alone has arithmetic of its own for each shape: csrc/scene/hd_index.c, bounded_put and visit. In Python a shape
- * is a kind of object in hapticd/config/scene.py and a record in hapticd/rendering/compiler/; the analysis of stability
- * asks it in hapticd/rendering/contact_sets.py and stability_remedy.py. */
+ * To add a shape, change these files. C, in csrc/:
+ *
+ *   api/hd_api.h          enum hd_shape; what point_m, normal and half_m of struct hd_object mean for it
+ *   shapes/hd_NEW.c       fills a struct hd_shape_operations, as hd_wall.c does
+ *   shapes/hd_shape.h     its operations declared extern; HD_SHAPES
+ *   shapes/hd_shape.c     its row of the table
+ *   scene/hd_index.c      bounded_reach_m, is_round and visit: its bounds, and its distance. Compilers warn of a shape
+ *                         that is missing in a switch there, and the check of a table refuses it
+ *
+ * Python, in hapticd/; mypy names each place that ends in assert_never:
+ *
+ *   __init__.py                        the model's public name, in three places
+ *   config/scene.py                    the model, Surface and SURFACES
+ *   config/document_kinds.py           OBJECT_KINDS
+ *   config/operator.py                 the texts that list the shapes which a gesture can touch
+ *   rendering/compiler/table.py        its number beside _WALL, and _place_of (assert_never)
+ *   rendering/joystick.py              target_of (assert_never): where a gesture touches it
+ *   rendering/contact_sets.py          _regions: where it can be touched; _rows, if it pushes along one normal alone
+ *   rendering/stability_remedy.py      `deepens`, if a softer one is touched deeper; round_rubs, if it is round
+ *   rendering/surface_properties.py    _round, if it is round
+ *   client/watch.py                    draw_scene: how `hapticd watch` draws it
+ *   analysis/check.py                  a limit of its own, as _gone_through of a disc
+ *
+ * Documents: docs/materials.md, protocol.md, stability.md and glossary.md list the shapes, and `make docs-tables`
+ * writes their tables of keys. Tests: tests/c/test_index.c has its distance from the definition. */
 #ifndef HD_SHAPE_H
 #define HD_SHAPE_H
 
@@ -58,8 +78,8 @@ struct hd_shape_operations {
                                 const double from_m[2], const double position_m[2], struct hd_contact_point *point);
     /* Whether a probe at `position_m`, whose contact point is `point`, has left the shape. `slot`: the object's own, so
      * that it does not count among the surfaces that are pressed. NULL: once it is not below the surface. */
-    HD_RT int (*left)(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
-                      struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point);
+    HD_RT int (*has_left)(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
+                          struct hd_feature feature, const double position_m[2], const struct hd_contact_point *point);
     /* Whether a solid holds a point, its rim included. */
     HD_RT int (*holds)(const struct hd_object *object, const double point_m[2]);
     /* How far a point is outside of the shape, at least. */
@@ -85,12 +105,12 @@ HD_RT static inline const struct hd_shape_operations *hd_shape_of(const struct h
     return hd_shapes[object->shape];
 }
 
-/* Whether a contact is over: see the operation `left`. */
+/* Whether a contact is over: see the operation `has_left`. */
 HD_RT static inline int hd_shape_is_left(const struct hd_proxy *proxy, const struct hd_object *object, uint32_t slot,
                                          struct hd_feature feature, const double position_m[2],
                                          const struct hd_contact_point *point) {
     const struct hd_shape_operations *shape = hd_shape_of(object);
-    return shape->left ? shape->left(proxy, object, slot, feature, position_m, point) : !(point->depth_m > 0.0);
+    return shape->has_left ? shape->has_left(proxy, object, slot, feature, position_m, point) : !(point->depth_m > 0.0);
 }
 
 #endif

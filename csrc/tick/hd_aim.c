@@ -1,5 +1,6 @@
-/* A surface presses along its normal n and not along its tangent t. So a mode that is compensated for what it meets is
- * struck along n and along t apart: two strikes of one active mode. Every other mode is struck once, along the aim. */
+/* A strike is added along the direction in which its material aims the vibration. A surface presses along its normal n
+ * and not along its tangent t. So a mode that is compensated for what it meets is struck along n and along t apart: two
+ * strikes of one active mode. Every other mode is struck once, along the aim. */
 #include "tick/hd_aim.h"
 
 #include "tick/hd_strike.h"

@@ -7,7 +7,7 @@
  * noise) is added to that and never gated by it.
  *
  * On a disc of radius R the probe at r goes r/R as far as s goes, so there the first three terms of F_t are R/r
- * as large. Deep in it geometry and friction fade with g(r), from 1 to 0 (hd_disc_lever). What is stored is
+ * as large. Deep in it geometry and friction fade with g(r), from 1 to 0 (hd_shape.h: lever). What is stored is
  *     U = K/2 (d - g H)^2 + g k/2 (s - anchor)^2
  * and the force is its slope, so that n has g' (K e H - k/2 (s - anchor)^2) besides F_n. */
 #include "tick/hd_contact_force.h"
@@ -154,8 +154,8 @@ HD_RT void hd_contact_force_change(struct hd_context *context, uint32_t index, c
     }
 }
 
-HD_RT static inline int left(const struct hd_context *context, uint32_t index, const struct hd_object *object,
-                             const double position_m[2], const struct hd_contact_point *point) {
+HD_RT static inline int has_left(const struct hd_context *context, uint32_t index, const struct hd_object *object,
+                                 const double position_m[2], const struct hd_contact_point *point) {
     const struct hd_feature feature = context->state->slots[index].feature;
     return hd_shape_is_left(&context->proxy, object, index, feature, position_m, point);
 }
@@ -188,7 +188,7 @@ HD_RT static void let_go(struct hd_context *context, uint32_t index, const struc
     if (slot->changed) {
         hd_surface_noise_change(context->state, slot);
         slot->changed = 0;
-    } else if (hd_command_is_recent(context) && left(context, index, object, context->proxy.from_m, &slot->last)) {
+    } else if (hd_command_is_recent(context) && has_left(context, index, object, context->proxy.from_m, &slot->last)) {
         hd_contact_force_drop(context, index);
         return;
     }
@@ -289,7 +289,7 @@ HD_RT void hd_contact_force_update(struct hd_context *context, uint32_t index, c
         fade(slot, travel.point.arc_m, lever->fade);
     }
     const int grooves = has_grooves(context->table, object);
-    if (left(context, index, object, context->proxy.to_m, &travel.point)) {
+    if (has_left(context, index, object, context->proxy.to_m, &travel.point)) {
         if (grooves) {
             travel.part = until_left(slot, object, &travel.point);
             hd_grooves_pass(context, index, object, &travel);

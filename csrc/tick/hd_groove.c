@@ -1,9 +1,10 @@
+/* Which grooves a probe passes in a tick, and the strike that each of them makes. */
 #include "tick/hd_groove.h"
 
 #include "tick/hd_groove_profile.h"
 #include "tick/hd_strike.h"
+#include "tick/hd_strike_mode.h"
 #include "tick/hd_surface.h"
-#include "tick/hd_tune.h"
 
 /* Grooves as near to each other as this, in spacings, are one. */
 #define HD_GROOVE_SAME 1e-6
@@ -75,7 +76,7 @@ HD_RT static void strike(struct hd_context *context, uint32_t index, const struc
     event->amplitude_m_per_s2 = amplitude;
     event->value = (double)slot->grooves;
     if (material->tune_speeds == 0 ||
-        hd_tune_strike(context->table, material, stretch->speed_m_per_s, force, &struck)) {
+        hd_strike_mode_groove(context->table, material, stretch->speed_m_per_s, force, &struck)) {
         hd_strike_add(state, &struck);
     }
 }
@@ -105,14 +106,14 @@ HD_RT static void pass_material(struct hd_context *context, uint32_t index, cons
     const int64_t from = last_before(material->spacing_m, part->from_m, part->meets_from);
     const int64_t to = last_before(material->spacing_m, part->to_m, part->meets_to);
     const int64_t step = to > from ? 1 : -1;
-    int64_t left = to > from ? to - from : from - to;
+    int64_t remaining = to > from ? to - from : from - to;
     int64_t k = to > from ? from + 1 : from;
-    if (left > part->room) {
-        k += step * (left - part->room);
-        left = part->room;
+    if (remaining > part->room) {
+        k += step * (remaining - part->room);
+        remaining = part->room;
     }
-    part->room -= left;
-    for (; left > 0; left--, k += step) {
+    part->room -= remaining;
+    for (; remaining > 0; remaining--, k += step) {
         if (hd_magnitude((double)k * material->spacing_m) <= (1.0 + HD_GROOVE_SEAM) * stretch->half_length_m) {
             strike(context, index, material, stretch, k);
         }

@@ -1,3 +1,4 @@
+/* The shape of a groove: its height, from 0 to 1, and its slope at an arc length. */
 #include "tick/hd_groove_profile.h"
 
 #include "base/hd_vector.h"

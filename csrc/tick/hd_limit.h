@@ -1,4 +1,4 @@
-/* What the actuator may be asked for. */
+/* The force limit: what the actuator may be asked for, and what gives way first. */
 #ifndef HD_LIMIT_H
 #define HD_LIMIT_H
 
@@ -42,8 +42,8 @@ HD_RT double hd_limit_within(double limit_n, double keep, const double contact_n
 
 /* What modes keep of their amplitude in this tick beside a contact force beyond the limit. */
 HD_RT static inline double hd_limit_keep(const struct hd_state *state, const struct hd_table *table) {
-    const double left = state->ringing_gain - table->period_s / HD_LIMIT_RAMP_S;
-    return left > 0.0 ? left / state->ringing_gain : 0.0;
+    const double remaining = state->ringing_gain - table->period_s / HD_LIMIT_RAMP_S;
+    return remaining > 0.0 ? remaining / state->ringing_gain : 0.0;
 }
 
 /* A command beyond the limit, brought back to it. Sets the flag and reports the first tick of a stretch. */

@@ -15,7 +15,7 @@
 
 #include <math.h>
 
-#include "tick/hd_kicks.h"
+#include "tick/hd_strike_correction.h"
 #include "tick/hd_waveform.h"
 
 /* Squares of coefficients below this could become subnormal. The coefficient, 1e-145 N, is nothing in newtons. */
@@ -111,7 +111,7 @@ HD_RT static void turn(struct hd_active_mode *active, uint32_t periods) {
 HD_RT static void end_mode(struct hd_state *state, uint32_t index, uint32_t periods) {
     struct hd_active_mode active = state->active_modes[index];
     struct hd_mode_end end = state->mode_ends[index];
-    if (active.left + 1u == periods) {
+    if (active.remaining + 1u == periods) {
         turn(&active, periods);
     } else {
         end.over_s = (double)INFINITY; /* longer ago than a strike of this tick can be */
@@ -127,11 +127,11 @@ HD_RT void hd_modes_advance(struct hd_state *state, uint32_t periods) {
     uint32_t i = 0;
     while (i < state->active_mode_count) {
         struct hd_active_mode *active = &state->active_modes[i];
-        if (active->left < periods) {
+        if (active->remaining < periods) {
             end_mode(state, i, periods);
             continue;
         }
-        active->left -= periods;
+        active->remaining -= periods;
         turn(active, periods);
         sum += active->im;
         i++;
@@ -139,7 +139,7 @@ HD_RT void hd_modes_advance(struct hd_state *state, uint32_t periods) {
     state->ringing_n[0] = sum[0];
     state->ringing_n[1] = sum[1];
     if (state->kick_count > 0) {
-        hd_kicks_advance(state, periods);
+        hd_strike_correction_advance(state, periods);
     }
     if (state->wave_count > 0) {
         hd_waves_advance(state, periods);
@@ -155,7 +155,7 @@ HD_RT double hd_modes_bound(const struct hd_state *state) {
                       active->im[1] * active->im[1]);
         HD_RT_FOREIGN_END
     }
-    bound = state->kick_count > 0 ? bound + hd_kicks_bound(state) : bound;
+    bound = state->kick_count > 0 ? bound + hd_strike_correction_bound(state) : bound;
     return state->wave_count > 0 ? bound + hd_waves_bound(state) : bound;
 }
 
@@ -165,7 +165,7 @@ HD_RT static double latest(double end_s) {
 }
 
 /* Ticks after the striking one in which the mode sounds: the largest n with n T + tau <= 5/B; -1 if not even n = 0. */
-HD_RT static int64_t ticks_left(double mode_end_s, double before_s, double period_s) {
+HD_RT static int64_t ticks_remaining(double mode_end_s, double before_s, double period_s) {
     const double end_s = latest(mode_end_s);
     if (!(before_s <= end_s)) {
         return -1;
@@ -238,7 +238,7 @@ HD_RT static struct hd_active_mode *new_active(struct hd_state *state, const str
         uint32_t nearest = state->strike_count % HD_ACTIVE_MODE_CAPACITY;
         for (uint32_t i = 1; i < HD_MODES_COMPARED; i++) {
             const uint32_t other = (nearest + 257u * i) % HD_ACTIVE_MODE_CAPACITY;
-            if (state->active_modes[other].left < state->active_modes[nearest].left) {
+            if (state->active_modes[other].remaining < state->active_modes[nearest].remaining) {
                 nearest = other;
             }
         }
@@ -267,10 +267,10 @@ HD_RT static struct hd_active_mode *new_active(struct hd_state *state, const str
 
 HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *strike, const struct part *part,
                               const double force_n[2], double period_s) {
-    const int64_t left = ticks_left(part->end_s, strike->before_s, period_s);
+    const int64_t remaining = ticks_remaining(part->end_s, strike->before_s, period_s);
     const double gain = part->gain_re * part->gain_re + part->gain_im * part->gain_im;
     const double square = gain * (force_n[0] * force_n[0] + force_n[1] * force_n[1]);
-    if (left < 0 || !(square > HD_SMALLEST_SQUARE)) {
+    if (remaining < 0 || !(square > HD_SMALLEST_SQUARE)) {
         return; /* over before this tick, or nothing */
     }
     struct hd_active_mode *active = find_active(state, strike, part);
@@ -288,9 +288,9 @@ HD_RT static void strike_part(struct hd_state *state, const struct hd_strike *st
     }
     /* Five time constants after the last of several strikes, in whatever order they come. */
     struct hd_mode_end *end = &state->mode_ends[active - state->active_modes];
-    const double over_s = (double)(left + 1) * period_s + strike->before_s - latest(part->end_s);
-    if ((uint32_t)left > active->left || ((uint32_t)left == active->left && over_s < end->over_s)) {
-        active->left = (uint32_t)left;
+    const double over_s = (double)(remaining + 1) * period_s + strike->before_s - latest(part->end_s);
+    if ((uint32_t)remaining > active->remaining || ((uint32_t)remaining == active->remaining && over_s < end->over_s)) {
+        active->remaining = (uint32_t)remaining;
         end->over_s = over_s;
     }
     double turned_re;
@@ -343,7 +343,7 @@ HD_RT void hd_modes_strike(struct hd_state *state, const struct hd_strike *strik
         strike_part(state, strike, &tail, force_n, period_s);
     }
     if (mode->kick_count > 0 && state->active_mode_count > 0) {
-        hd_kicks_add(state, mode, strike->before_s / period_s, force_n);
+        hd_strike_correction_add(state, mode, strike->before_s / period_s, force_n);
     }
 }
 
@@ -356,7 +356,7 @@ HD_RT void hd_modes_scale(struct hd_state *state, double factor) {
         state->active_modes[i].re *= factor;
         state->active_modes[i].im *= factor;
     }
-    hd_kicks_scale(state, factor);
+    hd_strike_correction_scale(state, factor);
     hd_waves_scale(state, factor);
     state->ringing_n[0] *= factor;
     state->ringing_n[1] *= factor;

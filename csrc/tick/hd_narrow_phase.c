@@ -132,7 +132,7 @@ HD_RT static void update(struct hd_context *context, uint32_t index) {
     }
     if (slot->touched) {
         hd_contact_force_update(context, index, object, 0.0);
-    } else if (object->shape == HD_SHAPE_MEMBRANE && slot->open == state->epoch) {
+    } else if (slot->open == state->epoch && hd_shape_of(object)->membrane) {
         hd_rupture_heal(context, index, object);
     } else {
         update_free(context, index, object, fresh, resumes);

@@ -21,7 +21,7 @@
 
 #include <math.h>
 
-#include "base/hd_normal.h"
+#include "base/hd_gaussian.h"
 #include "scene/hd_world.h"
 
 /* Taps on the way to their opposites pass by zero: below this sum of squares they are quieter instead of turning over
@@ -37,7 +37,7 @@ HD_RT static inline uint64_t scramble(uint64_t z) {
 
 HD_RT static inline double white(uint64_t *random) {
     *random += 0x9e3779b97f4a7c15u;
-    return hd_normal(scramble(*random));
+    return hd_gaussian(scramble(*random));
 }
 
 /* From one to the other. Of two numbers within [-1, 1], in particular, the result is within [-1, 1] in spite of

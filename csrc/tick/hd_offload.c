@@ -1,6 +1,7 @@
-/* An effect counts from the tick of its strike until it has ended even where the strike reached the device as late as
- * it may (hd_effects.h). Struck anew while it plays, it counts with the stronger of the two: the tick does not know
- * when the one becomes the other. Several strikes of one effect in one tick count together. */
+/* Strikes that the device plays by itself: noted for it, and counted against the force limit while they may play. An
+ * effect counts from the tick of its strike until it has ended even where the strike reached the device as late as it
+ * may (hd_effects.h). Struck anew while it plays, it counts with the stronger of the two: the tick does not know when
+ * the one becomes the other. Several strikes of one effect in one tick count together. */
 #include "tick/hd_offload.h"
 
 /* The place of an effect in reserves[], or where it would come. */
@@ -29,7 +30,7 @@ HD_RT uint32_t hd_offload_reserve(struct hd_state *state, uint32_t effect) {
         return 0;
     }
     if (place == state->reserve_count) {
-        state->reserves[state->reserve_count++] = (struct hd_reserve){.effect = effect, .left = 1};
+        state->reserves[state->reserve_count++] = (struct hd_reserve){.effect = effect, .remaining = 1};
     }
     state->offloads[state->offload_count] = (struct hd_offload){.effect = effect};
     return ++state->offload_count;
@@ -45,7 +46,7 @@ HD_RT void hd_offload_strike(struct hd_state *state, const struct hd_strike *str
     const double most_n = force * mode->effect_peak;
     const uint32_t ticks = (uint32_t)((mode->effect_s + HD_OFFLOAD_LATE_S) / period_s) + 2u;
     reserve->most_n = most_n > reserve->most_n ? most_n : reserve->most_n;
-    reserve->left = ticks > reserve->left ? ticks : reserve->left;
+    reserve->remaining = ticks > reserve->remaining ? ticks : reserve->remaining;
     sum_up(state);
 }
 
@@ -53,8 +54,8 @@ HD_RT void hd_offload_advance(struct hd_state *state, uint32_t periods) {
     uint32_t i = 0;
     while (i < state->reserve_count) {
         struct hd_reserve *reserve = &state->reserves[i];
-        if (reserve->left > periods) {
-            reserve->left -= periods;
+        if (reserve->remaining > periods) {
+            reserve->remaining -= periods;
             i++;
         } else {
             *reserve = state->reserves[--state->reserve_count];

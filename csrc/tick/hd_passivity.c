@@ -1,6 +1,7 @@
-/* See hd_passivity.h. Of the work of a tick's force the controller knows two things when it decides: what the motion
- * that it expects, by the estimated velocity, would make of it, and what no motion below v_max can exceed. The first
- * says how much force along the motion is given, the second limits the magnitude. */
+/* The passivity observer and controller: the sum of the work of a contact, and the force that keeps it from becoming
+ * positive. Of the work of a tick's force the controller knows two things when it decides: what the motion that it
+ * expects, by the estimated velocity, would make of it, and what no motion below v_max can exceed. The first says how
+ * much force along the motion is given, the second limits the magnitude. */
 #include "tick/hd_passivity.h"
 
 #include "base/hd_vector.h"

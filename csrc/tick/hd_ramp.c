@@ -1,3 +1,4 @@
+/* What commands change of the force is spread over the ramp: the residual, and the pace of the command. */
 #include "tick/hd_ramp.h"
 
 #include "base/hd_vector.h"
@@ -22,7 +23,7 @@ HD_RT void hd_ramp_forget(struct hd_state *state) {
 }
 
 HD_RT void hd_ramp_clear(struct hd_state *state) {
-    state->residual = (struct hd_residual){.left = 0};
+    state->residual = (struct hd_residual){.remaining = 0};
     hd_ramp_forget(state);
 }
 
@@ -53,9 +54,9 @@ HD_RT static void begin(struct hd_residual *residual, const struct hd_table *tab
     const double limits = size > table->max_force_n ? size / table->max_force_n : 1.0;
     const double ticks = limits * table->ramp_s / table->period_s;
     const double most = ticks < HD_RAMP_LONGEST ? ticks : HD_RAMP_LONGEST;
-    residual->left = (uint32_t)most;
-    if ((double)residual->left < most * (1.0 - HD_RAMP_ROUNDING)) {
-        residual->left++;
+    residual->remaining = (uint32_t)most;
+    if ((double)residual->remaining < most * (1.0 - HD_RAMP_ROUNDING)) {
+        residual->remaining++;
     }
 }
 
@@ -69,20 +70,21 @@ HD_RT static void yield(struct hd_residual *residual) {
     const double now = -hd_dot(residual->pressed_n, residual->force_n) / size;
     const double held = now > 0.0 ? now : 0.0;
     if (now < before && size > held) {
-        const double left = size - (before - now);
-        shrink(residual, (left > held ? left : held) / size);
+        const double remaining = size - (before - now);
+        shrink(residual, (remaining > held ? remaining : held) / size);
     }
 }
 
 HD_RT static void fade(struct hd_residual *residual, const struct hd_table *table) {
     const double size = extent_of(residual, table);
     const double most = pace(table);
-    if (size > most * (double)residual->left * (1.0 + HD_RAMP_ROUNDING)) { /* the ramp or the limit is another now */
+    /* Then the ramp or the limit is another now. */
+    if (size > most * (double)residual->remaining * (1.0 + HD_RAMP_ROUNDING)) {
         shrink(residual, (size - most) / size);
         return;
     }
-    shrink(residual, (double)(residual->left - 1u) / (double)residual->left);
-    residual->left--;
+    shrink(residual, (double)(residual->remaining - 1u) / (double)residual->remaining);
+    residual->remaining--;
 }
 
 HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double contact_n[2],
@@ -108,7 +110,7 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
     const double was_cut = hd_limit_cut(was, limit);
     const double cut = hd_limit_cut(contact_n, limit);
     /* Without a residual the limit is left to hd_limit.c, which looks at contact and vibration together. */
-    const double still_cut = residual->left > 0 || ramped->cuts ? was_cut : 1.0;
+    const double still_cut = residual->remaining > 0 || ramped->cuts ? was_cut : 1.0;
     double is[2];
     double is_object[2];
     for (int axis = 0; axis < 2; axis++) {
@@ -118,7 +120,7 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
         residual->was_n[axis] = residual->pressed_n[axis];
         residual->pressed_n[axis] = was_cut * was[axis];
     }
-    if (residual->left > 0) {
+    if (residual->remaining > 0) {
         yield(residual);
     }
     for (int axis = 0; axis < 2; axis++) {
@@ -126,7 +128,7 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
         ramped->still_object_n[axis] = still_cut * was_object[axis] + residual->object_n[axis];
         ramped->still_whole_n[axis] = was[axis] + residual->force_n[axis] + residual->beyond_n[axis];
     }
-    if (change->whole && residual->left > 0) {
+    if (change->whole && residual->remaining > 0) {
         fade(residual, table);
     }
     if (ramped->changed) {
@@ -142,13 +144,13 @@ HD_RT int hd_ramp_contact(struct hd_context *context, double object_n[2], double
         }
         begin(residual, table);
     }
-    if (!change->whole && residual->left > 0) {
+    if (!change->whole && residual->remaining > 0) {
         fade(residual, table);
     }
-    const int within = residual->left > 0 || ramped->cuts;
+    const int within = residual->remaining > 0 || ramped->cuts;
     /* What the limit keeps from being felt is no part of it. */
     const double sum[2] = {is[0] + residual->force_n[0], is[1] + residual->force_n[1]};
-    const double over = residual->left > 0 ? 1.0 - hd_limit_cut(sum, limit) : 0.0;
+    const double over = residual->remaining > 0 ? 1.0 - hd_limit_cut(sum, limit) : 0.0;
     for (int axis = 0; axis < 2; axis++) {
         residual->force_n[axis] -= over * sum[axis];
         residual->beyond_n[axis] += over * sum[axis];
@@ -183,8 +185,8 @@ HD_RT static void hold(struct hd_state *state, const struct hd_table *table, str
     }
     if (ramped->changed) {
         begin(residual, table);
-    } else if (residual->left == 0) {
-        residual->left = 1;
+    } else if (residual->remaining == 0) {
+        residual->remaining = 1;
     }
 }
 

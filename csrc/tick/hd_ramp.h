@@ -1,9 +1,10 @@
 /* What a command may do to the force.
  *
- * A command is whatever changes the scene or what is shown of it: objects, materials, fields, display, reset. It takes
- * effect at once, where the hand is: the tick that first sees it works out the limited contact force there both as it
- * was and as it is now. What lies between the two is the residual. It is added to the force and goes to zero in a
- * straight line over the ramp, or over more of them where it is larger than the limit, so that
+ * A command is whatever changes the scene or what is shown of it: objects, materials, fields, display, ramp_s,
+ * passivity, reset, set_forces. It takes effect at once, where the hand is: the tick that first sees it works out the
+ * limited contact force there both as it was and as it is now. What lies between the two is the residual. It is added
+ * to the force and goes to zero in a straight line over the ramp, or over more of them where it is larger than the
+ * limit, so that
  *
  *     no command moves the force faster than max_force_n / ramp_s,
  *
@@ -13,7 +14,10 @@
  *
  * Where the hand lets go of what the residual holds down, the residual gives way as the force does, so that nothing
  * ever sticks to the hand. Vibration comes and goes by gains of its own; where they and the residual together would be
- * too fast, the residual waits. Servo thread. SI units. */
+ * too fast, the residual waits.
+ *
+ * While something ramps, hd_tick.c calls hd_ramp_contact once fields are added, and hd_ramp_command in place of
+ * hd_limit_apply. Servo thread. SI units. */
 #ifndef HD_RAMP_H
 #define HD_RAMP_H
 

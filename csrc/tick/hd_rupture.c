@@ -1,3 +1,4 @@
+/* Membranes that rupture: when one does, the strike that this makes, and when it has healed. */
 #include "tick/hd_rupture.h"
 
 #include "tick/hd_aim.h"

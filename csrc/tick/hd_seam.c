@@ -1,3 +1,4 @@
+/* Friction goes on across a seam: the spring is handed from one surface to the next, its numbers over the ramp. */
 #include "tick/hd_seam.h"
 
 #define HD_SEAM_TICKS UINT16_MAX /* the longest ramp */
@@ -46,14 +47,14 @@ HD_RT void hd_seam_cross(const struct hd_context *context, struct hd_slot *slot,
 
 HD_RT void hd_seam_ease(struct hd_slot *slot, double arc_m, double coefficient, double stiffness_n_per_m) {
     struct hd_surface *surface = &slot->surface;
-    const double left = (double)(slot->seam - 1u) / (double)slot->seam; /* of the difference */
+    const double remaining = (double)(slot->seam - 1u) / (double)slot->seam; /* of the difference */
     slot->seam--;
-    surface->friction_coefficient += left * (coefficient - surface->friction_coefficient);
+    surface->friction_coefficient += remaining * (coefficient - surface->friction_coefficient);
     /* What has no friction has no spring of its own either. */
     if (surface->friction_stiffness_n_per_m == 0.0) {
         surface->friction_stiffness_n_per_m = stiffness_n_per_m;
     } else if (stiffness_n_per_m > 0.0) {
-        surface->friction_stiffness_n_per_m += left * (stiffness_n_per_m - surface->friction_stiffness_n_per_m);
+        surface->friction_stiffness_n_per_m += remaining * (stiffness_n_per_m - surface->friction_stiffness_n_per_m);
         if (surface->friction_stiffness_n_per_m > stiffness_n_per_m) {
             const double part = stiffness_n_per_m / surface->friction_stiffness_n_per_m;
             slot->anchor_m = arc_m - part * (arc_m - slot->anchor_m);

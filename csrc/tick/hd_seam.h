@@ -2,7 +2,10 @@
  *
  * What holds the probe goes on there: the spring keeps its stretch, and over the ramp its stiffness and coefficient go
  * over to those of the other material. No energy is made meanwhile: a spring that becomes stiffer keeps its force, one
- * that becomes softer its stretch. Servo thread. */
+ * that becomes softer its stretch.
+ *
+ * hd_contact.c calls hd_seam_cross when a contact begins that was reached along another surface, hd_contact_force.c
+ * calls hd_seam_ease in each tick of the ramp after it. Servo thread. */
 #ifndef HD_SEAM_H
 #define HD_SEAM_H
 

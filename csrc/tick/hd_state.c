@@ -244,9 +244,9 @@ HD_RT void hd_state_latch(struct hd_state *state, uint32_t faults, int at_once, 
 }
 
 HD_RT void hd_state_clear_faults(struct hd_state *state, uint32_t remaining, int64_t time_ns) {
-    const uint32_t left = state->faults & remaining;
-    if (left != state->faults) {
-        state->faults = left;
+    const uint32_t kept = state->faults & remaining;
+    if (kept != state->faults) {
+        state->faults = kept;
         hd_event_add(state, HD_EVENT_FAULT, time_ns, state->faults, 0.0);
     }
     hd_state_want_forces(state, 1);

@@ -72,7 +72,7 @@ struct hd_change {
 
 /* What was felt before a change and is not the scene's any more, on its way to zero: see hd_ramp.h. */
 struct hd_residual {
-    uint32_t left; /* ticks; 0: there is none */
+    uint32_t remaining; /* ticks; 0: there is none */
     double force_n[2];
     double object_n[2];  /* the part of it that is of objects */
     double beyond_n[2];  /* as it would be without the limit, above that */
@@ -118,7 +118,7 @@ struct hd_active_mode {
     hd_pair im;
     double rotor_re;
     double rotor_im;
-    uint32_t left; /* ticks that it still sounds after this one */
+    uint32_t remaining; /* ticks that it still sounds after this one */
     uint32_t slot;
     uint32_t generation;
     uint32_t use; /* enum hd_mode_use; of a tail HD_MODE_USES more */
@@ -175,7 +175,7 @@ struct hd_offload {
 /* An effect that may be playing. */
 struct hd_reserve {
     uint32_t effect;
-    uint32_t left; /* ticks */
+    uint32_t remaining; /* ticks */
     double most_n;
 };
 

@@ -1,9 +1,10 @@
+/* Strikes of a tick: noted, scaled together to what the force limit leaves, and started as modes or waveforms. */
 #include "tick/hd_strike.h"
 
 #include "tick/hd_mode.h"
 #include "tick/hd_offload.h"
-#include "tick/hd_press.h"
-#include "tick/hd_tune.h"
+#include "tick/hd_strike_mode.h"
+#include "tick/hd_strike_peak.h"
 #include "tick/hd_waveform.h"
 
 HD_RT void hd_strike_add(struct hd_state *state, const struct hd_strike *strike) {
@@ -20,13 +21,13 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
     for (uint32_t i = 0; i < state->strike_count; i++) {
         struct hd_strike *strike = &state->strikes[i];
         if (strike->tuned != NULL) {
-            hd_tune_mode(table, strike, &state->tuned);
+            hd_strike_mode_make(table, strike, &state->tuned);
             strike->mode = &state->tuned;
         }
         const struct hd_mode *mode = strike->mode;
         strike->offload = mode->effect != 0 ? hd_offload_reserve(state, mode->effect) : 0;
         wanted += strike->units * (strike->offload != 0 ? mode->effect_force_per_unit * mode->effect_peak
-                                                        : mode->force_per_unit * hd_press_peak(state, table, strike));
+                                                        : mode->force_per_unit * hd_strike_peak(state, table, strike));
         growth += state->show_force * strike->growth_n;
     }
     const double room = table->max_force_n - felt_n - growth - hd_modes_bound(state) - state->reserved_n;
@@ -34,7 +35,7 @@ HD_RT double hd_strikes_apply(struct hd_state *state, const struct hd_table *tab
     for (uint32_t i = 0; i < state->strike_count; i++) {
         const struct hd_strike *strike = &state->strikes[i];
         if (strike->tuned != NULL && state->strike_count > 1) {
-            hd_tune_mode(table, strike, &state->tuned);
+            hd_strike_mode_make(table, strike, &state->tuned);
         }
         if (strike->offload != 0) {
             hd_offload_strike(state, strike, scale, table->period_s);

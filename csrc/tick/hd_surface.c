@@ -1,3 +1,4 @@
+/* Surface properties at an arc length: of one material, and mixed where one piece goes over into the next. */
 #include "tick/hd_surface.h"
 
 #include "tick/hd_groove_profile.h"

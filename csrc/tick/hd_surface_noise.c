@@ -1,3 +1,4 @@
+/* The coloured noise of a surface that is touched: begun, added to the sums of the tick, and ended. */
 #include "tick/hd_surface_noise.h"
 
 /* What a noise is to sound like in a tick. */

@@ -1,8 +1,9 @@
+/* The tap of an onset: its amplitude from the approach speed, its mode or waveform, and its strike. */
 #include "tick/hd_tap.h"
 
 #include "tick/hd_aim.h"
+#include "tick/hd_strike_mode.h"
 #include "tick/hd_surface.h"
-#include "tick/hd_tune.h"
 
 HD_RT static double at_least_0(double value) {
     return value > 0.0 ? value : 0.0;
@@ -63,8 +64,8 @@ HD_RT void hd_tap_strike(struct hd_context *context, uint32_t index, const struc
         .before_s = before_s,
         .wave = material->wave_count > 0 ? material : NULL,
     };
-    const int heard =
-        material->mode_count == 0 || hd_tune_tap(context->table, material, approach, &strike, &units, &peak_time_s);
+    const int heard = material->mode_count == 0 ||
+                      hd_strike_mode_tap(context->table, material, approach, &strike, &units, &peak_time_s);
     const double peak_s = at_least_0(peak_time_s - before_s);
     strike.growth_n = material->stiffness_n_per_m * approach * peak_s;
     if (heard) {

@@ -1,4 +1,7 @@
-/* Taps: what the onset of a contact strikes. Servo thread. */
+/* Taps: what the onset of a contact strikes.
+ *
+ * hd_contact_begin (hd_contact.c) calls it where an onset was seen and the probe came neither along another surface nor
+ * from a tap before which it has not yet risen far enough (rearm_m). Servo thread. */
 #ifndef HD_TAP_H
 #define HD_TAP_H
 

@@ -102,9 +102,9 @@ HD_RT static void stop(struct hd_state *state, const struct hd_input *input, uin
 }
 
 HD_RT static uint32_t ramping(const struct hd_state *state, const struct hd_table *table, double felt) {
-    int any =
-        state->field_ramp < 1.0 || state->gain != felt ||
-        (!state->steady && (state->residual.left > 0 || state->show_vibration != (double)table->display_vibration));
+    int any = state->field_ramp < 1.0 || state->gain != felt ||
+              (!state->steady &&
+               (state->residual.remaining > 0 || state->show_vibration != (double)table->display_vibration));
     for (uint32_t i = 0; i < state->active_count && !any; i++) {
         any = state->slots[state->active[i]].ramp < 1.0;
     }
@@ -246,7 +246,7 @@ HD_RT static void ramp_contact(struct tick *tick) {
         const double wanted = controls ? 1.0 : 0.0;
         state->controls = state->started ? toward(controlled, wanted, context->ramp_step) : wanted;
     }
-    const int due = state->change.any || state->residual.left > 0 ||
+    const int due = state->change.any || state->residual.remaining > 0 ||
                     state->show_force != (double)table->display_force || ramped->cuts;
     ramped->any = due && hd_ramp_contact(context, tick->object_n, tick->contact_n, ramped);
     tick->watches = table->passivity != HD_PASSIVITY_OFF || ramped->cuts;
@@ -282,7 +282,7 @@ HD_RT static inline void display_contact(struct tick *tick) {
 HD_RT static void strike(struct tick *tick) {
     struct hd_state *state = tick->context.state;
     const struct hd_ramped *ramped = &tick->ramped;
-    const int alone = ramped->any && ramped->cuts && state->residual.left == 0;
+    const int alone = ramped->any && ramped->cuts && state->residual.remaining == 0;
     const double *still_n = alone ? ramped->still_whole_n : ramped->any ? ramped->still_n : tick->contact_n;
     if (hd_strikes_apply(state, tick->context.table, hd_root(hd_dot(still_n, still_n))) < 1.0) {
         tick->flags |= HD_FLAG_SATURATED;
@@ -377,8 +377,8 @@ HD_RT static inline void finish(struct tick *tick, double felt, double gain, str
         tell_observer(tick);
     }
     if (!tick->steady) {
-        state->steady = !tick->watches && state->residual.left == 0 && !state->change.any && !state->change.eases &&
-                        state->show_force == (double)table->display_force &&
+        state->steady = !tick->watches && state->residual.remaining == 0 && !state->change.any &&
+                        !state->change.eases && state->show_force == (double)table->display_force &&
                         state->show_vibration == (double)table->display_vibration;
     }
     sample->flags = tick->flags | (state->active_count > 0 ? HD_FLAG_CONTACT : 0u) |

@@ -1,4 +1,37 @@
-/* The tick: a function of table, state and input. No clock, no I/O, no allocation, no lock. */
+/* The tick: a function of table, state and input. No clock, no I/O, no allocation, no lock.
+ *
+ * The files of this room, in the order in which a tick comes to them:
+ *
+ *   hd_tick                the stages of a tick, top to bottom
+ *   hd_state               what is remembered from tick to tick
+ *   hd_context             what one tick knows, from stage to stage
+ *   hd_velocity            the velocity, estimated from positions
+ *   hd_mode                ringing modes: struck, turned, ended
+ *   hd_waveform            taps that are waveforms: begun, played, ended
+ *   hd_strike_correction   corrections of the first samples after a strike
+ *   hd_broad_phase         the candidate list: which objects can be met
+ *   hd_narrow_phase        which of them are met, and in which order contacts begin
+ *   hd_contact             the life of a contact: begun, ended, cleared
+ *   hd_seam                friction that goes on from one surface to the next
+ *   hd_tap                 the tap of an onset
+ *   hd_contact_force       the force of an object that is touched
+ *   hd_surface             stiffness, damping, friction and geometry at an arc length
+ *   hd_groove_profile      where grooves are, and their shape
+ *   hd_friction            Coulomb friction with a spring before it slides
+ *   hd_groove              grooves that are passed, each of them a strike
+ *   hd_surface_noise       the noise of a surface that is touched
+ *   hd_noise               coloured noise, sample by sample
+ *   hd_rupture             membranes that rupture and heal
+ *   hd_aim                 the direction in which a tap and a rupture push first
+ *   hd_field               springs, viscous and constant fields
+ *   hd_ramp                what commands may do to the force
+ *   hd_passivity           the passivity observer and controller
+ *   hd_strike              strikes: noted, scaled to what the limit leaves, started
+ *   hd_strike_mode         the mode of a strike that follows speed and force
+ *   hd_strike_peak         the largest force of a strike
+ *   hd_offload             strikes that the device plays by itself
+ *   hd_limit               the force limit
+ */
 #ifndef HD_TICK_H
 #define HD_TICK_H
 

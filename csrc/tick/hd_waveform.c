@@ -1,5 +1,6 @@
-/* Waveforms that play, dense, in no order. Behind them lie those that are free, which keep their blocks of samples, so
- * that ending one exchanges two small records and moves no samples. */
+/* Waveforms of taps are started, played from tick to tick, bounded and ended. Those that play are dense, in no order.
+ * Behind them lie those that are free, which keep their blocks of samples, so that ending one exchanges two small
+ * records and moves no samples. */
 #include "tick/hd_waveform.h"
 
 #include <math.h>
@@ -71,9 +72,9 @@ HD_RT static void make_room(struct hd_state *state) {
     double least = (double)INFINITY;
     for (uint32_t i = 0; i < state->wave_count; i++) {
         const struct hd_wave *wave = &state->waves[i];
-        const double left = (wave->end - place_of(wave)) / wave->step; /* ticks */
-        if (left < least) {
-            least = left;
+        const double remaining = (wave->end - place_of(wave)) / wave->step; /* ticks */
+        if (remaining < least) {
+            least = remaining;
             nearest = i;
         }
     }

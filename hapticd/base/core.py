@@ -83,7 +83,7 @@ MARKS: int = lib.HD_MARKS
 KICKS: int = lib.HD_KICKS
 """So many samples of a strike may be corrected one by one."""
 TUNE_NODE: int = lib.HD_TUNE_NODE
-"""So many numbers say what compensation makes of a frequency: enum hd_tune_number in csrc/scene/hd_numbers.h."""
+"""So many numbers say what compensation makes of a frequency: enum hd_tune_number in csrc/scene/hd_table_numbers.h."""
 WAVE_SAMPLES: int = lib.HD_WAVE_SAMPLES
 """The most samples of a tap's waveform."""
 WAVE_PARTS: int = lib.HD_WAVE_PARTS

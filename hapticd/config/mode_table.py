@@ -1,7 +1,7 @@
 """A tap's mode over the approach speed: frequency and decay time that a strike has from its onset on.
 
 Between the points both lie on straight lines, beyond the outermost they stay. The tick does the same
-(csrc/tick/hd_tune.h).
+(csrc/tick/hd_strike_mode.h).
 """
 
 from __future__ import annotations

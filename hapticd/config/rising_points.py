@@ -1,6 +1,6 @@
 """Points of a table over a speed or a force: they rise, and between two of them lies a value.
 
-The tick finds the same points (csrc/tick/hd_tune.c).
+The tick finds the same points (csrc/tick/hd_strike_mode.c).
 """
 
 from __future__ import annotations

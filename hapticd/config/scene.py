@@ -144,7 +144,7 @@ Surface: TypeAlias = Wall | Membrane | Box | Disc
 Passivity: TypeAlias = Literal["off", "observe", "control"]
 SceneObject: TypeAlias = Surface | Spring | Viscous | Constant
 SURFACES: Final = (Wall, Membrane, Box, Disc)
-_SURFACE_KINDS: Final = tuple(tag for kind in SURFACES for tag in get_args(kind.model_fields["kind"].annotation))
+SURFACE_KINDS: Final = tuple(tag for kind in SURFACES for tag in get_args(kind.model_fields["kind"].annotation))
 
 
 def materials_of(item: SceneObject) -> tuple[str, ...]:
@@ -354,7 +354,7 @@ def faults_of_names(objects: Json, materials: Collection[str]) -> list[tuple[Pat
 
 def _named(objects: Json) -> Iterator[tuple[Path, str]]:
     for id, item in objects.items() if isinstance(objects, dict) else ():
-        if not isinstance(item, dict) or item.get("kind") not in _SURFACE_KINDS:
+        if not isinstance(item, dict) or item.get("kind") not in SURFACE_KINDS:
             continue
         patches = item.get("patches")
         parts: list[tuple[Path, Json]] = [((), item)]

@@ -1,4 +1,5 @@
-"""Grooves whose frequency follows speed and force: the numbers by which the tick finds it (csrc/scene/hd_numbers.h).
+"""Grooves whose frequency follows speed and force: the numbers by which the tick finds it,
+csrc/scene/hd_table_numbers.h.
 
 A strike's frequency is known when it is struck, and what `compensation` makes of a frequency takes milliseconds. So it
 is designed for some frequencies of the table's range when the scene is taken in, all with the poles of one tail;

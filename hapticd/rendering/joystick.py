@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Literal, assert_never
 
 import numpy as np
 
@@ -93,18 +93,20 @@ def target_of(item: SceneObject | None, materials: Mapping[str, Material]) -> Ta
         return None
     material = materials[item.material]
     rupture = material.rupture if isinstance(item, Membrane) else None
-    point = item.point_m if isinstance(item, Wall) else item.center_m
-    normal = (0.0, 1.0)
-    if isinstance(item, Wall | Membrane):
-        normal = item.normal
-    elif isinstance(item, Box):
-        normal = (-math.sin(item.angle_rad), math.cos(item.angle_rad))
-    half, face = math.inf, "surface"
-    if isinstance(item, Membrane):
+    half, height, face = math.inf, 0.0, "surface"
+    if isinstance(item, Wall):
+        point, normal = item.point_m, item.normal
+    elif isinstance(item, Membrane):
+        point, normal = item.center_m, item.normal
         half, face = item.width_m / 2.0, "membrane"
     elif isinstance(item, Box):
-        half, face = item.size_m[0] / 2.0, "face"
-    height = item.size_m[1] / 2.0 if isinstance(item, Box) else item.radius_m if isinstance(item, Disc) else 0.0
+        point, normal = item.center_m, (-math.sin(item.angle_rad), math.cos(item.angle_rad))
+        half, height, face = item.size_m[0] / 2.0, item.size_m[1] / 2.0, "face"
+    elif isinstance(item, Disc):
+        point, normal = item.center_m, (0.0, 1.0)
+        height = item.radius_m
+    else:
+        assert_never(item)
     return Target(
         point_m=(point[0] + height * normal[0], point[1] + height * normal[1]),
         normal=normal,

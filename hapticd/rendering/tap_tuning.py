@@ -1,4 +1,4 @@
-"""Taps whose mode follows the approach speed: the numbers by which the tick finds it (csrc/scene/hd_numbers.h).
+"""Taps whose mode follows the approach speed: the numbers by which the tick finds it (csrc/scene/hd_table_numbers.h).
 
 As of grooves (tuning.py), what `compensation` makes of a mode is designed for some speeds when the scene is taken in,
 all with the poles of one tail; between them everything lies on a straight line.

@@ -5,6 +5,7 @@
 
 #include "hd_test.h"
 #include "scene/hd_index.h"
+#include "shapes/hd_shape.h"
 
 enum { SLOTS = 10000 };
 
@@ -109,6 +110,13 @@ static void knows_distances(void) {
     CHECK(fabsl(distance_to(&box, (double[2]){0.0, 0.0})) == 0.0L);
     CHECK(fabsl(distance_to(&membrane, (double[2]){5.0, 4.0}) - 5.0L) < 1e-15L);
     CHECK(fabsl(distance_to(&membrane, (double[2]){1.0, -3.0}) - 3.0L) < 1e-15L);
+}
+
+/* Whatever shape has operations has bounds and a distance in the index, and nothing else is taken into it. */
+static void holds_every_shape(void) {
+    for (uint32_t shape = 0; shape < HD_SHAPES; shape++)
+        CHECK(hd_index_holds(shape) == (hd_shapes[shape] != NULL));
+    CHECK(!hd_index_holds(HD_SHAPES));
 }
 
 /* ---- Scenes ------------------------------------------------------------------------------------------------------ */
@@ -366,6 +374,7 @@ int main(void) {
     static struct scene scene;
 
     knows_distances();
+    holds_every_shape();
     takes_nothing(&scene);
     suggests_a_radius(&scene);
     holds_equals(&scene);

@@ -329,7 +329,7 @@ static void run(void) {
     scene.table.revision++;
     CHECK(hd_world_load(world, &scene.table) == HD_OK);
     /* With the passivity controller two forces fade, each perhaps many times the limit: that takes longer, and ends. */
-    for (int i = 0; i < 1000 || state->residual.left > 0; i++) {
+    for (int i = 0; i < 1000 || state->residual.remaining > 0; i++) {
         CHECK(i < 10000);
         tick(world, state, position, 1);
     }

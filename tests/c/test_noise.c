@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/hd_normal.h"
+#include "base/hd_gaussian.h"
 #include "hd_test.h"
 #include "scene/hd_world.h"
 #include "tick/hd_noise.h"
@@ -113,7 +113,7 @@ static void follows_the_direct_form(uint32_t order, uint32_t taps, uint64_t *see
 
         memmove(white + 1, white, order * sizeof white[0]);
         memmove(output + 1, output, order * sizeof output[0]);
-        white[0] = hd_normal(test_random(&random));
+        white[0] = hd_gaussian(test_random(&random));
         for (uint32_t i = 0; i <= order; i++)
             sum += numerator[i] * white[i] - (i > 0 ? a[i] * output[i] : 0.0);
         output[0] = sum;
@@ -131,8 +131,8 @@ static void is_gaussian(uint64_t *seed) {
         const uint64_t bits = test_random(seed);
         const uint64_t small = bits >> test_below(seed, 40) | (bits & 1u);
         const double tail = (double)(small & ~(uint64_t)1) * 0x1p-64;
-        const double z = hd_normal(small);
-        const double number = hd_normal(bits);
+        const double z = hd_gaussian(small);
+        const double number = hd_gaussian(bits);
 
         CHECK(fabs(z) <= 6.0 && (z < 0.0) == (small & 1u));
         if (fabs(z) < 5.97)
@@ -142,7 +142,7 @@ static void is_gaussian(uint64_t *seed) {
         squares += number * number;
         fourth += number * number * number * number;
     }
-    CHECK(hd_normal(0) == 6.0 && hd_normal(1) == -6.0 && fabs(hd_normal(UINT64_MAX)) < 1e-6);
+    CHECK(hd_gaussian(0) == 6.0 && hd_gaussian(1) == -6.0 && fabs(hd_gaussian(UINT64_MAX)) < 1e-6);
     /* Five standard errors. */
     CHECK(fabs(squares / count - 1.0) < 5.0 * sqrt(2.0 / count));
     CHECK(fabs(fourth / count - 3.0) < 5.0 * sqrt(96.0 / count));

@@ -1,7 +1,8 @@
 """The rooms of csrc/ and their order: `python -m tests.project.check_includes` names each include that breaks it.
 
 A room includes only rooms above it in ROOMS, and of another room only its door. Within a room, a .c file and its header
-count as one file, and files include each other in no circle.
+count as one file, and files include each other in no circle. The first line of each file is a comment of at least four
+words that says what the file is for; in rooms of many files one header lists them all.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ DOORS: Final = {
     "device": "hd_device.h",
 }
 """The header of each room for the others. Each header of base/ is one tool, for everybody."""
+
+MAPS: Final = {"base": "hd_rt.h", "tick": "hd_tick.h", "device": "hd_device.h"}
+"""The header whose first comment lists the files of its room."""
 
 CSRC: Final = Path(__file__).resolve().parents[2] / "csrc"
 INCLUDE: Final = re.compile(r'^\s*#\s*include\s*"([^"]+)"', re.M)
@@ -80,7 +84,29 @@ def faults(includes: Includes) -> list[str]:
     return found
 
 
+def says_its_job(text: str) -> bool:
+    """Whether the first line is a comment of at least four words; the name of a file is none."""
+    comment = re.match(r"/\*(.*?)(\*/|\n)", text)
+    words = comment[1].split() if comment else []
+    return sum(re.fullmatch(r"[A-Za-z'-]+[,.:;]?", word) is not None for word in words) >= 4
+
+
+def silent_files(csrc: Path) -> list[str]:
+    """One line for each file that does not say what it is for, or is missing in the map of its room."""
+    found = []
+    for path in sorted(csrc.glob("*/*.[ch]")):
+        name = path.relative_to(csrc).as_posix()
+        if not says_its_job(path.read_text(encoding="utf-8")):
+            found.append(f"csrc/{name}: the first line is no comment that says what the file is for")
+        if path.parent.name in MAPS:
+            door = path.parent / MAPS[path.parent.name]
+            listed = re.findall(r"^ \*   (hd_\w+)  ", door.read_text(encoding="utf-8").split("*/")[0], re.M)
+            if path.stem not in listed:
+                found.append(f"csrc/{name} is missing in the list at the top of {door.name}")
+    return found
+
+
 if __name__ == "__main__":
-    lines = faults(includes_of(CSRC))
+    lines = faults(includes_of(CSRC)) + silent_files(CSRC)
     print("\n".join(lines), file=sys.stderr, end="\n" if lines else "")
     sys.exit(1 if lines else 0)

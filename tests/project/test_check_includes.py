@@ -1,10 +1,12 @@
-"""The check of includes finds what it is for, and the core as it is passes it."""
+"""The checks of the core's files find what they are for, and the core as it is passes them."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from tests.project.check_includes import CSRC, Includes, faults, includes_of
+from tests.project.check_includes import CSRC, Includes, faults, includes_of, says_its_job, silent_files
 
 SOUND: Includes = {
     "api/hd_core.h": ["api/hd_api.h"],
@@ -51,3 +53,30 @@ def test_a_sound_order_has_no_faults() -> None:
 )
 def test_each_fault_is_one_line(file: str, included: str, fault: str) -> None:
     assert faults({**SOUND, file: [included]}) == [fault]
+
+
+def test_each_file_of_the_core_says_what_it_is_for() -> None:
+    assert silent_files(CSRC) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("/* Fields: constant, spring and viscous ones. */\n", True),
+        ("/* Walls are half planes of the\n * plane. */\n", True),
+        ('#include "tick/hd_tap.h"\n/* What an onset of a contact strikes. */\n', False),
+        ("/* See hd_index.h. */\n", False),
+        ("// clang-format off\n/* The motion of the simulated handle. */\n", False),
+        ("/* Triples, see\n * hd_triple.h for what they are. */\n", False),
+    ],
+)
+def test_a_first_line_is_a_comment_of_four_words(text: str, says: bool) -> None:
+    assert says_its_job(text) == says
+
+
+def test_the_list_of_a_room_is_complete(tmp_path: Path) -> None:
+    room = tmp_path / "tick"
+    room.mkdir()
+    (room / "hd_tick.h").write_text("/* The files of this room:\n *\n *   hd_tick   the stages\n */\n")
+    (room / "hd_tap.c").write_text("/* The tap of an onset. */\n")
+    assert silent_files(tmp_path) == ["csrc/tick/hd_tap.c is missing in the list at the top of hd_tick.h"]

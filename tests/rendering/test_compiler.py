@@ -6,7 +6,8 @@ import math
 import random
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from hapticd.base.core import OBJECT_DTYPE, WAVE_PARTS, CData, Shape, Status, Te
 from hapticd.config.materials import Material, shipped_materials, validate_materials
 from hapticd.config.scene import Scene, validate_scene
 from hapticd.rendering.compiler import retired_names
-from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.compiler.table import Compiler, _place_of
 from hapticd.rendering.output import Output
 
 OUTPUT = Output(10_000, 0.05, 8.9, 5, "mute")
@@ -713,3 +714,8 @@ def test_records_lie_as_the_header_says() -> None:
     assert array["half_m"].tolist() == [[0, 0], [0.015, 0.005]]
     assert array["point_m"].tolist() == [[0, 0], [0.01, 0.02]]
     assert array["unused"].tolist() == [0, 0]
+
+
+def test_a_shape_that_the_compiler_does_not_know_is_not_taken_for_another() -> None:
+    with pytest.raises(AssertionError):
+        _place_of(cast("Any", SimpleNamespace(kind="cone")))

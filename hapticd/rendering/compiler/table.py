@@ -16,13 +16,13 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterable, Mapping, Set
-from typing import Final, TypeAlias, TypeGuard
+from typing import Final, TypeAlias, TypeGuard, assert_never
 
 import numpy as np
 
 from hapticd.base.core import OBJECT_DTYPE, PASSIVITY_AGE_MAX, CData, PassivityMode, Shape, ffi, pointer
 from hapticd.config.materials import Material
-from hapticd.config.scene import Scene, SceneObject, Surface
+from hapticd.config.scene import SURFACE_KINDS, Scene, SceneObject, Surface
 from hapticd.rendering.compiler.fields import Fields
 from hapticd.rendering.compiler.materials import Effects, Materials, Progress
 from hapticd.rendering.compiler.records import Places, Records, next_version
@@ -43,7 +43,7 @@ _Place: TypeAlias = tuple[float, float, float, float, float, float]
 
 
 # By kind: isinstance of a pydantic model costs more than the rest of its record. So does a member of an enum.
-_SURFACE_KINDS: Final = frozenset(("wall", "membrane", "box", "disc"))
+_SURFACE_KINDS: Final = frozenset(SURFACE_KINDS)
 _PASSIVITY: Final = {mode.name.lower(): int(mode) for mode in PassivityMode}
 _NONE, _WALL, _MEMBRANE, _BOX, _DISC = map(int, (Shape.NONE, Shape.WALL, Shape.MEMBRANE, Shape.BOX, Shape.DISC))
 
@@ -62,7 +62,9 @@ def _place_of(item: Surface) -> tuple[int, _Place]:
         return _BOX, (*item.center_m, -math.sin(angle), math.cos(angle), width / 2.0, height / 2.0)
     if item.kind == "disc":
         return _DISC, (*item.center_m, 0.0, 1.0, item.radius_m, item.radius_m)
-    return _MEMBRANE, (*item.center_m, *item.normal, item.width_m / 2.0, 0.0)
+    if item.kind == "membrane":
+        return _MEMBRANE, (*item.center_m, *item.normal, item.width_m / 2.0, 0.0)
+    assert_never(item)
 
 
 class Compiler:

@@ -1,8 +1,10 @@
-#include "tick/hd_kicks.h"
+/* The corrections of the first samples after a strike: added, moved on, scaled and bounded. */
+#include "tick/hd_strike_correction.h"
 
 #include "base/hd_vector.h"
 
-HD_RT void hd_kicks_add(struct hd_state *state, const struct hd_mode *mode, double before, const double force_n[2]) {
+HD_RT void hd_strike_correction_add(struct hd_state *state, const struct hd_mode *mode, double before,
+                                    const double force_n[2]) {
     for (uint32_t i = state->kick_count; i < HD_KICKS; i++) {
         state->kicks_n[i][0] = state->kicks_n[i][1] = 0.0;
     }
@@ -17,7 +19,7 @@ HD_RT void hd_kicks_add(struct hd_state *state, const struct hd_mode *mode, doub
     }
 }
 
-HD_RT void hd_kicks_advance(struct hd_state *state, uint32_t periods) {
+HD_RT void hd_strike_correction_advance(struct hd_state *state, uint32_t periods) {
     if (periods >= state->kick_count || state->active_mode_count == 0) {
         state->kick_count = 0;
         return;
@@ -31,14 +33,14 @@ HD_RT void hd_kicks_advance(struct hd_state *state, uint32_t periods) {
     state->ringing_n[1] += state->kicks_n[0][1];
 }
 
-HD_RT void hd_kicks_scale(struct hd_state *state, double factor) {
+HD_RT void hd_strike_correction_scale(struct hd_state *state, double factor) {
     for (uint32_t i = 0; i < state->kick_count; i++) {
         state->kicks_n[i][0] *= factor;
         state->kicks_n[i][1] *= factor;
     }
 }
 
-HD_RT double hd_kicks_bound(const struct hd_state *state) {
+HD_RT double hd_strike_correction_bound(const struct hd_state *state) {
     double square = 0.0;
     for (uint32_t i = 0; i < state->kick_count; i++) {
         const double here = hd_dot(state->kicks_n[i], state->kicks_n[i]);

@@ -1,7 +1,8 @@
-/* The cubics of hd_normal.h, from the constant on: quarter by quarter of the octaves [1/2, 1), [1/4, 1/2) and so on. */
-#include "base/hd_normal.h"
+/* The table of cubics by which hd_gaussian.h makes Gaussian numbers, each from the constant on: quarter by quarter of
+ * the octaves [1/2, 1), [1/4, 1/2) and so on. */
+#include "base/hd_gaussian.h"
 
-const double hd_normal_cubics[HD_NORMAL_OCTAVES * HD_NORMAL_PARTS][4] = {
+const double hd_gaussian_cubics[HD_GAUSSIAN_OCTAVES * HD_GAUSSIAN_PARTS][4] = {
     {0.67448753480334533, -0.19660774050999943, 0.012677075701450484, -0.0017823111605569258},
     {0.48877546233336316, -0.17651103125891551, 0.0074598342905889767, -0.0010857098870944958},
     {0.3186389442855263, -0.1648092373272651, 0.0042585740764538174, -0.00077794724490508544},

@@ -11,8 +11,8 @@
  * Of a material with mode_count > 0 the numbers hold, from mode_first on: speeds [mode_count], rising; angular
  * frequencies [mode_count]; decay times [mode_count], on straight lines between the points and constant beyond; nodes
  * [mode_nodes][HD_TUNE_NODE] over the speed, which is at HD_TUNE_AT instead of the frequency. */
-#ifndef HD_NUMBERS_H
-#define HD_NUMBERS_H
+#ifndef HD_TABLE_NUMBERS_H
+#define HD_TABLE_NUMBERS_H
 
 #include "api/hd_core.h"
 #include "base/hd_rt.h"

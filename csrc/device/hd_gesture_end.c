@@ -1,5 +1,6 @@
-/* Where a path begins and ends in ticks; hd_sim knows it in time. */
-#include "device/hd_gesture.h"
+/* The event at the end of a path of the simulated hand: found at its tick, and added. Here are the
+ * ticks at which a path begins and ends; hd_sim knows the times. */
+#include "device/hd_gesture_end.h"
 
 HD_RT static void add_end(struct hd_state *state, int completed, int64_t time_ns) {
     /* Exact: a servo does not count to 2^53. */

@@ -1,7 +1,7 @@
 /* The event at the end of what the simulated hand was told to do, once for each path: at the first tick at or after its
  * last waypoint's time, or at the tick that took another path before that. The thread that runs the simulation. */
-#ifndef HD_GESTURE_H
-#define HD_GESTURE_H
+#ifndef HD_GESTURE_END_H
+#define HD_GESTURE_END_H
 
 #include "base/hd_rt.h"
 #include "device/hd_sim.h"

@@ -1,4 +1,5 @@
-#include "tick/hd_tune.h"
+/* The mode of a strike whose frequency follows speed and force: interpolated from the numbers of the table. */
+#include "tick/hd_strike_mode.h"
 
 #include <math.h>
 
@@ -68,15 +69,15 @@ HD_RT static int tune(const struct hd_material *material, double decay_rate_per_
     return 1;
 }
 
-HD_RT int hd_tune_strike(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
-                         double force_n, struct hd_strike *strike) {
+HD_RT int hd_strike_mode_groove(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
+                                double force_n, struct hd_strike *strike) {
     const double wanted = frequency(table, material, hd_magnitude(speed_m_per_s), force_n);
     double peak_s;
     return tune(material, material->groove.decay_rate_per_s, wanted, strike, &peak_s);
 }
 
-HD_RT int hd_tune_tap(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
-                      struct hd_strike *strike, double *units, double *peak_s) {
+HD_RT int hd_strike_mode_tap(const struct hd_table *table, const struct hd_material *material, double speed_m_per_s,
+                             struct hd_strike *strike, double *units, double *peak_s) {
     const uint32_t count = material->mode_count;
     const double *speeds = table->numbers + material->mode_first;
     const double *frequencies = speeds + count;
@@ -115,7 +116,7 @@ HD_RT static void compensate(const double *nodes, uint32_t count, double at, str
     }
 }
 
-HD_RT void hd_tune_mode(const struct hd_table *table, const struct hd_strike *strike, struct hd_mode *mode) {
+HD_RT void hd_strike_mode_make(const struct hd_table *table, const struct hd_strike *strike, struct hd_mode *mode) {
     const struct hd_material *material = strike->tuned;
     const int taps = strike->use == HD_MODE_TAP;
     *mode = taps ? material->tap : material->groove;
