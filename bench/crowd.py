@@ -23,8 +23,8 @@ from hapticd.config.configuration import Config, load_config
 from hapticd.config.scene import load_scene, validate_object
 from hapticd.daemon.engine import Engine
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import output_of
 
 COUNTS = (1, 10, 100, 1000, 10_000)
 TOUCHED = 3

@@ -22,9 +22,9 @@ from hapticd.config.materials import shipped_materials
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import pole_gain, pole_shape, shape_of
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayed_error import FINER, band_error, handle_acceleration, waveform
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import output_of
 
 RATE_HZ = 10_000.0
 RATES_HZ = (1000.0, 2000.0, 4000.0, 5000.0, 10_000.0)

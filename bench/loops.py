@@ -31,9 +31,9 @@ from hapticd.analysis.check import check
 from hapticd.base.core import SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import Config, load_config
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import output_of
 
 Kind: TypeAlias = Literal["wall", "texture", "patches", "corner", "seam", "disc", "mixed"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)

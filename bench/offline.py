@@ -13,8 +13,8 @@ from bench.tick import RATE_HZ, STEP_M
 from hapticd.base.core import EVENT_DTYPE, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import load_config
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import output_of
 
 CONFIG = {"scene": {"objects": {"floor": {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}}}}
 

@@ -20,9 +20,9 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, Status, ffi, inva
 from hapticd.config.configuration import load_config
 from hapticd.daemon.counters import Energy, energy_of
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import output_of
 
 MAX_FORCE_N: Final = 8.9
 MAX_SPEED_M_PER_S: Final = 5.0

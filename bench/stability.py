@@ -22,9 +22,9 @@ from hapticd.base.core import SAMPLE_DTYPE, CData, ffi, lib, pointer
 from hapticd.config.configuration import Config, load_config
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.contact_sets import ContactSets
+from hapticd.rendering.device_output import loop_of, output_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import loop_of, output_of
 from hapticd.rendering.stability import Loop, spectral_radius
 
 SEED = 20

@@ -14,8 +14,8 @@ from bench.report import Advance, Floats, Options, Section, Table, spread, verdi
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import load_config
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import output_of
 
 RATE_HZ = 10_000.0
 STRETCH = 128

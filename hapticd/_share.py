@@ -111,7 +111,7 @@ def _short(command: click.Command) -> str:
 
 
 def _prose(text: str) -> str:
-    """Help as roff: paragraphs, and as they stand those that click is told not to wrap."""
+    """Help as roff: paragraphs, and as they stand those that click must not wrap."""
     blocks = []
     for block in text.partition("\f")[0].strip("\n").split("\n\n"):
         lines = [_dashed(_escaped(line)) for line in block.split("\n") if line.strip() != "\b"]

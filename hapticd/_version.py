@@ -1,3 +1,3 @@
-"""The package's version; pyproject.toml reads it from here. The protocol has a version of its own."""
+"""The package's version; pyproject.toml reads it from here. The protocol has a separate version."""
 
 __version__ = "0.1.0"

@@ -23,6 +23,7 @@ from hapticd.hid.plan import UndrivableError
 from hapticd.hid.replay import load
 from hapticd.hid.verdict import verdict_of
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.displayability import (
     displayed_mode,
     displayed_pair,
@@ -38,11 +39,10 @@ from hapticd.rendering.displayed_error import displayed_error, waveform_error
 from hapticd.rendering.driven_hand import driven
 from hapticd.rendering.filter_design import peak_of
 from hapticd.rendering.lagging_modes import lag_warnings
-from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.resampling import resampled
 from hapticd.rendering.scene_stability import Stability, evaluate
 from hapticd.rendering.stability import Loop
-from hapticd.rendering.undisplayable import Use
+from hapticd.rendering.undisplayable_text import Use
 
 _UNPLUGGED: Final = "the encoder's step is not known"
 
@@ -129,7 +129,7 @@ def check(config: Config) -> Report:
     shown = materials_in(scene.objects, materials)
     refused = rate_faults(scene.objects, materials, output)
     slow = () if refused else lag_warnings(shown, output)
-    # What the actuator is the cause of is told once.
+    # What the actuator is the cause of is reported once.
     slowed = {problem.where for problem in slow}
     others = () if refused else (*warnings(scene.objects, materials, output), *_driven(config, loop, shown))
     told = (*slow, *(problem for problem in others if problem.where not in slowed))

@@ -100,7 +100,7 @@ def least_squares(
     """Fits y (n,) by columns (n, k); `variances` (n,) are the points' own, all alike and unknown without them. What
     they scatter besides is alike, or has variances in the ratios of `scattered` (n,).
 
-    Raises FitError where there are not more points than columns, or where the columns cannot be told apart.
+    Raises FitError where there are not more points than columns, or where the columns cannot be separated.
     """
     count, unknowns = columns.shape
     if count <= unknowns:

@@ -437,7 +437,7 @@ def _bare(annotation: object) -> object:
 
 
 def _members(kind: object) -> dict[str, object] | None:
-    """The models of a union told apart by `kind`, by that kind; None for any other type."""
+    """The models of a union that differ by `kind`, by that kind; None for any other type."""
     if get_origin(kind) not in (Union, UnionType):
         return None
     return dict(_tagged(get_args(kind)))

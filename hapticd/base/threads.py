@@ -1,6 +1,6 @@
 """Whether threads can be started: a user's limit of processes (RLIMIT_NPROC) counts each of them.
 
-libzmq starts threads of its own and aborts the process where one is refused, so this is asked before it does.
+libzmq starts threads, too, and aborts the process where one is refused, so this is asked before it does.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ REFUSED: Final = "can't start new thread"
 CLIENT: Final = 2
 """Threads of libzmq: one for the connections, one that closes sockets."""
 DAEMON: Final = 16
-"""More than the daemon has with a device, and while it reads its configuration anew."""
+"""More than the daemon has with a device, and while it reads its configuration again."""
 BRIDGE: Final = 4
 """Those of libzmq, and two that look up names and probe the daemon."""
 

@@ -1,4 +1,4 @@
-"""What keeps a processor for long is computed in a process of its own, while a long change is taken in.
+"""What keeps a processor for long is computed in a separate process, while a long change is taken in.
 
 A thread that computes shares the interpreter with the one that serves commands, which then waits for it at every system
 call, up to 5 ms each (docs/adr/0031). A function marked `apart` is computed in the process instead, in threads that

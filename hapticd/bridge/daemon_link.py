@@ -97,7 +97,7 @@ class DaemonLink:
                 self._lost()
 
     def listen(self, wanted: bool) -> None:
-        """Whether telemetry is wanted. Each time anew all of it is subscribed to at once, so that subscriptions of
+        """Whether telemetry is wanted. Each time all of it is subscribed to at once, so that subscriptions of
         clients take effect in the order that the protocol promises."""
         if wanted and self._feed is None:
             self._feed = asyncio.create_task(self._read_feed(), name="feed")
@@ -123,7 +123,7 @@ class DaemonLink:
             self._broken.set_exception(feed.exception() or RuntimeError("the feed ended"))
 
     async def _whole(self) -> None:
-        """Fails if the feed does: a bridge without telemetry is to be started anew."""
+        """Fails if the feed does: a bridge without telemetry is to be restarted."""
         await self._broken
 
     def _subscriber(self, topic: bytes) -> zmq.asyncio.Socket:

@@ -1,8 +1,12 @@
-"""Connections from the network: taken, moved byte by byte to a socket of libzmq that speaks CURVE, and ended.
+"""Connections from the network: who is let in (`Gate.authorize`), their bytes moved to a CURVE socket, their end.
 
-Every connection has a socket of its own, in a folder that nobody else may enter:
+Every connection has a separate socket, in a folder that nobody else may enter:
 
-    client -- TCP -- Connection -- ipc, unlinked at once -- ROUTER or XPUB with CURVE -- Relay, or the feed
+    client -- TCP -- Connection -- ipc, unlinked at once -- ROUTER with CURVE -- Relay -- the daemon's command socket
+                                                            XPUB with CURVE -- Gate.publish -- DaemonLink
+
+libzmq asks `zap` about each key, and `Gate.authorize` answers: whether the key belongs to a client of the
+configuration, whether that client may command or only watch, and whether it has a connection left.
 
 That costs a hop, and buys what one socket for all could not: a client that is not read from is held back by TCP,
 however it floods, and holds nobody else up; a connection is ended alone, at once, when its key is revoked; and what has
@@ -211,7 +215,7 @@ class Gate:
                 connection.tell_of_bridge()
 
     def tick(self) -> None:
-        """Once a second: subscriptions are looked at although no telemetry comes, and the log is told what is due."""
+        """Once a second: checks subscriptions although no telemetry comes, and logs what is due."""
         self.tell.flush()
         self._welcome.flush()
         self._tell_of_daemon()
@@ -456,15 +460,15 @@ class Connection(asyncio.Protocol):
     def tell_of_bridge(self) -> None:
         """What a client may, and whether the daemon is there, to one who asked for the topic."""
         if b"\x01" + BRIDGE in self._topics and self._front is not None and self.account is not None:
-            told = {"may": self.account.may, "daemon": self._gate.link.status is not None}
+            state = {"may": self.account.may, "daemon": self._gate.link.status is not None}
             try:
-                self._front.send_multipart([BRIDGE, codec.encode(told)], zmq.NOBLOCK)
+                self._front.send_multipart([BRIDGE, codec.encode(state)], zmq.NOBLOCK)
                 self._untold = False
             except zmq.Again:
                 self._untold = True
 
     def take_subscriptions(self) -> None:
-        """Looks at what a watcher has subscribed to, and tells what had no room when it was to be told."""
+        """Checks what a watcher has subscribed to, and sends again what had no room before."""
         if self.kind != "telemetry" or self._front is None or self.account is None:
             return
         while not self._closed and int(self._front.getsockopt(zmq.EVENTS)) & zmq.POLLIN:

@@ -31,7 +31,7 @@ class Endpoint:
         self._open += 1
         try:
             if self._open > 2 * AT_ONCE:
-                return  # too many even to be told so
+                return  # too many even to answer
             async with asyncio.timeout(REQUEST_S):
                 busy = self._open > AT_ONCE
                 writer.write(_reply("503 Service Unavailable", "busy\n") if busy else await self._answer(reader))
@@ -41,7 +41,7 @@ class Endpoint:
                 while await reader.read(REQUEST_BYTES):
                     pass
         except (TimeoutError, OSError, asyncio.IncompleteReadError, asyncio.CancelledError):
-            pass  # too slow, or gone, or we are ending: there is nobody to be told
+            pass  # too slow, or gone, or we are ending: there is nobody to answer
         finally:
             self._open -= 1
             writer.transport.abort()

@@ -1,4 +1,4 @@
-"""How fast a client may be, and how often a line is told."""
+"""How fast a client may be, and how often a line is logged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What Prometheus is told, in its text format 0.0.4: the daemon's status and the bridge's own counters."""
+"""What Prometheus gets, in its text format 0.0.4: the daemon's status and the bridge's own counters."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ class Metrics:
     def _daemon(self, status: Mapping[str, Any]) -> Iterator[Family]:
         labels = {key: str(status[key]) for key in ("version", "protocol", "device")}
         yield Family("hapticd_info", "gauge", "What the daemon is.", [("", labels, 1)])
-        for key, (name, told) in _COUNTERS.items():
+        for key, (name, text) in _COUNTERS.items():
             if key in status["counters"]:
-                yield _one(name, "counter", told, status["counters"][key])
+                yield _one(name, "counter", text, status["counters"][key])
         yield _one("hapticd_running", "gauge", "Whether the servo runs.", int(status["state"] == "running"))
         yield _one("hapticd_rate_hertz", "gauge", "Ticks a second that the servo is to render.", status["rate_hz"])
         yield _one("hapticd_scene_revision", "gauge", "Revision of the scene.", status["revision"])
@@ -95,9 +95,9 @@ class Metrics:
         fifo = (status["realtime"] or {}).get("scheduler") == "fifo"
         yield _one("hapticd_realtime", "gauge", "Whether the servo has SCHED_FIFO.", int(fifo))
         histograms = status.get("histograms") or {}
-        for key, (name, told) in _HISTOGRAMS.items():
+        for key, (name, text) in _HISTOGRAMS.items():
             if key in histograms:
-                yield Family(name, "histogram", told, list(_histogram(histograms[key])))
+                yield Family(name, "histogram", text, list(_histogram(histograms[key])))
 
     def _bridge(self) -> Iterator[Family]:
         gate = self._gate
@@ -106,9 +106,9 @@ class Metrics:
         refused = [("", {"reason": reason}, count) for reason, count in sorted(gate.refused.items())]
         yield Family("hapticd_bridge_refused_total", "counter", "Connections refused or ended.", refused)
 
-        def each(name: str, kind: str, told: str, value: Any) -> Family:
+        def each(name: str, kind: str, text: str, value: Any) -> Family:
             samples: list[Sample] = [("", {"client": account.name}, value(account)) for account in accounts]
-            return Family(f"hapticd_bridge_{name}", kind, told, samples)
+            return Family(f"hapticd_bridge_{name}", kind, text, samples)
 
         yield each("client_connections", "gauge", "Connections of a client.", lambda a: a.connections)
         yield each("requests_total", "counter", "Requests of a client.", lambda a: a.asked)
@@ -123,8 +123,8 @@ class Metrics:
         yield Family("hapticd_bridge_limited_seconds_total", "counter", "How long a limit let a client wait.", waited)
 
 
-def _one(name: str, kind: str, told: str, value: Value) -> Family:
-    return Family(name, kind, told, [("", {}, value)])
+def _one(name: str, kind: str, text: str, value: Value) -> Family:
+    return Family(name, kind, text, [("", {}, value)])
 
 
 def _waited(accounts: Iterable[Account]) -> Iterator[Sample]:
@@ -133,13 +133,13 @@ def _waited(accounts: Iterable[Account]) -> Iterator[Sample]:
             yield "", {"client": account.name, "limit": limit}, waited_s
 
 
-def _histogram(told: Mapping[str, Any]) -> Iterator[Sample]:
+def _histogram(histogram: Mapping[str, Any]) -> Iterator[Sample]:
     """From upper edges in ns and the counts between them (the last one beyond the last edge) to cumulative buckets."""
-    edges, counts = told["edges"], told["counts"]
+    edges, counts = histogram["edges"], histogram["counts"]
     total = 0
     for edge, count in zip([*(edge / 1e9 for edge in edges), float("inf")], counts, strict=True):
         total += count
         yield "_bucket", {"le": _number(float(edge))}, total
-    if "sum" in told:
-        yield "_sum", {}, told["sum"] / 1e9
+    if "sum" in histogram:
+        yield "_sum", {}, histogram["sum"] / 1e9
     yield "_count", {}, total

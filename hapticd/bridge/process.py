@@ -122,7 +122,7 @@ class _Bridge:
             for task in tasks:
                 stack.push_async_callback(_ended, task)
             place = await self._listen(gate, stack)
-            told = ""
+            metrics = ""
             if self._config.metrics is not None:
                 endpoint = Endpoint(Metrics(link, gate).text)
                 try:
@@ -130,11 +130,11 @@ class _Bridge:
                 except OSError as error:
                     raise HapticdError(f"metrics: {self._config.metrics}: {error.strerror or error}") from None
                 stack.callback(server.close)
-                told = f", metrics at http://{_name(server.sockets[0])}/metrics"
+                metrics = f", metrics at http://{_name(server.sockets[0])}/metrics"
             missing = link.missing()
             if missing is not None:
                 _log.warning("%s; it may come later", missing)
-            _log.info("ready: commands at %s, telemetry at the port after it%s", place, told)
+            _log.info("ready: commands at %s, telemetry at the port after it%s", place, metrics)
             notify.ready(f"commands at {place}")
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             failed = [task for task in done if task.get_name() != "stop"]

@@ -1,7 +1,7 @@
 """The requests of one connection on their way to the daemon, one at a time.
 
 A client that sends more than it may, or faster than the daemon answers, is not read from meanwhile: libzmq and TCP hold
-it back. Nothing waits for it: every connection has a socket of its own towards the daemon.
+it back. Nothing waits for it: every connection has a separate socket towards the daemon.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _log = logging.getLogger("hapticd.bridge")
 class Relay:
     """Between the socket of one client and the daemon's command socket. Belongs to the running event loop.
 
-    Both sockets are looked at whenever something happens to one of them, and as long as anything can be done: their
+    Both sockets are checked whenever something happens to one of them, and as long as anything can be done: their
     descriptors tell of changes only.
     """
 
@@ -89,8 +89,8 @@ class Relay:
     def daemon_lost(self) -> None:
         """The daemon is gone; an answer that is still on its way has a moment."""
         if self._sent:
-            told = "the daemon behind it went away before it answered; the request may have been carried out"
-            self._wait(_GRACE_S, lambda: self._give_up(told))
+            message = "the daemon behind it went away before it answered; the request may have been carried out"
+            self._wait(_GRACE_S, lambda: self._give_up(message))
 
     # ---- what can be done --------------------------------------------------------------------------------------------
 
@@ -104,7 +104,7 @@ class Relay:
             self._failed()
 
     def _step(self) -> bool:
-        """Does one thing, if there is one. Both sockets are asked each time: a descriptor that told of something stays
+        """Does one thing, if there is one. Both sockets are asked each time: a descriptor that reported something stays
         readable until its socket was."""
         front, back = _events(self._front), _events(self._back)
         if self._reply is not None:
@@ -136,11 +136,11 @@ class Relay:
         self._request = _Request(frames, answerable, id)
         size = sum(map(len, frames))
         if _log.isEnabledFor(logging.DEBUG):
-            told = "no request" if body is None else method_in(body) or "a request without a method"
-            _log.debug("%s: %s, %d bytes", self._account.name, told, size)
+            message = "no request" if body is None else method_in(body) or "a request without a method"
+            _log.debug("%s: %s, %d bytes", self._account.name, message, size)
         if size > self._largest():
-            told = f"the message has {size} bytes: at most {self._largest()} are taken by the bridge"
-            self._refuse(_Request(frames, True, None), messages.Code.PARSE, told)
+            message = f"the message has {size} bytes: at most {self._largest()} are taken by the bridge"
+            self._refuse(_Request(frames, True, None), messages.Code.PARSE, message)
             return True
         wait_s = self._account.take_request()
         if wait_s:
@@ -160,8 +160,8 @@ class Relay:
         self._back.send_multipart(request.frames, zmq.NOBLOCK)
         if request.answerable:
             self._sent = True
-            told = f"the daemon behind it did not answer within {ANSWER_S:g} s; the request may yet be carried out"
-            self._wait(ANSWER_S, lambda: self._give_up(told))
+            message = f"the daemon behind it did not answer within {ANSWER_S:g} s; the request may yet be carried out"
+            self._wait(ANSWER_S, lambda: self._give_up(message))
         else:
             self._done()
         return True
@@ -172,22 +172,22 @@ class Relay:
         self._stop_timer()
         self._request, self._sent = None, False
 
-    def _give_up(self, told: str) -> None:
+    def _give_up(self, message: str) -> None:
         """What the daemon may still answer belongs to nobody any more."""
         self._timer = None
         if self._request is None:
             return
-        self._refuse(self._request, messages.Code.DAEMON_AWAY, told)
+        self._refuse(self._request, messages.Code.DAEMON_AWAY, message)
         self._loop.remove_reader(int(self._back.getsockopt(zmq.FD)))
         self._back.close()
         self._back = self._open()
         self._look()
 
-    def _refuse(self, request: _Request, code: messages.Code, told: str) -> None:
-        _log.debug("%s: refused, %d: %s", self._account.name, code, told)
+    def _refuse(self, request: _Request, code: messages.Code, message: str) -> None:
+        _log.debug("%s: refused, %d: %s", self._account.name, code, message)
         if request.answerable:
             delimited, _ = messages.open_envelope(request.frames)
-            self._reply = messages.close_envelope(delimited, messages.error_reply(request.id, code, told))
+            self._reply = messages.close_envelope(delimited, messages.error_reply(request.id, code, message))
         self._done()
 
     def _wait(self, after_s: float, call: Callable[[], None]) -> None:

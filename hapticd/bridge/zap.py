@@ -1,6 +1,6 @@
-"""Who a connection is: the authenticator of ZeroMQ (RFC 27), asked once in each handshake.
+"""The authenticator of ZeroMQ (RFC 27): asked once in each handshake whether a key is let in; `Gate.authorize` decides.
 
-CURVE has proved by then that the other side holds the secret key; what is left is whose it is and what it may. Without
+CURVE has proved by then that the other side holds the secret key; whose it is and what it may is for the gate. Without
 a handler libzmq would let every key in, so the sockets are set to refuse where nobody answers (ZAP_ENFORCE_DOMAIN).
 """
 

@@ -1,7 +1,26 @@
-"""The command line. Each command stands in a module of its own, which is loaded when it is used.
+"""The command line. Each command stands in a module that is loaded when it is used.
 
 A command ends with exit code 0, or with another and one line on stderr (see `failure`): 1 for what was asked but could
 not be done (output that nobody takes among it), 2 for a command that was not understood, 130 (and no line) for Ctrl-C.
+
+`_HOMES` says in which file a command stands. Beside the commands:
+
+    common      options that commands share, finding the daemon, printing results
+    failure     what a command that fails prints
+    misplaced   hints for what is typed in the wrong place
+    names       what a shell completes where a command takes a name
+    shell       the protocol's words as those of the command line
+    streams     standard output and error that cannot be written
+    synthesize  `hapticd fit synthesize`, which fit takes in
+
+Questions, and where to begin:
+
+    How is a command found, and how does it end?
+        get_command and _run below.
+    How does a command reach the daemon?
+        common (daemon), which makes a client of hapticd.client.
+    Where do --json and exit codes come from?
+        common (print_result) and failure (tell).
 """
 
 from __future__ import annotations
@@ -86,7 +105,7 @@ class _LazyGroup(click.Group):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            # Told to click as an ordinary end, since it would print something for an interrupt.
+            # Ended for click in the ordinary way, since it would print something for an interrupt.
             raise click.exceptions.Exit(130) from None
         except BrokenPipeError as error:
             # For which click would end us without a word.

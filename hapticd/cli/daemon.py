@@ -1,4 +1,4 @@
-"""`hapticd run` and `hapticd status`."""
+"""`hapticd run`, `hapticd reload` and `hapticd status`."""
 
 from __future__ import annotations
 

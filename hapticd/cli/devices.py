@@ -23,7 +23,7 @@ from hapticd.cli.common import (
     overwrite_option,
     print_json,
 )
-from hapticd.hid.texts import unseen_text
+from hapticd.hid.device_texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.config.hid import Hid

@@ -67,7 +67,7 @@ def _materials(ctx: click.Context, offline: bool) -> Mapping[str, object]:
             with daemon(ctx) as client:
                 return client.get_materials()
         except DaemonNotRunning as error:
-            # Of this machine alone: whoever names another one is told that it is not there.
+            # Of this machine alone: whoever names another one gets an error.
             if ctx.find_root().params.get("connect") is not None:
                 raise
             note(f"{error}; these are the materials of the shipped library")

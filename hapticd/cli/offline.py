@@ -20,7 +20,7 @@ from hapticd.cli.common import (
     print_json,
     scene_file,
 )
-from hapticd.rendering.undisplayable import undisplayable_text
+from hapticd.rendering.undisplayable_text import undisplayable_text
 
 
 @click.command("simulate", short_help="Run a scene without daemon and clock.")
@@ -66,7 +66,7 @@ def simulate_command(
     operator = operator or _own_operator(file)
     if operator is None:
         if file != "/dev/stdin":
-            configuration(file)  # what is no scene is told first
+            configuration(file)  # what is no scene is reported first
         known = ", ".join(shipped("operators"))
         raise click.UsageError(f"Missing option '--operator': a file that says what the hand does, or one of {known}")
     if output is None and (notes or overwrite):

@@ -222,7 +222,7 @@ class Client(ClientBase):
     set_operator = _method(methods.set_operator)
 
     async def wait_gesture(self, timeout_s: float | None = None) -> GestureEnd:
-        """Waits until the hand has done what this client told it last by `set_operator`; returns the event
+        """Waits until the hand has done what this client last sent by `set_operator`; returns the event
         `gesture_end`, at once where it is over already.
 
         Where another operator took its place before the end, by whomever, the event has `completed` false. Raises

@@ -1,7 +1,7 @@
 """The client for ordinary, blocking code: `with hapticd.connect() as daemon: ...`.
 
 One DEALER socket for commands, used under a lock, so that a client may be shared between threads; each
-subscription has a SUB socket of its own and belongs to one thread. Its methods stand in `methods.py`.
+subscription has a separate SUB socket and belongs to one thread. Its methods stand in `methods.py`.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Client(ClientBase):
     dictionary.
 
     Every method raises RemoteError where the daemon refuses, and DaemonNotRunning where it does not answer
-    within `timeout_s`; such a call is not repeated later by itself.
+    within `timeout_s`; such a call is not repeated later automatically.
     """
 
     def __init__(
@@ -195,7 +195,7 @@ class Client(ClientBase):
     set_operator = _method(methods.set_operator)
 
     def wait_gesture(self, timeout_s: float | None = None) -> GestureEnd:
-        """Waits until the hand has done what this client told it last by `set_operator`; returns the event
+        """Waits until the hand has done what this client last sent by `set_operator`; returns the event
         `gesture_end`, at once where it is over already.
 
         Where another operator took its place before the end, by whomever, the event has `completed` false. Raises
@@ -225,7 +225,7 @@ class Client(ClientBase):
     def hold_lease(self, duration_s: float = 1.0) -> Iterator[str]:
         """Holds a lease while the block runs, and gives its token.
 
-        A thread with a connection of its own renews it three times within `duration_s`; it dies with the
+        A thread with a separate connection renews it three times within `duration_s`; it dies with the
         process, and the forces fade. Raises at the end of the block where the lease was lost meanwhile.
         Warns (ForcesOff) where a fault keeps the forces off until `set_forces(True)`.
         """
@@ -264,7 +264,7 @@ class Client(ClientBase):
     def record(self, path: str | os.PathLike[str], overwrite: bool = False, **notes: object) -> Iterator[Recorder]:
         """Records every tick and every event while the block runs, into `path`: .npz, .csv or .mcap.
 
-        A thread with a connection of its own records. The first sample is taken before the block begins, and what the
+        A thread with a separate connection records. The first sample is taken before the block begins, and what the
         block did last is in the file. `notes` are kept in it as they are, whatever JSON can hold. Gives a Recorder,
         whose `result` is there after the block. Raises HapticdError before the block where `path` is there already
         (unless `overwrite`) or cannot be written, and at its end where the recording ended before. Warns

@@ -223,7 +223,7 @@ def lease(duration_s: float, token: str | None = None) -> Call[LeaseResult]:
 
 
 def reload(expect_revision: int | None = None, wait: bool = False) -> Call[RevisionResult]:
-    """The daemon reads its configuration files anew: scene and materials, all or nothing."""
+    """The daemon reads its configuration files again: scene and materials, all or nothing."""
     return _change("reload", {}, expect_revision, wait)
 
 

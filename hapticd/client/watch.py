@@ -444,7 +444,7 @@ def _is_here(client: Client) -> bool:
 
 
 def _first_status(client: Client, view: View) -> None:
-    # Who does not ask is told the status within a second all the same.
+    # Who does not ask gets the status within a second all the same.
     if _is_here(client):
         view.feed("status", client.get_status())
 

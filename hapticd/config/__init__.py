@@ -1,1 +1,37 @@
-"""What a person writes: configuration, scene, materials, operators, and their JSON Schema."""
+"""What a person writes: configuration, scene, materials, operators, and their JSON Schema.
+
+Documents, each validated by a model:
+
+    configuration        the whole of it: servo, device, materials and scene, from YAML files or a mapping
+    scene                the objects in the workspace, and what of them is displayed
+    patches              patches of a wall: stretches of other materials
+    materials            what a surface is made of, and the shipped library
+    modes                the ringing mode, Q(t) = A exp(-B t) sin(w t), and its keys
+    mode_table           a tap's mode over the approach speed
+    waveform             a tap as a short curve of samples
+    texture              what a surface does while the probe strokes along it: grooves, noise
+    vibration_direction  where a vibration acts: along the normal, the tangent, or at an angle between
+    rising_points        tables over speed or force: points that rise, and values between them
+    operator             what the hand on the simulated joystick does: waypoints or a gesture
+    hid                  `device.hid` and `device.replay`
+    actuator             the actuator as a lag between command and force
+    dynamics             mass and damping of handle and hand
+
+Files:
+
+    locations            which files the configuration is taken from
+    shipped_files        shipped scenes, operators and materials, by name
+    document_kinds       tells a scene, materials, a configuration and an operator apart by their keys
+    change_files         materials and a scene from files, for one change of a running daemon
+    file_faults          places a daemon's complaint about what was sent at file, line and column
+    schema               JSON Schema of the configuration, for editors
+
+Questions, and where to begin:
+
+    Where is a key defined, with its range and its description?
+        In the model of its document: `servo` and `device` in configuration (Servo, Device), objects in scene.
+    Which file did a value come from?
+        locations (choose) finds the files; configuration (load_config) merges them in order.
+    How does a mistake get its line?
+        base/yaml_source keeps the lines; file_faults (placed) finds them for faults that the daemon reports.
+"""

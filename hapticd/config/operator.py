@@ -95,7 +95,7 @@ class Grip:
         """
         half = self.damping_n_s_per_m / (2 * self.moving_mass_kg)
         root = cmath.sqrt(half * half - self.stiffness_n_per_m / self.moving_mass_kg)
-        # Equal roots are told apart by a little: that changes the error by far less than is asked for.
+        # Equal roots are moved apart by a little: that changes the error by far less than is asked for.
         p, q = -half - (root or 1e-6 * half), -half + (root or 1e-6 * half)
         time_s = np.linspace(0.0, 1.0, 2001)
         error = np.abs((p * np.exp(p * time_s) - q * np.exp(q * time_s)) / (p - q))

@@ -130,7 +130,7 @@ def patches_of(given: Sequence[Patch]) -> Patches:
 
 
 def _validated(given: object, handler: ValidatorFunctionWrapHandler) -> Sequence[Patch]:
-    """Thousands of patches, each by itself: nobody waits for all of them, or reads the faults of all."""
+    """Thousands of patches, each alone: nobody waits for all of them, or reads the faults of all."""
     if isinstance(given, Patches):
         return given
     if given == [] or given == ():

@@ -252,7 +252,7 @@ class AutoregressiveModel(Model):
         return math.sqrt(self.variance_m2_per_s4 / power) if power > 0 else math.inf
 
     def _cross_faults(self) -> list[str]:
-        # The analysis may run in a process of its own: most of what reads a material does without those modules.
+        # The analysis may run in a separate process: most of what reads a material does without those modules.
         from hapticd.base.lattice import pole_radius, reflection_of
 
         faults = one_of_two(self, "rms_m_per_s2", "variance_m2_per_s4")
@@ -287,7 +287,7 @@ def _not_too_many(models: object) -> object:
 
 
 def _one_by_one(models: object, info: ValidationInfo) -> object:
-    """Many models, each validated by itself: the faults of all are reported in one call, in which nobody else goes on.
+    """Many models, each validated alone: the faults of all are reported in one call, in which nobody else goes on.
     After MAX_FAULTS the rest is not read."""
     if not isinstance(models, list) or len(models) <= _FEW_MODELS:
         return models

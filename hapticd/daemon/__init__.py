@@ -1,1 +1,44 @@
-"""The process: servo, commands, telemetry, flight recorder."""
+"""The daemon's process: its sockets and threads, the protocol's methods, telemetry, the flight recorder.
+
+From a request to the servo, and back:
+
+    process          configuration, runtime directory, threads, signals: starts everything and takes it down
+    peers            a listening socket and the ZeroMQ peers that come to it (ADR 0024)
+    turns            whose turn it is among users, their processes and their connections
+    router           the command socket: frames in, answers out
+    server           the command thread: one request after the other, and the beat between them
+    dispatch         answers a request on the command thread, or has the intake thread do it
+    intake           the intake thread: one long change at a time
+    methods          the protocol's methods: what each does and answers, and the code of each error
+    params           what the methods take
+    lease            forces stay on only while somebody renews the lease
+    reload           reads the configuration again, and says what needs a restart
+    engine           scene, compiled table and servo: what the methods act on
+    command_ring     sends commands to the servo, and waits for the tick that takes them
+    plays            modes that were sent to be struck and were not yet
+
+What the servo reports:
+
+    telemetry        the telemetry thread: drains the servo's rings and makes messages of them
+    publisher        the telemetry socket: sends those messages to subscribers
+    backlog          what waits for subscribers that are behind
+    counters         what the servo counts, read from the structs of csrc/api/
+    stability        the stability of the scene in force; in a separate thread for large scenes
+    status           the result of `get_status`
+    status_text      the status as a person reads it; clients use it, too
+    flight_recorder  the last seconds, kept, and written by the flight thread on a fault or on request
+    flight_scene     what those seconds were rendered with
+
+Questions, and where to begin:
+
+    What happens when a method is called?
+        dispatch (take) decodes it, methods (perform) checks its parameters and carries it out on the engine.
+    How does a scene reach the servo?
+        methods (_set_scene), then engine, which has rendering/compiler/table rewrite what changed and publishes it.
+    Why did a request get an error?
+        methods (perform and the handlers) maps exceptions to codes: of LeaseHeldError it makes Code.LEASE_HELD.
+    Where does a sample go?
+        telemetry drains it; publisher sends it; flight_recorder keeps it.
+    What ends the force?
+        csrc/servo/hd_servo_watch.c, or the tick itself; Python only reports it.
+"""

@@ -19,8 +19,8 @@ from typing import Final
 
 from hapticd.base import codec
 from hapticd.base.errors import quoted
-from hapticd.daemon.control import CHANGES, Changed, Control, Done, MethodError, TakesLongError
 from hapticd.daemon.intake import GivenUpError, Work
+from hapticd.daemon.methods import CHANGES, Changed, Done, MethodError, Methods, TakesLongError
 from hapticd.protocol import messages
 from hapticd.system import notify
 from hapticd.system.repeated_lines import Repeats
@@ -62,10 +62,10 @@ class _Waiting:
 class Dispatch:
     """Answers requests; everything but `ask_reload` is for the thread that serves commands."""
 
-    def __init__(self, control: Control, repeats: Repeats | None = None) -> None:
+    def __init__(self, methods: Methods, repeats: Repeats | None = None) -> None:
         """What a client causes is reported in the log as `repeats` says."""
         self.repeats = Repeats() if repeats is None else repeats
-        self._control = control
+        self._methods = methods
         self._waiting: deque[_Waiting] = deque()
         self._asked: deque[_Asked] = deque()
         self._reload = threading.Event()
@@ -73,7 +73,7 @@ class Dispatch:
     def ask_reload(self) -> None:
         """Has the configuration reloaded in its turn; what nobody has begun yet is one. For any thread."""
         self._reload.set()
-        self._control.intake.wake()
+        self._methods.intake.wake()
 
     def take(self, body: bytes | None, reply: Reply) -> None:
         """Answers a body by `reply`, now or in a later `turn`; a notification not at all. Never raises for what was
@@ -90,8 +90,8 @@ class Dispatch:
             _answer_error(error, reply)
             return
         if request.method not in CHANGES:
-            self._answer(request, lambda: self._control.perform(request.method, request.params), reply)
-        elif self._control.intake.work is None and not self._waiting:
+            self._answer(request, lambda: self._methods.perform(request.method, request.params), reply)
+        elif self._methods.intake.work is None and not self._waiting:
             self._change(request, len(body), reply)
         elif self._is_long(request, len(body)) or len(self._waiting) >= MOST_WAITING:
             self._refuse(request, reply)
@@ -101,7 +101,7 @@ class Dispatch:
 
     def turn(self) -> None:
         """Answers what is over, and does what has waited for it. To be called when intake's `wake` was, and often."""
-        intake = self._control.intake
+        intake = self._methods.intake
         intake.finished()
         if not (self._waiting or self._asked or self._reload.is_set()):
             return
@@ -131,7 +131,7 @@ class Dispatch:
         found = messages.peek(body)
         if found is None or found.method not in CHANGES:
             return False
-        if self._control.intake.work is not None or self._waiting:
+        if self._methods.intake.work is not None or self._waiting:
             self._refuse(found, reply)
             return True
 
@@ -143,29 +143,29 @@ class Dispatch:
                 return lambda: _answer_error(failure, reply)
             return self._long(request, work, reply)
 
-        self._control.intake.begin(found.method, do)
+        self._methods.intake.begin(found.method, do)
         return True
 
     def _is_long(self, request: messages.Request, size: int) -> bool:
-        return size > BRIEF_BODY or self._control.takes_long(request.method, request.params)
+        return size > BRIEF_BODY or self._methods.takes_long(request.method, request.params)
 
     def _change(self, request: messages.Request, size: int, reply: Reply) -> None:
         if not self._is_long(request, size):
             try:
-                self._answer(request, lambda: self._control.perform(request.method, request.params, brief=True), reply)
+                self._answer(request, lambda: self._methods.perform(request.method, request.params, brief=True), reply)
                 return
             except TakesLongError:
                 pass
         self._beside(request, reply)
 
     def _beside(self, request: messages.Request, reply: Reply) -> None:
-        self._control.intake.begin(request.method, lambda work: self._long(request, work, reply))
+        self._methods.intake.begin(request.method, lambda work: self._long(request, work, reply))
 
     def _long(self, request: messages.Request, work: Work, reply: Reply) -> Callable[[], object]:
         """In a separate thread: makes a change; what is returned answers it."""
-        with self._control.beside(work):
+        with self._methods.beside(work):
             try:
-                done = self._control.perform(request.method, request.params)
+                done = self._methods.perform(request.method, request.params)
             except BaseException as error:
                 failure = error
                 if isinstance(error, MethodError):
@@ -178,7 +178,7 @@ class Dispatch:
         return lambda: self._answer(request, lambda: done, reply)
 
     def _refuse(self, request: messages.Request, reply: Reply) -> None:
-        work = self._control.intake.work
+        work = self._methods.intake.work
 
         def refused() -> Changed:
             method = "another change" if work is None else f"{work.method} of another request"
@@ -198,7 +198,7 @@ class Dispatch:
                 messages.Code.RING_FULL, f"{MOST_WAITING} of {request.method} are under way; send it again later"
             )
         self._asked.append(_Asked(request, answer, monotonic_ns() + int(WAIT_S * 1e9), reply))
-        answer.add_done_callback(lambda _: self._control.intake.wake())
+        answer.add_done_callback(lambda _: self._methods.intake.wake())
 
     def _answer(
         self, request: messages.Request, perform: Callable[[], Done | Future[dict[str, object]]], reply: Reply
@@ -209,7 +209,7 @@ class Dispatch:
             if isinstance(done, Future):
                 self._wait_for(request, done, reply)
                 return
-            result = self._control.finish(done)
+            result = self._methods.finish(done)
             _log.debug("%s: done", request.method)
         except TakesLongError:
             raise

@@ -42,7 +42,7 @@ from hapticd.config.configuration import Config, Device
 from hapticd.config.materials import Material, Materials
 from hapticd.config.modes import Attack, Mode
 from hapticd.config.scene import MAX_OBJECTS, Scene, SceneObject, of_all_materials, used_materials
-from hapticd.daemon.commands import LOOK_EVERY_NS, Commands, RingFullError
+from hapticd.daemon.command_ring import LOOK_EVERY_NS, CommandRing, RingFullError
 from hapticd.daemon.counters import (
     Counters,
     Granted,
@@ -62,6 +62,7 @@ from hapticd.protocol.marks import Mark, Marks, MarksFullError
 from hapticd.protocol.messages import GESTURE_ENDS
 from hapticd.rendering.compiler.materials import Progress
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.displayability import (
     displayed_mode,
     materials_in,
@@ -69,10 +70,9 @@ from hapticd.rendering.displayability import (
     warnings,
 )
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
-from hapticd.rendering.output import UNKNOWN_HANDLE, Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability
 from hapticd.rendering.stability import Loop
-from hapticd.rendering.undisplayable import Undisplayable
+from hapticd.rendering.undisplayable_text import Undisplayable
 from hapticd.system.idle_states import IdleStateLock
 
 if TYPE_CHECKING:
@@ -216,7 +216,7 @@ class Engine:
             lib.hd_servo_free(servo)
 
         self._servo = ffi.gc(made, free)
-        self._commands = Commands(self._servo, operators, self.look_after)
+        self._ring = CommandRing(self._servo, operators, self.look_after)
         # Whoever compiles for seconds is at work all the while. (`made` itself keeps nothing alive.)
         self._working = _Working(lambda: lib.hd_servo_beat(made))
         self._compiler = Compiler(self.output, self._working, self._offload)
@@ -336,14 +336,14 @@ class Engine:
         if now_ns < self._look_ns:
             return
         self._look_ns = now_ns + LOOK_EVERY_NS
-        self._changes.extend(self._commands.plays.taken(self._servo))
+        self._changes.extend(self._ring.plays.taken(self._servo))
         counters = self.counters()
         if counters.suspends != self._suspends:
             self._suspends = counters.suspends
             if self.connection is not None:
                 self.connection.suspect()
         self._signs.note(counters.signs)
-        # While another thread compiles, the rate stays; it is looked at again soon.
+        # While another thread compiles, the rate stays; it is checked again soon.
         if counters.overloaded and not counters.running and self._compiling.acquire(blocking=False):
             try:
                 self._step_down()
@@ -379,7 +379,7 @@ class Engine:
         if self._offload is not None:
             self._offload.set_carried(output.carried_hz)
         self._compiler.turn_to(output)
-        self._commands.plays.turn_to(self._servo, output)
+        self._ring.plays.turn_to(self._servo, output)
         revision = (self.revision + 1) & 0xFFFFFFFF
         self._publish(self.scene, (), self.materials, revision)
         self._changes.append(Revised(revision, {}, {}, {}, None, changed_hz))
@@ -416,7 +416,7 @@ class Engine:
 
     def wait_revision(self, revision: int) -> int:
         """The first tick rendered with this revision or a later one. Raises WaitTimeoutError."""
-        return self._commands.wait(
+        return self._ring.wait(
             lambda timeout_ns, tick: lib.hd_servo_wait_revision(self._servo, revision, timeout_ns, tick),
             f"revision {revision} was not in force",
         )
@@ -532,8 +532,8 @@ class Engine:
         while output is not self.output:
             output = self.output
             command.mode = play.record(output)
-            tick = self._commands.send([command], play)
-        self._changes.extend(self._commands.plays.taken(self._servo))
+            tick = self._ring.send([command], play)
+        self._changes.extend(self._ring.plays.taken(self._servo))
         played_hz = None if self._offload is None else self._offload.shown_hz(mode)
         if played_hz is not None:
             return tick, played_hz
@@ -555,7 +555,7 @@ class Engine:
                     command = self._command(CommandKind.RESET)
                     command.slot, command.generation = place
                     commands.append(command)
-        tick = self._commands.send(commands) if commands else self.counters().ticks
+        tick = self._ring.send(commands) if commands else self.counters().ticks
         self._changes.append(Reset(tick, ids))
         return tick
 
@@ -563,7 +563,7 @@ class Engine:
         """Forces on (which clears latched faults whose cause has ended) or off; the tick that took it."""
         command = self._command(CommandKind.FORCES)
         command.value = enabled
-        return self._commands.send([command])
+        return self._ring.send([command])
 
     def set_operator(self, waypoints: npt.NDArray[np.float64], interpolation: Literal["linear", "minimum_jerk"]) -> int:
         """The simulated hand follows waypoints [t_s, x_m, y_m] from the tick that took it, which is returned.
@@ -575,7 +575,7 @@ class Engine:
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)
         command.path = path
-        tick = self._commands.send_operator(command, path)
+        tick = self._ring.send_operator(command, path)
         self._operator_tick = tick
         return tick
 
@@ -604,7 +604,7 @@ class Engine:
         command = self._command(CommandKind.MARK)
         command.value = number
         try:
-            return self._commands.send([command])
+            return self._ring.send([command])
         except RingFullError:
             self._marks.take(number)
             raise
@@ -618,7 +618,7 @@ class Engine:
         lib.hd_servo_set_lease(self._servo, deadline_ns)
 
     def _command(self, kind: CommandKind) -> CData:
-        return self._commands.new(kind, self.revision)
+        return self._ring.new(kind, self.revision)
 
     # ---- What the servo says ---------------------------------------------------------------------------------------
 

@@ -1,7 +1,7 @@
 """Takes in what takes long, beside the thread that serves commands: one request at a time, with its progress.
 
 A thread, not a process: what is taken in is shared with the servo's tables (docs/adr/0025). The filters of many
-textures are designed by a process that ends with the change (apart.py).
+textures are designed by a process that ends with the change (base/worker_process.py).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """A lease: forces stay on only while somebody renews it, by token, in time.
 
-The servo itself watches the deadline, so that a control plane that hangs or dies changes nothing about it.
+`methods.py` makes the protocol's errors of what it raises. The servo itself watches the deadline, so that a
+control plane that hangs or dies changes nothing about it.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ MAX_DURATION_S: Final = 3600.0
 
 
 class LeaseHeldError(Exception):
-    """Somebody else holds the lease."""
+    """Somebody else holds the lease; the protocol's error is Code.LEASE_HELD."""
 
 
 class LeaseLapsedError(Exception):
-    """The token's lease lapsed or was ended, or there never was one."""
+    """The token's lease lapsed or was ended, or there never was one; the error is Code.LEASE_LAPSED."""
 
 
 class Lease:

@@ -11,7 +11,7 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.modes import Attack, Mode
 from hapticd.protocol.changes import Played
 from hapticd.rendering.compiler.mode_record import mode_record
-from hapticd.rendering.output import Output
+from hapticd.rendering.device_output import Output
 
 if TYPE_CHECKING:
     from hapticd.hid.offload import EffectUse

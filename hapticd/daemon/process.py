@@ -31,12 +31,12 @@ from hapticd.base.model import MAX_FAULTS
 from hapticd.config.configuration import Config, chosen_config
 from hapticd.config.locations import Chosen, choose
 from hapticd.daemon import server
-from hapticd.daemon.control import Control
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine, monotonic_ns
 from hapticd.daemon.flight_recorder import Flight, directory_of
 from hapticd.daemon.flight_scene import FlightScene
+from hapticd.daemon.methods import Methods
 from hapticd.daemon.publisher import LIMITS as TELEMETRY_LIMITS
 from hapticd.daemon.publisher import Publisher
 from hapticd.daemon.router import LIMITS as COMMAND_LIMITS
@@ -101,9 +101,9 @@ def _run(
         engine.rate_hz,
         monotonic_ns,
         FlightScene(engine.scene, engine.materials, engine.revision, engine.rate_hz),
-        lambda: _about(engine, control),
+        lambda: _about(engine, methods),
     )
-    control = Control(
+    methods = Methods(
         engine, lambda: chosen_config(chosen if chosen.files else choose()), flight, lambda: telemetry.ask_state()
     )
     threads.check(threads.DAEMON)
@@ -111,19 +111,19 @@ def _run(
     # Long enough for the last samples, which say that the force is zero, to reach those who read.
     stack.callback(publisher.close, linger_s=0.2)
     failures: list[BaseException] = []
-    telemetry = Telemetry(engine, publisher, control.status, flight)
+    telemetry = Telemetry(engine, publisher, methods.status, flight)
     # Taken down in reverse: commands end, the force fades, telemetry tells of it, and what is to be written is.
     _thread("flight", flight.run, failures, stack, wake=flight.wake)
     _thread("telemetry", telemetry.run, failures, stack, wake=telemetry.wake)
     granted = engine.start()
-    stack.callback(control.intake.join)
+    stack.callback(methods.intake.join)
     stack.callback(engine.stop)
     _log_limits(engine, granted, chosen)
     router = Router(mine.listen(paths.command), COMMAND_LIMITS.of(connections))
     stack.callback(router.close)
     watch = notify.Watch(lambda: _progress(engine))
-    dispatch = Dispatch(control, control.repeats)
-    control.intake.wake = router.wake
+    dispatch = Dispatch(methods, methods.repeats)
+    methods.intake.wake = router.wake
 
     def between() -> None:
         watch()
@@ -136,7 +136,7 @@ def _run(
         stack,
         wake=router.wake,
     )
-    stack.callback(control.end)  # what is being taken in is given up
+    stack.callback(methods.end)  # what is being taken in is given up
     # What garbage there is by now is little; to look for it would hold up the first answer.
     gc.freeze()
     gc.enable()
@@ -197,12 +197,12 @@ def _on_terminal() -> bool:
     return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
 
 
-def _about(engine: Engine, control: Control) -> dict[str, object]:
+def _about(engine: Engine, methods: Methods) -> dict[str, object]:
     """What goes into a file of the flight recorder beside the telemetry and what that was rendered with."""
     config = engine.config
     return {
         "config": {"servo": config.servo.to_dict(), "device": config.device.to_dict()},
-        "status": control.status(),
+        "status": methods.status(),
     }
 
 
@@ -264,7 +264,7 @@ def _thread(
 def _signals() -> Iterator[socket.socket]:
     """A socket from which the number of a signal can be read, whichever thread the kernel chose for it.
 
-    Libraries may have threads of their own, so blocking and sigwait would not be enough. Threads that are started
+    Libraries may have threads, too, so blocking and sigwait would not be enough. Threads that are started
     while the context lasts inherit the block, so that no handler ever runs in the servo's.
     """
     ours, pythons = socket.socketpair()

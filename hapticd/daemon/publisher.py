@@ -1,4 +1,4 @@
-"""Telemetry out: the PUB of the telemetry socket.
+"""The telemetry socket, a PUB: sends the messages that `telemetry.py` made to those who subscribed to them.
 
 A subscriber that does not keep up loses the oldest of what waits for it (`backlog.py`).
 """
@@ -33,7 +33,7 @@ _log = logging.getLogger(__name__)
 
 
 class Publisher(Peers):
-    """Who listens, for one thread."""
+    """The subscribers, and what each waits for. For one thread."""
 
     kind = b"PUB"
     partners = frozenset((b"SUB", b"XSUB"))

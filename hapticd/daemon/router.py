@@ -1,4 +1,4 @@
-"""Requests in, answers out: the ROUTER of the command socket."""
+"""The command socket, a ROUTER: requests in, answers out."""
 
 from __future__ import annotations
 

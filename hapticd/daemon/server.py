@@ -1,6 +1,6 @@
-"""The command socket: frames in, frames out, one request at a time.
+"""The command thread: takes one request after the other from `router.py`, and beats between them.
 
-One thread waits for a request, answers it and waits again (docs/adr/0002, 0024). Between requests it beats, so that the
+It waits for a request, answers it and waits again (docs/adr/0002, 0024). Between requests it beats, so that the
 servo knows that somebody serves commands.
 """
 

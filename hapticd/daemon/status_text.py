@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from hapticd.base import wording
-from hapticd.hid.texts import offload_text, unseen_text
+from hapticd.hid.device_texts import offload_text, unseen_text
 from hapticd.rendering.stability_text import stability_words
-from hapticd.rendering.undisplayable import undisplayable_text
+from hapticd.rendering.undisplayable_text import undisplayable_text
 
 if TYPE_CHECKING:
     from hapticd.protocol.results import Status
@@ -58,8 +58,8 @@ def lines(status: Status) -> Iterator[Line]:
     yield from _flight(status.get("flight"))
     for mode in status["undisplayable"]:
         yield "undisplayable", undisplayable_text(mode)
-    for told in status["offload"]:
-        yield "offload", offload_text(told)
+    for outcome in status["offload"]:
+        yield "offload", offload_text(outcome)
     for warning in status["warnings"]:
         yield "warning", f"{warning['where']}: {warning['problem']}"
     stability = status.get("stability")
@@ -129,7 +129,7 @@ def _real_time(granted: Mapping[str, Any] | None) -> Iterator[Line]:
 
 
 def _periods(status: Status) -> Iterator[Line]:
-    counters, told = status["counters"], status.get("overruns")
+    counters, overruns = status["counters"], status.get("overruns")
     skipped, ticks = counters["skipped"], status["tick"]
     if not skipped:
         yield "periods", f"{wording.count(ticks, 'tick')}, none missed"
@@ -140,14 +140,14 @@ def _periods(status: Status) -> Iterator[Line]:
         "periods",
         f"{wording.count(ticks, 'tick')}; {skipped:,} missed ({share}), {wording.count(times, 'time')}",
     )
-    if isinstance(told, dict):
-        now, limit = (wording.percent(float(str(told[key]))) for key in ("missed_share", "threshold"))
-        yield "", f"{now} of the last second's; above {limit}: {str(told['action']).replace('_', ' ')}"
+    if isinstance(overruns, dict):
+        now, limit = (wording.percent(float(str(overruns[key]))) for key in ("missed_share", "threshold"))
+        yield "", f"{now} of the last second's; above {limit}: {str(overruns['action']).replace('_', ' ')}"
 
 
 def _stepped_down(status: Status) -> str:
-    told = status.get("overruns")
-    configured = told.get("configured_rate_hz") if isinstance(told, dict) else None
+    overruns = status.get("overruns")
+    configured = overruns.get("configured_rate_hz") if isinstance(overruns, dict) else None
     if not isinstance(configured, float | int) or configured <= status["rate_hz"]:
         return ""
     return f", stepped down from {wording.si(configured, 'Hz')}"
@@ -159,40 +159,43 @@ def _times(histogram: Mapping[str, Any]) -> str:
     return f"median {median}, 99 % within {almost}, longest {longest}"
 
 
-def _flight(told: object) -> Iterator[Line]:
-    if not isinstance(told, dict):
+def _flight(flight: object) -> Iterator[Line]:
+    if not isinstance(flight, dict):
         return
-    files = f"{wording.count(told['written'], 'file')} written to {told['directory']}"
-    yield "flight recorder", f"the last {wording.duration(told['seconds'])}; {files}"
-    if told["problem"] is not None:
-        yield "", told["problem"]
+    files = f"{wording.count(flight['written'], 'file')} written to {flight['directory']}"
+    yield "flight recorder", f"the last {wording.duration(flight['seconds'])}; {files}"
+    if flight["problem"] is not None:
+        yield "", flight["problem"]
 
 
-def _connection(told: object) -> Iterator[Line]:
-    if not isinstance(told, dict):
+def _connection(connection: object) -> Iterator[Line]:
+    if not isinstance(connection, dict):
         return
-    where = f"{told['name']} at {told['path']}, " if told["name"] else ""
-    yield "connection", f"{where}{told['state']}" + (f": {told['problem']}" if told["problem"] else "")
+    where = f"{connection['name']} at {connection['path']}, " if connection["name"] else ""
+    yield (
+        "connection",
+        f"{where}{connection['state']}" + (f": {connection['problem']}" if connection["problem"] else ""),
+    )
     rates = [
-        f"{what} {wording.si(told[key], 'Hz')}"
+        f"{what} {wording.si(connection[key], 'Hz')}"
         for what, key in (
             ("carries forces at", "link_hz"),
             ("reports at", "report_hz"),
             ("takes forces at", "force_hz"),
         )
-        if told[key] is not None
+        if connection[key] is not None
     ]
     if rates:
         yield "link", ", ".join(rates)
-    signs = told.get("signs")
+    signs = connection.get("signs")
     if isinstance(signs, dict):
         waits = signs["state"] in ("checking", "waiting") and signs["advice"]
         yield "signs", signs["state"] + (f": {signs['advice']}" if waits else "")
-    if told["states"]:
-        yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in told["states"].items())
-    if told["resets"]:
-        yield "resets", wording.number(told["resets"])
-    if told.get("resets_seen") is False:
-        condition, action = unseen_text(told["path"], told["foreign_effect_s"])
+    if connection["states"]:
+        yield "states", ", ".join(f"{name} {'yes' if value else 'no'}" for name, value in connection["states"].items())
+    if connection["resets"]:
+        yield "resets", wording.number(connection["resets"])
+    if connection.get("resets_seen") is False:
+        condition, action = unseen_text(connection["path"], connection["foreign_effect_s"])
         yield "unseen", condition
         yield "", action

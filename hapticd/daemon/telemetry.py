@@ -1,7 +1,7 @@
-"""The telemetry publisher: drains the servo's rings and sends what they held to whoever listens.
+"""The telemetry thread: drains the servo's rings and makes messages of them, which `publisher.py` sends.
 
-Runs in a separate thread. The servo never waits for it; a ring holds more than a second, which outlasts a garbage
-collection. A slow subscriber costs itself messages, nobody else.
+The same samples and events go to the flight recorder, and events to the log. The servo never waits for it; a ring
+holds more than a second, which outlasts a garbage collection. A slow subscriber costs itself messages, nobody else.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _last_of_each(events: npt.NDArray[np.void]) -> dict[int, int]:
 
 
 class Telemetry:
-    """Publishes one engine's telemetry."""
+    """Drains one engine's rings, and hands messages to the publisher when they are due."""
 
     def __init__(
         self,

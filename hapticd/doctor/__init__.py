@@ -2,6 +2,14 @@
 
 Nothing is changed: files are read, systemd and the daemon are asked, each with a time limit. What cannot be read is
 reported as not known, never as well.
+
+    machine        the machine as the checks see it, and what a check finds
+    kernel         how it is preempted, what it leaves to real-time tasks, its clock
+    limits         the rights to SCHED_FIFO and locked memory
+    processors     whether the servo has one for itself, how fast they run, how deep they sleep
+    devices        joysticks: whether they may be driven, and who else has them
+    service        the unit and the daemon, if they are there
+    configuration  the configuration that the other checks go by
 """
 
 from __future__ import annotations

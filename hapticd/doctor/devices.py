@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from hapticd.doctor.machine import Finding, Machine, Needs
+from hapticd.hid.device_texts import unseen_text
 from hapticd.hid.event_nodes import event_nodes, is_for_others
-from hapticd.hid.texts import unseen_text
 
 if TYPE_CHECKING:
     from hapticd.hid.discovery import Found
@@ -139,7 +139,7 @@ def competitors(machine: Machine, needs: Needs) -> Iterator[Finding]:
 
 
 def _users(machine: Machine) -> tuple[dict[str, set[str]], int]:
-    """Names of processes by the nodes that they have open, but for daemons of ours; how many could not be looked at."""
+    """Names of processes by the nodes that they have open, but for daemons of ours; how many could not be checked."""
     users: dict[str, set[str]] = {}
     hidden = 0
     for pid in islice(machine.names("/proc", r"\d+"), _MOST_PROCESSES):

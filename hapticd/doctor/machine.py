@@ -30,7 +30,7 @@ Verdict = Literal["ok", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line: what was looked at, how it is, and what to do about it."""
+    """One line: what was checked, how it is, and what to do about it."""
 
     name: str
     verdict: Verdict

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 from hapticd.base.errors import HapticdError
 from hapticd.doctor.machine import Finding, Machine, Needs, unknown
-from hapticd.hid.texts import unseen_text
+from hapticd.hid.device_texts import unseen_text
 
 _SHOW = ("LoadState", "ActiveState", "SubState", "UnitFileState", "NRestarts", "Result")
 

@@ -23,7 +23,7 @@ from hapticd.fit.waveform import WaveformFit
 
 AS_WAVEFORM: Final = "the taps are pulses and do not ring: the material has a waveform; --as mode fits a mode"
 Step: TypeAlias = Callable[[str], None]
-"""Told what is being done."""
+"""Called with what is being done."""
 
 
 @dataclass(frozen=True, slots=True)

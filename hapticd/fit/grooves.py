@@ -4,7 +4,7 @@ Okamura, Dennerlein and Howe, "Vibration Feedback Models for Virtual Environment
 passes strikes a mode with A(v, F) = velocity_gain |v| + force_gain F.
 
 Between two strikes the acceleration is one free ringing, Im(z exp((-B + i w) t)), beside a drift. So, for each B and w,
-every interval is a linear fit of its own, whatever came before it and however near the strikes are; B and w are
+every interval is a separate linear fit, whatever came before it and however near the strikes are; B and w are
 those that leave the least (variable projection). A strike is the step in z from what is left of the ringing before
 it to the ringing after it: z' - z exp(p dt) = A exp(-p d), whose phase -w d tells how much later than assumed it
 struck, and whose size is A. Onsets are first found as steps of z in two windows, one on either side of each sample.
@@ -30,11 +30,11 @@ from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
 from hapticd.fit.invalid_samples import without_invalid_samples
 from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
+from hapticd.fit.recording_checks import check_force_varies, report_cleaning, report_gravity, report_sampling
 from hapticd.fit.spectral_lines import report_lines
 from hapticd.fit.stretches import stretches_of
 from hapticd.fit.strikes.spacing import slope_of_row
 from hapticd.fit.strikes.stroke import GROUP, Group, Strike, Stroke, StrokeFit
-from hapticd.fit.strokes import check_force_varies, report_cleaning, report_gravity, report_sampling
 from hapticd.fit.verdict import Doubts, Verdict
 
 LEAST_S: Final = 0.1
@@ -157,7 +157,7 @@ def fit_grooves(recordings: Sequence[Recording], excluded: Exclusions | None = N
 
 
 def _fitted_strokes(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[StrokeFit]:
-    """Every stretch of a stroke by itself. FitError where none can be used, or where they are of different grooves."""
+    """Every stretch of a stroke separately. FitError where none can be used, or where they are of different grooves."""
     refuse_duplicates(recordings)
     stretches = stretches_of(recordings, LEAST_S, excluded)
     fits = excluded.each(stretches, lambda each: StrokeFit(without_invalid_samples(each, "grooves")))
@@ -268,7 +268,7 @@ def _gains(points: _Points, doubts: Doubts) -> _Gains:
 
 
 def _offset(points: _Points, doubts: Doubts) -> Estimate | None:
-    """A constant beside the two gains, which the model does not have; None where it cannot be told from them."""
+    """A constant beside the two gains, which the model does not have; None where it cannot be separated from them."""
     columns = np.column_stack((points.both, np.ones_like(points.speed)))
     if len(columns) <= 3 or not well_conditioned(columns):
         return None

@@ -48,7 +48,7 @@ FALLS: Final = 8.0
 """A spike of acceleration is so many times larger than the samples beside it."""
 WIDEST: Final = 3
 LEAST: Final = 16
-"""Samples of a column that is looked at."""
+"""Samples of a column that is checked."""
 
 UNITS: Final[Mapping[str, str]] = {
     "acceleration_m_per_s2": "m/s^2",

@@ -182,7 +182,7 @@ def _ringing(fit: TapFit) -> Iterator[Row]:
         yield overlay(name, tap.rate_hz, tap.measured, tap.modelled)
         if fit.second is None:
             continue
-        # Not every tap has both by itself: then there is nothing to draw.
+        # Not every tap has both: then there is nothing to draw.
         with suppress(FitError):
             pair = fit_ringing(tap.measured, tap.rate_hz, modes=2)
             yield overlay(f"{name}, two modes", tap.rate_hz, tap.measured, tap.measured - pair.residual)

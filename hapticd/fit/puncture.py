@@ -21,18 +21,17 @@ from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
 from hapticd.fit.invalid_samples import Cleaned, without_invalid_samples
 from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
-from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.stretches import gaps_in_words, in_gap
-from hapticd.fit.strokes import (
+from hapticd.fit.recording_checks import (
     acceleration_of,
     force_of,
     report_cleaning,
     report_gravity,
     report_sampling,
-    running_mean,
-    slope_of,
     undersampled,
 )
+from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
+from hapticd.fit.stretches import gaps_in_words, in_gap
+from hapticd.fit.stylus_motion import running_mean, slope_of
 from hapticd.fit.taps.ringing import Ringing, fit_ringing
 from hapticd.fit.verdict import Doubts, Verdict
 
@@ -43,13 +42,13 @@ FALLEN: Final = 0.5
 LOADED: Final = (0.25, 0.98)
 """Parts of the rupture force between which stiffness is fitted."""
 BENT: Final = 0.1
-"""A change of stiffness from the lower half of these to the upper that is told."""
+"""A change of stiffness from the lower half of these to the upper that is reported."""
 STRAIGHT: Final = 0.7
 """r^2 of force over position, at least."""
 AGAIN: Final = 0.3
 """Another fall, from so much of the force of the first, is another puncture."""
 SOFT: Final = (0.02, 0.03)
-"""Where force is this part of the rupture's, a position that is this part of the depth before the line is told;"""
+"""Where force is this part of the rupture's, a position that is this part of the depth before the line is reported;"""
 SEEN: Final = 6.0
 """but where force is so many standard errors at least."""
 LATE_S: Final = (0.0, 0.002, 0.005)
@@ -61,11 +60,11 @@ AMPLITUDES_M_PER_S2: Final = (0.1, 3000.0)
 ACCOUNTED: Final = 0.7
 """A ringing of which one mode explains less is none."""
 OUTLYING: Final = (3.0, 0.25)
-"""A ringing that is off the median of all by this factor is left out, and told; this part of them at most."""
+"""A ringing that is off the median of all by this factor is left out, and reported; this part of them at most."""
 SPOILT: Final = 0.02
 """Of the samples from the touch to the end of the ringing, replaced, and a recording is left out."""
 HELD: Final = 0.1
-"""Part of the force that is left after the rupture and told."""
+"""Part of the force that is left after the rupture and reported."""
 FARTHEST_M: Final = 1.0
 STIFFNESS_N_PER_M: Final = (1.0, 1e5)
 
@@ -183,7 +182,7 @@ def fit_puncture(recordings: Sequence[Recording], excluded: Exclusions | None = 
 
 
 def _ruptures(recordings: Sequence[Recording], excluded: Exclusions, doubts: Doubts) -> list[Rupture]:
-    """Two or more, each fitted by itself; doubts are of those that are used. FitError where there are fewer."""
+    """Two or more, each fitted alone; doubts are of those that are used. FitError where there are fewer."""
     refuse_duplicates(recordings)
     found = excluded.each(recordings, _rupture)
     if not found:

@@ -240,7 +240,7 @@ def _quantities(
         has = known_names("", map(short_name, [*table.names, *table.others])).removeprefix("known: ")
         raise ValueError(f"has none of {known}; it has {has}: name them in {where}")
     places = {quantity: table.place(column.column) for quantity, column in wanted.items()}
-    # What is too large or no number here is told by `uniform`.
+    # What is too large or no number here is reported by `uniform`.
     with np.errstate(all="ignore"):
         read = dict(zip(places, table.read(list(places.values())), strict=True))
     found: dict[Quantity, Floats] = {}

@@ -87,7 +87,7 @@ class Panel:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What is told of a fit."""
+    """What is reported of a fit."""
 
     title: str
     verdict: str

@@ -25,7 +25,7 @@ OFTEN: Final = 1e-3
 """Chance of a line in one of many recordings, at most."""
 SPREAD: Final = 6
 LEAST_SHARE: Final = 0.005
-"""Of the power, from which on a line is told."""
+"""Of the power, from which on a line is reported."""
 LONG_S: Final = 0.5
 """A recording that is shorter does not tell a line from something that rings."""
 BESIDE_HZ: Final = 8.0

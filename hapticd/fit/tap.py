@@ -1,8 +1,8 @@
 """Taps: slope, frequency and decay of the ringing at a touch, from recordings of taps at several speeds.
 
-Each tap is found by itself, fitted by itself (ringing.py), and then weighed with the others: frequency and decay as
-what the taps have in common, the amplitude as a line over the approach speed (regression.py). Weights are of the
-signal to the noise of a tap; its own error bars, which follow its own luck, do not enter.
+Each tap is found and fitted alone (taps/events.py, taps/ringing.py), and then weighed with the others: frequency and
+decay as what the taps have in common, the amplitude as a function of the approach speed (taps/amplitude.py). Weights
+are of the signal to the noise of a tap; its own error bars, which follow its own luck, do not enter.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from hapticd.fit.duplicates import refuse_duplicates
 from hapticd.fit.exclusions import Exclusion, Exclusions, mostly_excluded
 from hapticd.fit.plain_data import end_of, fields_of
 from hapticd.fit.recording import Recording, Source
+from hapticd.fit.recording_checks import report_sampling
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual, report_lines
-from hapticd.fit.strokes import report_sampling
 from hapticd.fit.taps.amplitude import Law, LawKind, Power, doubt_the_law, law_of
 from hapticd.fit.taps.events import hits_of
 from hapticd.fit.taps.hit import LEAST_TAPS, WELL_EXPLAINED, Figures, Hit, TapHit, check_speeds

@@ -2,8 +2,8 @@
 
 A mode is taken where it rings, which is to fall to 1/e in 0.3 of its period or later, and where it, or two, explain
 95 % of the taps' variance (the median; a tap that was left out counts as 0). Otherwise a waveform is taken if it leaves
-less than half of what the mode leaves over. A mode may choose frequency and decay anew for each tap, and a waveform is
-judged on each tap by the other taps: the comparison favours the mode.
+less than half of what the mode leaves over. A mode may choose frequency and decay for each tap separately, and
+a waveform is judged on each tap by the other taps: the comparison favours the mode.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RINGS: Final = 0.3
 LEAVES: Final = 0.5
 """Of what a mode leaves over, a waveform leaves less than this."""
 REST_S: Final = 0.02
-"""So much of the rest before a tap is looked at."""
+"""So much of the rest before a tap is compared."""
 
 
 def fit_taps(

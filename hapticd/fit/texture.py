@@ -22,11 +22,17 @@ from hapticd.fit.exclusions import Exclusion, Exclusions, report_exclusions
 from hapticd.fit.invalid_samples import without_invalid_samples
 from hapticd.fit.plain_data import plain
 from hapticd.fit.recording import Recording
+from hapticd.fit.recording_checks import (
+    LEAST_RATE,
+    acceleration_of,
+    check_force_varies,
+    report_cleaning,
+    report_gravity,
+)
 from hapticd.fit.spectral_distance import spectral_distance_db
 from hapticd.fit.spectral_lines import report_lines, spectral_lines
 from hapticd.fit.spectrum_peak import LOW_HZ, Peak, jackknifed, peak_of
 from hapticd.fit.stretches import stretches_of
-from hapticd.fit.strokes import LEAST_RATE, acceleration_of, check_force_varies, report_cleaning, report_gravity
 from hapticd.fit.texture_blocks import BLOCK_S, StrokeBlocks, Tail, blocks_of, centroid_of, slices_of, top_of
 from hapticd.fit.verdict import Doubts, Verdict
 from hapticd.rendering.filter_design import power_spectrum, stochastic_filter

@@ -15,8 +15,9 @@ import numpy as np
 
 from hapticd.analysis.statistics import FitError, Floats
 from hapticd.fit.invalid_samples import Cleaned
+from hapticd.fit.recording_checks import acceleration_of, pressed
 from hapticd.fit.spectrum_peak import LOW_HZ, smoothed
-from hapticd.fit.strokes import acceleration_of, motion_of, pressed
+from hapticd.fit.stylus_motion import motion_of
 from hapticd.fit.verdict import Doubts
 
 BLOCK_S: Final = 0.5

@@ -60,7 +60,7 @@ ALIKE: Final = 0.5
 UNFINISHED: Final = 0.05
 """Of the peak: a shape that is larger where it has to end is faded out."""
 AFTER: Final = 1.3
-"""A pulse is looked at for so many times its length."""
+"""A pulse is evaluated for so many times its length."""
 FADED: Final = 0.2
 """Over this part of its length."""
 
@@ -234,7 +234,7 @@ def by_others(pulses: Sequence[Pulse], placed: Sequence[Placed], equations: Equa
 def _uncertain(
     pulses: Sequence[Pulse], samples: Floats, placed: Sequence[Placed], rate_hz: float, faded: bool
 ) -> Uncertain:
-    """Found anew, with all onsets, without each of the pulses, and with twice as many samples."""
+    """Found again, with all onsets, without each of the pulses, and with twice as many samples."""
     count, groups = len(samples), min(len(pulses), GROUPS)
     shapes, sizes = [], []
     for group in range(groups):

@@ -1,30 +1,35 @@
-"""HID devices: found, evaluated, set up, driven, lost and found again. This is the map of the room.
+"""HID devices: found, evaluated, set up, driven, lost and found again.
 
 From a plugged-in device to a force, in this order:
 
-    discovery        which HID devices there are, by sysfs, and the one that the configuration means
-    descriptor/      what a report descriptor says: parser (items), fields, layout (reports and axes; a table)
-    verdict          decides whether a device can be driven, and why not; everything that says so asks here
-    drivers/         a class of devices each: its set-up and its plan
-        pid              set-up of the PID class: reset, effects made, started with a force of zero
-        pid_plan         two effects, one with a direction, or one axis; what is sent afterwards
-        pid_reports      each report encoded: Set Effect, Set Constant Force, Effect Operation, Device Control, ...
-        pid_directions   the counts of an angle, and what of a force comes out across it
-        pid_periodic     effects that a device plays itself; pid_pool: how many there is room for
-        vendor           devices with reports of their own, as device.hid.report describes them
-    plan             what a connection does, as data, handed to C as struct hd_hid_plan
-    sources, device  what opens a device: a hidraw node; or a recording that stands in for one (replay)
-    connection       a thread that sets up, hands over, waits, sets up again after a reset, and looks for what is gone
-    link             how fast forces go out, and how often effects are restored at that speed
+    discovery           which HID devices there are, by sysfs, and the one that the configuration means
+    descriptor/         what a report descriptor says: items, fields, reports and axes
+    verdict             decides whether a device can be driven, and why not; everything that says so asks here
+    drivers/            a class of devices each: its set-up and its plan
+        pid             set-up of the PID class: reset, effects made, started with a force of zero
+        pid_plan        two effects, one with a direction, or one axis; what is sent afterwards
+        pid_reports     each report encoded: Set Effect, Set Constant Force, Effect Operation, Device Control, ...
+        pid_directions  the counts of an angle, and what of a force comes out across it
+        pid_periodic    effects that a device plays itself
+        pid_pool        how many effects there is room for
+        vendor          devices with reports of their own, as device.hid.report describes them
+    plan                what a connection does, as data, handed to C as struct hd_hid_plan
+    sources             a configuration's device: a hidraw node or a recording
+    device              what set-up does with a device: sends reports, reads features
+    replay              a recording that stands in for a device
+    connection          a thread: sets up, hands over, waits, sets up again after a reset, and looks for what is gone
+    link                how fast forces go out, and how often effects are restored at that speed
 
 Beside that way:
 
-    signs            the check, before the first force, of which way a device pushes
-    sign_calibration `hapticd devices calibrate`: finds out which way it pushes
-    nearest_effect   the effect of a device that is nearest to a mode; offload: which mode has which effect
-    stopper          a file and a process that stop a device whose daemon was killed
-    claim            keeps other programs off a device; event_nodes: what they would use of it
-    texts            sentences that clients print, too
+    signs               the check, before the first force, of which way a device pushes
+    sign_calibration    `hapticd devices calibrate`: finds out which way it pushes
+    nearest_effect      the effect of a device that is nearest to a mode
+    offload             which mode has which effect
+    stopper             a file and a process that stop a device whose daemon was killed
+    claim               keeps other programs off a device
+    event_nodes         the nodes by which other programs use a device
+    device_texts        sentences about devices that clients print, too; cheap to load
 
 What happens every few milliseconds is in C: csrc/device/hd_hid_reader.c and hd_hid_writer.c, behind hd_hid_mailboxes.c.
 

@@ -124,7 +124,7 @@ class Found:
 
 
 def find(sysfs: Path = SYSFS, dev: Path = DEV) -> list[Found]:
-    """Every hidraw device, by number. A device that goes away while it is looked at is left out."""
+    """Every hidraw device, by number. A device that goes away meanwhile is left out."""
     try:
         names = [name for name in os.listdir(sysfs) if re.fullmatch(r"hidraw\d+", name)]
     except OSError:

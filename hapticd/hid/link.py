@@ -1,6 +1,6 @@
 """How fast a device takes forces, and how often the effects of a connection are restored at that speed.
 
-Another program (a game, through the kernel's driver) may reset the device and upload an effect of its own under the
+Another program (a game, through the kernel's driver) may reset the device and upload another effect under the
 number of ours. A device that reports which effects play shows it. To any other device each part of our effects is sent
 again and again: magnitude and start with every renewal, direction, type, gain, duration and envelope by the script
 `restore`, one report after the forces of a pass.

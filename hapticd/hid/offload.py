@@ -17,9 +17,9 @@ from hapticd.base.core import CData, HidQuantity, Status, ffi, invalid_reason, l
 from hapticd.base.errors import HapticdError
 from hapticd.config.materials import Material, Tap
 from hapticd.config.modes import Mode
+from hapticd.hid.device_texts import offload_text
 from hapticd.hid.nearest_effect import NearestEffect, most_n, nearest_effect, streamed_error
 from hapticd.hid.plan import Message, Periodic, Scale, Value, fill_message
-from hapticd.hid.texts import offload_text
 
 MOST_ERROR: Final = 0.2
 """An effect that differs by more from its mode (RMS of the difference over RMS) is not used."""

@@ -174,7 +174,7 @@ def record(
 
 
 class ReplayDevice:
-    """A device that reports what a recording holds, in a thread of its own, and takes every force.
+    """A device that reports what a recording holds, in a separate thread, and takes every force.
 
     At the end it begins again, or is gone, as if it had been unplugged.
     """

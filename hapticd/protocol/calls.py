@@ -11,7 +11,7 @@ from hapticd.base.errors import HapticdError, Problem, in_order, lines_of, shown
 from hapticd.protocol import messages
 
 TIMEOUT_S: Final = 5.0
-"""How long a client waits for an answer unless it is told otherwise."""
+"""How long a client waits for an answer by default."""
 
 Topic: TypeAlias = Literal["samples", "state", "event", "change", "status", "bridge"]
 

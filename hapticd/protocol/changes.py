@@ -37,7 +37,7 @@ class Revised(NamedTuple):
     objects: Mapping[str, SceneObject | None]
     materials: Mapping[str, Material | None]
     whole: tuple[Scene, Materials] | None
-    """More changed than is told one by one; scene and materials as they are now."""
+    """More changed than is published one by one; scene and materials as they are now."""
     rate_hz: float | None = None
     """The servo's from this revision on, where it is another one."""
 
@@ -111,7 +111,7 @@ def revised(
 ) -> Revised:
     """What a revision changed; `ids` are the objects that may have.
 
-    It keeps what changed, not the scenes, as long as that is little: many of them may wait to be told.
+    It keeps what changed, not the scenes, as long as that is little: many of them may wait to be published.
     """
     names: list[str] = []
     if old is not new:

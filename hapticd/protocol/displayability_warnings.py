@@ -1,6 +1,6 @@
-"""What of a message cannot be displayed as it was meant, told at its place in the message's params.
+"""What of a message cannot be displayed as it was meant, reported at its place in the message's params.
 
-It is what `get_status` says of the scene (displayable.py), of no more than the message held.
+It is what `get_status` says of the scene (rendering/displayability.py), of no more than the message held.
 """
 
 from collections.abc import Callable, Collection, Mapping
@@ -14,6 +14,7 @@ from hapticd.base.errors import Path, Problem, path_text
 from hapticd.base.model import MAX_FAULTS
 from hapticd.config.materials import Material, Materials
 from hapticd.config.scene import SceneObject, Wall, material_names, material_places
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import (
     DISPLAYABLE,
     material_rate_faults,
@@ -21,8 +22,7 @@ from hapticd.rendering.displayability import (
     patch_warnings,
     undisplayable,
 )
-from hapticd.rendering.output import Output
-from hapticd.rendering.undisplayable import Undisplayable, Use
+from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
 _KEYS: Final[Mapping[Use, Path]] = {"second": ("tap", "second"), "groove": ("texture",)}
 """Where a mode stands in its material, if not under its own name."""
@@ -84,7 +84,7 @@ def change_warnings(
 
     `objects` stand below `root`, the materials named in `sent` below `materials`; another material is reported where
     the first object names it. `report` finds what is reported of a material, or knows it; `played`: materials and modes
-    that the device plays by itself.
+    that the device plays itself.
     """
     if not sent and all(_is_fine(item, materials, report) for item in objects.values()):
         return []

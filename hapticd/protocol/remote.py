@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hapticd.protocol.keys import Certificate
 
 PORT: Final = 9410
-"""Where a bridge takes commands unless it is told otherwise; telemetry has the port after it."""
+"""Where a bridge takes commands by default; telemetry has the port after it."""
 
 _TCP: Final = re.compile(r"tcp://(\[[0-9A-Fa-f:.]+(?:%\w+)?\]|[^\[\]:/\s]+)(?::(\d{1,5}))?/?")
 _RECONNECT_MS: Final = 100
@@ -47,7 +47,7 @@ class Refusal(NamedTuple):
 
 
 def is_remote(place: object) -> bool:
-    """Whether a client is told an address rather than a directory."""
+    """Whether a client is given an address rather than a directory."""
     return isinstance(place, str) and place.startswith("tcp://")
 
 

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class GestureEnd(TypedDict):
-    """The event at the end of what the hand was told to do, `completed` or replaced by another operator before that;
+    """The event at the end of what the hand was sent to do, `completed` or replaced by another operator before that;
     `started_tick` is that of `set_operator`."""
 
     event: Literal["gesture_end"]

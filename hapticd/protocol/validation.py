@@ -123,7 +123,7 @@ def _not_too_many(materials: dict[str, Material]) -> dict[str, Material]:
 def faults_beside(
     method: str, params: Mapping[str, object], scene: Scene, materials: Materials, working: _Working
 ) -> list[Problem]:
-    """Faults of the scene, objects and materials in parameters of which others are faulty: they are told at once."""
+    """Faults of the scene, objects and materials in parameters of which others are faulty, so that all are reported."""
     objects, given = params.get("objects"), params.get("materials")
     problems: list[Problem] = []
 

@@ -43,7 +43,7 @@ class Bounds:
     size: int
     """Bytes of a message, all parts together."""
     kept: int
-    """Bytes of a message that are kept; of a longer one only the size is told."""
+    """Bytes of a message that are kept; of a longer one only the size is reported."""
 
 
 @dataclass(slots=True)
@@ -147,7 +147,7 @@ class Parser:
 
     @property
     def pending(self) -> bool:
-        """Whether there are bytes that `next` has not looked at."""
+        """Whether there are bytes that `next` has not read."""
         return self._at < len(self._buffer)
 
     @property

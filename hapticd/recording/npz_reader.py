@@ -115,7 +115,7 @@ def _has_not(info: zipfile.ZipInfo, size: int) -> BadRecordingError:
 def _read_into(member: IO[bytes], info: zipfile.ZipInfo, array: npt.NDArray[Any]) -> None:
     if array.nbytes and fill(member, array.reshape(-1).view(np.uint8).data) != array.nbytes:
         raise _has_not(info, array.nbytes)
-    member.read(1)  # at its end the archive's checksum is looked at
+    member.read(1)  # at its end the archive's checksum is checked
 
 
 def _read_samples(archive: zipfile.ZipFile, info: zipfile.ZipInfo, memory: Memory) -> Samples:
@@ -149,7 +149,7 @@ def _stretches(
             raise _has_not(info, count * dtype.itemsize)
         yield rows
         left -= len(rows)
-    member.read(1)  # at its end the archive's checksum is looked at
+    member.read(1)  # at its end the archive's checksum is checked
 
 
 def _read_rows(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> Iterator[npt.NDArray[np.void]]:

@@ -42,7 +42,7 @@ def load_recorded(
 ) -> Recorded:
     """Reads a .npz, .csv or .mcap of `hapticd record` or `hapticd simulate`.
 
-    `max_memory`: bytes that it may take (see reading.py); `memory`, where the caller needs some, too. Raises
+    `max_memory`: bytes that it may take (see reading_limits.py); `memory`, where the caller needs some, too. Raises
     HapticdError where it is none, or would take more.
     """
     name = os.fspath(path)

@@ -39,8 +39,8 @@ from hapticd.protocol.events import event_map
 from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded, memory_for
 from hapticd.recording.reading_limits import Memory, Recorded, Samples, TooMuchMemoryError
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import Rerun
-from hapticd.rendering.output import output_of
 
 FORCES: Final = ("contact_force_n", "vibration_force_n", "force_n")
 """What is compared."""
@@ -121,7 +121,7 @@ class Replay:
         return text + "".join(f"; {doubt}" for doubt in self.doubts)
 
     def write(self, target: str | os.PathLike[str], overwrite: bool = False) -> None:
-        """Writes what was rendered as a recording of its own. Raises HapticdError where the disk does not take it, or
+        """Writes what was rendered as another recording. Raises HapticdError where the disk does not take it, or
         the target is there already."""
         with open_writer(target, overwrite) as writer:
             last = ("changes", "recording", "flight")

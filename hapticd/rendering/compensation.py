@@ -9,7 +9,7 @@ right amplitude and phase where F_k = Im(C exp(p k T)),
 
     C = ((m + m_h) + (b + b_h)/p + k/p^2) * p T / (1 - exp(-p T)),
 
-but a device that was at rest answers with a motion of its own. `full` adds a tail, a second decaying pole, and chooses
+but a device that was at rest answers with a transient, too. `full` adds a tail, a second decaying pole, and chooses
 both complex amplitudes by least squares over the band in which the error is reported.
 
 A surface that is touched meanwhile acts on the handle, too: what it does to a motion, held and lagging as every force,

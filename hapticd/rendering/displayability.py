@@ -1,8 +1,9 @@
 """What of a scene and its materials this device and rate can show, and what becomes of the rest.
 
-Three answers: what is muted or lowered (`undisplayable`), what is refused because the rate cannot carry it at all
-(`rate_faults`), and what is shown, but not as it was meant (`warnings`). Places are those of a configuration file:
-`materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
+What the rate cannot carry is muted or lowered. `displayed_mode`, `displayed_wave_rate` and `displayed_pair` decide how,
+for whoever compiles or strikes a mode. Three functions only report: `undisplayable` what is muted or lowered,
+`rate_faults` what is refused because the rate cannot carry it at all, `warnings` what is shown, but not as it was
+meant. Places are those of a configuration file: `materials.comb.texture.spacing_m`, `scene.objects.table.patches[1]`.
 """
 
 import math
@@ -22,10 +23,10 @@ from hapticd.config.scene import SceneObject, Wall, used_materials
 from hapticd.config.texture import Autoregressive, Grooves, Stochastic
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compensation import LARGEST, Load, Shape, shapes_of
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.filter_design import power_above, stochastic_filter
-from hapticd.rendering.output import Output
 from hapticd.rendering.resampling import resampled
-from hapticd.rendering.undisplayable import Undisplayable, Use
+from hapticd.rendering.undisplayable_text import Undisplayable, Use
 
 DISPLAYABLE: Final = 0.4
 """What lies above this fraction of the rate, of servo or link, whichever is lower, is not displayed as it is."""

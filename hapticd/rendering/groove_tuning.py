@@ -24,8 +24,8 @@ from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.config.texture import FrequencyTable, Grooves
 from hapticd.rendering.compensation import Ringing, Shape, peak_between, tuned_shapes
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import DISPLAYABLE, TOUCHED_N_PER_M, UNTOUCHED
-from hapticd.rendering.output import Output
 
 NODES: Final = 17
 """So many frequencies are designed; at most HD_TUNE_NODES."""

@@ -20,8 +20,8 @@ from hapticd.config.dynamics import Dynamics
 from hapticd.config.materials import Material
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Load, part_shown, pole_shape
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import Touched, displayed_mode, mode_path, modes_of, struck_shapes, touched_by
-from hapticd.rendering.output import Output
 
 TOLERATED: Final = 0.1
 """A mode whose amplitude is shown to within this part needs no word. Of order 1 that is half the bandwidth."""

@@ -37,11 +37,11 @@ from hapticd.config.operator import Operator, load_operator, parse_operator
 from hapticd.config.scene import Scene, field_ids
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import Output, loop_of, output_of
 from hapticd.rendering.displayability import materials_in, rate_faults, undisplayable, warnings
 from hapticd.rendering.joystick import grip_of, new_operator, new_sim, target_of
-from hapticd.rendering.output import Output, loop_of, output_of
 from hapticd.rendering.scene_stability import Stability, evaluate
-from hapticd.rendering.undisplayable import Undisplayable
+from hapticd.rendering.undisplayable_text import Undisplayable
 
 Samples: TypeAlias = npt.NDArray[np.void]
 """Shape (n,), dtype `hapticd.SAMPLE_DTYPE`: one record a tick, with the fields and units of telemetry."""

@@ -1,7 +1,7 @@
 """Whether the loop of tick, device and hand is stable: margins of stiffness, and what they are made of.
 
 A wall of stiffness K and damping D is sampled: its force is made of a position that was measured earlier, and is held
-for a while. Three things can go wrong, and each has a condition of its own (derived in docs/stability.md, which says
+for a while. Three things can go wrong, and each has its condition (derived in docs/stability.md, which says
 how they go beyond Colgate and Schenkel (1997), Abbott and Okamura (2005) and Diolaiti et al. (2006)):
 
     passivity      b > K reach + D echo                  any passive hand; b is the handle's own damping

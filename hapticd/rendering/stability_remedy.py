@@ -26,7 +26,7 @@ _HALVINGS: Final = 7
 _CHECKED: Final = (1.0, 0.99, 0.9)
 """A factor is reported if the set is safe with it, and with a little less."""
 MOST_CHECKED: Final = 200
-"""In a scene of more surfaces a set is checked by itself: what else a softer wall would reach is left out."""
+"""In a scene of more surfaces a set is checked alone: what else a softer wall would reach is left out."""
 _SHOWN: Final = 4
 
 

@@ -1,7 +1,7 @@
 """Taps whose mode follows the approach speed: the numbers by which the tick finds it (csrc/scene/hd_table_numbers.h).
 
-As of grooves (tuning.py), what `compensation` makes of a mode is designed for some speeds when the scene is taken in,
-all with the poles of one tail; between them everything lies on a straight line.
+As of grooves (groove_tuning.py), what `compensation` makes of a mode is designed for some speeds when the scene is
+taken in, all with the poles of one tail; between them everything lies on a straight line.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from hapticd.config.materials import Material
 from hapticd.config.mode_table import ModeTable
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Ringing, tuned_shapes
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import DISPLAYABLE, Touched, touched_by
 from hapticd.rendering.groove_tuning import complete_tail, node_rows
-from hapticd.rendering.output import Output
 
 NODES: Final = 16
 """Between the first speed and the last are about so many steps; with the points at most HD_TUNE_NODES nodes."""

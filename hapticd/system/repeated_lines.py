@@ -5,7 +5,7 @@
     14:03:25  2,377 periods missed (11.9 %), 58 times, in the last 2 s
     14:03:29  ...
 
-The interval doubles with each line, from one second to an hour. Whoever was quiet for five minutes begins anew.
+The interval doubles with each line, from one second to an hour. Whoever was quiet for five minutes begins again.
 """
 
 from __future__ import annotations

@@ -168,8 +168,8 @@ def test_a_change_is_refused_without_it_and_the_next_one_is_taken(
         daemon.over()
         assert daemon.answers[change]["result"]["revision"] == before.revision + 1
     finally:
-        daemon.control.end()
-        daemon.control.intake.join()
+        daemon.methods.end()
+        daemon.methods.intake.join()
         daemon.engine.stop()
 
 
@@ -190,8 +190,8 @@ def test_a_change_comes_out_as_without_it(monkeypatch: pytest.MonkeyPatch) -> No
             daemon.over()
             return daemon.engine._compiler._materials._numbers.tobytes()
         finally:
-            daemon.control.end()
-            daemon.control.intake.join()
+            daemon.methods.end()
+            daemon.methods.intake.join()
             daemon.engine.stop()
 
     assert numbers(0) == numbers(1_000_000)

@@ -31,8 +31,8 @@ from hapticd.bridge.limits import Bucket, Teller
 from hapticd.bridge.metrics import Metrics
 from hapticd.bridge.relay import method_in, peek
 from hapticd.config.configuration import default_config
-from hapticd.daemon.control import Control
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import Methods
 from hapticd.protocol import messages
 from hapticd.protocol.keys import new_certificate
 from hapticd.system.paths import RuntimePaths
@@ -410,7 +410,7 @@ def parsed(text: str) -> dict[str, dict[tuple[str, ...], float]]:
 
 
 def test_metrics_of_a_status() -> None:
-    status = Control(Engine(default_config())).status()
+    status = Methods(Engine(default_config())).status()
     lateness = {"edges": [1000, 2000, 4000], "counts": [5, 0, 2, 1], "sum": 12_345, "max": 9000}
     status["histograms"] = {"lateness_ns": lateness}
     status["faults"], status["forces"] = ["device"], "faulted"
@@ -547,7 +547,7 @@ def test_every_key_of_the_file_is_described() -> None:
 
 def test_every_metric_is_described() -> None:
     documented = {(name, row[1]) for row in rows("Prometheus") for name in re.findall("`(hapticd_[a-z_]+)`", row[0])}
-    status = Control(Engine(default_config())).status()
+    status = Methods(Engine(default_config())).status()
     told_ns = {"edges": [1000], "counts": [1, 0], "sum": 1, "max": 1}
     status["histograms"] = {"lateness_ns": told_ns, "work_ns": told_ns}
     status["faults"] = ["device"]

@@ -20,8 +20,8 @@ from hapticd.cli.common import print_result
 from hapticd.cli.failure import asks_for_json, tell
 from hapticd.cli.shell import PHRASES, in_shell_words
 from hapticd.client.methods import patch_tree
-from hapticd.daemon.control import _FAULT_WORDS
 from hapticd.daemon.counters import Granted
+from hapticd.daemon.methods import _FAULT_WORDS
 from hapticd.daemon.status_text import FAULTS, lines, text_of
 from hapticd.hid.signs import SignsStatus
 from hapticd.protocol.calls import DaemonNotRunning, RemoteError, result_of
@@ -342,7 +342,7 @@ def test_the_daemons_words_in_those_of_the_shell(code: int, message: str, told: 
 
 
 def test_what_is_replaced_is_what_the_daemon_says() -> None:
-    source = (Path(__file__).parents[2] / "hapticd" / "daemon" / "control.py").read_text()
+    source = (Path(__file__).parents[2] / "hapticd" / "daemon" / "methods.py").read_text()
     for phrase, _ in PHRASES:
         assert phrase in source
 

@@ -16,7 +16,7 @@ from hapticd.config.materials import Material
 from hapticd.config.patches import Patch, Patches
 from hapticd.config.scene import Scene, Wall, validate_object
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.output import output_of
+from hapticd.rendering.device_output import output_of
 
 GIVEN = [
     {"from_m": 0.5, "to_m": 0.75, "material": "steel"},

@@ -15,8 +15,8 @@ from hapticd.base.errors import InvalidError
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import validate_materials
 from hapticd.config.rising_points import MAX_POINTS
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import undisplayable
-from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig
 
 Floats = npt.NDArray[np.float64]

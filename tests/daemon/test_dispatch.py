@@ -18,9 +18,9 @@ from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.scene import Scene
 from hapticd.daemon import dispatch as dispatching
-from hapticd.daemon.control import Control
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import Methods
 from hapticd.protocol import messages
 from hapticd.rendering.compiler import noise_filters
 
@@ -61,10 +61,10 @@ class Daemon:
     def __init__(self, load: Callable[[], Config] | None = None) -> None:
         config = load_config({"device": {"kind": "sim"}, "servo": SERVO})
         self.engine = Engine(config)
-        self.control = Control(self.engine, load)
-        self.dispatch = Dispatch(self.control)
+        self.methods = Methods(self.engine, load)
+        self.dispatch = Dispatch(self.methods)
         self.woken = threading.Event()
-        self.control.intake.wake = self.woken.set
+        self.methods.intake.wake = self.woken.set
         self.answers: dict[object, dict[str, Any]] = {}
         self._next = 0
 
@@ -99,8 +99,8 @@ def daemon() -> Iterator[Daemon]:
     made = Daemon()
     made.engine.start()
     yield made
-    made.control.end()
-    made.control.intake.join()
+    made.methods.end()
+    made.methods.intake.join()
     made.engine.stop()
 
 
@@ -247,8 +247,8 @@ def test_the_end_overtakes_what_is_compiled(
     before = daemon.engine.state
     long = daemon.send("apply", taken())
     assert begun.wait(60)
-    daemon.control.end()
-    thread = daemon.control.intake._thread
+    daemon.methods.end()
+    thread = daemon.methods.intake._thread
     assert thread is not None
     thread.join(60)
     assert not thread.is_alive()
@@ -287,7 +287,7 @@ def test_reloads_wait_for_each_other_and_become_one(monkeypatch: pytest.MonkeyPa
 
 def test_beside_comes_out_as_it_does_inline(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     inline = Engine(daemon.engine.config)
-    assert Control(inline).call("apply", taken(seed=7))["revision"] == 2
+    assert Methods(inline).call("apply", taken(seed=7))["revision"] == 2
     monkeypatch.setattr(noise_filters, "designs", noise_filters.Designs())
     daemon.send("apply", taken(seed=7))
     daemon.over()
@@ -341,9 +341,9 @@ def test_designs_are_kept_within_bounds(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(noise_filters, "_KEPT", 10_000)
     config = load_config({"device": {"kind": "sim"}})
     output = Engine(config).output
-    control = Control(Engine(config))
-    control.call("set_materials", {"materials": {f"sand {seed}": sand(1, seed) for seed in range(3)}})
-    textures = [control._engine.materials[f"sand {seed}"].texture for seed in range(3)]
+    methods = Methods(Engine(config))
+    methods.call("set_materials", {"materials": {f"sand {seed}": sand(1, seed) for seed in range(3)}})
+    textures = [methods._engine.materials[f"sand {seed}"].texture for seed in range(3)]
     large = noise_filters.SILENCE._replace(nodes=np.zeros((1, 1, 500)))
     for texture in textures:
         designs.keep(texture, output, large)  # type: ignore[arg-type]
@@ -375,7 +375,7 @@ def test_a_wall_of_many_patches_is_encoded_before_it_is_in_force(monkeypatch: py
             return take(self, given, *rest)
 
         monkeypatch.setattr(Engine, name, looked)
-    daemon.control.call(method, {"update_scene": scene, "reload": {}}.get(method, {"scene": scene}))
+    daemon.methods.call(method, {"update_scene": scene, "reload": {}}.get(method, {"scene": scene}))
     assert encoded == [True]
 
 
@@ -384,7 +384,7 @@ def test_a_tiny_change_of_a_wall_looks_at_none_of_its_patches(
 ) -> None:
     library = load_config({}).materials
     daemon.engine.set_materials(library)
-    daemon.control.call("set_scene", {"scene": {"objects": {"one": patched(50), "other": patched(30)}}})
+    daemon.methods.call("set_scene", {"scene": {"objects": {"one": patched(50), "other": patched(30)}}})
     rows = daemon.engine._compiler._walls.records.copy()
     objects = daemon.engine.scene.objects
 
@@ -395,19 +395,19 @@ def test_a_tiny_change_of_a_wall_looks_at_none_of_its_patches(
         patch.setattr(type(objects["one"]), "stretches", nobody)
         patch.setattr("hapticd.config.patches._apart", nobody)
         patch.setattr("hapticd.rendering.displayability._narrow", nobody)
-        result = daemon.control.call("update_scene", {"objects": {"one": {"point_m": [0, -0.001]}}})
+        result = daemon.methods.call("update_scene", {"objects": {"one": {"point_m": [0, -0.001]}}})
         assert len(result["warnings"]) == 99  # type: ignore[arg-type]
-        assert daemon.control.status()["revision"] == result["revision"]
+        assert daemon.methods.status()["revision"] == result["revision"]
     moved = daemon.engine.scene.objects["one"]
     assert moved.patches is objects["one"].patches and moved.point_m == (0, -0.001)  # type: ignore[union-attr]
     assert (daemon.engine._compiler._walls.records == rows).all()
     # The same patches sent again, another ramp, and no patches at all.
-    daemon.control.call("update_scene", {"objects": {"one": patched(50)}})
+    daemon.methods.call("update_scene", {"objects": {"one": patched(50)}})
     assert (daemon.engine._compiler._walls.records == rows).all()
-    daemon.control.call("update_scene", {"objects": {"one": {"patch_ramp_m": 1e-4}}})
+    daemon.methods.call("update_scene", {"objects": {"one": {"patch_ramp_m": 1e-4}}})
     assert len(daemon.engine._compiler._walls.records) == len(rows)
     assert not (daemon.engine._compiler._walls.records == rows).all()
-    daemon.control.call("update_scene", {"objects": {"one": {"patches": None}}})
+    daemon.methods.call("update_scene", {"objects": {"one": {"patches": None}}})
     assert len(daemon.engine._compiler._walls.records) == 61
     fresh = Engine(daemon.engine.config)
     fresh.replace(daemon.engine.scene, daemon.engine.materials)
@@ -421,7 +421,7 @@ def test_the_newest_sample_is_waited_for_by_nobody_else(daemon: Daemon, monkeypa
         asked.append(Future())
         return asked[-1]
 
-    daemon.control._ask_state = ask
+    daemon.methods._ask_state = ask
     first, second = daemon.send("get_state"), daemon.send("get_state")
     assert daemon.ask("set_forces", {"enabled": False})["forces"] == "off"
     assert not {first, second} & daemon.answers.keys()

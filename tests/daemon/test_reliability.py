@@ -17,8 +17,8 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.modes import Mode
 from hapticd.daemon import reload
-from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine, monotonic_ns
+from hapticd.daemon.methods import MethodError, Methods
 from hapticd.protocol.changes import Played, Revised
 from hapticd.protocol.events import event_map
 from tests.hid.test_connection import World
@@ -57,7 +57,7 @@ class Watch:
     """An engine under test with everything that it said."""
 
     def __init__(self, engine: Engine, beats: bool = True) -> None:
-        self.engine, self.control = engine, Control(engine)
+        self.engine, self.methods = engine, Methods(engine)
         self.beats = beats
         self.samples = records(SAMPLE_DTYPE, 0)
         self.events: list[dict[str, Any]] = []
@@ -84,7 +84,7 @@ class Watch:
         return {str(event["event"]) for event in self.events}
 
     def status(self) -> dict[str, Any]:
-        return self.control.status()
+        return self.methods.status()
 
     def faults(self) -> list[str]:
         return list(self.status()["faults"])
@@ -96,7 +96,7 @@ class Watch:
     def forces_on(self) -> None:
         """set_forces, and what it tells."""
         self.events.clear()
-        self.control.call("set_forces", {"enabled": True})
+        self.methods.call("set_forces", {"enabled": True})
         self.until(self.full)
         assert self.faults() == []
         assert [event["faults"] for event in self.events if event["event"] == "fault"] == [[]]
@@ -124,7 +124,7 @@ def unplugged(row: list[str], world: World) -> None:
     world.plug()
     watch = Watch(world.start(overruns=ANY))
     world.hold(0.004)
-    world.full(world.engine) if watch.control.call("set_forces", {"enabled": True}) else None  # type: ignore[arg-type]
+    world.full(world.engine) if watch.methods.call("set_forces", {"enabled": True}) else None  # type: ignore[arg-type]
     watch.look()
     watch.events.clear()
     world.unplug()
@@ -136,7 +136,7 @@ def unplugged(row: list[str], world: World) -> None:
     assert not watch.samples["force_n"][watch.samples["tick"] >= lost].any()
     assert watch.status()["connection"]["problem"]
     with pytest.raises(MethodError, match="does not report"):
-        watch.control.call("set_forces", {"enabled": True})
+        watch.methods.call("set_forces", {"enabled": True})
     world.plug()
     watch.until(lambda: "device_found" in watch.kinds())
     assert watch.faults() == ["device"]
@@ -148,7 +148,7 @@ def silent(row: list[str], world: World) -> None:
     world.late_after_s = 1.0  # more than whoever reports for it is held up
     watch = Watch(world.start(overruns=ANY))
     world.hold(0.004)
-    watch.control.call("set_forces", {"enabled": True})
+    watch.methods.call("set_forces", {"enabled": True})
     watch.until(watch.full)
     watch.events.clear()
     world.stick = None  # it reports no more, and is still there
@@ -158,7 +158,7 @@ def silent(row: list[str], world: World) -> None:
     watch.until(lambda: not watch.samples["force_n"][-1].any())
     assert watch.status()["connection"]["state"] == "connected"
     with pytest.raises(MethodError, match="does not report"):
-        watch.control.call("set_forces", {"enabled": True})
+        watch.methods.call("set_forces", {"enabled": True})
     world.stick = stick
     watch.until(lambda: "device_found" in watch.kinds())
     watch.forces_on()
@@ -198,7 +198,7 @@ def frozen(row: list[str], _: World) -> None:
         faulted = watch.samples[(watch.samples["flags"] & Flag.FAULT) != 0]
         assert not faulted["force_n"].any()
         # Under less than a tenth of the largest force it may rest.
-        watch.control.call("update_scene", {"objects": {"push": {"force_n": [0.0, 0.3]}}, "wait": True})
+        watch.methods.call("update_scene", {"objects": {"push": {"force_n": [0.0, 0.3]}}, "wait": True})
         watch.forces_on()
         start = watch.engine.counters().ticks
         watch.until(lambda: watch.engine.counters().ticks > start + 400)
@@ -227,7 +227,7 @@ def lapsed(row: list[str], _: World) -> None:
     engine.start()
     try:
         watch = Watch(engine)
-        watch.control.call("lease", {"duration_s": 0.2})
+        watch.methods.call("lease", {"duration_s": 0.2})
         watch.until(lambda: watch.faults() == ["lease"])
         watch.look()
         expect(row, watch)
@@ -291,9 +291,9 @@ def too_many_is_a_fault(row: list[str], _: World) -> None:
         watch.until(lambda: watch.faults() == ["overrun"])
         watch.look()
         expect(row, watch)
-        watch.control.call("set_scene", {"scene": {"objects": {}}, "wait": True})
+        watch.methods.call("set_scene", {"scene": {"objects": {}}, "wait": True})
         watch.events.clear()
-        watch.control.call("set_forces", {"enabled": True})
+        watch.methods.call("set_forces", {"enabled": True})
         # A machine that is busy with something else may well miss too many again.
         watch.until(lambda: any({"event": "fault", "faults": []}.items() <= event.items() for event in watch.events))
     finally:
@@ -310,7 +310,7 @@ def steps_down(row: list[str], _: World) -> None:
         watch = Watch(engine)
         watch.until(lambda: "rate" in watch.kinds())
         # Half the rate may be too much, too: it steps on until it is enough, or the lowest.
-        watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
+        watch.methods.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
         watch.until(lambda: bool(watch.status()["faults"]) or watch.full())
         expect(row, watch, but=set() if watch.faults() == [] else {"fault"})
         watch.look()  # the samples of these events, too
@@ -379,15 +379,15 @@ def test_no_step_down_to_a_rate_that_no_signal_of_the_scene_has() -> None:
     try:
         watch = Watch(engine)
         watch.until(lambda: engine.counters().faults == Fault.OVERRUN)
-        watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
+        watch.methods.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
         watch.look()
         assert "rate" not in watch.kinds()
         assert {change.rate_hz for change in engine.read_changes() if isinstance(change, Revised)} == {None}
         assert watch.status()["rate_hz"] == 10_000
         watch.until(lambda: engine.counters().running)  # it may have ended to try once more
         with pytest.raises(MethodError, match="missed too many periods"):
-            watch.control.call("play", {"material": "wood", "direction": [0, 1], "amplitude_m_per_s2": 1})
-        watch.control.call("set_forces", {"enabled": True})
+            watch.methods.call("play", {"material": "wood", "direction": [0, 1], "amplitude_m_per_s2": 1})
+        watch.methods.call("set_forces", {"enabled": True})
         watch.until(lambda: watch.full() or watch.faults() == ["overrun"])
     finally:
         engine.stop()
@@ -404,9 +404,9 @@ def test_a_command_is_not_in_vain_while_the_servo_steps_down() -> None:
         while engine.counters().running:
             engine.beat()
             ended.wait(0.002)
-        watch.control.call("set_forces", {"enabled": True})
+        watch.methods.call("set_forces", {"enabled": True})
         assert engine.rate_hz == 5000
-        changed = watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
+        changed = watch.methods.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
         assert engine.counters().revision >= int(str(changed["revision"]))
     finally:
         engine.stop()
@@ -483,7 +483,7 @@ def test_large_files_are_read_while_it_beats(monkeypatch: pytest.MonkeyPatch) ->
         return engine.config
 
     monkeypatch.setattr(engine, "beat", counted)
-    assert Control(engine, load).call("reload", {}) == {"revision": engine.revision}
+    assert Methods(engine, load).call("reload", {}) == {"revision": engine.revision}
 
 
 def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -495,7 +495,7 @@ def test_files_that_are_never_read_hold_nothing_up(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(reload, "LOAD_S", 0.0)
     with pytest.raises(MethodError, match="were not read within 0 s"):
-        Control(engine, load).call("reload", {})
+        Methods(engine, load).call("reload", {})
     over.set()
 
 
@@ -515,24 +515,24 @@ def test_stepping_down_keeps_what_is_open_and_who_is_who() -> None:
         watch = Watch(engine)
         # Again and again: a skin that is met in a stall is not felt.
         strokes = [[0.4 * n + t_s, 0, y_m] for n in range(50) for t_s, y_m in ((0.0, 0.01), (0.3, -0.02))]
-        watch.control.call("set_operator", {"waypoints": strokes})
+        watch.methods.call("set_operator", {"waypoints": strokes})
         watch.until(lambda: "puncture" in watch.kinds())
         slot = engine._compiler.slot_of("skin")
-        watch.control.call("set_operator", {"waypoints": [[0, 0, -0.02]]})  # stays down, in all of the floors to come
-        watch.control.call("update_scene", {"objects": heavy(HEAVY), "wait": False})
+        watch.methods.call("set_operator", {"waypoints": [[0, 0, -0.02]]})  # stays down, in all of the floors to come
+        watch.methods.call("update_scene", {"objects": heavy(HEAVY), "wait": False})
         watch.until(lambda: "rate" in watch.kinds())
-        watch.control.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
+        watch.methods.call("update_scene", {"objects": dict.fromkeys(heavy(HEAVY)), "wait": True})
         assert engine._compiler.slot_of("skin") == slot
         watch.until(lambda: bool(watch.faults()) or watch.full())
         watch.events.clear()
-        watch.control.call("set_forces", {"enabled": True})
-        hand = watch.control.call("set_operator", {"waypoints": [[0, 0, 0.01], [0.2, 0, -0.02]]})
+        watch.methods.call("set_forces", {"enabled": True})
+        hand = watch.methods.call("set_operator", {"waypoints": [[0, 0, 0.01], [0.2, 0, -0.02]]})
         over_ns = monotonic_ns() + int(float(str(hand["duration_s"])) * 1e9) + 300_000_000
         watch.until(lambda: monotonic_ns() > over_ns)
         assert "contact" not in watch.kinds()
-        watch.control.call("reset", {})
+        watch.methods.call("reset", {})
         taps = [[0.4 * n + t_s, 0, y_m] for n in range(50) for t_s, y_m in ((0.0, 0.01), (0.2, -0.001))]
-        watch.control.call("set_operator", {"waypoints": taps})
+        watch.methods.call("set_operator", {"waypoints": taps})
         watch.until(lambda: "contact" in watch.kinds())
     finally:
         engine.stop()

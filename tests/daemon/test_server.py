@@ -10,10 +10,10 @@ from typing import cast
 import pytest
 
 from hapticd.daemon import server
-from hapticd.daemon.control import Control
 from hapticd.daemon.dispatch import Dispatch
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.intake import Intake
+from hapticd.daemon.methods import Methods
 from hapticd.daemon.router import Router
 
 
@@ -45,8 +45,8 @@ def test_it_ends_without_a_request_or_a_beat(tmp_path: Path, monkeypatch: pytest
     router = Router(listening)
     engine, stop = Beating(), threading.Event()
     # Nobody asks anything, so there is nothing to control.
-    control = cast(Control, Idle())
-    arguments = (router, cast(Engine, engine), Dispatch(control), stop)
+    methods = cast(Methods, Idle())
+    arguments = (router, cast(Engine, engine), Dispatch(methods), stop)
     thread = threading.Thread(target=server.serve, args=arguments, daemon=True)
     thread.start()
     assert engine.begun.wait(60)

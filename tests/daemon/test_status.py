@@ -7,8 +7,8 @@ import pytest
 
 from hapticd.base import codec
 from hapticd.config.configuration import load_config
-from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import MethodError, Methods
 from hapticd.protocol import messages
 
 WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
@@ -23,27 +23,27 @@ def still(status: dict[str, Any]) -> dict[str, Any]:
 def test_the_short_answer_is_the_report_without_histograms() -> None:
     engine = Engine(load_config({"scene": {"objects": {"floor": WALL}}}))
     flight = SimpleNamespace(version=1, status=lambda: {"written": flight.version})
-    control = Control(engine, flight=cast(Any, flight))
+    methods = Methods(engine, flight=cast(Any, flight))
 
     def compare() -> dict[str, Any]:
-        report = still(control.status())
-        assert still(control.call("get_status", {"detail": True})) == report
+        report = still(methods.status())
+        assert still(methods.call("get_status", {"detail": True})) == report
         del report["histograms"]
-        assert still(control.call("get_status", {})) == report
+        assert still(methods.call("get_status", {})) == report
         return report
 
     first = compare()
     assert compare() == first
-    control.call("update_scene", {"objects": {"floor": {"point_m": [0.0, 0.01]}}})
+    methods.call("update_scene", {"objects": {"floor": {"point_m": [0.0, 0.01]}}})
     assert compare()["revision"] == first["revision"] + 1
     flight.version = 2
     assert compare()["flight"] == {"written": 2}
     engine.gesture_ended({"event": "gesture_end", "tick": 3})
     assert compare()["operator"]["ends"] == [{"event": "gesture_end", "tick": 3}]
-    control.call("lease", {"duration_s": 60.0})
-    assert control.call("get_status", {})["lease_s"] == pytest.approx(60.0, abs=5.0)
+    methods.call("lease", {"duration_s": 60.0})
+    assert methods.call("get_status", {})["lease_s"] == pytest.approx(60.0, abs=5.0)
     with pytest.raises(MethodError, match="detail"):
-        control.call("get_status", {"detail": 1})
+        methods.call("get_status", {"detail": 1})
 
 
 @pytest.mark.parametrize("counts", [(0, 0), (3, 4), (15, 1), (20, 2), (2, 70)])

@@ -15,8 +15,8 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Fault, Flag,
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import Hid
-from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import MethodError, Methods
 from hapticd.hid import connection as connection_module
 from hapticd.hid.connection import Opened
 from hapticd.hid.drivers.pid import PidDriver
@@ -363,7 +363,7 @@ def test_a_set_up_that_hangs_does_not_keep_the_end_waiting(
 def test_what_status_says(world: World) -> None:
     world.plug()
     engine = world.start()
-    answer = Control(engine).status()
+    answer = Methods(engine).status()
     assert answer["device"] == "hid"
     link = answer["connection"]
     assert isinstance(link, dict)
@@ -377,7 +377,7 @@ def test_an_operator_is_for_the_simulation(world: World) -> None:
     world.plug()
     engine = world.start()
     with pytest.raises(MethodError) as caught:
-        Control(engine).call("set_operator", {"waypoints": [[0, 0, 0]]})
+        Methods(engine).call("set_operator", {"waypoints": [[0, 0, 0]]})
     assert caught.value.code == -32008
     assert "kind hid" in str(caught.value)
     with pytest.raises(HapticdError):

@@ -20,7 +20,7 @@ from hapticd.base.core import Fault, ffi, lib
 from hapticd.config.hid import Hid
 from hapticd.config.materials import Material, shipped_materials
 from hapticd.config.modes import Mode
-from hapticd.daemon.control import Control
+from hapticd.daemon.methods import Methods
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
 from hapticd.hid.drivers.pid import PidDriver
@@ -400,16 +400,16 @@ def near(stick: FakePid, strike: Strike, coefficient_n: float, direction: tuple[
     return distance(MODE, along / coefficient_n, time_s) < found.error + 0.02
 
 
-def struck(world: World, control: Control, stick: FakePid, **play: object) -> Strike:
+def struck(world: World, methods: Methods, stick: FakePid, **play: object) -> Strike:
     """Plays until the device has struck, and how. What it would have struck late was lost, and counted: again."""
-    engine, before = control._engine, len(stick.strikes)
+    engine, before = methods._engine, len(stick.strikes)
 
     def over(lost: int) -> bool:
         return len(stick.strikes) > before or connection_status(engine)["strikes_lost"] > lost
 
     def has_struck() -> bool:
         lost = connection_status(engine)["strikes_lost"]
-        answer = control.call("play", {"material": "ringing", **play})
+        answer = methods.call("play", {"material": "ringing", **play})
         assert answer["displayed_hz"] == pytest.approx(fit_hz())
         world.until(lambda: over(lost))
         return len(stick.strikes) > before
@@ -424,16 +424,16 @@ def test_play_is_left_to_the_device(ringing: World) -> None:
     stick = ringing.plug()
     engine = ringing.start()
     engine.set_forces(True)
-    control = Control(engine)
+    methods = Methods(engine)
     ringing.full(engine)
-    strike = struck(ringing, control, stick, direction=[0, -1], amplitude_m_per_s2=40.0)
+    strike = struck(ringing, methods, stick, direction=[0, -1], amplitude_m_per_s2=40.0)
     assert near(stick, strike, 40.0 * MASS_KG, (0.0, -1.0))
     # Again as strong and the same way: its start is all there is to say.
     stick.log.clear()
-    index = struck(ringing, control, stick, direction=[0, -1], amplitude_m_per_s2=40.0).index
+    index = struck(ringing, methods, stick, direction=[0, -1], amplitude_m_per_s2=40.0).index
     sent = [line for line in stick.log if line.endswith(f" {index}")]
     assert index == strike.index and sent == [f"operation start {index}"]
-    strike = struck(ringing, control, stick, direction=[1, 0], amplitude_m_per_s2=20.0)
+    strike = struck(ringing, methods, stick, direction=[1, 0], amplitude_m_per_s2=20.0)
     assert near(stick, strike, 20.0 * MASS_KG, (1.0, 0.0))
     plays = sum(isinstance(change, Played) for change in engine.read_changes())
     assert connection_status(engine)["strikes"] == len(stick.strikes) == 3
@@ -486,13 +486,13 @@ def test_a_tap_is_played_with_the_strength_of_its_event(ringing: World) -> None:
 def test_nothing_is_played_while_forces_are_off_and_what_plays_is_stopped(ringing: World) -> None:
     stick = ringing.plug()
     engine = ringing.start()
-    control = Control(engine)
+    methods = Methods(engine)
 
     def stopped() -> bool:
         """Forces off while it plays; it does for no longer than a tenth of a second."""
         engine.set_forces(True)
         ringing.full(engine)
-        index = struck(ringing, control, stick, direction=[0, 1], amplitude_m_per_s2=10.0).index
+        index = struck(ringing, methods, stick, direction=[0, 1], amplitude_m_per_s2=10.0).index
         engine.set_forces(False)
         # A fade under way: a strike is no strike of the device.
         before, renewed = len(stick.strikes), stick.log.count("operation start 1")
@@ -514,14 +514,14 @@ def test_an_unplugged_device_and_a_reset(ringing: World) -> None:
     stick = ringing.plug()
     engine = ringing.start()
     play = {"material": "ringing", "direction": [0, 1], "amplitude_m_per_s2": 10.0}
-    control = Control(engine)
+    methods = Methods(engine)
     engine.set_forces(True)
     ringing.full(engine)
-    struck(ringing, control, stick, direction=[0, 1], amplitude_m_per_s2=10.0)
+    struck(ringing, methods, stick, direction=[0, 1], amplitude_m_per_s2=10.0)
     # Its effects are gone and made again, and everything has to be sent again.
     stick.reset()
     ringing.until(lambda: connection_status(engine)["resets"] >= 1)
-    ringing.until(lambda: play_until(control, play, stick, 2))
+    ringing.until(lambda: play_until(methods, play, stick, 2))
     assert near(stick, stick.strikes[-1], 10.0 * MASS_KG, (0.0, 1.0))
     ringing.unplug()
     ringing.until(lambda: Fault.DEVICE in engine.faults())
@@ -529,19 +529,19 @@ def test_an_unplugged_device_and_a_reset(ringing: World) -> None:
     ringing.until(lambda: connection_status(engine)["state"] == "connected")
     ringing.until(lambda: engine.set_forces(True) > 0 and not engine.faults())
     ringing.full(engine)
-    ringing.until(lambda: play_until(control, play, again, 1))
+    ringing.until(lambda: play_until(methods, play, again, 1))
     assert near(again, again.strikes[-1], 10.0 * MASS_KG, (0.0, 1.0))
 
 
-def play_until(control: Control, play: dict[str, Any], stick: FakePid, count: int) -> bool:
-    control.call("play", play)
+def play_until(methods: Methods, play: dict[str, Any], stick: FakePid, count: int) -> bool:
+    methods.call("play", play)
     return len(stick.strikes) >= count
 
 
 def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
     ringing.plug()
     engine = ringing.start()
-    status = Control(engine).status()
+    status = Methods(engine).status()
     outcomes = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
     assert outcomes.keys() == {"ringing", "glass"}
     found = nearest_effect(MODE, numbers(FINE))
@@ -560,8 +560,8 @@ def test_status_says_what_is_offloaded_and_what_is_not(ringing: World) -> None:
     # What the device plays is not silent.
     assert status["undisplayable"] == []
     silent = {"materials": {"glass": {"tap": {"frequency_hz": 4700.0}}}}
-    Control(engine).call("update_materials", silent)
-    status = Control(engine).status()
+    Methods(engine).call("update_materials", silent)
+    status = Methods(engine).status()
     outcomes = {entry["material"]: entry for entry in status["offload"]}  # type: ignore[attr-defined]
     assert "% off" in outcomes["glass"]["refused"]
     assert [mode["material"] for mode in status["undisplayable"]] == ["glass"]  # type: ignore[attr-defined]
@@ -571,11 +571,11 @@ def test_a_device_without_periodic_effects(ringing: World) -> None:
     ringing.like = replace(FINE, without=frozenset({0x5A}))
     stick = ringing.plug()
     engine = ringing.start()
-    status = Control(engine).status()
+    status = Methods(engine).status()
     assert {entry["refused"] for entry in status["offload"]} == {"the device has no Set Envelope"}  # type: ignore[attr-defined]
     assert {mode["material"] for mode in status["undisplayable"]} == {"ringing", "glass"}  # type: ignore[attr-defined]
     engine.set_forces(True)
-    Control(engine).call("play", {"material": "ringing", "direction": [0, 1], "amplitude_m_per_s2": 10.0})
+    Methods(engine).call("play", {"material": "ringing", "direction": [0, 1], "amplitude_m_per_s2": 10.0})
     ringing.hold(0.004)
     stick.wait(pressed(stick, 0.004))
     assert not stick.strikes

@@ -18,8 +18,8 @@ from hapticd.base.core import SAMPLE_DTYPE, Fault, Flag, SignsState, records
 from hapticd.base.errors import HapticdError
 from hapticd.config.configuration import load_config
 from hapticd.config.hid import Hid
-from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import MethodError, Methods
 from hapticd.hid.connection import Opened
 from hapticd.hid.descriptor.layout import layout_of
 from hapticd.hid.descriptor.parser import parse
@@ -166,7 +166,7 @@ def settled(world: Sprung) -> None:
 
 
 def signs_of(engine: Engine) -> dict[str, Any]:
-    connection = Control(engine).call("get_status", {})["connection"]
+    connection = Methods(engine).call("get_status", {})["connection"]
     assert isinstance(connection, dict)
     return dict(connection["signs"])
 
@@ -178,10 +178,10 @@ def test_right_signs_then_the_scene_and_a_replay_bit_for_bit(world: Sprung, tmp_
     assert signs_of(engine) == {"state": "unchecked", "axis": None, "problem": None, "advice": None}
     settled(world)
     assert not world.samples["force_n"].any() and not world.checked().any()
-    answer = Control(engine).call("set_forces", {"enabled": True})
+    answer = Methods(engine).call("set_forces", {"enabled": True})
     assert answer["forces"] == "on" and answer["signs"]["state"] == "checking"  # type: ignore[index]
     with pytest.raises(MethodError, match="signs of the device are checked") as refused:
-        Control(engine).call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
+        Methods(engine).call("play", {"material": "wood", "amplitude_m_per_s2": 1.0, "direction": [0, 1]})
     assert refused.value.code == -32003
     world.comes_to(SignsState.RIGHT)
     world.hold(0.024)  # by hand, on top of what gives way
@@ -238,7 +238,7 @@ def test_wrong_signs_and_never_a_force_of_the_scene(world: Sprung, caplog: pytes
         with pytest.raises(
             MethodError, match="moves the handle the other way: run `hapticd devices calibrate`"
         ) as caught:
-            Control(engine).call("set_forces", {"enabled": True})
+            Methods(engine).call("set_forces", {"enabled": True})
         assert caught.value.code == -32003 and caught.value.data == {"faults": ["signs"]}
         settled(world)
     last = int(np.flatnonzero(world.checked())[-1])

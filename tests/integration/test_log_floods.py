@@ -11,7 +11,7 @@ from pathlib import Path
 import msgpack
 import pytest
 
-from hapticd.daemon.control import _METHODS
+from hapticd.daemon.methods import _METHODS
 from tests.support.daemon_process import Daemon, Wire, running_daemon, until, wired
 
 TIMES = 2000

@@ -23,9 +23,9 @@ from hapticd.config.configuration import default_config, load_config
 from hapticd.config.hid import Quirk
 from hapticd.config.materials import ModeKeys
 from hapticd.config.operator import OperatorParams, PunctureGesture, StrokeGesture, TapGesture
-from hapticd.daemon.control import _METHODS, Control
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import _METHODS, Methods
 from hapticd.doctor import diagnose
 from hapticd.doctor.machine import Machine, Needs
 from hapticd.protocol import messages
@@ -133,7 +133,7 @@ def test_error_codes() -> None:
 def test_status() -> None:
     described = section(PROTOCOL, "### get_status")
     engine = Engine(default_config())
-    status = Control(engine).status()
+    status = Methods(engine).status()
     assert first_names(tables(described)["member"]) == list(status)
     assert first_names(tables(described)["counter"]) == list(status["counters"])  # type: ignore[call-overload]
     (realtime,) = re.findall(r"^`realtime` has (.*?)$\n\n", described, flags=re.MULTILINE | re.DOTALL)

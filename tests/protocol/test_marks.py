@@ -10,7 +10,7 @@ import pytest
 
 from hapticd.base.core import EVENT_DTYPE, MARKS, CommandKind, EventKind, Status, ffi, lib, records
 from hapticd.config.configuration import Config, default_config
-from hapticd.daemon.commands import RingFullError
+from hapticd.daemon.command_ring import RingFullError
 from hapticd.daemon.engine import Engine
 from hapticd.protocol.marks import Mark
 from hapticd.rendering.joystick import new_operator
@@ -89,7 +89,7 @@ def test_a_mark_that_the_command_ring_refuses_leaves_nothing(engine: Engine, mon
         def full(commands: object) -> int:
             raise RingFullError("full")
 
-        patch.setattr(engine._commands, "send", full)
+        patch.setattr(engine._ring, "send", full)
         for _ in range(2 * MARKS):
             with pytest.raises(RingFullError, match="full"):
                 engine.mark(Mark("refused", None))

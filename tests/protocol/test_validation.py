@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hapticd.config.configuration import load_config
-from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import MethodError, Methods
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 SCENE = {"objects": {"floor": {**FLOOR, "point_m": [0]}, "ball": {"kind": "disk"}}}
@@ -15,8 +15,8 @@ MATERIALS = {"pine": {"stiffness_n_per_m": -1}}
 
 
 @pytest.fixture(scope="module")
-def control() -> Control:
-    return Control(Engine(load_config({"servo": {"rate_hz": 1000}, "scene": {"objects": {"floor": FLOOR}}})))
+def methods() -> Methods:
+    return Methods(Engine(load_config({"servo": {"rate_hz": 1000}, "scene": {"objects": {"floor": FLOOR}}})))
 
 
 @pytest.mark.parametrize(
@@ -50,9 +50,9 @@ def control() -> Control:
     ],
 )
 def test_every_fault_is_told_at_once(
-    control: Control, method: str, params: dict[str, object], places: list[str]
+    methods: Methods, method: str, params: dict[str, object], places: list[str]
 ) -> None:
     with pytest.raises(MethodError) as told:
-        control.call(method, params)
+        methods.call(method, params)
     assert isinstance(told.value.data, list)
     assert sorted(problem["where"] for problem in told.value.data) == sorted(places)

@@ -23,8 +23,8 @@ from hapticd.recording.formats import open_writer
 from hapticd.recording.reader import load_recorded
 from hapticd.recording.replay import FORCES, _Revision, _turn, replay
 from hapticd.recording.simulated import simulate_files
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import Rerun, render_run, simulate_run
-from hapticd.rendering.output import output_of
 
 CONFIG = Path(shipped.__path__[0])
 SCENES = sorted(CONFIG.glob("scenes/*.yaml"))

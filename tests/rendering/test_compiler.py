@@ -18,7 +18,7 @@ from hapticd.config.materials import Material, shipped_materials, validate_mater
 from hapticd.config.scene import Scene, validate_scene
 from hapticd.rendering.compiler import retired_names
 from hapticd.rendering.compiler.table import Compiler, _place_of
-from hapticd.rendering.output import Output
+from hapticd.rendering.device_output import Output
 
 OUTPUT = Output(10_000, 0.05, 8.9, 5, "mute")
 WALL = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}

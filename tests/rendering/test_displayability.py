@@ -13,6 +13,7 @@ from hapticd.base.yaml_source import Json
 from hapticd.config.materials import Material, Mode, validate_materials
 from hapticd.config.scene import SceneObject, validate_scene
 from hapticd.config.texture import Stochastic
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import (
     DISPLAYABLE,
     displayed_mode,
@@ -22,9 +23,8 @@ from hapticd.rendering.displayability import (
     warnings,
 )
 from hapticd.rendering.filter_design import stochastic_filter
-from hapticd.rendering.output import Output
 from hapticd.rendering.resampling import resampled
-from hapticd.rendering.undisplayable import Undisplayable
+from hapticd.rendering.undisplayable_text import Undisplayable
 
 Keys = dict[str, Json]
 

@@ -22,10 +22,10 @@ from hapticd.config.modes import Mode
 from hapticd.daemon.engine import Engine
 from hapticd.rendering.compensation import LARGEST, Ringing, pole_gain, shape_of
 from hapticd.rendering.compiler.mode_record import mode_record
+from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayed_error import band_error, displayed_error, handle_acceleration, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import simulate_run
-from hapticd.rendering.output import Output, output_of
 from tests.support.marks import rest_slow
 from tests.support.rig import FLOOR, Rig
 

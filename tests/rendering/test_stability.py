@@ -22,14 +22,14 @@ from hapticd.config.configuration import load_config
 from hapticd.config.dynamics import Dynamics, held_motion
 from hapticd.config.scene import validate_scene
 from hapticd.daemon import stability as stability_module
-from hapticd.daemon.control import Control
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import Methods
 from hapticd.hid.plan import AxisPlan, Bits, Message, Plan, Value
 from hapticd.rendering import contact_sets
 from hapticd.rendering.contact_sets import ContactSets
+from hapticd.rendering.device_output import loop_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import render, simulate_run
-from hapticd.rendering.output import loop_of
 from hapticd.rendering.stability import GROWS, PRESS_N, Loop, Timing, held_factor, spectral_radius, timing
 from tests.support.marks import rest_slow
 
@@ -459,7 +459,7 @@ LINKED = {
 
 
 def test_the_status_tells_what_is_not_safe_and_follows_the_scene() -> None:
-    daemon = Control(Engine(load_config(LINKED)))
+    daemon = Methods(Engine(load_config(LINKED)))
     told: Any = daemon.status()["stability"]
     assert (told["unknown"], told["sets"], told["unsafe"]) == (None, 1, 1)
     (worst,) = told["worst"]

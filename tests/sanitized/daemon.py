@@ -418,7 +418,7 @@ def sim(run: Run) -> None:
 
 
 def known_methods() -> set[str]:
-    from hapticd.daemon.control import _METHODS
+    from hapticd.daemon.methods import _METHODS
 
     return set(_METHODS)
 

@@ -35,8 +35,8 @@ from hapticd.config.configuration import Config, load_config
 from hapticd.config.operator import Grip, Operator, load_operator
 from hapticd.protocol.keys import Certificate, load_certificate, new_certificate
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import rate_faults
-from hapticd.rendering.output import output_of
 from tests.support import fuzzing
 from tests.support.daemon_process import Daemon, Wire, wired
 from tests.support.fuzzing import Tree

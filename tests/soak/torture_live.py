@@ -48,8 +48,8 @@ from hapticd.config.materials import Material
 from hapticd.config.scene import Scene
 from hapticd.recording import replay
 from hapticd.recording.reader import Samples
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.offline import Rerun, new_world
-from hapticd.rendering.output import Output
 from tests.support.daemon_process import connect, running_daemon
 
 LIMIT_N: Final = 8.9

@@ -12,7 +12,7 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Status, ffi,
 from hapticd.config.configuration import load_config
 from hapticd.config.scene import MAX_OBJECTS
 from hapticd.rendering.compiler.table import Compiler
-from hapticd.rendering.output import output_of
+from hapticd.rendering.device_output import output_of
 
 WOOD = {
     "stiffness_n_per_m": 800,

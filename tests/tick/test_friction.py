@@ -16,9 +16,9 @@ import pytest
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import load_config
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_operator, new_sim
 from hapticd.rendering.offline import new_world
-from hapticd.rendering.output import output_of
 from tests.support.rig import Rig, still
 
 Points = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ from hapticd.config.materials import Material, validate_materials
 from hapticd.config.modes import Mode
 from hapticd.config.texture import Grooves
 from hapticd.rendering.compensation import NOTHING, Load, shapes_of
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import undisplayable
-from hapticd.rendering.output import output_of
 from tests.support.rig import Rig
 
 Floats = npt.NDArray[np.float64]

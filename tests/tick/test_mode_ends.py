@@ -13,7 +13,7 @@ import pytest
 from hapticd.base.core import EventKind, Status, ffi, lib
 from hapticd.config.materials import Mode
 from hapticd.rendering.compiler.mode_record import mode_record
-from hapticd.rendering.output import output_of
+from hapticd.rendering.device_output import output_of
 from tests.support.rig import FLOOR, Rig, still
 
 Array = npt.NDArray[np.float64]

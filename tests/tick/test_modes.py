@@ -8,8 +8,8 @@ import pytest
 
 from hapticd.base.core import EventKind, Flag
 from hapticd.config.materials import Mode, shipped_materials
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_mode
-from hapticd.rendering.output import Output
 from tests.support.rig import FLOOR, Rig, line
 
 RATES = [1000, 1333, 2000, 3000, 4000, 5000, 7000, 8000, 10_000]

@@ -12,7 +12,7 @@ import pytest
 from hapticd.base.core import EventKind, Flag, Status, ffi, lib
 from hapticd.config.materials import Mode
 from hapticd.rendering.compiler.mode_record import mode_record
-from hapticd.rendering.output import output_of
+from hapticd.rendering.device_output import output_of
 from tests.support.rig import FLOOR, Rig
 
 Array = npt.NDArray[np.float64]

@@ -13,11 +13,11 @@ from bench.passivity import GROUPS, Group, draw, simulated, work
 from bench.stability import evaluated
 from hapticd.base.core import Flag, ffi, lib
 from hapticd.config.configuration import default_config, load_config
-from hapticd.daemon.control import Control
 from hapticd.daemon.counters import Energy, energy_of
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import Methods
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.offline import simulate_run
-from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig, line, still
 
 STIFFNESS = 800.0
@@ -315,7 +315,7 @@ def test_the_age_of_a_position_is_that_of_the_configuration() -> None:
 
 def test_status() -> None:
     engine = Engine(default_config())
-    control = Control(engine)
+    control = Methods(engine)
     nothing = {"energy_j": 0, "largest_j": 0, "contacts": 0, "restrained": 0, "acted": 0}
     assert control.status()["passivity"] == {"mode": "off", **nothing}
     control.call("set_scene", {"scene": {"passivity": "control", "objects": {}}})

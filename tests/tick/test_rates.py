@@ -10,8 +10,8 @@ from hapticd.config.configuration import Sim, load_config
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.status_text import quantile_ns
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_operator, new_sim, set_rate
-from hapticd.rendering.output import output_of
 
 SCENE = {
     "objects": {

@@ -20,9 +20,9 @@ import scipy.interpolate
 import scipy.signal
 
 from hapticd.base.core import NOISE_DTYPE, EventKind, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import warnings
 from hapticd.rendering.offline import render_run
-from hapticd.rendering.output import output_of
 from hapticd.rendering.resampling import CLOSE_DB
 from tests.support.marks import rest_slow
 from tests.support.rig import FLOOR, Rig, still

@@ -13,8 +13,8 @@ from hapticd.config.configuration import default_config, load_config
 from hapticd.config.materials import MAX_TAP_POINTS, validate_materials
 from hapticd.config.modes import Mode
 from hapticd.rendering.compiler.material_record import material_record
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import undisplayable, warnings
-from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig
 
 RATE = 10_000

@@ -18,9 +18,9 @@ from hapticd.config.materials import validate_materials
 from hapticd.config.waveform import MOST_SAMPLES, Curve, Waveform
 from hapticd.recording.replay import replay
 from hapticd.recording.simulated import simulate_files
+from hapticd.rendering.device_output import output_of
 from hapticd.rendering.displayability import material_warnings, undisplayable, warnings
 from hapticd.rendering.offline import render_run, simulate_run
-from hapticd.rendering.output import output_of
 from tests.support.rig import FLOOR, Rig
 
 Floats = npt.NDArray[np.float64]

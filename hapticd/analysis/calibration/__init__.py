@@ -1,1 +1,11 @@
-"""Calibrating handle and grip, and verifying what a device displays: rigs, the sweep, the fit, the plot."""
+"""Calibrating handle and grip, and verifying what a device displays: rigs, the sweep, the fit, the plot.
+
+rig            what is driven: the simulated joystick without clock, or a device at its servo
+handle         `hapticd calibrate`: drives free and held, fits both, says what handle and hand are
+sweep          the drive: bursts of one frequency after the other
+fit            mass, damping, dry friction and stiffness from a drive, with bounds
+plot           the picture of a calibration
+verify         `hapticd verify`: strikes each mode of the library, and compares the handle's acceleration
+walls          what `hapticd verify` says of taps on a wall
+accelerometer  recordings of an accelerometer: read, aligned with what was driven, compared
+"""

@@ -30,13 +30,13 @@ ACCELERATION: Final = "acceleration_m_per_s2"
 ALIKE: Final = 0.3
 """Less correlation than this is not the same motion."""
 SCALE_TO_HZ: Final = 120.0
-"""Where the encoder sees well, the accelerometer's scale is told by it: between 30 Hz and here."""
+"""Where the encoder sees well, the accelerometer's scale is found by it: between 30 Hz and here."""
 SCALE_FROM_HZ: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Acceleration (n,) at rising times (n,) of a clock of its own."""
+    """Acceleration (n,) at rising times (n,) of a separate clock."""
 
     name: str
     time_s: Floats
@@ -117,7 +117,7 @@ class Heard:
 def compare(record: Record, fit: Fit, recording: Recording) -> Heard:
     """The accelerometer against the fit, burst by burst. Raises HapticdError where the drive is not in the recording.
 
-    Accelerations are compared as spectra over the same time, so that each may have a rate of its own.
+    Accelerations are compared as spectra over the same time, so that each may have another rate.
     """
     speed = model_motion(record, fit)[:, 1]
     period_s = 1.0 / record.rate_hz

@@ -46,7 +46,7 @@ UNFELT_M: Final = 1e-7
 LONGEST_STEP: Final = 10.0
 """Of what is a burst's own, in one iteration, in its scales."""
 SUSPECT: Final = 1.2
-"""A burst whose squares are so many times the usual ones is begun anew."""
+"""A burst whose squares are so many times the usual ones is fitted again from the start."""
 OWN_STEPS: Final = 12
 FIRST_S: Final = 0.01
 _GLOBALS: Final = 5
@@ -127,7 +127,7 @@ def student_t(freedom: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Window:
-    """One burst: the force at each period, and the periods whose positions are looked at."""
+    """One burst: the force at each period, and the periods whose positions count."""
 
     frequency_hz: float
     force_n: Floats

@@ -22,7 +22,7 @@ from hapticd.rendering.rearm import Resting, at_rest
 
 PAUSE_S: Final = 5.0
 UNLIKE: Final = 0.05
-"""A fit that leaves more of the motion than this, and more than the encoder's step, is told."""
+"""A fit that leaves more of the motion than this, and more than the encoder's step, is reported."""
 
 LAGGING: Final = 0.9
 """A lag bends the response as well as it delays it: the delay that is fitted is up to 7 % less than the lag's."""

@@ -21,9 +21,9 @@ from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 from hapticd.protocol.events import fault_names
 from hapticd.rendering.compiler.mode_record import mode_record
 from hapticd.rendering.compiler.table import Compiler
+from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Samples, new_world
-from hapticd.rendering.output import Output, output_of
 
 POLL_S: Final = 0.005
 STALLED_S: Final = 1.0
@@ -124,7 +124,7 @@ class SimRig(Rig):
 
 
 class ServoRig(Rig):
-    """A device at a servo of its own, as the daemon makes it. Forces are on from the start."""
+    """A device at a separate servo, as the daemon makes it. Forces are on from the start."""
 
     def __init__(self, config: Config) -> None:
         """Raises HapticdError where the device or the servo is not there."""

@@ -45,7 +45,7 @@ WEAKEST: Final = 0.02
 GROWTH: Final = 2.0
 """No burst is more than so many times as strong as the one before."""
 LEAD_S: Final = 0.06
-"""A burst is looked at from so long before it on; a delay may be as long."""
+"""A burst is evaluated from so long before it on; a delay may be as long."""
 FORGOTTEN_S: Final = 0.03
 """A force that was not renewed for so long may have expired."""
 REST_S: Final = 0.1
@@ -134,8 +134,8 @@ class Sweep:
     """Up to here, however little moves; None: as far as the encoder sees it."""
 
     def run(self, rig: Rig, progress: Callable[[str], None]) -> Record:
-        """Drives; `progress` is told what is done. Raises HapticdError where the handle leaves the middle third, or
-        does not move."""
+        """Drives; `progress` is called with what is done. Raises HapticdError where the handle leaves the middle third,
+        or does not move."""
         return _Drive(self, rig, progress).run()
 
 

@@ -29,11 +29,11 @@ from hapticd.config.modes import Mode
 from hapticd.config.scene import Scene
 from hapticd.config.texture import Grooves
 from hapticd.rendering.compensation import HIGH, LOW_HZ
+from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayability import displayed_mode
 from hapticd.rendering.displayed_error import FINER, band_error, band_lines, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import Samples
-from hapticd.rendering.output import Output, output_of
 
 SPEED_M_PER_S: Final = 0.1
 PRESS_N: Final = 1.0

@@ -18,11 +18,11 @@ from hapticd.base.core import ffi, lib, pointer
 from hapticd.config.configuration import Config, Sim
 from hapticd.config.materials import Material
 from hapticd.config.scene import Scene, Wall
+from hapticd.rendering.device_output import Output, output_of
 from hapticd.rendering.displayability import displayed_mode
 from hapticd.rendering.displayed_error import FINER, waveform
 from hapticd.rendering.joystick import new_sim
 from hapticd.rendering.offline import render
-from hapticd.rendering.output import Output, output_of
 
 AT_TICK: Final = 2.0**-20
 """So much of a period an onset at a tick lies before it: an onset is a crossing."""
@@ -38,7 +38,7 @@ def _rings(material: Material) -> bool:
 
 
 def verdicts_on_walls(config: Config, speed_m_per_s: float = SPEED_M_PER_S, axis: Axis = "y") -> list[Verdict]:
-    """How the simulated joystick displays the taps of the materials, each on a wall of its own."""
+    """How the simulated joystick displays the taps of the materials, each on a separate wall."""
     rate_hz = config.servo.rate_hz
     output = output_of(config, rate_hz)
     found = []
@@ -84,7 +84,7 @@ def acceleration_on(
     """Acceleration of the simulated handle, (n * finer, 2) in m/s^2, as means over equal parts of a period.
 
     Forces (n, 2) are held for 1/rate_hz each; the wall's normal is `axis`, and its stiffness acts to both sides of
-    where the handle was at rest. What the servo would read of the handle (steps, age) is not looked at.
+    where the handle was at rest. What the servo would read of the handle (steps, age) does not matter.
     """
     joystick = new_sim(sim, rate_hz * finer)
     along = 0 if axis == "x" else 1

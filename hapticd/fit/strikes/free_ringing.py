@@ -1,7 +1,7 @@
 """Free ringing between strikes, fitted in all stretches at once.
 
 Each stretch is Im(z exp((-B + i w) t)) beside a level and a slope. For given B and w, z and the drift of each stretch
-are a linear fit of their own (variable projection).
+are a separate linear fit (variable projection).
 """
 
 from __future__ import annotations

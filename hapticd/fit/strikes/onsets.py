@@ -17,7 +17,7 @@ MOST_STRIKES: Final = 2000
 FAINT: Final = 0.3
 """Steps smaller than this part of the strong ones are not strikes."""
 WINDOW_CYCLES: Final = 1.25
-"""Ringing on either side of a sample that is looked at for a strike."""
+"""Ringing on either side of a sample that is searched for a strike."""
 
 
 def loudest_frequency(seen: Floats, rate_hz: float) -> float:

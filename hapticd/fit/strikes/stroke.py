@@ -15,11 +15,12 @@ from hapticd.analysis.recordings.spans import Bools
 from hapticd.analysis.statistics import FitError, Floats, Ints
 from hapticd.config.modes import Mode
 from hapticd.fit.invalid_samples import Cleaned
+from hapticd.fit.recording_checks import acceleration_of, pressed, undersampled
 from hapticd.fit.spectral_lines import SpectralLine, lines_in_residual
 from hapticd.fit.strikes.free_ringing import Complexes, FreeRinging
 from hapticd.fit.strikes.onsets import LEAST_STRIKES, loudest_frequency, pick_strikes, ringing_steps, unit_strike
 from hapticd.fit.strikes.spacing import row_of, slope_of_row
-from hapticd.fit.strokes import Motion, acceleration_of, motion_of, pressed, running_mean, undersampled
+from hapticd.fit.stylus_motion import Motion, motion_of, running_mean
 from hapticd.fit.verdict import AT_LEAST
 
 GROUP: Final = 8

@@ -1,4 +1,4 @@
-"""The taps of a recording: found where it is loud, each fitted by itself, with its speed; why one cannot be used."""
+"""The taps of a recording: found where it is loud, each fitted alone, with its speed; why one cannot be used."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from hapticd.config.modes import Mode
 from hapticd.fit.exclusions import Exclusions
 from hapticd.fit.invalid_samples import ACCELERATION, without_invalid_samples
 from hapticd.fit.recording import Recording
+from hapticd.fit.recording_checks import force_of, gravity_of, undersampled
 from hapticd.fit.stretches import between_gaps
-from hapticd.fit.strokes import force_of, gravity_of, undersampled
 from hapticd.fit.taps.hit import LEAST_SPEED_M_PER_S, LEAST_TAPS, NO_NOISE, WELL_EXPLAINED, Hit, TapHit
 from hapticd.fit.taps.ringing import Ringing, fit_ringing
 from hapticd.fit.taps.second_mode import EXPLAINED, pair_of
@@ -53,7 +53,7 @@ CALM: Final = 20.0
 CALMER: Final = 0.842
 """The noise is taken where it is calm: this percentile of the blocks, so many of their deviations below the middle."""
 LEAST_RATE: Final = 2.05
-"""Samples in a cycle. Of a mode whose onset is known so few are enough; at 2 the amplitude cannot be told from it."""
+"""Samples in a cycle. So few are enough where the onset is known; at 2 amplitude and onset cannot be separated."""
 REST: Final = 8
 """Samples of rest before a tap, with which its onset is never asked for;"""
 LEAST_REST: Final = 2
@@ -487,7 +487,7 @@ def _uncertainty(ringing: Ringing) -> tuple[float, str]:
     modes = len(ringing.coefficients)
     values = np.concatenate((ringing.coefficients, ringing.decay_rate_per_s, ringing.angular_frequency_rad_per_s))
     variances = np.diag(ringing.covariance)[: len(values)]
-    # Modes that cannot be told apart may have variances below 0, by rounding.
+    # Modes that cannot be separated may have variances below 0, by rounding.
     if not values.all() or not (variances >= 0).all():
         return math.inf, "amplitude"
     errors = np.sqrt(variances) / np.abs(values)

@@ -29,7 +29,7 @@ COLOURED: Final = 1.3
 """A residual so many times the noise before the onset has more in it than noise."""
 CHANCE: Final = 0.01
 WELL_EXPLAINED: Final = 0.95
-"""Of the variance of the median tap: what explains less is told."""
+"""Of the variance of the median tap: what explains less is reported."""
 
 
 @dataclass(frozen=True, slots=True)

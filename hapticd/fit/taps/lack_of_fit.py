@@ -12,7 +12,7 @@ from hapticd.analysis.statistics import improbable
 from hapticd.fit.taps.hit import CHANCE, COLOURED, Hit, colour
 
 MISSHAPEN: Final = 0.02
-"""RMS over that of the ringing, from which on a shape of what is left over is told."""
+"""RMS over that of the ringing, from which on a shape of what is left over is reported."""
 
 
 def lack_of_fit(hits: Sequence[Hit]) -> tuple[str, str]:

@@ -23,19 +23,19 @@ from hapticd.base.yaml_source import Json
 from hapticd.fit.taps.hit import CHANCE, LEAST_TAPS, TapHit
 
 BENT: Final = 0.05
-"""A(v) is told to be no line through the origin where that is less likely by chance, and matters more than this."""
+"""A(v) is reported to be no line through the origin where that is less likely by chance, and matters more than this."""
 TABLE: Final = 8
 """Speeds of a table of amplitudes, at most."""
 APART: Final = 0.02
 """And they are apart by so much."""
 OUTLYING: Final = 0.25
-"""A tap this far off the line of the others is told."""
+"""A tap this far off the line of the others is reported."""
 SOFTEST: Final = 0.003
 HARDEST: Final = 10.0
 """Slope over w: 1 where a mass at this speed rings elastically; the paper's seven are 0.07 to 0.87."""
 MOVED_FREQUENCY: Final = 0.02
 MOVED_DECAY: Final = 0.1
-"""From the slowest to the fastest tap; what is less is not told."""
+"""From the slowest to the fastest tap; what is less is not reported."""
 
 Amplitudes: TypeAlias = tuple[tuple[float, Estimate], ...]
 """Speeds in m/s, rising, and m/s^2."""

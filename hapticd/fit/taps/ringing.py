@@ -78,7 +78,7 @@ def fit_ringing(
     """Fits `modes` decaying sinusoids to acceleration (n,) in m/s^2, sampled at `rate_hz`.
 
     The onset is sought near `onset_s`, without it at the first sample that stands out. `start` with as many modes is
-    begun from instead, without a search. What is told is of the modes before the `sensor`. Raises FitError where
+    begun from instead, without a search. The result is of the modes before the `sensor`. Raises FitError where
     nothing rings, or where the samples are too few.
     """
     least = max(SHORTEST, 2 * (3 * modes + 3))

@@ -1,1 +1,8 @@
-"""What a HID report descriptor says: its items (parser), and of them the reports and axes to be driven (layout)."""
+"""HID report descriptors: from their items to the reports and axes that are driven.
+
+parser        items, as the HID specification has them
+layout        the reports of the PID class and the axes, found in a descriptor: a table
+field_search  how a field of a report is found
+fields        a number of a report: where it lies, and its range
+usages        names of usages
+"""

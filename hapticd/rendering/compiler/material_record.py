@@ -15,9 +15,9 @@ from hapticd.config.modes import Mode
 from hapticd.config.texture import Grooves
 from hapticd.config.waveform import Waveform
 from hapticd.rendering.compiler.mode_record import Effect, mode_record
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_wave_rate, touched_by, waveform_of
 from hapticd.rendering.groove_tuning import tuning_of
-from hapticd.rendering.output import Output
 from hapticd.rendering.tap_tuning import tap_tuning_of
 
 _ACROSS: Final = (1.0, 0.0)
@@ -29,7 +29,7 @@ _SIGNED: Final = (
 
 
 def struck_modes(material: Material) -> Iterator[Mode]:
-    """The modes that a device may play by itself."""
+    """The modes that a device may play itself."""
     if material.tap is not None and material.tap.one_mode is not None:
         yield material.tap.one_mode
     if material.rupture is not None:
@@ -66,7 +66,7 @@ def material_record(
     material: Material, noise_index: int, output: Output, effects: Mapping[Mode, Effect | None] = MappingProxyType({})
 ) -> CData:
     """A `struct hd_material *`, of which only the places of its numbers are missing (`numbers_of`); `noise_index` is
-    where its noise is, for a texture that is noise; `effects` are what a device plays by itself."""
+    where its noise is, for a texture that is noise; `effects` are what a device plays itself."""
     record = ffi.new("struct hd_material *")
     record.stiffness_n_per_m = material.stiffness_n_per_m
     record.damping_n_s_per_m = material.damping_n_s_per_m

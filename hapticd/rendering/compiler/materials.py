@@ -17,9 +17,9 @@ from hapticd.rendering.compiler.material_record import material_record, numbers_
 from hapticd.rendering.compiler.mode_record import Effect
 from hapticd.rendering.compiler.noise_filters import SILENCE, Design, Noise, design, filter_count
 from hapticd.rendering.compiler.records import Places, Records, next_version
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import modes_of, waveform_of
 from hapticd.rendering.groove_tuning import shapes_needed
-from hapticd.rendering.output import Output
 from hapticd.rendering.tap_tuning import tap_shapes_needed
 
 _NO_MATERIAL: Final = Material(stiffness_n_per_m=0.0)
@@ -37,7 +37,7 @@ class Progress(Protocol):
 
 
 class Effects(Protocol):
-    """What a device plays by itself."""
+    """What a device plays itself."""
 
     def take(self, mode: Mode) -> Effect | None:
         """A mode is used from now on; what is played in its place."""

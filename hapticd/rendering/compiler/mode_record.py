@@ -8,8 +8,8 @@ from typing import Final, TypeAlias
 from hapticd.base.core import KICKS
 from hapticd.config.modes import Mode
 from hapticd.rendering.compensation import Ringing, Shape
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import UNTOUCHED, Touched, displayed_mode, struck_shapes
-from hapticd.rendering.output import Output
 
 Effect: TypeAlias = tuple[int, float, float]
 """What a device plays in place of a mode: its id, its largest level over the coefficient, and how long, s."""

@@ -14,10 +14,10 @@ import numpy.typing as npt
 
 from hapticd.base.lattice import reflection_of
 from hapticd.config.texture import Autoregressive, AutoregressiveModel, Stochastic
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import displayed_pair
 from hapticd.rendering.filter_design import stochastic_filter
 from hapticd.rendering.noise_grid import Model, grid
-from hapticd.rendering.output import Output
 from hapticd.rendering.resampling import resampled
 
 

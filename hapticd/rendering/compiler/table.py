@@ -1,4 +1,4 @@
-"""From scene and materials to the table that the tick reads: flat C records in the units of a tick.
+"""The compiler itself: keeps the table that the tick reads, and rewrites the records of what changed.
 
     objects[]    one record a slot. An object keeps its slot, and with generation and slot its contact state, as long as
                  it keeps its id and kind
@@ -28,7 +28,7 @@ from hapticd.rendering.compiler.materials import Effects, Materials, Progress
 from hapticd.rendering.compiler.records import Places, Records, next_version
 from hapticd.rendering.compiler.retired_names import RetiredNames
 from hapticd.rendering.compiler.walls import PatchedWalls, same
-from hapticd.rendering.output import Output
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.surface_table import SurfaceTable
 
 _RECORD = struct.Struct("=8I6d")
@@ -74,7 +74,7 @@ class Compiler:
         self, output: Output, working: Callable[[], None] = lambda: None, effects: Effects | None = None
     ) -> None:
         """`working` is called now and then in what takes long: the filters of many textures take seconds. `effects`:
-        what the device plays by itself; None: nothing."""
+        what the device plays itself; None: nothing."""
         self._objects = Records("struct hd_object", OBJECT_DTYPE)
         self._places = Places()
         self._slots: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""The way of commands to the servo: a ring that loses none, and the wait for the tick that takes them.
+"""The command ring: sends commands to the servo, loses none, and waits for the tick that takes them.
 
 For the thread that serves commands.
 """
@@ -28,8 +28,8 @@ class WaitTimeoutError(HapticdError):
     """The servo did not take a command or a revision in time."""
 
 
-class Commands:
-    """Sends commands to one servo."""
+class CommandRing:
+    """The commands of one servo."""
 
     def __init__(self, servo: CData, operators: deque[tuple[int, CData]], look_after: Callable[[], None]) -> None:
         """`operators`: paths that the servo may use, each with its command's number; `look_after`: called while the

@@ -15,12 +15,12 @@ from hapticd.cli import main
 from hapticd.config.configuration import load_config
 from hapticd.config.materials import Material
 from hapticd.config.scene import validate_object
-from hapticd.daemon.control import Control, MethodError
 from hapticd.daemon.engine import Engine
+from hapticd.daemon.methods import MethodError, Methods
+from hapticd.rendering.device_output import Output
 from hapticd.rendering.displayability import material_rate_faults
 from hapticd.rendering.joystick import target_of
 from hapticd.rendering.offline import render, render_run, simulate, simulate_run
-from hapticd.rendering.output import Output
 
 FLOOR = {"kind": "wall", "point_m": [0, 0], "normal": [0, 1], "material": "wood"}
 GRIT = {"kind": "stochastic", "peak_hz": 250, "mean_hz": 310, "velocity_gain_per_s": 40}
@@ -34,12 +34,12 @@ MATERIALS = {"high": HIGH, "fine": FINE}
 LINE = [[0, 0, 0.01], [0.05, 0, -0.001]]
 
 
-def control(**objects: object) -> Control:
+def methods(**objects: object) -> Methods:
     config = load_config({"servo": {"rate_hz": 1000}, "materials": MATERIALS, "scene": {"objects": objects}})
-    return Control(Engine(config))
+    return Methods(Engine(config))
 
 
-def limits(daemon: Control, member: str) -> list[dict[str, object]]:
+def limits(daemon: Methods, member: str) -> list[dict[str, object]]:
     found = daemon.status()[member]
     assert isinstance(found, list)
     return found
@@ -68,7 +68,7 @@ def test_what_no_signal_of_the_rate_has_is_refused_at_the_start_of_anything() ->
 
 
 def test_it_is_refused_in_a_scene_an_object_and_a_material() -> None:
-    daemon = control(floor=FLOOR)
+    daemon = methods(floor=FLOOR)
     patched = {**FLOOR, "patches": [{"from_m": 0, "to_m": 1, "material": "high"}]}
     (found,) = refused(lambda: daemon.call("set_scene", {"scene": {"objects": {"a": patched, "floor": FLOOR}}}))
     assert found["where"] == "scene.objects.a.patches[0].material"
@@ -82,7 +82,7 @@ def test_it_is_refused_in_a_scene_an_object_and_a_material() -> None:
 
 
 def test_patches_keep_their_materials_too() -> None:
-    daemon = control(floor={**FLOOR, "patches": [{"from_m": 0, "to_m": 1, "material": "fine"}]})
+    daemon = methods(floor={**FLOOR, "patches": [{"from_m": 0, "to_m": 1, "material": "fine"}]})
     (found,) = refused(lambda: daemon.call("update_materials", {"materials": {"fine": None}}))
     assert found == {"where": "materials.fine", "problem": 'is used by object "floor" of the scene, so it must stay'}
     (found,) = refused(
@@ -94,7 +94,7 @@ def test_patches_keep_their_materials_too() -> None:
 
 
 def test_warnings_are_part_of_the_status_and_follow_the_scene() -> None:
-    daemon = control(a={**FLOOR, "material": "fine"}, b={**FLOOR, "material": "fine"}, c=FLOOR)
+    daemon = methods(a={**FLOOR, "material": "fine"}, b={**FLOOR, "material": "fine"}, c=FLOOR)
     places = [warning["where"] for warning in limits(daemon, "warnings")]
     assert places == ["materials.fine.texture.width_m"]
     daemon.call("update_scene", {"objects": {"a": None, "b": None}})
@@ -115,7 +115,7 @@ def test_what_a_link_cannot_carry_is_told_and_followed() -> None:
     assert (told.material, told.mode, told.frequency_hz, told.shown_hz) == ("steel", "tap", pytest.approx(1682), None)
     assert not run.samples["vibration_force_n"].any()
     assert run.samples["contact_force_n"].any()
-    daemon = Control(Engine(load_config(source)))
+    daemon = Methods(Engine(load_config(source)))
     (mode,) = limits(daemon, "undisplayable")
     assert (mode["material"], mode["mode"], mode["shown_hz"]) == ("steel", "tap", None)
     assert simulate_run({**source, "device": {"sim": {"link": {"rate_hz": 8000}}}}, LINE).undisplayable == ()
@@ -165,7 +165,7 @@ def test_what_a_run_cannot_show_is_told(
 
 
 def test_patches_of_a_refused_material_are_found_with_one_look_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    daemon = control()
+    daemon = methods()
     daemon.call("update_materials", {"materials": {"bad": {"texture": {**GRIT, "peak_hz": 600}, **STIFF}}})
     patches = [{"from_m": n / 1000, "to_m": (n + 1) / 1000, "material": "wood"} for n in range(300)]
     patches[299]["material"] = "bad"
@@ -175,7 +175,7 @@ def test_patches_of_a_refused_material_are_found_with_one_look_at_it(monkeypatch
         looked.append(name)
         return material_rate_faults(name, material, output)
 
-    monkeypatch.setattr("hapticd.daemon.control.material_rate_faults", look)
+    monkeypatch.setattr("hapticd.daemon.methods.material_rate_faults", look)
     (found,) = refused(lambda: daemon.call("update_scene", {"objects": {"w": {**FLOOR, "patches": patches}}}))
     assert found["where"] == "objects.w.patches[299].material"
     assert found["problem"].startswith("materials.bad.texture.peak_hz: must be less than half the servo rate")
@@ -184,7 +184,7 @@ def test_patches_of_a_refused_material_are_found_with_one_look_at_it(monkeypatch
 
 def test_long_work_on_models_shows_that_somebody_is_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
     """The servo takes silence of a second for a dead control plane: there is a beat for each model, at least."""
-    daemon = control()
+    daemon = methods()
     beats = 0
 
     class Lib:
@@ -205,7 +205,7 @@ def test_long_work_on_models_shows_that_somebody_is_at_work(monkeypatch: pytest.
 
 
 def test_a_scene_that_cannot_be_rendered_leaves_everything_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
-    daemon = control(floor=FLOOR, skin={**FLOOR, "point_m": [0, 1]})
+    daemon = methods(floor=FLOOR, skin={**FLOOR, "point_m": [0, 1]})
     engine = daemon._engine
     places = {id: engine._compiler.slot_of(id) for id in ("floor", "skin")}
     real = lib.hd_servo_publish
@@ -252,7 +252,7 @@ def test_gestures_go_to_the_upper_side_of_a_solid() -> None:
 def test_a_gesture_beyond_a_face_is_refused_by_daemon_and_run() -> None:
     box = {"kind": "box", "center_m": [0, 0], "size_m": [0.01, 0.01], "material": "wood"}
     tap: dict[str, dict[str, Any]] = {"gesture": {"kind": "tap", "object": "box", "speed_m_per_s": 0.1, "at_m": 0.02}}
-    daemon = control(box=box)
+    daemon = methods(box=box)
     said = "0.02 is beyond the face, which ends at 0.005"
     with pytest.raises(InvalidError, match=rf"^gesture\.at_m: {said}$"):
         simulate_run({"scene": {"objects": {"box": box}}}, tap)

@@ -33,7 +33,7 @@ from hapticd.config.scene import (
     validate_scene,
 )
 from hapticd.config.texture import Autoregressive
-from hapticd.daemon.commands import RingFullError, WaitTimeoutError
+from hapticd.daemon.command_ring import RingFullError, WaitTimeoutError
 from hapticd.daemon.engine import (
     Engine,
     StaleRevisionError,
@@ -116,7 +116,7 @@ _BRIEF_FILTERS: Final = 4
 """Designing more filters does."""
 Done: TypeAlias = dict[str, object] | Encoded | Changed
 """What was performed."""
-_Handler = Callable[["Control", Any], Done | Future[dict[str, object]]]
+_Handler = Callable[["Methods", Any], Done | Future[dict[str, object]]]
 
 
 def _faulty(problems: list[Problem] | tuple[Problem, ...]) -> MethodError:
@@ -131,7 +131,7 @@ def _with_warnings(result: dict[str, object], warnings: list[Problem]) -> dict[s
     return {**result, "warnings": [asdict(problem) for problem in warnings]} if warnings else result
 
 
-class Control:
+class Methods:
     """Acts on one engine. One thread at a time."""
 
     def __init__(
@@ -591,22 +591,22 @@ class Control:
 
 # `set_operator` takes what an operator file holds, which hapticd.config.operator validates.
 _METHODS: Final[Mapping[str, tuple[type[Model] | None, _Handler]]] = {
-    "get_status": (GetStatusParams, Control._get_status),
-    "get_state": (NoParams, Control._get_state),
-    "get_config": (NoParams, Control._get_config),
-    "get_scene": (NoParams, Control._get_scene),
-    "set_scene": (SetSceneParams, Control._set_scene),
-    "update_scene": (UpdateSceneParams, Control._update_scene),
-    "get_materials": (NoParams, Control._get_materials),
-    "set_materials": (SetMaterialsParams, Control._set_materials),
-    "update_materials": (UpdateMaterialsParams, Control._update_materials),
-    "apply": (ApplyParams, Control._apply),
-    "play": (PlayParams, Control._play),
-    "reset": (ResetParams, Control._reset),
-    "mark": (MarkParams, Control._mark),
-    "set_forces": (SetForcesParams, Control._set_forces),
-    "set_operator": (None, Control._set_operator),
-    "lease": (LeaseParams, Control._lease_request),
-    "reload": (ReloadParams, Control._reload),
-    "dump_flight": (NoParams, Control._dump_flight),
+    "get_status": (GetStatusParams, Methods._get_status),
+    "get_state": (NoParams, Methods._get_state),
+    "get_config": (NoParams, Methods._get_config),
+    "get_scene": (NoParams, Methods._get_scene),
+    "set_scene": (SetSceneParams, Methods._set_scene),
+    "update_scene": (UpdateSceneParams, Methods._update_scene),
+    "get_materials": (NoParams, Methods._get_materials),
+    "set_materials": (SetMaterialsParams, Methods._set_materials),
+    "update_materials": (UpdateMaterialsParams, Methods._update_materials),
+    "apply": (ApplyParams, Methods._apply),
+    "play": (PlayParams, Methods._play),
+    "reset": (ResetParams, Methods._reset),
+    "mark": (MarkParams, Methods._mark),
+    "set_forces": (SetForcesParams, Methods._set_forces),
+    "set_operator": (None, Methods._set_operator),
+    "lease": (LeaseParams, Methods._lease_request),
+    "reload": (ReloadParams, Methods._reload),
+    "dump_flight": (NoParams, Methods._dump_flight),
 }
