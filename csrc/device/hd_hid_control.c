@@ -68,8 +68,12 @@ struct hd_hid *hd_hid_new(void) {
     return hid;
 }
 
+void hd_hid_hold(struct hd_hid *hid) {
+    hd_holders_join(&hid->holders);
+}
+
 void hd_hid_free(struct hd_hid *hid) {
-    if (hid == NULL) {
+    if (hid == NULL || !hd_holders_leave(&hid->holders)) {
         return;
     }
     hd_hid_disconnect(hid, 1);

@@ -4,6 +4,7 @@
 #define HD_OPERATOR_H
 
 #include "api/hd_core.h"
+#include "base/hd_holders.h"
 #include "base/hd_rt.h"
 
 /* The reference and its time derivatives, 0 to 5, and a 0 behind them: no profile is of a higher degree than 5. */
@@ -23,11 +24,14 @@ struct hd_segment {
 };
 
 struct hd_operator {
+    struct hd_holders holders;
     size_t count;
     enum hd_profile profile;
     double waypoints[][3]; /* t_s, x_m, y_m */
 };
 
+/* Control: one more holds it, and calls hd_operator_free. */
+void hd_operator_hold(struct hd_operator *path);
 /* The waypoint that a path leads to first: the second, if the first is there at once. */
 HD_RT size_t hd_operator_first(const struct hd_operator *path);
 /* The segment that leads to waypoint `index` from the one before it, or from `reference_m` at time 0 to the first. With
