@@ -43,6 +43,7 @@ struct hd_operator; /* opaque: where the hand wants to be, over time; immutable 
 /* `waypoints` [count][3]: t_s, x_m, y_m, strictly rising times, copied. NULL: invalid (hd_invalid_reason) or no memory.
  */
 struct hd_operator *hd_operator_new(const double *waypoints, size_t count, enum hd_interpolation interpolation);
+/* Freed as soon as no servo holds it; so are a simulation and a connection. */
 void hd_operator_free(struct hd_operator *path);
 /* NULL: invalid (hd_invalid_reason) or no memory. */
 struct hd_sim *hd_sim_new(const struct hd_sim_config *config, double period_s);
@@ -253,7 +254,7 @@ int hd_hid_check(const struct hd_hid_plan *plan);
 struct hd_hid; /* opaque: two mailboxes and, while connected, two threads */
 
 struct hd_hid *hd_hid_new(void); /* NULL without memory */
-/* Ends the connection as hd_hid_disconnect does, then frees. */
+/* As soon as no servo holds it, ends the connection as hd_hid_disconnect does and frees. */
 void hd_hid_free(struct hd_hid *hid);
 /* Starts a connection over `fd`, a hidraw node (or anything that keeps message bounds, as SOCK_SEQPACKET does), open
  * for reading and writing. Reports that wait there already tell where the handle is and how the device is; nothing in

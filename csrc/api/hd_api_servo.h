@@ -61,7 +61,7 @@ struct hd_command {
     double direction[2];
     double amplitude;
     struct hd_mode mode;
-    const struct hd_operator *path;
+    struct hd_operator *path; /* the servo holds it as long as it uses it */
 };
 
 /* A snapshot of the counters that the servo keeps; each is read on its own. */
@@ -105,8 +105,8 @@ struct hd_histograms {
 
 struct hd_servo; /* opaque */
 
-/* Allocates everything that the servo will ever use. Its device is `sim` or `hid`, the other one is NULL. Both are
- * borrowed; `sim` is used by the servo thread alone once started. NULL: hd_invalid_reason. */
+/* Allocates everything that the servo will ever use. Its device is `sim` or `hid`, the other one is NULL. It is
+ * held until hd_servo_free; `sim` is used by the servo thread alone once started. NULL: hd_invalid_reason. */
 struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_sim *sim, struct hd_hid *hid);
 /* Locks memory, starts the thread, reports what was granted. HD_ERR_DENIED: `required` and refused. */
 int hd_servo_start(struct hd_servo *servo, struct hd_grant *grant);

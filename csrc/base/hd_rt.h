@@ -14,6 +14,7 @@
  *   hd_histogram  how often a time was how long
  *   hd_vector     vectors of the plane
  *   hd_gaussian   Gaussian numbers out of random bits
+ *   hd_holders    who holds a thing that several use: the last one frees it
  *   hd_bits       numbers at any bit of a HID report
  *   hd_send       one message to many sockets in one call
  */

@@ -37,6 +37,20 @@ struct hd_device {
     struct hd_hid *hid;
 };
 
+/* Control: the servo holds it, until it frees it. */
+static inline void hd_device_hold(const struct hd_device *device) {
+    if (device->sim != NULL) {
+        hd_sim_hold(device->sim);
+    } else {
+        hd_hid_hold(device->hid);
+    }
+}
+
+static inline void hd_device_free(const struct hd_device *device) {
+    hd_sim_free(device->sim);
+    hd_hid_free(device->hid);
+}
+
 /* Time has gone on by `periods` servo periods. */
 HD_RT static inline void hd_device_advance(const struct hd_device *device, uint32_t periods) {
     if (device->sim != NULL) {

@@ -56,6 +56,8 @@ struct hd_renewals {
 int hd_hid_forgotten(struct hd_renewals *renewals, const struct hd_hid_effects *effects, uint32_t playing,
                      uint32_t ended, int excused);
 
+/* Control: one more holds it, and calls hd_hid_free. */
+void hd_hid_hold(struct hd_hid *hid);
 /* How much memory *hid is: the servo locks it. */
 size_t hd_hid_size(void);
 

@@ -42,6 +42,7 @@
 #include <pthread.h>
 
 #include "base/hd_atomic.h"
+#include "base/hd_holders.h"
 #include "base/hd_triple.h"
 #include "device/hd_effects.h"
 #include "device/hd_hid.h"
@@ -137,6 +138,7 @@ struct hd_hid {
     int event_fd;
     int64_t parting_ns; /* control's own, as connection */
     struct hd_connection *connection;
+    struct hd_holders holders;
 
     alignas(HD_CACHE_LINE) struct hd_reading seen; /* the servo's own, from here on */
     int64_t seen_ns;                               /* of the last report, as the estimator was told */

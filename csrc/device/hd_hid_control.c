@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "base/hd_clock.h"
+#include "device/hd_last_report.h"
 
 #define HD_PARTING_NS 500000000 /* for what is written at the end, unless hd_hid_set_parting says otherwise */
 
@@ -67,8 +68,12 @@ struct hd_hid *hd_hid_new(void) {
     return hid;
 }
 
+void hd_hid_hold(struct hd_hid *hid) {
+    hd_holders_join(&hid->holders);
+}
+
 void hd_hid_free(struct hd_hid *hid) {
-    if (hid == NULL) {
+    if (hid == NULL || !hd_holders_leave(&hid->holders)) {
         return;
     }
     hd_hid_disconnect(hid, 1);
@@ -152,12 +157,13 @@ static int create_thread(pthread_t *thread, void *(*run)(void *), struct hd_conn
     return error;
 }
 
-/* Signals are for the process's own threads; SIGPIPE is what a device that left would send to the writer. 0, or an
- * errno and no thread. */
+/* Signals are for the process's own threads, but those of their faults; SIGPIPE is what a device that left would send
+ * to the writer. 0, or an errno and no thread. */
 static int create_threads(struct hd_connection *connection, int priority) {
     sigset_t all;
     sigset_t before;
     sigfillset(&all);
+    hd_last_report_let_through(&all);
     pthread_sigmask(SIG_SETMASK, &all, &before);
     int error = create_thread(&connection->reader, hd_hid_reader_main, connection, priority);
     if (error == 0) {

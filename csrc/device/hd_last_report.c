@@ -39,6 +39,12 @@ int hd_last_report_is_over(void) {
     return hd_atomic_u32_load_relaxed(&over) != 0;
 }
 
+void hd_last_report_let_through(sigset_t *blocked) {
+    for (size_t i = 0; i < HD_LAST_REPORT_SIGNALS; i++) {
+        sigdelset(blocked, signals[i]);
+    }
+}
+
 static void send_all(const struct hd_last_reports *last) {
     for (uint32_t i = 0; i < last->count; i++) {
         if (i > 0 && last->pause_ms > 0) {

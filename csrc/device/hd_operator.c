@@ -2,6 +2,8 @@
  * the simulation. SI units. */
 #include "device/hd_operator.h"
 
+#include "device/hd_sim.h"
+
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -50,14 +52,21 @@ struct hd_operator *hd_operator_new(const double *waypoints, size_t count, enum 
         hd_invalid("no memory for %zu waypoints", count);
         return NULL;
     }
+    path->holders = (struct hd_holders){0};
     path->count = count;
     path->profile = interpolation == HD_LINEAR ? HD_PROFILE_LINEAR : HD_PROFILE_MINIMUM_JERK;
     memcpy(path->waypoints, waypoints, count * sizeof path->waypoints[0]);
     return path;
 }
 
+void hd_operator_hold(struct hd_operator *path) {
+    hd_holders_join(&path->holders);
+}
+
 void hd_operator_free(struct hd_operator *path) {
-    free(path);
+    if (path != NULL && hd_holders_leave(&path->holders)) {
+        free(path);
+    }
 }
 
 HD_RT size_t hd_operator_first(const struct hd_operator *path) {

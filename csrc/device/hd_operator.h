@@ -4,6 +4,7 @@
 #define HD_OPERATOR_H
 
 #include "api/hd_core.h"
+#include "base/hd_holders.h"
 #include "base/hd_rt.h"
 
 /* The reference and its time derivatives, 0 to 5, and a 0 behind them: no profile is of a higher degree than 5. */
@@ -23,6 +24,7 @@ struct hd_segment {
 };
 
 struct hd_operator {
+    struct hd_holders holders;
     size_t count;
     enum hd_profile profile;
     double waypoints[][3]; /* t_s, x_m, y_m */

@@ -20,6 +20,9 @@ HD_RT void hd_sim_step_announced(struct hd_sim *sim);
 HD_RT void hd_sim_step_fetch(const struct hd_sim *sim);
 HD_RT void hd_sim_step_truth(const struct hd_sim *sim, double position[2], double velocity[2], double force[2]);
 
+/* Control: one more holds it, and calls hd_sim_free, hd_operator_free. */
+void hd_sim_hold(struct hd_sim *sim);
+void hd_operator_hold(struct hd_operator *path);
 /* How much memory *sim is: the servo locks it. */
 size_t hd_sim_size(void);
 

@@ -223,8 +223,14 @@ int hd_sim_set_period(struct hd_sim *sim, const struct hd_sim_config *config, do
     return HD_OK;
 }
 
+void hd_sim_hold(struct hd_sim *sim) {
+    hd_holders_join(&sim->holders);
+}
+
 void hd_sim_free(struct hd_sim *sim) {
-    free(sim);
+    if (sim != NULL && hd_holders_leave(&sim->holders)) {
+        free(sim);
+    }
 }
 
 void hd_sim_operate(struct hd_sim *sim, const struct hd_operator *path) {

@@ -11,6 +11,7 @@
 
 #include <stdbool.h>
 
+#include "base/hd_holders.h"
 #include "device/hd_actuator.h"
 #include "device/hd_operator.h"
 #include "device/hd_sim.h"
@@ -120,6 +121,8 @@ struct hd_sim {
     struct hd_sent sent[HD_SIM_FORCES]; /* a ring, in order of time */
 
     struct hd_encoder_sample samples[HD_SAMPLES];
+
+    struct hd_holders holders; /* control's */
 };
 
 /* ---- hd_sim_solver.c --------------------------------------------------------------------------------------------- */

@@ -69,6 +69,7 @@ struct hd_servo *hd_servo_new(const struct hd_servo_config *config, struct hd_si
     memset(servo, 0, sizeof *servo);
     servo->config = *config;
     servo->device = (struct hd_device){.sim = sim, .hid = hid};
+    hd_device_hold(&servo->device);
     if (config->clock == HD_CLOCK_DEVICE) {
         hd_hid_await_enable(hid);
     }
@@ -98,6 +99,8 @@ void hd_servo_free(struct hd_servo *servo) {
     if (servo->started) {
         hd_servo_stop(servo);
     }
+    hd_servo_free_paths(servo, servo->path_count);
+    hd_device_free(&servo->device);
     for (int i = 0; i < 3; i++) {
         hd_world_release(&servo->worlds[i]);
     }

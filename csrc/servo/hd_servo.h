@@ -11,6 +11,7 @@
  *   config, device, rings' memory     made by hd_servo_new, constant while the thread runs
  *   table_triple + worlds             the publisher fills the back one, the servo reads the front one
  *   changes, locked                   the publisher's own
+ *   paths                             the sender's own
  *   commands                          the sender produces, the servo consumes
  *   samples, events                   the servo produces, one reader consumes
  *   touching_triple + touching        the servo fills the back one, that reader reads the front one
@@ -37,6 +38,8 @@
 
 #define HD_COMMAND_CAPACITY 1024u
 #define HD_EVENT_RING_CAPACITY 8192u
+/* Paths of commands under way, of one that is being taken and of the newest one taken. */
+#define HD_PATH_CAPACITY (HD_COMMAND_CAPACITY + 2u)
 #define HD_ADOPTED_CAPACITY 256u /* revisions whose first tick is remembered */
 #define HD_CHANGE_CAPACITY 4096u
 #define HD_SUSPEND_NS 50000000 /* a suspend of the machine that is shorter is none */
@@ -52,6 +55,12 @@ struct hd_changes {
 struct hd_touching {
     uint32_t count;
     struct hd_touched touched[HD_TOUCHED_MAX];
+};
+
+/* A path that the thread may use: the servo holds it. */
+struct hd_held_path {
+    uint64_t sequence; /* of its command */
+    struct hd_operator *path;
 };
 
 /* Grouped by who touches it and how often. What a tick touches between its wake-up and the force that is put comes
@@ -152,6 +161,8 @@ struct hd_servo {
     uint8_t locking; /* only regions are locked, so that those that come later must be, too */
     uint8_t started;
     uint64_t sent; /* commands sent so far */
+    uint32_t path_count;
+    struct hd_held_path paths[HD_PATH_CAPACITY]; /* in order */
     pthread_t thread;
 };
 
@@ -169,6 +180,9 @@ HD_RT void hd_servo_watch(struct hd_servo *servo, const struct hd_look *look, in
 HD_RT void hd_servo_take_commands(struct hd_servo *servo, int64_t time_ns);
 /* Control: sleeps for a fraction of a period. The servo makes no system call that could wake a waiter. */
 void hd_servo_pause(const struct hd_servo *servo);
+
+/* Control: frees the first paths. */
+void hd_servo_free_paths(struct hd_servo *servo, uint32_t count);
 
 /* hd_servo_tables.c: the newest table, if there is one that the servo has not seen. */
 HD_RT void hd_servo_take_table(struct hd_servo *servo, int64_t time_ns);

@@ -3,8 +3,10 @@
 #include "servo/hd_servo.h"
 
 #include <stdlib.h>
+#include <string.h>
 
 #include "base/hd_clock.h"
+#include "device/hd_device.h"
 #include "tick/hd_tick.h"
 
 #define HD_COMMANDS_PER_TICK 64u
@@ -78,6 +80,30 @@ static int command_check(const struct hd_servo *servo, const struct hd_command *
     }
 }
 
+void hd_servo_free_paths(struct hd_servo *servo, uint32_t count) {
+    for (uint32_t i = 0; i < count; i++) {
+        hd_operator_free(servo->paths[i].path);
+    }
+    servo->path_count -= count;
+    memmove(servo->paths, servo->paths + count, servo->path_count * sizeof servo->paths[0]);
+}
+
+/* Of commands that are in the ring since. Of paths that were taken, the servo uses the newest only. */
+static void hold_paths(struct hd_servo *servo, const struct hd_command *commands, size_t count) {
+    const uint64_t taken = hd_atomic_u64_load_acquire(&servo->taken);
+    uint32_t old = 0;
+    while (old + 1 < servo->path_count && servo->paths[old + 1].sequence <= taken) {
+        old++;
+    }
+    hd_servo_free_paths(servo, old);
+    for (size_t i = 0; i < count; i++) {
+        if (commands[i].kind == HD_COMMAND_OPERATOR) {
+            hd_operator_hold(commands[i].path);
+            servo->paths[servo->path_count++] = (struct hd_held_path){servo->sent + i + 1, commands[i].path};
+        }
+    }
+}
+
 int hd_servo_send(struct hd_servo *servo, const struct hd_command *commands, size_t count, uint64_t *sequence) {
     for (size_t i = 0; i < count; i++) {
         const int status = command_check(servo, &commands[i]);
@@ -87,6 +113,7 @@ int hd_servo_send(struct hd_servo *servo, const struct hd_command *commands, siz
     }
     const int status = hd_ring_push_many(&servo->commands, commands, count);
     if (status == HD_OK) {
+        hold_paths(servo, commands, count);
         servo->sent += count;
         *sequence = servo->sent;
     }

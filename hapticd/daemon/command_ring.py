@@ -6,7 +6,6 @@ For the thread that serves commands.
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Final
 
@@ -31,11 +30,9 @@ class WaitTimeoutError(HapticdError):
 class CommandRing:
     """The commands of one servo."""
 
-    def __init__(self, servo: CData, operators: deque[tuple[int, CData]], look_after: Callable[[], None]) -> None:
-        """`operators`: paths that the servo may use, each with its command's number; `look_after`: called while the
-        servo is waited for."""
+    def __init__(self, servo: CData, look_after: Callable[[], None]) -> None:
+        """`look_after`: called while the servo is waited for."""
         self._servo, self._look_after = servo, look_after
-        self._operators = operators
         self._sequence = ffi.new("uint64_t *")
         self.plays = Plays()
         """Modes that were sent to be struck."""
@@ -52,16 +49,6 @@ class CommandRing:
         if play is not None:
             self.plays.sent(sequence, play)
         return self._taken(sequence)
-
-    def send_operator(self, command: CData, path: CData) -> int:
-        """As `send`, of a path that the hand is to follow."""
-        sequence = self._put([command])
-        self._operators.append((sequence, path))
-        tick = self._taken(sequence)
-        # The servo uses the newest only.
-        while len(self._operators) > 1:
-            self._operators.popleft()
-        return tick
 
     def _put(self, commands: list[CData]) -> int:
         batch = ffi.new("struct hd_command[]", [command[0] for command in commands])

@@ -182,7 +182,6 @@ class Engine:
             raise InvalidError(refused)
         if self._offload is not None:
             self._offload.set_carried(self.output.carried_hz)
-        operators: deque[tuple[int, CData]] = deque()
         self._operator_tick: int | None = None
         self._gesture_ends: deque[dict[str, object]] = deque(maxlen=GESTURE_ENDS)
         self._marks = Marks()
@@ -211,14 +210,11 @@ class Engine:
         if made == ffi.NULL:
             raise HapticdError(invalid_reason())
 
-        # The thread ends first: the destructor itself keeps alive what the thread uses until then.
-        def free(servo: CData, _used: tuple[object, ...] = (self._sim, hid, operators)) -> None:
-            lib.hd_servo_free(servo)
-
-        self._servo = ffi.gc(made, free)
-        self._ring = CommandRing(self._servo, operators, self.look_after)
-        # Whoever compiles for seconds is at work all the while. (`made` itself keeps nothing alive.)
-        self._working = _Working(lambda: lib.hd_servo_beat(made))
+        # It holds what its thread uses: the collector of garbage frees what it finds in any order.
+        held = self._servo = ffi.gc(made, lib.hd_servo_free)
+        self._ring = CommandRing(held, self.look_after)
+        # Whoever compiles for seconds is at work all the while.
+        self._working = _Working(lambda: lib.hd_servo_beat(held))
         self._compiler = Compiler(self.output, self._working, self._offload)
         self._publish(self.scene, self.scene.objects, self.materials, self.revision)
 
@@ -575,7 +571,7 @@ class Engine:
         path = new_operator(waypoints.tolist(), interpolation)
         command = self._command(CommandKind.OPERATOR)
         command.path = path
-        tick = self._ring.send_operator(command, path)
+        tick = self._ring.send([command])
         self._operator_tick = tick
         return tick
 

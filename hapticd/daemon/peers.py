@@ -129,8 +129,8 @@ class Peers:
         return len(self._peers)
 
     def wake(self) -> None:
-        """Ends the wait for what comes. For any thread."""
-        with suppress(BlockingIOError):
+        """Ends the wait for what comes; nothing once it is closed. For any thread."""
+        with suppress(OSError, ValueError):
             os.eventfd_write(self._wake, 1)
 
     def close(self, linger_s: float = 0.0) -> None:
@@ -143,7 +143,8 @@ class Peers:
         for peer in list(self._peers.values()):
             self._end(peer)
         self._epoll.close()
-        os.close(self._wake)
+        wake, self._wake = self._wake, -1  # another file has the number soon
+        os.close(wake)
         self._repeats.finish()
 
     # ---- turns -----------------------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
  * drains samples and events, the servo ticks at 10 kHz with the simulated joystick. Meant for the sanitizers; what is
  * asserted is order and completeness, never time. A second servo takes tables that tell only what has changed, many of
  * them overtaken, and must end where a run without servo does. */
+#include <malloc.h>
 #include <math.h>
 #include <pthread.h>
 #include <sched.h>
@@ -309,7 +310,7 @@ static struct hd_counters counters_of(const struct hd_servo *servo) {
 
 /* Hot updates with commands among them, for REVISIONS revisions and TICKS ticks at the least. */
 static uint32_t command(struct hd_servo *servo, struct drain *drain, uint32_t revision,
-                        const struct hd_operator *const paths[2]) {
+                        struct hd_operator *const paths[2]) {
     const uint32_t enough = revision + REVISIONS;
     uint64_t sequence = 0;
     uint64_t tick = 0;
@@ -620,12 +621,54 @@ static uint32_t steps_down(void) {
     return (uint32_t)ended;
 }
 
+/* What the thread uses is the servo's, too: its owner may free it first, as a collector of garbage does. */
+static void holds_what_it_uses(void) {
+    static const double waypoints[][3] = {{0.0, 0.0, 0.01}, {0.01, 0.01, 0.01}, {0.02, 0.0, 0.01}, {0.03, 0.01, 0.01}};
+    static const double rest[] = {0.0, 0.0, 0.01};
+    struct hd_command following = {.kind = HD_COMMAND_OPERATOR, .revision = 1};
+    struct hd_sim *sim = hd_sim_new(&joystick, 1.0 / RATE_HZ);
+    struct hd_servo *servo = hd_servo_new(&config, sim, NULL);
+    struct scene scene;
+    struct hd_grant grant;
+    struct hd_sample sample;
+    uint64_t sent;
+    uint64_t tick;
+
+    CHECK(sim != NULL && servo != NULL);
+#ifdef __GLIBC__
+    mallopt(M_PERTURB, 0x55); /* what is freed is overwritten */
+#endif
+    make_scene(&scene, 1);
+    CHECK(hd_servo_publish(servo, &scene.table) == HD_OK);
+    CHECK(hd_servo_start(servo, &grant) == HD_OK);
+    hd_sim_free(sim);
+    for (uint32_t i = 0; i < 3 * HELD; i++) { /* all at rest at once, but the last */
+        following.path =
+            i + 1 < 3 * HELD ? hd_operator_new(rest, 1, HD_LINEAR) : hd_operator_new(waypoints[0], 4, HD_MINIMUM_JERK);
+        while (hd_servo_send(servo, &following, 1, &sent) == HD_ERR_FULL)
+            sched_yield();
+        hd_operator_free(following.path);
+        hd_servo_beat(servo);
+    }
+    CHECK(sent == 3 * HELD && hd_servo_wait_command(servo, sent, PATIENCE_NS, &tick) == HD_OK);
+    do {
+        sched_yield();
+        hd_servo_beat(servo);
+        sample = newest_sample(servo);
+    } while (sample.tick < tick + 400);
+    CHECK(sample.position_m[0] > 0.008 && sample.position_m[1] > 0.009);
+    hd_servo_free(servo);
+#ifdef __GLIBC__
+    mallopt(M_PERTURB, 0);
+#endif
+}
+
 int main(void) {
     static const double strokes[][3] = {
         {0.0, 0.0, 0.01}, {0.05, 0.01, -0.005}, {0.1, -0.01, 0.01}, {0.15, 0.0, -0.01}, {0.3, 0.0, 0.01},
     };
     static const double presses[][3] = {{0.0, 0.0, 0.0}, {0.1, 0.0, -0.01}, {0.2, 0.0, 0.012}};
-    const struct hd_operator *paths[2];
+    struct hd_operator *paths[2];
     struct hd_operator *stroke = hd_operator_new(strokes[0], 5, HD_MINIMUM_JERK);
     struct hd_operator *press = hd_operator_new(presses[0], 3, HD_LINEAR);
     struct hd_sim *sim = hd_sim_new(&joystick, 1.0 / RATE_HZ);
@@ -676,6 +719,7 @@ int main(void) {
     hd_sim_free(sim);
     hd_operator_free(stroke);
     hd_operator_free(press);
+    holds_what_it_uses();
     increment = increments();
     CHECK(steps_down() > 0);
     printf("test_servo_stress: ok, %llu ticks (%llu skipped, %llu samples dropped), %u and %u revisions, %llu events\n",

@@ -301,6 +301,20 @@ def test_subscriptions_without_end_end_the_connection(path: Path, caplog: pytest
     assert "was disconnected: more than 1,000 subscriptions to what there is not" in text
 
 
+def test_a_wake_after_the_end_writes_to_no_file_that_has_the_number_then(path: Path) -> None:
+    made = Router(listening(path))
+    made.close()
+    others = [os.eventfd(0, os.EFD_NONBLOCK) for _ in range(8)]
+    try:
+        made.wake()
+        for other in others:
+            with pytest.raises(BlockingIOError):
+                os.eventfd_read(other)
+    finally:
+        for other in others:
+            os.close(other)
+
+
 def test_a_subscription_takes_no_memory_that_matches_nothing(path: Path, context: zmq.Context[Any]) -> None:
     made = Publisher(listening(path), TOPICS)
     sub = zeromq(context, zmq.SUB, path)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import threading
+from collections.abc import Iterator
 
 import numpy as np
+import pytest
 
 from hapticd.base.core import SAMPLE_DTYPE, CommandKind, Fault, ffi, lib, records
 from hapticd.config.configuration import load_config
@@ -59,7 +62,21 @@ def test_device_that_reports_as_rarely_as_it_says_is_not_lost() -> None:
         servo.stop()
 
 
+@pytest.fixture
+def freed_memory_is_overwritten() -> Iterator[None]:
+    """Where the C library can do it: who uses what is freed does not get away with it."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", lambda *_: None)
+    perturb = -6
+    mallopt(perturb, 0x55)
+    yield
+    mallopt(perturb, 0)
+
+
+@pytest.mark.usefixtures("freed_memory_is_overwritten")
 def test_engine_that_is_dropped_without_a_stop_ends_its_thread() -> None:
+    """The collector of garbage frees the simulation and the hand's path before the servo: its thread uses both until it
+    has ended."""
+
     def threads() -> set[str]:
         return set(os.listdir("/proc/self/task"))
 
@@ -68,6 +85,7 @@ def test_engine_that_is_dropped_without_a_stop_ends_its_thread() -> None:
     servo.start()
     begun = threads() - before
     assert begun
+    servo.set_operator(np.array([[0.01 * step, 0.001 * step, 0.0] for step in range(10)]), "linear")
     del servo
     gc.collect()
     # A joined thread may stay in /proc for a moment.

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import errno
 import math
+import os
+import signal
 import socket
 import struct
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -82,6 +85,24 @@ def test_a_connection_from_end_to_end(hid: CData, pair: tuple[socket.socket, soc
     assert device.recv(64) == struct.pack("<Bhh", 5, 0, 0)
     assert device.recv(64) == bytes([6, 3])
     assert status_of(hid).connected == 0
+
+
+def test_a_fault_of_its_threads_reaches_the_handler_that_ends_the_force(
+    hid: CData, pair: tuple[socket.socket, socket.socket]
+) -> None:
+    """Where its signal is blocked, the kernel ends the process at once."""
+    ours, device = pair
+    before = set(os.listdir("/proc/self/task"))
+    assert lib.hd_hid_connect(hid, new_plan(), ours.fileno(), 0) == Status.OK
+    device.recv(64)
+    threads = set(os.listdir("/proc/self/task")) - before
+    assert len(threads) == 2
+    for thread in threads:
+        status = Path(f"/proc/self/task/{thread}/status").read_text(encoding="utf-8")
+        blocked = int(status.partition("SigBlk:")[2].split()[0], 16)
+        passed = {number for number in signal.valid_signals() if not blocked >> (number - 1) & 1}
+        faults = {signal.SIGABRT, signal.SIGSEGV, signal.SIGBUS, signal.SIGILL, signal.SIGFPE}
+        assert passed >= faults and not passed & {signal.SIGTERM, signal.SIGINT, signal.SIGPIPE, signal.SIGCHLD}
 
 
 def test_a_device_that_leaves(hid: CData, pair: tuple[socket.socket, socket.socket]) -> None:
