@@ -3,7 +3,7 @@
  * To add a shape, change these files. C, in csrc/:
  *
  *   api/hd_api.h          enum hd_shape; what point_m, normal and half_m of struct hd_object mean for it
- *   shapes/a file of its own       fills a struct hd_shape_operations, as hd_wall.c does
+ *   shapes/, a new file    fills a struct hd_shape_operations, as hd_wall.c does
  *   shapes/hd_shape.h     its operations declared extern; HD_SHAPES
  *   shapes/hd_shape.c     its row of the table
  *   scene/hd_index.c      bounded_reach_m, is_round and visit: its bounds, and its distance. Compilers warn of a shape
