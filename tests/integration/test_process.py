@@ -223,6 +223,9 @@ def test_stopped_process_costs_skipped_ticks_and_no_burst() -> None:
         before = wire.result("get_status")["counters"]
         with connect(daemon.directory) as client, client.samples() as samples:
             parts = [np.array(next(samples))]  # of before, whatever else comes of it
+            # A stall in the daemon's first 20 ms would add the field's ramp to that of the forces, which goes on.
+            while not np.isclose(parts[-1]["force_n"][-1, 1], 0.5):
+                parts.append(np.array(next(samples)))
             daemon.process.send_signal(signal.SIGSTOP)
             os.waitpid(daemon.process.pid, os.WUNTRACED)
             stopped = threading.Event()
