@@ -94,7 +94,11 @@ def test_a_fault_of_its_threads_reaches_the_handler_that_ends_the_force(
     ours, device = pair
     before = set(os.listdir("/proc/self/task"))
     assert lib.hd_hid_connect(hid, new_plan(), ours.fileno(), 0) == Status.OK
+    # Both threads have worked: until a thread begins, the C library blocks all signals in it.
     device.recv(64)
+    device.send(bytes([2, 2]))
+    device.send(bytes([2, 0]))
+    assert lib.hd_hid_wait(hid, int(PATIENCE_S) * SECOND_NS) == 1
     threads = set(os.listdir("/proc/self/task")) - before
     assert len(threads) == 2
     for thread in threads:
