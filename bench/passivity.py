@@ -16,9 +16,9 @@ import numpy.typing as npt
 
 from bench.report import Advance, Floats, Options, Section, Table, spread
 from bench.tick import MATERIALS, RATE_HZ, STRETCH, Stretch, walls
-from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Flag, Status, ffi, invalid_reason, lib, pointer, records
+from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, CData, Flag, Status, ffi, invalid_reason, lib, pointer, records
 from hapticd.config.configuration import load_config
-from hapticd.daemon.counters import Energy, energy_of
+from hapticd.daemon.counters import Energy
 from hapticd.rendering.compiler.table import Compiler
 from hapticd.rendering.device_output import output_of
 from hapticd.rendering.joystick import new_operator, new_sim
@@ -168,6 +168,13 @@ def work(force_n: Floats, position_m: Floats, touched: npt.NDArray[np.bool_], to
     return largest
 
 
+def energy_of(state: CData) -> Energy:
+    """Of a `struct hd_state`."""
+    raw = ffi.new("struct hd_energy *")
+    lib.hd_state_energy(state, raw)
+    return Energy(raw.energy_j, raw.largest_j, raw.contacts, raw.restrained, raw.acted)
+
+
 def simulated(case: Case, passivity: Mode) -> Given:
     """The case, closed loop."""
     config = load_config(case.config(passivity))
@@ -195,14 +202,12 @@ def simulated(case: Case, passivity: Mode) -> Given:
     )
     if status != Status.OK:
         raise RuntimeError(invalid_reason())
-    raw = ffi.new("struct hd_energy *")
-    lib.hd_state_energy(state, raw)
     force = samples["force_n"]  # nothing rings
     touched = (samples["flags"] & Flag.CONTACT) != 0
     return Given(
         work(force, samples["position_m"], touched),
         work(force, truth[:, :2], touched, case.age),
-        energy_of(raw),
+        energy_of(state),
         float(np.hypot(*truth[:, 2:].T).max()),
         count,
     )

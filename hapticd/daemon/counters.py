@@ -155,11 +155,6 @@ def read_counters(servo: CData) -> Counters:
     return Counters._make(_RECORD.unpack(ffi.buffer(raw)))
 
 
-def energy_of(raw: CData) -> Energy:
-    """A `struct hd_energy`."""
-    return Energy(raw.energy_j, raw.largest_j, raw.contacts, raw.restrained, raw.acted)
-
-
 def read_faults(servo: CData) -> Fault:
     """The faults that are latched. For any thread."""
     raw = ffi.new("struct hd_counters *")

@@ -10,10 +10,10 @@ import logging
 import math
 import os
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from time import monotonic_ns
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 import numpy as np
@@ -669,8 +669,3 @@ def source_of(device: Device) -> Source:
     from hapticd.hid import sources
 
     return sources.source_of(device)
-
-
-def monotonic_ns() -> int:
-    """The servo's clock."""
-    return time.clock_gettime_ns(time.CLOCK_MONOTONIC)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import asdict
+from time import monotonic_ns
 from typing import Any, Final, NamedTuple, TypeAlias, cast
 
 from pydantic import ValidationError
@@ -37,7 +38,6 @@ from hapticd.daemon.command_ring import RingFullError, WaitTimeoutError
 from hapticd.daemon.engine import (
     Engine,
     StaleRevisionError,
-    monotonic_ns,
 )
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.intake import GivenUpError, Intake, Work

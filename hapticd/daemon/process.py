@@ -22,6 +22,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from time import monotonic_ns
 from typing import Final
 
 from hapticd.base import memory, threads, wording
@@ -33,7 +34,7 @@ from hapticd.config.locations import Chosen, choose
 from hapticd.daemon import server
 from hapticd.daemon.counters import Granted
 from hapticd.daemon.dispatch import Dispatch
-from hapticd.daemon.engine import Engine, monotonic_ns
+from hapticd.daemon.engine import Engine
 from hapticd.daemon.flight_recorder import Flight, directory_of
 from hapticd.daemon.flight_scene import FlightScene
 from hapticd.daemon.methods import Methods

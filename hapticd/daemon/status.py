@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import os
 from dataclasses import asdict
+from time import monotonic_ns
 
 from hapticd._version import __version__
 from hapticd.base import clock
 from hapticd.base.codec import Encoded, Members
 from hapticd.base.model import MAX_FAULTS
 from hapticd.daemon.counters import TOTALS, Counters, Granted
-from hapticd.daemon.engine import Engine, monotonic_ns
+from hapticd.daemon.engine import Engine
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.intake import Intake
 from hapticd.daemon.lease import Lease

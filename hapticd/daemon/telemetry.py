@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from time import monotonic_ns
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy.typing as npt
 
 from hapticd.base.codec import encode
 from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, EventKind, Flag, records
-from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine, monotonic_ns
+from hapticd.daemon.engine import SAMPLE_CAPACITY, Engine
 from hapticd.daemon.flight_recorder import Flight
 from hapticd.daemon.publisher import Publisher
 from hapticd.protocol.changes import change_map

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from time import monotonic_ns
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from hapticd.base.core import EVENT_DTYPE, SAMPLE_DTYPE, Fault, Flag, records
 from hapticd.config.configuration import Config, load_config
 from hapticd.config.modes import Mode
 from hapticd.daemon import reload
-from hapticd.daemon.engine import Engine, monotonic_ns
+from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import MethodError, Methods
 from hapticd.protocol.changes import Played, Revised
 from hapticd.protocol.events import event_map

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.passivity import GROUPS, Group, draw, simulated, work
+from bench.passivity import GROUPS, Group, draw, energy_of, simulated, work
 from bench.stability import evaluated
-from hapticd.base.core import Flag, ffi, lib
+from hapticd.base.core import Flag, lib
 from hapticd.config.configuration import default_config, load_config
-from hapticd.daemon.counters import Energy, energy_of
+from hapticd.daemon.counters import Energy
 from hapticd.daemon.engine import Engine
 from hapticd.daemon.methods import Methods
 from hapticd.rendering.device_output import output_of
@@ -29,9 +29,7 @@ UNKNOWN = {"sim": {"handle_damping_n_s_per_m": 0, "coulomb_friction_n": 0}}
 
 
 def energy(rig: Rig) -> Energy:
-    raw = ffi.new("struct hd_energy *")
-    lib.hd_state_energy(rig.state, raw)
-    return energy_of(raw)
+    return energy_of(rig.state)
 
 
 def in_and_out(steps: int, way_m: float) -> np.ndarray:
