@@ -1,4 +1,4 @@
-"""What is told to lower is enough: random grooves and patches at 0.99 of it are safe, and rest in the simulation."""
+"""The reported remedy is enough: random grooves and patches at 0.99 of it are safe, and rest in the simulation."""
 
 from __future__ import annotations
 
