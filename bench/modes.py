@@ -218,8 +218,9 @@ def run(options: Options, advance: Advance) -> Section:
     return Section(
         "Ringing modes",
         [
-            "Cost and error of one two-axis mode at 10 kHz: the core's recursion and the alternatives. A way that is no "
-            "recursion (libm, tables) merges a strike with what rings already, with libm. Tables hold sines; their phase is an "
+            "Cost and error of one two-axis mode at 10 kHz: the core's recursion and the alternatives. A way that is "
+            "no recursion (libm, tables) merges a strike with what rings already, with libm. Tables hold sines; their "
+            "phase is an "
             "integer that does not drift, and the decay one multiplication a tick. One strike: every mode of the "
             f"library over 5/B, largest error over its peak. Strikes: {lasting} of them at their own times within the "
             "tick, every two decay times, and a bell of 440 Hz and 10 s struck twice a second; the last 100 ticks, "
