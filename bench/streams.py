@@ -1,0 +1,303 @@
+"""Streamed forces at 1,000 a second: what is lost, how long one takes to the tick that uses it, what it costs.
+
+The sender is another process. Its forces lie on a circle, one after the other far apart, and the servo goes to each in
+a straight line: where the line of a tick meets the circle is the message that it took. So each message is found in the
+samples, whatever the counters say. Its time is the sender's CLOCK_MONOTONIC before it calls send; the tick's is when
+the servo woke up, its deadline and its lateness.
+
+    python -m bench.streams --send ENDPOINT COUNT FILE      the sender; its times go into FILE
+    python -m bench.streams --flood ENDPOINT                sends as fast as it goes, until it is killed
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import zmq
+
+from bench.daemon import Running, call, daemon, dealer
+from bench.report import ROOT, Advance, Options, Section, Table, spread, verdict
+from bench.resources import cpu_s
+from bench.samples import SampleReader
+from hapticd.base.errors import HapticdError
+from hapticd.protocol import streams
+
+RATE_HZ = 10_000
+PER_S = 1000
+CIRCLE_N = 0.02
+POINTS = 64
+STRIDE = 25
+"""From one message to the next; what it is in a tick stays far below what the ramp allows."""
+TIMEOUT_S = 0.02
+RAMP_S = 0.02
+
+Times = npt.NDArray[np.int64]
+
+
+# ---- The sender ------------------------------------------------------------------------------------------------------
+
+
+def send(endpoint: str, count: int, file: str) -> None:
+    """Streams so many forces, a thousand a second, and keeps when each was sent."""
+    times = np.zeros(count, np.int64)
+    angles = 2 * math.pi * STRIDE / POINTS * np.arange(POINTS)
+    forces_n = (CIRCLE_N * np.column_stack([np.cos(angles), np.sin(angles)])).tolist()
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.connect(endpoint)
+        call(socket, "get_status")
+        begin = time.monotonic_ns() + 10_000_000
+        for seq in range(count):
+            wait_s = 1e-9 * (begin + seq * 1_000_000_000 // PER_S - time.monotonic_ns())
+            if wait_s > 0:
+                time.sleep(wait_s)
+            times[seq] = time.monotonic_ns()
+            socket.send(streams.write("force", seq, *forces_n[seq % POINTS]))
+        call(socket, "get_status")  # it has come to all of them
+    np.save(file, times)
+
+
+def flood(endpoint: str) -> None:
+    """Streams without pause, until it is killed."""
+    with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+        socket.connect(endpoint)
+        seq = 0
+        while True:
+            socket.send(streams.write("force", seq, 0.0, CIRCLE_N))
+            seq += 1
+
+
+def _process(*words: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-m", "bench.streams", *words], cwd=ROOT)
+
+
+# ---- What is measured ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Minute:
+    """One stream of a thousand a second."""
+
+    counted: dict[str, int]
+    latency_us: npt.NDArray[np.float64]
+    """Of each message whose tick shows in the samples."""
+    interval_us: npt.NDArray[np.float64]
+    """Between two messages, as they were sent."""
+    command_us: float
+    """Processor time of the daemon's Python for each message, beyond what it takes without them."""
+    missed: int
+
+
+def _counted(client: zmq.Socket[bytes]) -> dict[str, int]:
+    status: dict[str, dict[str, int]] = call(client, "get_status")["streams"]  # type: ignore[assignment]
+    return status["force"]
+
+
+def _python_s(pid: int) -> tuple[float, float]:
+    """Processor time of the daemon's threads but the servo, and when that was read."""
+    total, servo = cpu_s(pid)
+    return total - servo, time.monotonic()
+
+
+def aims(force_n: npt.NDArray[np.float64]) -> npt.NDArray[np.int64]:
+    """To which of POINTS a force goes in each tick but the first; -1: nowhere, or to zero after the time-out."""
+    begin, step = force_n[:-1], np.diff(force_n, axis=0)
+    size = np.hypot(step[:, 0], step[:, 1])
+    moves = size > 1e-9
+    along = step / np.where(moves, size, 1.0)[:, None]
+    ahead = (begin * along).sum(axis=1)
+    aside = begin[:, 0] * along[:, 1] - begin[:, 1] * along[:, 0]
+    moves &= (np.abs(aside) > 1e-9) | (ahead >= 0.0)
+    # The point of the circle ahead, from one within it.
+    distance = -ahead + np.sqrt(np.maximum(0.0, ahead**2 - (begin**2).sum(axis=1) + CIRCLE_N**2))
+    to = begin + distance[:, None] * along
+    place = np.rint(np.arctan2(to[:, 1], to[:, 0]) / (2 * math.pi) * POINTS).astype(np.int64) % POINTS
+    return np.where(moves, place * pow(STRIDE, -1, POINTS) % POINTS, -1)
+
+
+def latencies(sent_ns: Times, samples: np.ndarray[tuple[int], np.dtype[np.void]], last: int) -> npt.NDArray[np.float64]:
+    """From each message that was used to the tick that took it, us; `last`: the number of the last one that was."""
+    to = aims(samples["contact_force_n"])
+    at = np.flatnonzero(to >= 0)
+    at = at[np.concatenate([[True], to[at[1:]] != to[at[:-1]]])]
+    woke_ns = (samples["time_ns"] + samples["lateness_ns"])[at + 1]
+    # The first one that was used is among the first POINTS, and each other among the next POINTS.
+    message = to[at[0]] + np.concatenate([[0], np.cumsum((np.diff(to[at]) - 1) % POINTS + 1)])
+    if message[-1] != last:
+        raise HapticdError(f"the samples show message {message[-1]:,} as the last one, not {last:,}")
+    latency_us: npt.NDArray[np.float64] = (woke_ns - sent_ns[message]) / 1e3
+    return latency_us
+
+
+def minute(running: Running, client: zmq.Socket[bytes], seconds: float) -> Minute:
+    """One stream, from its first message to the end of its force."""
+    before = _counted(client)
+    skipped = call(client, "get_status")["counters"]["skipped"]  # type: ignore[index]
+    reader = SampleReader(running.paths.telemetry_endpoint)
+    count = int(seconds * PER_S)
+    idle_s, idle_since_s = _python_s(running.pid)
+    time.sleep(min(seconds, 5.0))
+    idle_s, idle_since_s = (b - a for a, b in zip((idle_s, idle_since_s), _python_s(running.pid), strict=True))
+    with tempfile.TemporaryDirectory(prefix="hapticd-bench-") as folder:
+        file = os.path.join(folder, "sent.npy")
+        used_s, since_s = _python_s(running.pid)
+        process = _process("--send", running.paths.command_endpoint, str(count), file)
+        if process.wait() != 0:
+            raise HapticdError("the sender failed")
+        used_s, since_s = (b - a for a, b in zip((used_s, since_s), _python_s(running.pid), strict=True))
+        sent_ns: Times = np.load(file)
+    time.sleep(TIMEOUT_S + 2 * RAMP_S)
+    after = _counted(client)
+    status = call(client, "get_status")
+    samples = reader.until(int(str(status["tick"])))
+    return Minute(
+        {name: after[name] - before[name] for name in after if name not in ("active", "seq", "tick")},
+        latencies(sent_ns, samples[samples["tick"] <= after["tick"]], after["seq"]),
+        np.diff(sent_ns) / 1e3,
+        1e6 * (used_s - idle_s / idle_since_s * since_s) / count,
+        status["counters"]["skipped"] - skipped,  # type: ignore[index]
+    )
+
+
+def killed(running: Running, client: zmq.Socket[bytes]) -> float:
+    """From the SIGKILL of a sender to the first tick whose force is zero, ms."""
+    reader = SampleReader(running.paths.telemetry_endpoint)
+    process = _process("--send", running.paths.command_endpoint, "1000000", os.devnull)
+    try:
+        while not _counted(client)["active"]:
+            time.sleep(0.01)
+        time.sleep(0.3)
+    finally:
+        at_ns = time.monotonic_ns()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    time.sleep(TIMEOUT_S + 2 * RAMP_S)
+    samples = reader.until(int(str(call(client, "get_status")["tick"])))
+    after = samples[samples["time_ns"] > at_ns]
+    zero = after["time_ns"][np.flatnonzero((after["force_n"] == 0).all(axis=1))[0]]
+    return float(zero - at_ns) / 1e6
+
+
+@contextlib.contextmanager
+def flooding(running: Running) -> Iterator[None]:
+    """Somebody streams without pause meanwhile."""
+    process = _process("--flood", running.paths.command_endpoint)
+    try:
+        with dealer(running.paths.command_endpoint) as client:
+            before = _counted(client)["received"]
+            while _counted(client)["received"] == before:
+                time.sleep(0.01)
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def round_trips(client: zmq.Socket[bytes], seconds: float) -> npt.NDArray[np.float64]:
+    """Of `get_status`, us, one every 2 ms."""
+    taken = []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        begin = time.perf_counter_ns()
+        call(client, "get_status")
+        taken.append((time.perf_counter_ns() - begin) / 1e3)
+        time.sleep(0.002)
+    return np.array(taken)
+
+
+# ---- The section -----------------------------------------------------------------------------------------------------
+
+
+def _percentiles(values: npt.NDArray[np.float64]) -> list[str]:
+    return [*(f"{np.percentile(values, share):,.0f}" for share in (50, 99, 99.9)), f"{values.max():,.0f}"]
+
+
+def run(options: Options, advance: Advance) -> Section:
+    """The tables of it."""
+    seconds, kills, floods = options.few(60, 3), options.few(20, 3), options.few(5, 1)
+    with daemon(rate_hz=RATE_HZ) as running, dealer(running.paths.command_endpoint) as client:
+        found = minute(running, client, seconds)
+        advance(0.7, "a minute")
+        ends = []
+        for index in range(kills):
+            ends.append(killed(running, client))
+            advance(0.7 + 0.2 * (index + 1) / kills, "senders killed")
+        asked: dict[str, list[npt.NDArray[np.float64]]] = {"nobody streams": [], "a flood": []}
+        before = _counted(client)
+        flooded_s = 0.0
+        for _ in range(floods):
+            asked["nobody streams"].append(round_trips(client, options.few(3, 1)))
+            with flooding(running):
+                begin = time.monotonic()
+                asked["a flood"].append(round_trips(client, options.few(3, 1)))
+                flooded_s += time.monotonic() - begin
+        flooded = _counted(client)["received"] - before["received"]
+        status = call(client, "get_status")
+    counted = found.counted
+    p99 = float(np.percentile(found.latency_us, 99))
+    return Section(
+        "Streams",
+        [
+            f"The whole daemon at {RATE_HZ} Hz. Another process streams forces on a circle, {PER_S:,} a second "
+            f"for {seconds} s. From its clock before `send` to the wake-up of the tick that took the message, which "
+            "the samples show: the force turns towards another point of the circle.",
+            Table(
+                f"{seconds * PER_S:,} messages",
+                [
+                    "received",
+                    "lost",
+                    "late",
+                    "refused",
+                    "used",
+                    "superseded",
+                    "time-outs",
+                    "seen in the samples",
+                    "missed",
+                ],
+                [
+                    [
+                        *(f"{counted[name]:,}" for name in ("received", "lost", "late", "refused")),
+                        *(f"{counted[name]:,}" for name in ("used", "superseded", "timeouts")),
+                        f"{len(found.latency_us):,}",
+                        f"{found.missed:,}",
+                    ]
+                ],
+            ),
+            Table(
+                "us",
+                ["", "p50", "p99", "p99.9", "worst", "aim, reached"],
+                [
+                    ["from send to the tick", *_percentiles(found.latency_us), f"p99 < 1,000: {verdict(p99, 1000)}"],
+                    ["between two messages, as sent", *_percentiles(found.interval_us), ""],
+                ],
+            ),
+            f"A message takes {found.command_us:.1f} us of a processor in the daemon, the waking up of the thread that "
+            f"serves commands included: {found.command_us * PER_S / 1e4:.1f} % of one at {PER_S:,} a second.",
+            f"A sender that is killed by SIGKILL: the force is zero {spread(ends, '.1f')} ms later ({kills} times; "
+            f"{1e3 * TIMEOUT_S:g} ms of time-out, and {1e3 * RAMP_S:g} ms of ramp at most).",
+            Table(
+                f"`get_status`, us, beside a sender that streams without pause "
+                f"({flooded / max(flooded_s, 1e-9):,.0f} messages a second were read of it); faults: "
+                f"{', '.join(status['faults']) or 'none'}",  # type: ignore[arg-type]
+                ["", "p50", "p99", "p99.9", "worst"],
+                [[name, *_percentiles(np.concatenate(each))] for name, each in asked.items()],
+            ),
+        ],
+    )
+
+
+if __name__ == "__main__":
+    if sys.argv[1] == "--send":
+        send(sys.argv[2], int(sys.argv[3]), sys.argv[4])
+    else:
+        flood(sys.argv[2])

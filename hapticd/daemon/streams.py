@@ -1,0 +1,154 @@
+"""Streamed targets and forces: the sender and the order of messages, and the counters of accepted and refused ones.
+
+The connection that sends the first message owns the stream. The stream ends when no message came for the time-out. The
+servo ends it by itself (csrc/servo/hd_servo_streams.c), even if the thread that serves commands hangs. Call everything
+from that thread; `status` may be called from any.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+from time import monotonic_ns
+from typing import Protocol
+
+from hapticd.base.core import StreamKind
+from hapticd.daemon.counters import StreamCounters
+from hapticd.protocol import streams as wire
+from hapticd.protocol.streams import MOST, Kind
+
+
+class HeldError(Exception):
+    """Another connection owns the stream, which has not ended. The protocol's error is Code.STREAM_HELD."""
+
+    def __init__(self, free_s: float, timeout_s: float) -> None:
+        super().__init__(free_s)
+        self.free_s = free_s
+        """Seconds until the stream ends, if its owner sends no further message."""
+        self.timeout_s = timeout_s
+
+
+class LateError(Exception):
+    """The sequence number of a message is not above that of the last accepted message, which is `last`."""
+
+    def __init__(self, last: int) -> None:
+        super().__init__(last)
+        self.last = last
+
+
+class Servo(Protocol):
+    """The methods of an engine that streams call. `stream` never blocks: a newer value replaces the one before it."""
+
+    def stream(self, kind: StreamKind, seq: int, x: float, y: float) -> None: ...
+    def stream_counters(self, kind: StreamKind) -> StreamCounters: ...
+
+
+class _Stream:
+    """One kind of stream: its owner, its last sequence number, and its counters since the start."""
+
+    __slots__ = ("accepted", "held", "kind", "last_ns", "late", "lost", "refused", "sender", "seq")
+
+    def __init__(self, kind: StreamKind) -> None:
+        self.kind = kind
+        self.sender: object = None
+        self.seq = 0
+        self.last_ns = -inf  # none came yet
+        self.accepted = self.late = self.lost = self.held = self.refused = 0
+
+    @property
+    def received(self) -> int:
+        return self.accepted + self.late + self.held + self.refused
+
+
+class Streams:
+    """Both kinds of streams of one servo."""
+
+    def __init__(self, servo: Servo, hand: bool, timeout_ns: int, clock: Callable[[], int] = monotonic_ns) -> None:
+        """`hand`: whether the device has a simulated hand, which targets move. `timeout_ns`: a stream ends when no
+        message came for this time, in nanoseconds."""
+        self._servo, self._hand, self._timeout_ns, self._clock = servo, hand, timeout_ns, clock
+        self._streams: dict[Kind, _Stream] = {
+            "target": _Stream(StreamKind.TARGET),
+            "force": _Stream(StreamKind.FORCE),
+        }
+        self.target_m: tuple[float, float] | None = None
+        """The last target that the servo was given, in metres; None: there was none, or it was reset."""
+
+    def take_body(self, sender: object, body: bytes) -> bool:
+        """Accepts a notification that is complete, valid and in sequence.
+
+        Returns False for any other body and changes nothing. The caller then handles that body as a request, which
+        reports and counts the mistake.
+        """
+        found = wire.read(body)
+        if found is None:
+            return False
+        kind, seq, x, y = found
+        most = MOST[kind]
+        # Comparisons with NaN are false.
+        if not (-most <= x <= most and -most <= y <= most) or seq > wire.MOST_SEQ:
+            return False
+        if kind == "target" and not self._hand:
+            return False
+        stream, now_ns = self._streams[kind], self._clock()
+        if self._is_under_way(stream, now_ns) and (stream.sender is not sender or seq <= stream.seq):
+            return False
+        self._hand_over(stream, sender, seq, now_ns, x, y)
+        return True
+
+    def refused(self, method: str) -> None:
+        """Counts an invalid message of this method."""
+        self._streams[wire.METHODS[method]].refused += 1
+
+    def take(self, sender: object, kind: Kind, seq: int, x: float, y: float) -> None:
+        """Gives a valid message to the servo. Raises HeldError, LateError."""
+        stream, now_ns = self._streams[kind], self._clock()
+        if self._is_under_way(stream, now_ns):
+            if stream.sender is not sender:
+                stream.held += 1
+                raise HeldError(1e-9 * (stream.last_ns + self._timeout_ns - now_ns), 1e-9 * self._timeout_ns)
+            if seq <= stream.seq:
+                stream.late += 1
+                raise LateError(stream.seq)
+        self._hand_over(stream, sender, seq, now_ns, x, y)
+
+    def _is_under_way(self, stream: _Stream, now_ns: int) -> bool:
+        return now_ns - stream.last_ns < self._timeout_ns
+
+    def _hand_over(self, stream: _Stream, sender: object, seq: int, now_ns: int, x: float, y: float) -> None:
+        """Needs a `seq` above the last one if the stream has not ended."""
+        missing = seq - stream.seq - 1 if self._is_under_way(stream, now_ns) else 0
+        self._servo.stream(stream.kind, seq, x, y)
+        stream.sender, stream.seq, stream.last_ns = sender, seq, now_ns
+        stream.accepted += 1
+        stream.lost += missing
+        if stream.kind is StreamKind.TARGET:
+            self.target_m = (x, y)
+
+    # ---- Status ------------------------------------------------------------------------------------------------------
+
+    @property
+    def received(self) -> int:
+        """Number of messages of both kinds since the start. While it is 0, `status` does not change."""
+        return sum(stream.received for stream in self._streams.values())
+
+    def status(self) -> dict[str, object]:
+        """The member `streams` of a status. For any thread."""
+        return {kind: self._status(stream) for kind, stream in self._streams.items()}
+
+    def _status(self, stream: _Stream) -> dict[str, object]:
+        servo = self._servo.stream_counters(stream.kind)
+        return {
+            "active": servo.active,
+            "seq": servo.seq if servo.used else None,
+            "tick": servo.tick if servo.used else None,
+            "received": stream.received,
+            "used": servo.used,
+            "superseded": servo.superseded,
+            "late": stream.late,
+            "lost": stream.lost,
+            "refused": stream.refused,
+            "held": stream.held,
+            "limited": servo.limited,
+            "timeouts": servo.timeouts,
+        }

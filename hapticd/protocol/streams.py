@@ -1,0 +1,88 @@
+"""Streamed targets and forces on the wire: one short notification each, written and read without a general decoder.
+
+A stream sends up to a thousand messages a second. What is read here has exactly the form that every msgpack library
+gives to a map in this order; any other form goes the way of all requests, and means the same.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Final, Literal, NamedTuple, TypeAlias
+
+from hapticd.base.codec import encode
+
+Kind: TypeAlias = Literal["target", "force"]
+
+METHODS: Final[dict[str, Kind]] = {"stream_target": "target", "stream_force": "force"}
+"""The methods, and what each of them streams."""
+VECTORS: Final[dict[Kind, str]] = {"target": "position_m", "force": "force_n"}
+"""The parameter beside `seq`."""
+MOST: Final[dict[Kind, float]] = {"target": 10.0, "force": 100.0}
+"""The largest coordinate, m, and the largest component of a force, N."""
+MOST_SEQ: Final = 2**63 - 1
+"""The largest sequence number."""
+
+
+class Streamed(NamedTuple):
+    """One message of a stream."""
+
+    kind: Kind
+    seq: int
+    x: float
+    y: float
+
+
+_FLOAT: Final = 0xCB
+_UINT64: Final = 0xCF
+_BY_TAG: Final = {0xCC: "xB", 0xCD: "xH", 0xCE: "xI", _UINT64: "xQ"}
+"""How the first byte of a number larger than 127 says that it goes on."""
+
+
+class _Form:
+    """The bytes of one method."""
+
+    def __init__(self, method: str) -> None:
+        self.kind = kind = METHODS[method]
+        self.head = (
+            b"\x83" + encode("jsonrpc") + encode("2.0") + encode("method") + encode(method) + encode("params") + b"\x82"
+        ) + encode("seq")
+        # The key, an array of two, and the tag of the first number.
+        self.middle = encode(VECTORS[kind]) + bytes((0x92, _FLOAT))
+        rest = f"{len(self.middle)}sdBd"
+        self.small = struct.Struct(f">B{rest}")
+        self.large = {tag: struct.Struct(f">{number}{rest}") for tag, number in _BY_TAG.items()}
+        self.written = struct.Struct(f">{len(self.head)}sBQ{rest}")
+
+
+_FORMS: Final = {METHODS[method]: _Form(method) for method in METHODS}
+_TARGET, _FORCE = _FORMS["target"], _FORMS["force"]
+
+
+def write(kind: Kind, seq: int, x: float, y: float) -> bytes:
+    """The body of a notification. Raises struct.error for a number that is none."""
+    form = _FORMS[kind]
+    return form.written.pack(form.head, _UINT64, seq, form.middle, x, _FLOAT, y)
+
+
+def read(body: bytes) -> Streamed | None:
+    """The message in a body of this very form; its numbers may be any. None for everything else."""
+    if body.startswith(_TARGET.head):
+        form = _TARGET
+    elif body.startswith(_FORCE.head):
+        form = _FORCE
+    else:
+        return None
+    begin = len(form.head)
+    if len(body) == begin:
+        return None
+    tag = body[begin]
+    rest = form.small if tag < 0x80 else form.large.get(tag)
+    if rest is None or begin + rest.size != len(body):
+        return None
+    seq, middle, x, second, y = rest.unpack_from(body, begin)
+    return Streamed(form.kind, seq, x, y) if middle == form.middle and second == _FLOAT else None
+
+
+def is_stream(body: bytes) -> bool:
+    """Whether a body begins as one that `write` gives: it is worth nothing once it is late."""
+    return body.startswith((_TARGET.head, _FORCE.head))

@@ -1,0 +1,108 @@
+"""A daemon of our own: the simulated joystick, in a scene that shows everything."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from hapticd.base.errors import HapticdError
+from hapticd.protocol import places
+from hapticd.protocol.places import Place
+from hapticd.system.paths import daemon_paths
+
+CONFIG: Final = Path(__file__).parents[1] / "shipped" / "play.yaml"
+_READY_S: Final = 60.0
+_END_S: Final = 5.0
+_LAST_LINES: Final = 20
+_PR_SET_PDEATHSIG: Final = 1
+
+
+class DemoDaemon:
+    """`hapticd run` in a folder of its own, as long as the context lasts. What it logs is told only where it fails."""
+
+    def __init__(self, configs: Sequence[str] = ()) -> None:
+        """`configs`: what `hapticd run -c` takes, later ones override earlier ones; none: the scene of everything."""
+        self._configs = configs or (str(CONFIG),)
+
+    def __enter__(self) -> Self:
+        self._folder = tempfile.TemporaryDirectory(prefix="hapticd-play-")
+        self._log = Path(self._folder.name, "log")
+        runtime = Path(self._folder.name, "run")
+        command = [sys.executable, "-m", "hapticd", "--runtime-dir", str(runtime), "run"]
+        for config in self._configs:
+            command += ["-c", config]
+        # Nothing that is meant for another daemon: the address of a bridge, files of somebody's own.
+        environment = {name: value for name, value in os.environ.items() if not name.startswith("HAPTICD_")}
+        with open(self._log, "wb") as log:
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                env=environment,
+                start_new_session=True,
+                preexec_fn=_ended_with(os.getpid()),
+            )
+        try:
+            runtime.mkdir(mode=0o700, exist_ok=True)
+            self.place: Place = daemon_paths(runtime)
+            places.await_ready(self.place, _READY_S, lambda: self._process.poll() is not None)
+            places.probe(self.place)
+        except HapticdError:
+            problem = HapticdError(f"the daemon of the demo did not start: {self._last_words()}")
+            self.__exit__(None, None, None)
+            raise problem from None
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._process.poll() is None:
+            self._process.terminate()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        self._folder.cleanup()
+
+    async def failed(self) -> str:
+        """Returns once it has ended by itself: why."""
+        loop, ended = asyncio.get_running_loop(), asyncio.Event()
+        descriptor = os.pidfd_open(self._process.pid)
+        try:
+            loop.add_reader(descriptor, ended.set)
+            await ended.wait()
+        finally:
+            loop.remove_reader(descriptor)
+            os.close(descriptor)
+        return f"the daemon of the demo ended: {self._last_words()}"
+
+    def _last_words(self) -> str:
+        lines = self._log.read_text(errors="replace").split("\n")[-_LAST_LINES - 1 :]
+        return "; ".join(line.strip() for line in lines if line.strip()) or "it said nothing"
+
+
+def _ended_with(parent: int) -> Callable[[], None]:
+    """For the child, before it becomes the daemon: whoever kills us by SIGKILL ends it, too."""
+    import ctypes  # not where nothing is started: it wants memory that is writable and executable
+
+    prctl = ctypes.CDLL(None, use_errno=True).prctl
+
+    def bind() -> None:
+        prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:
+            os._exit(1)
+
+    return bind

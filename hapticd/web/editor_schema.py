@@ -1,0 +1,103 @@
+"""What may be edited, for the panels of the page: the JSON Schema of materials, objects and scene, with units.
+
+The answer of `web.schema`:
+
+    {"material":  {"$ref": "#/$defs/Material"},
+     "scene":     {"$ref": "#/$defs/Scene"},
+     "objects":   {"wall": {"$ref": "#/$defs/Wall"}, ...},      by the object's `kind`
+     "textures":  {"grooves": {"$ref": "#/$defs/Grooves"}, ...}, by the texture's `kind`
+     "$defs":     {"Material": ..., "Wall": ..., ...}}
+
+Each definition is JSON Schema (2020-12) as `hapticd schema` prints it, with two differences that make a form simple:
+
+- a member that has a unit names it, `"unit": "N/m"`, and its description no longer ends with it;
+- a member that may be absent is described as what it is when it is there. It has no `anyOf` with null, no default and
+  does not stand in `required`. Null in a merge patch removes it.
+
+`minimum`, `maximum`, `enum`, `const`, `default` and `description` are those of the configuration. Which members
+go together is left out: the panels ask for one choice after the other (static/editor/choices.js).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from typing import Final, cast
+
+from hapticd.base.yaml_source import Json
+from hapticd.config.document_kinds import OBJECT_KINDS
+from hapticd.config.schema import config_schema, unit_of
+
+_REF: Final = "#/$defs/"
+_NULL: Final = {"type": "null"}
+_TOGETHER: Final = ("allOf", "anyOf", "oneOf", "not", "if", "then")
+"""Beside members: which of them go together."""
+_TEXTURES: Final = ("grooves", "stochastic", "autoregressive")
+
+
+@cache
+def editor_schema() -> dict[str, Json]:
+    """As the top of this file says."""
+    every = cast("dict[str, dict[str, Json]]", config_schema()["$defs"])
+    by_kind = {kind: name for name, found in every.items() for kind in _kinds(found)}
+    wanted, definitions = ["Material", "Scene"], {}
+    while wanted:
+        name = wanted.pop()
+        if name not in definitions:
+            definitions[name] = cast("dict[str, Json]", _simple(every[name]))
+            wanted += _referred(definitions[name])
+    return {
+        "material": _ref("Material"),
+        "scene": _ref("Scene"),
+        "objects": {kind: _ref(by_kind[kind]) for kind in OBJECT_KINDS},
+        "textures": {kind: _ref(by_kind[kind]) for kind in _TEXTURES},
+        "$defs": {name: definitions[name] for name in sorted(definitions)},
+    }
+
+
+def _ref(name: str) -> dict[str, Json]:
+    return {"$ref": _REF + name}
+
+
+def _kinds(definition: dict[str, Json]) -> list[str]:
+    """The values of `kind` that choose this definition."""
+    kind = cast("dict[str, dict[str, Json]]", definition.get("properties", {})).get("kind", {})
+    return [cast(str, kind["const"])] if "const" in kind else []
+
+
+def _referred(tree: Json) -> Iterator[str]:
+    if isinstance(tree, dict):
+        for key, value in tree.items():
+            if key == "$ref":
+                yield cast(str, value).removeprefix(_REF)
+            else:
+                yield from _referred(value)
+    elif isinstance(tree, list):
+        for value in tree:
+            yield from _referred(value)
+
+
+def _simple(tree: Json) -> Json:
+    """A definition in the form that the top of this file says."""
+    if isinstance(tree, list):
+        return [_simple(value) for value in tree]
+    if not isinstance(tree, dict):
+        return tree
+    rules = _TOGETHER if "properties" in tree else ()
+    found = {key: _simple(value) for key, value in tree.items() if key not in rules}
+    choices = found.get("anyOf")
+    if isinstance(choices, list) and _NULL in choices and len(choices) == 2:
+        del found["anyOf"]
+        if found.get("default", 0) is None:
+            del found["default"]
+        found = {**next(cast("dict[str, Json]", choice) for choice in choices if choice != _NULL), **found}
+    properties = found.get("properties")
+    if isinstance(properties, dict):
+        for key, described in properties.items():
+            unit = unit_of(key)
+            if unit is not None and isinstance(described, dict):
+                text = cast(str, described["description"])
+                described["description"] = re.sub(rf" In {re.escape(unit)}\.$", "", text)
+                described["unit"] = unit
+    return found

@@ -1,0 +1,138 @@
+"""Where the server listens: this machine alone, or with TLS and a password others, too."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import socket
+import ssl
+from dataclasses import dataclass
+from typing import Final, cast
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.yaml_source import one_line
+from hapticd.system.trusted_files import read_trusted
+from hapticd.web.hosts import Hosts
+from hapticd.web.passwords import Passwords
+
+_BACKLOG: Final = 64
+_LARGEST_FILE: Final = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Listening:
+    """A port that is bound."""
+
+    socket: socket.socket
+    hosts: Hosts
+    url: str
+    """As a person opens it: scheme, name and port, no slash at the end."""
+    tls: ssl.SSLContext | None
+    passwords: Passwords | None
+
+
+def listen(host: str, port: int, cert: str | None, key: str | None, password_file: str | None) -> Listening:
+    """Binds. Raises HapticdError, in one line that says what is missing, before anything is bound."""
+    address = _address_of(host, port)
+    loopback = ipaddress.ip_address(address.partition("%")[0]).is_loopback
+    _refuse_what_is_missing(host, loopback, cert, key, password_file)
+    passwords = None if password_file is None else Passwords(password_file)
+    name = f"[{address}]" if ":" in address else address
+    names, tls = frozenset({name, "localhost"} if loopback else {name}), None
+    shown = host.lower() if host.lower() == "localhost" else name
+    if cert is not None and key is not None:
+        tls, of_certificate = _tls(cert, key)
+        names = frozenset(of_certificate)
+        shown = next((each for each in of_certificate if each == shown), of_certificate[0].replace("*", "hapticd"))
+    bound = _bind(host, address, port)
+    port = bound.getsockname()[1]
+    scheme = "http" if tls is None else "https"
+    return Listening(bound, Hosts(names, port, tls is not None), f"{scheme}://{shown}:{port}", tls, passwords)
+
+
+def _address_of(host: str, port: int) -> str:
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    except (OSError, UnicodeError) as error:
+        raise HapticdError(f"--host {one_line(host)}: {getattr(error, 'strerror', None) or error}") from None
+    if host.lower() == "localhost":
+        return "127.0.0.1"
+    return str(found[0][4][0])
+
+
+def _refuse_what_is_missing(
+    host: str, loopback: bool, cert: str | None, key: str | None, password_file: str | None
+) -> None:
+    options = {"--tls-cert": cert, "--tls-key": key, "--password-file": password_file}
+    missing = [name for name, value in options.items() if value is None]
+    if not loopback and missing:
+        raise HapticdError(
+            f"--host {one_line(host)}: other machines reach this address, which takes TLS and a password: "
+            f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
+        )
+    if (cert is None) != (key is None):
+        here, other = ("--tls-key", "--tls-cert") if cert is None else ("--tls-cert", "--tls-key")
+        raise HapticdError(f"{here}: {other} is missing; a certificate and its key go together")
+
+
+def _bind(host: str, address: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    bound = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.setblocking(False)
+        bound.bind((address, port))
+        bound.listen(_BACKLOG)
+    except OSError as error:
+        bound.close()
+        where = f"--port {port}"
+        if error.errno == errno.EADDRINUSE:
+            raise HapticdError(f"{where}: is in use at {host}; choose another, or 0 for a free one") from None
+        if error.errno == errno.EADDRNOTAVAIL:
+            raise HapticdError(f"--host {host}: is no address of this machine") from None
+        raise HapticdError(f"{where}: {error.strerror}") from None
+    return bound
+
+
+# ---- TLS -------------------------------------------------------------------------------------------------------------
+
+
+def _tls(cert: str, key: str) -> tuple[ssl.SSLContext, list[str]]:
+    """For a server with this certificate, and the names in it, in lower case. Raises HapticdError."""
+    read_trusted(cert, _LARGEST_FILE)
+    read_trusted(key, _LARGEST_FILE, secret=True)
+    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    server.minimum_version = ssl.TLSVersion.TLSv1_2
+    try:
+        # A key that is encrypted is not asked for on the terminal: it is refused.
+        server.load_cert_chain(cert, key, password="")
+    except ssl.SSLError as error:
+        what = "the key is another certificate's" if "MISMATCH" in (error.reason or "") else error.reason or error
+        raise HapticdError(f"--tls-cert {one_line(cert)}, --tls-key {one_line(key)}: cannot be used: {what}") from None
+    return server, _names_in(cert, server)
+
+
+def _names_in(cert: str, server: ssl.SSLContext) -> list[str]:
+    """Names and addresses that the certificate is for. A handshake in memory shows it as clients will see it."""
+    client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    client.check_hostname = False
+    client.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    here = server.wrap_bio(to_server, to_client, server_side=True)
+    try:
+        client.load_verify_locations(cert)
+        there = client.wrap_bio(to_client, to_server)
+        for side in (there, here, there, here):
+            try:
+                side.do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+        found = there.getpeercert() or {}
+        subjects = cast("tuple[tuple[str, str], ...]", found.get("subjectAltName", ()))
+    except ssl.SSLError as error:
+        why = getattr(error, "verify_message", None) or error.reason or error
+        raise HapticdError(f"--tls-cert {one_line(cert)}: no browser would accept it: {why}") from None
+    names = [name.lower() for kind, name in subjects if kind in ("DNS", "IP Address")]
+    if not names:
+        raise HapticdError(f"--tls-cert {one_line(cert)}: names no host: it needs a subjectAltName (openssl -addext)")
+    return [f"[{ipaddress.ip_address(name).compressed}]" if ":" in name else name for name in names]

@@ -1,0 +1,189 @@
+"""A recording that is open: its samples by row, columns as min and max of so many pixels, the scene at a row.
+
+Rows count from 0, the first sample of the file. Nothing here trusts what is in the file: `hapticd.load` has checked its
+form, but figures may be anything, also not numbers.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.merge_patch import replace_members
+from hapticd.base.yaml_source import Json
+from hapticd.client.record import ended_early
+from hapticd.recording.recording import Recording
+
+MOST_ROWS: Final = 20_000
+"""Samples of one answer, 2 MB."""
+MOST_PIXELS: Final = 4096
+MOST_EVENTS: Final = 5000
+_LONGEST_TEXT: Final = 500
+_RATES_HZ: Final = (1.0, 1e6)
+_SHOWN_EVENTS: Final = frozenset(
+    (
+        "contact",
+        "release",
+        "puncture",
+        "groove",
+        "mark",
+        "fault",
+        "saturation",
+        "device_lost",
+        "device_found",
+        "gesture_end",
+    )
+)
+
+_COMPONENTS: Final = {
+    "x_m": ("position_m", 0),
+    "y_m": ("position_m", 1),
+    "vx_m_per_s": ("velocity_m_per_s", 0),
+    "vy_m_per_s": ("velocity_m_per_s", 1),
+    "contact_x_n": ("contact_force_n", 0),
+    "contact_y_n": ("contact_force_n", 1),
+    "vibration_x_n": ("vibration_force_n", 0),
+    "vibration_y_n": ("vibration_force_n", 1),
+    "force_x_n": ("force_n", 0),
+    "force_y_n": ("force_n", 1),
+}
+_MAGNITUDES: Final = {
+    "force_n": "force_n",
+    "contact_n": "contact_force_n",
+    "vibration_n": "vibration_force_n",
+    "speed_m_per_s": "velocity_m_per_s",
+}
+COLUMNS: Final = (*_COMPONENTS, *_MAGNITUDES)
+"""What an outline may be of: a component by the name that static/samples.js gives it, or the length of a vector."""
+
+
+class Playback:
+    """One open recording. Its methods may take a while: they belong into a thread."""
+
+    def __init__(self, recording: Recording) -> None:
+        """Raises HapticdError for one that says no rate that a servo has, or holds no sample."""
+        self._recording = recording
+        self._samples = np.ascontiguousarray(recording.samples)
+        self.rate_hz = recording.rate_hz
+        if not _RATES_HZ[0] <= self.rate_hz <= _RATES_HZ[1]:
+            raise HapticdError(f"{recording.path}: was recorded at {self.rate_hz:g} Hz: no rate of a servo")
+        if not len(self._samples):
+            raise HapticdError(f"{recording.path}: holds no samples")
+
+    @property
+    def size(self) -> int:
+        """Bytes that its samples take."""
+        return self._samples.nbytes
+
+    def facts(self) -> dict[str, Json]:
+        """What the page shows of it."""
+        recording, samples = self._recording, self._samples
+        times = samples["time_ns"]
+        started = recording.started
+        return {
+            "rows": len(samples),
+            "rate_hz": self.rate_hz,
+            "start_ns": int(times[0]),
+            "duration_s": max(0.0, (int(times[-1]) - int(times[0])) * 1e-9) + 1.0 / self.rate_hz,
+            "started_ns": None if started is None else started.realtime_ns,
+            "ended_because": ended_early(recording.ended_because),
+            "missed_periods": recording.missed_periods,
+            "notes": {name: value for name, value in recording.notes.items() if isinstance(value, str | int | float)},
+            "events": self._events(),
+            "columns": list(COLUMNS),
+        }
+
+    def _events(self) -> list[Json]:
+        found: list[Json] = []
+        ticks = self._samples["tick"]
+        for event in self._recording.events:
+            kind, tick = event.get("event"), event.get("tick")
+            if kind not in _SHOWN_EVENTS or type(tick) is not int or not int(ticks[0]) <= tick <= int(ticks[-1]):
+                continue
+            row = int(np.searchsorted(ticks, np.uint64(tick)))
+            found.append({**{name: value for name, value in event.items() if _is_brief(value)}, "row": row})
+            if len(found) == MOST_EVENTS:
+                break
+        return found
+
+    def rows(self, first: int, count: int) -> dict[str, object]:
+        """Samples in the form of telemetry's `samples` (docs/protocol.md), from `first` on."""
+        first = _inside("first", first, 0, len(self._samples) - 1)
+        count = _inside("count", count, 1, MOST_ROWS)
+        part = self._samples[first : first + count]
+        return {
+            "first": first,
+            "count": len(part),
+            "first_tick": int(part["tick"][0]),
+            "dropped": 0,
+            "dtype": np.lib.format.dtype_to_descr(part.dtype),
+            "data": part.tobytes(),
+        }
+
+    def outline(self, column: str, first: int, last: int, pixels: int) -> dict[str, object]:
+        """A column from row `first` to before row `last`, as little-endian float32: `min` and `max` of each of `pixels`
+        stretches, or, where there are no more than two rows to a pixel, `raw`, one number a row."""
+        if column not in COLUMNS:
+            raise HapticdError(f"column: must be one of {', '.join(COLUMNS)}")
+        first = _inside("first", first, 0, len(self._samples) - 1)
+        last = _inside("last", last, first + 1, len(self._samples))
+        pixels = _inside("pixels", pixels, 1, MOST_PIXELS)
+        values = self._column(column, first, last)
+        answer: dict[str, object] = {"column": column, "first": first, "last": last}
+        if last - first <= 2 * pixels:
+            return {**answer, "raw": _packed(values)}
+        edges = np.linspace(0, last - first, pixels, endpoint=False).astype(np.int64)
+        return {
+            **answer,
+            "min": _packed(np.fmin.reduceat(values, edges)),
+            "max": _packed(np.fmax.reduceat(values, edges)),
+        }
+
+    def _column(self, name: str, first: int, last: int) -> npt.NDArray[np.float64]:
+        part = self._samples[first:last]
+        if name in _COMPONENTS:
+            field, component = _COMPONENTS[name]
+            found: npt.NDArray[np.float64] = part[field][:, component]
+            return found
+        vectors = part[_MAGNITUDES[name]]
+        length: npt.NDArray[np.float64] = np.hypot(vectors[:, 0], vectors[:, 1])
+        return length
+
+    def scene(self, row: int) -> dict[str, object]:
+        """What the sample of this row was rendered with: `scene`, `materials` and its `revision`."""
+        row = _inside("row", row, 0, len(self._samples) - 1)
+        revision = int(self._samples["revision"][row])
+        scene = dict(self._recording.scene)
+        objects, materials = _map(scene.pop("objects", None)), dict(self._recording.materials)
+        for change in self._recording.changes:
+            number = change.get("revision")
+            # Revisions are 32 bits wide and begin again.
+            if type(number) is not int or (revision - number) & 0xFFFFFFFF >= 1 << 31:
+                continue
+            for into, name in ((scene, "scene"), (objects, "objects"), (materials, "materials")):
+                replace_members(into, _map(change.get(name)))
+        return {"scene": {**scene, "objects": objects}, "materials": materials, "revision": revision}
+
+
+def _is_brief(value: object) -> bool:
+    """Whether a member of an event is passed on: a number, or a short text."""
+    return value is None or isinstance(value, int | float) or (isinstance(value, str) and len(value) <= _LONGEST_TEXT)
+
+
+def _packed(values: npt.NDArray[np.float64]) -> bytes:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype("<f4").tobytes()
+
+
+def _map(value: object) -> dict[str, Any]:
+    return dict(value) if isinstance(value, dict) else {}
+
+
+def _inside(name: str, value: int, low: int, high: int) -> int:
+    """A whole number of a page. Raises HapticdError for another."""
+    if not low <= value <= high:
+        raise HapticdError(f"{name}: must be from {low:,} to {high:,}, is {value:,}")
+    return value

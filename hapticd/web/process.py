@@ -1,0 +1,136 @@
+"""The life of the process: from the options to the printed address and the end."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+from contextlib import AsyncExitStack, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from hapticd.base import memory
+from hapticd.base.errors import HapticdError
+from hapticd.base.tasks import ended
+from hapticd.client import blocking
+from hapticd.client.asynchronous import Client
+from hapticd.protocol import places
+from hapticd.protocol.calls import TIMEOUT_S, DaemonNotRunning
+from hapticd.protocol.places import Place
+from hapticd.system import journal, notify
+from hapticd.web import opening
+from hapticd.web.application import STATIC, Pages, Site
+from hapticd.web.connections import Connections
+from hapticd.web.demo import DemoDaemon
+from hapticd.web.http_server import serving
+from hapticd.web.listening import Listening, listen
+from hapticd.web.recording_folder import default_folder
+from hapticd.web.recording_methods import Recordings
+from hapticd.web.sessions import Sessions
+from hapticd.web.telemetry_hub import TelemetryHub
+
+_FOUND_S: Final = 0.3
+"""So long the first page waits, that it may say at once that there is a daemon."""
+
+_log = logging.getLogger("hapticd.web")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Those of the command."""
+
+    place: Place | None
+    """Where the daemon is; None: a demo, with a daemon of its own."""
+    configs: tuple[str, ...]
+    """Configurations of the demo's daemon; none: the scene that shows everything."""
+    host: str
+    port: int
+    open_browser: bool
+    tls_cert: str | None = None
+    tls_key: str | None = None
+    password_file: str | None = None
+    log_level: str = "info"
+    recordings: Path | None = None
+    """Folder of recordings; None: that of recording_folder.default_folder."""
+
+
+def run(options: Options) -> int:
+    """Serves the page until SIGTERM or SIGINT; returns the exit code. Raises HapticdError where it cannot start."""
+    memory.settle()
+    with journal.attached(options.log_level), ExitStack() as stack:
+        at = listen(options.host, options.port, options.tls_cert, options.tls_key, options.password_file)
+        stack.callback(at.socket.close)
+        if options.place is not None:
+            _knock(options.place)
+            server = _Server(at, options.place, None, options)
+        else:
+            demo = stack.enter_context(DemoDaemon(options.configs))
+            server = _Server(at, demo.place, demo, options)
+        return asyncio.run(server.run())
+
+
+def _knock(place: Place) -> None:
+    """Says where no daemon is; it may come later. Raises HapticdError where we may not ask it."""
+    try:
+        places.probe(place)
+    except DaemonNotRunning as error:
+        _log.warning("%s (the page waits for it)", error)
+
+
+class _Server:
+    def __init__(self, at: Listening, place: Place, demo: DemoDaemon | None, options: Options) -> None:
+        self._at, self._place, self._demo, self._options = at, place, demo, options
+        self._sessions = Sessions()
+
+    async def run(self) -> int:
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, stop.set)
+        loop.add_signal_handler(signal.SIGUSR1, lambda: click.echo(self._new_address()))
+        async with AsyncExitStack() as stack:
+            control = Client(self._place)
+            stack.push_async_callback(control.close)
+            hub = TelemetryHub(self._place, lambda there: pages.tell({"daemon": there}))
+            recordings = Recordings(
+                self._options.recordings or default_folder(), lambda: blocking.Client.at(self._place, TIMEOUT_S)
+            )
+            pages = Pages(self._place, hub, control, self._demo is not None, self._new_address, recordings)
+            connections = Connections()
+            site = Site(STATIC / "index.html", pages.add_routes)
+            await stack.enter_async_context(serving(self._at, self._sessions, site, connections))
+            tasks: list[asyncio.Task[Any]] = [
+                asyncio.create_task(hub.run(), name="telemetry"),
+                asyncio.create_task(connections.run(), name="connections"),
+                asyncio.create_task(stop.wait(), name="stop"),
+            ]
+            if self._demo is not None:
+                tasks.append(asyncio.create_task(self._demo.failed(), name="demo"))
+            for task in tasks:
+                stack.push_async_callback(ended, task)
+            await hub.found(_FOUND_S)
+            address = self._new_address()
+            click.echo(address)
+            notify.ready(f"at {self._at.url}")
+            if self._options.open_browser:
+                browser = asyncio.create_task(opening.open_in_browser([address]), name="browser")
+                stack.push_async_callback(ended, browser)
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            notify.stopping()
+            await pages.close()
+            return self._code_of(done)
+
+    def _code_of(self, done: set[asyncio.Task[Any]]) -> int:
+        failed = [task for task in done if task.get_name() != "stop"]
+        for task in failed:
+            if task.exception() is not None:
+                _log.error("hapticd web failed", exc_info=task.exception())
+            else:
+                raise HapticdError(str(task.result()))
+        return 1 if failed else 0
+
+    def _new_address(self) -> str:
+        return f"{self._at.url}/?token={self._sessions.new_token()}"

@@ -1,0 +1,190 @@
+// What the editors send to the daemon: one call under way, and of all that waits the newest value of each key.
+//
+// A slider that is dragged changes its value a hundred times a second. Each value is merged into the patch that waits;
+// when the daemon has answered, the patch leaves as one call. Nothing is sent that was overtaken, and the last value
+// always is.
+import { at, canJoin, departures, isMap, joined, leaves, merged } from "./merge_patch.js";
+import { parsePath, related } from "./problem_path.js";
+
+const INVALID = -32602;
+const STALE = -32001;
+const BUSY = -32005;
+const RETRY_MS = 100;
+const MOST_TRIES = 50;
+const TARGETS = ["materials", "objects", "scene"];
+
+// What the daemon refused. `problems`: [{path, problem}], the path inside the target.
+export class Refused extends Error {
+  constructor(message, problems) {
+    super(message);
+    this.problems = problems;
+  }
+}
+
+// Somebody else changed what a step would change. `departures`: [{path, is, wanted}].
+export class Changed extends Error {
+  constructor(target, found) {
+    super("it was changed elsewhere");
+    this.target = target;
+    this.departures = found;
+  }
+}
+
+const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+
+// Events: `taken`, {target, patch, warnings}, after each call that the daemon took.
+export class Changes extends EventTarget {
+  calls = 0; // made so far
+  #link;
+  #model;
+  #waiting = []; // {target, patch, resolve, reject}, oldest first
+  #running = null;
+
+  constructor(link, model) {
+    super();
+    this.#link = link;
+    this.#model = model;
+  }
+
+  // Sends a merge patch over `materials` or `objects`, both by name, or over `scene` (display, ramp_s, passivity).
+  // Resolves when it is in force or was overtaken by a newer one that is; rejects with Refused.
+  send(target, patch) {
+    return new Promise((resolve, reject) => {
+      this.#waiting.push({ target, patch, resolve, reject });
+      this.#running ??= this.#run().finally(() => (this.#running = null));
+    });
+  }
+
+  // Whether a value at this path of the target is still on its way.
+  isUnderWay(target, path) {
+    return [...this.#waiting, ...this.#batch].some(
+      (each) => each.target === target && [...leaves(each.patch)].some(([other]) => related(path, other)),
+    );
+  }
+
+  // When everything that was sent is answered.
+  async settled() {
+    while (this.#running) {
+      await this.#running;
+    }
+  }
+
+  // Sends a patch if the target still is what `expected`, a patch as well, made of it; else rejects with Changed.
+  async sendIfStill(target, patch, expected) {
+    await this.settled();
+    for (let tries = 0; tries < MOST_TRIES; tries++) {
+      const { value, revision } = await this.#read(target);
+      const found = departures(value, expected);
+      if (found.length) {
+        throw new Changed(target, found);
+      }
+      try {
+        return await this.#call(target, patch, revision);
+      } catch (error) {
+        if (error.code !== STALE) {
+          throw this.#refusal(target, error);
+        }
+      }
+    }
+    throw new Refused("the scene changes all the time; try again", []);
+  }
+
+  #batch = [];
+
+  async #run() {
+    await null; // what is sent in one go leaves together
+    while (this.#waiting.length) {
+      const { target } = this.#waiting[0];
+      let patch = {};
+      const fits = (each) => each.target === target && canJoin(patch, each.patch);
+      while (this.#waiting.length && fits(this.#waiting[0])) {
+        patch = joined(patch, this.#waiting[0].patch);
+        this.#batch.push(this.#waiting.shift());
+      }
+      await this.#deliver(target);
+      this.#batch = [];
+    }
+  }
+
+  // Sends what is in the batch. What the daemon names as faulty is taken out, and the rest is sent again.
+  async #deliver(target) {
+    for (let tries = 0; this.#batch.length; tries++) {
+      const patch = this.#batch.map((each) => each.patch).reduce(joined);
+      try {
+        const result = await this.#call(target, patch);
+        this.#batch.forEach((each) => each.resolve(result));
+        return;
+      } catch (error) {
+        if (error.code === BUSY && tries < MOST_TRIES) {
+          await pause(RETRY_MS);
+          continue;
+        }
+        const refused = this.#refusal(target, error);
+        const faulty = this.#batch.filter((each) => concerns(refused.problems, each.patch));
+        const left = faulty.length ? this.#batch.filter((each) => !faulty.includes(each)) : [];
+        this.#batch.filter((each) => !left.includes(each)).forEach((each) => each.reject(refused));
+        this.#batch = left;
+      }
+    }
+  }
+
+  #refusal(target, error) {
+    if (error.code !== INVALID || !Array.isArray(error.data)) {
+      return new Refused(error.message, []);
+    }
+    const problems = error.data.map(({ where, problem }) => {
+      const path = parsePath(where);
+      return { path: path[0] === target || path[0] === "scene" ? path.slice(1) : path, problem };
+    });
+    return new Refused(error.message, problems);
+  }
+
+  async #read(target) {
+    const materials = target === "materials";
+    const got = await this.#link.call(materials ? "get_materials" : "get_scene");
+    const value = materials ? got.materials : target === "objects" ? got.scene.objects : got.scene;
+    return { value, revision: got.revision, scene: got.scene };
+  }
+
+  // One call; the model knows the outcome at once.
+  async #call(target, patch, revision) {
+    if (!TARGETS.includes(target)) {
+      throw new Error(`no such target: ${target}`);
+    }
+    this.calls++;
+    const expected = revision === undefined ? {} : { expect_revision: revision };
+    let result;
+    if (target === "scene") {
+      result = await this.#setScene(patch, revision);
+    } else {
+      result = await this.#link.call(`update_${target === "objects" ? "scene" : target}`, { [target]: patch, ...expected });
+    }
+    this.#model.applied(target, patch, result.revision);
+    const detail = { target, patch, warnings: result.warnings ?? [] };
+    this.dispatchEvent(new CustomEvent("taken", { detail }));
+    return result;
+  }
+
+  // What is not an object is changed with the scene as a whole, if nobody changed it meanwhile.
+  async #setScene(patch, revision) {
+    for (let tries = 0; ; tries++) {
+      const got = await this.#read("scene");
+      const scene = merged(got.scene, patch);
+      try {
+        return await this.#link.call("set_scene", { scene, expect_revision: revision ?? got.revision });
+      } catch (error) {
+        if (error.code !== STALE || revision !== undefined || tries === MOST_TRIES) {
+          throw error;
+        }
+      }
+    }
+  }
+}
+
+// Whether a problem lies in what a patch sets.
+function concerns(problems, patch) {
+  return problems.some(({ path }) => {
+    const there = at(patch, path);
+    return there !== undefined || [...leaves(patch)].some(([leaf, value]) => related(leaf, path) && (leaf.length >= path.length || !isMap(value)));
+  });
+}

@@ -1,0 +1,294 @@
+// The fields of a form, one for each kind of value: number with slider, choice, switch, vector, direction, material.
+//
+// A field is {element, follow(), path}. `follow` takes what the daemon has, unless the field is being edited or shows a
+// value that was refused. Nothing is sent that a person did not change.
+import { fill, make } from "../dom.js";
+import { fieldFrame, inShownUnit, limitsOf } from "./field_frame.js";
+import { format, parse, shownUnit, withUnit } from "./numbers.js";
+import { STEPS, atEnd, scaleAround } from "./scale.js";
+import { typicalOf, valueLabel } from "./words.js";
+
+const NO_NUMBER = "Must be a number, such as 6.48.";
+const LARGEST_SLIDER = 1e9; // beyond it a number is a name, such as a seed
+
+// A number in a text field and, where `slider` is given, on a slider; the two are one value.
+//
+// `number`: {get() -> SI or undefined, patch(value) -> merge patch, unit, limits: {min, max, integer, linear}, typical, name}.
+export function numberInput(editor, frame, spec, number) {
+  const unit = shownUnit(number.unit);
+  const state = { draft: false, edits: 0, drag: null, refused: false, scale: null };
+  const text = make("input", {
+    type: "text",
+    inputmode: "decimal",
+    class: "number-input",
+    autocomplete: "off",
+    spellcheck: "false",
+    id: number.id,
+    "aria-label": number.name,
+    "aria-describedby": frame.describedBy,
+    data: { number: "true" },
+  });
+  const slider = number.slider
+    ? make("input", { type: "range", min: 0, max: STEPS, step: 1, "aria-label": `${number.name}, slider`, "aria-describedby": frame.describedBy })
+    : null;
+
+  function show(value) {
+    text.value = value === undefined ? "" : format(value, unit);
+    state.shown = text.value;
+    text.dataset.draft = "false";
+    if (slider !== null && value !== undefined) {
+      slider.setAttribute("aria-valuetext", `${text.value} ${unit.spoken}`.trim());
+      if (state.drag === null) {
+        if (state.scale === null || atEnd(state.scale, value)) {
+          state.scale = scaleAround(value, number.limits, number.typical);
+        }
+        slider.value = state.scale.position(value);
+      }
+    }
+  }
+
+  function tell(problem) {
+    state.refused = problem !== null;
+    const held = number.get();
+    const inForce = state.refused && held !== undefined ? ` In force: ${withUnit(held, number.unit)}; Escape puts it back.` : "";
+    frame.showProblem(problem && `${inShownUnit(problem, unit).replace(/\.$/, "")}.${inForce}`, [text]);
+  }
+
+  // The answer to a value does not touch what was written or dragged after it was sent. Steps of the slider join, as of
+  // a key that is held; each number that is written is a step of its own.
+  async function send(value, before, join = null) {
+    const sent = state.edits;
+    const problem = await editor.commit(spec.label.toLowerCase(), number.patch(value), { before, join });
+    if (state.edits !== sent) {
+      return;
+    }
+    tell(problem);
+    if (problem === null) {
+      state.draft = false;
+      follow();
+    }
+  }
+
+  text.addEventListener("input", () => {
+    state.edits++;
+    state.draft = text.value !== state.shown;
+    text.dataset.draft = String(state.draft);
+  });
+  text.addEventListener("change", () => {
+    if (text.value === state.shown && !state.refused) {
+      state.draft = false;
+      return;
+    }
+    const value = text.value === format(number.get() ?? NaN, unit) ? number.get() : parse(text.value, unit);
+    Number.isNaN(value) ? tell(NO_NUMBER) : send(value, editor.value);
+  });
+  text.addEventListener("keydown", (event) => {
+    if (event.key === "Escape" && (state.draft || state.refused)) {
+      event.preventDefault(); // or it would stop the forces
+      reset();
+    }
+  });
+
+  function reset() {
+    state.draft = false;
+    tell(null);
+    show(number.get());
+  }
+
+  slider?.addEventListener("input", () => {
+    state.edits++;
+    state.drag ??= { before: editor.value };
+    const value = state.scale.value(Number(slider.value));
+    state.drag.value = value;
+    state.draft = false;
+    show(value);
+    const drag = state.drag;
+    editor.live(number.patch(value)).then((problem) => {
+      if (state.drag === drag && drag.value === value) {
+        tell(problem);
+      }
+    });
+  });
+  slider?.addEventListener("change", () => {
+    const drag = state.drag;
+    state.drag = null;
+    if (drag !== null) {
+      send(drag.value, drag.before, `${spec.path.join(".")} ${number.name}`);
+    }
+  });
+
+  function follow() {
+    if (!state.draft && !state.refused && state.drag === null && !editor.isUnderWay(spec.path)) {
+      show(number.get());
+    }
+  }
+  show(number.get());
+  return { text, slider, follow, reset };
+}
+
+export function limitsFor(schema) {
+  const { minimum: min, maximum: max } = limitsOf(schema);
+  return { min: min ?? -Infinity, max: max ?? Infinity, integer: schema.type === "integer", linear: (min < 0 && schema.unit === "m") || schema.unit === "rad" };
+}
+
+export function numberField(editor, spec) {
+  const frame = fieldFrame(editor, spec);
+  const limits = limitsFor(spec.schema);
+  const unit = shownUnit(spec.schema.unit);
+  const input = numberInput(editor, frame, spec, {
+    id: frame.ids.control,
+    name: unit.spoken ? `${spec.label}, ${unit.spoken}` : spec.label,
+    unit: spec.schema.unit,
+    limits: spec.schema.unit === "rad" ? turns(limits) : limits,
+    typical: typicalOf(spec.definition, spec.key, spec.schema.unit),
+    slider: limits.max < LARGEST_SLIDER,
+    get: () => editor.at(spec.path),
+    patch: (value) => editor.patch(spec.path, value),
+  });
+  frame.entry.append(input.text, make("span", { class: "unit", text: unit.text }));
+  if (input.slider) {
+    frame.before(input.slider);
+  }
+  return withWarnings({ element: frame.element, path: spec.path, follow: input.follow }, frame);
+}
+
+// An angle is turned by a slider over one turn at most, whatever its limits.
+const turns = (limits) => ({ ...limits, min: Math.max(limits.min, -Math.PI), max: Math.min(limits.max, Math.PI) });
+
+// One figure that may stand under either of two keys: a number whose unit is chosen.
+export function pairField(editor, spec, pair, schemas) {
+  const frame = fieldFrame(editor, spec);
+  const held = () => pair.keys.find((key) => editor.at([...spec.path.slice(0, -1), key]) !== undefined) ?? pair.keys[0];
+  const parent = spec.path.slice(0, -1);
+  const key = held();
+  const schema = schemas[key];
+  const units = make("select", { class: "select unit-select", "aria-label": `Unit of ${spec.label.toLowerCase()}` });
+  fill(units, pair.keys.map((each) => [each, shownUnit(schemas[each].unit).text]), key);
+  const input = numberInput(editor, frame, spec, {
+    id: frame.ids.control,
+    name: `${spec.label}, ${shownUnit(schema.unit).spoken}`,
+    unit: schema.unit,
+    limits: limitsFor(schema),
+    typical: typicalOf(spec.definition, key, schema.unit),
+    slider: true,
+    get: () => editor.at([...parent, key]),
+    patch: (value) => editor.patch([...parent, key], value),
+  });
+  units.addEventListener("change", async () => {
+    const [first] = pair.keys;
+    const convert = units.value === first ? pair.from : pair.to;
+    const patch = editor.patch(parent, { [key]: null, [units.value]: convert(editor.at([...parent, key])) });
+    frame.showProblem(await editor.commit(`unit of the ${spec.label.toLowerCase()}`, patch));
+  });
+  frame.entry.append(input.text, units);
+  frame.before(input.slider);
+  return withWarnings({ element: frame.element, path: [...parent, key], follow: input.follow }, frame);
+}
+
+export function withWarnings(field, frame) {
+  const follow = () => {
+    field.follow();
+    frame.showWarnings();
+  };
+  frame.showWarnings();
+  return { ...field, follow };
+}
+
+// Sends what a control without a draft says, at once; what was refused is taken back.
+function sending(editor, frame, spec, control, back) {
+  return async (patch) => {
+    const problem = await editor.commit(spec.label.toLowerCase(), patch);
+    frame.showProblem(problem, [control]);
+    if (problem !== null) {
+      back();
+    }
+  };
+}
+
+export function enumField(editor, spec) {
+  const frame = fieldFrame(editor, spec);
+  const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
+  fill(select, spec.schema.enum.map((value) => [String(value), valueLabel(spec.definition, spec.key, value)]), String(editor.at(spec.path)));
+  const follow = () => (select.value = String(editor.at(spec.path)));
+  const send = sending(editor, frame, spec, select, follow);
+  const also = spec.also ?? (() => ({}));
+  select.addEventListener("change", () => send(editor.patch(spec.path.slice(0, -1), { [spec.key]: select.value, ...also(select.value) })));
+  frame.entry.append(select);
+  return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
+}
+
+export function switchField(editor, spec) {
+  const frame = fieldFrame(editor, spec);
+  const box = make("input", { type: "checkbox", id: frame.ids.control, "aria-describedby": frame.describedBy });
+  const follow = () => (box.checked = editor.at(spec.path) ?? spec.schema.default ?? false);
+  const send = sending(editor, frame, spec, box, follow);
+  box.addEventListener("change", () => send(editor.patch(spec.path, box.checked)));
+  follow();
+  frame.entry.append(box);
+  return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
+}
+
+// The name of a material, of those that there are; those in the scene first.
+export function materialField(editor, spec) {
+  const frame = fieldFrame(editor, spec);
+  const select = make("select", { class: "select", id: frame.ids.control, "aria-describedby": frame.describedBy });
+  const follow = () => fill(select, editor.app.materialNames().map((name) => [name, name]), editor.at(spec.path));
+  const send = sending(editor, frame, spec, select, follow);
+  select.addEventListener("change", () => send(editor.patch(spec.path, select.value)));
+  follow();
+  frame.entry.append(select);
+  return withWarnings({ element: frame.element, path: spec.path, follow }, frame);
+}
+
+// Two components, x and y (or width and height), each with a slider.
+export function vectorField(editor, spec, names = ["x", "y"]) {
+  const frame = fieldFrame(editor, spec);
+  const unit = shownUnit(spec.schema.unit);
+  frame.element.classList.add("vector");
+  frame.label.removeAttribute("for");
+  frame.element.setAttribute("role", "group");
+  frame.element.setAttribute("aria-label", spec.label);
+  const inputs = names.map((name, index) => {
+    const input = numberInput(editor, frame, spec, {
+      id: frame.ids.control + name,
+      name: `${spec.label}, ${name}, ${unit.spoken}`,
+      unit: spec.schema.unit,
+      limits: limitsFor(spec.schema),
+      typical: typicalOf(spec.definition, spec.key, spec.schema.unit),
+      slider: true,
+      get: () => editor.at(spec.path)?.[index],
+      patch: (value) => editor.patch(spec.path, editor.at(spec.path).with(index, value)),
+    });
+    frame.before(make("div", { class: "component" }, make("span", { class: "axis", text: name, "aria-hidden": "true" }), input.slider, input.text, make("span", { class: "unit", text: unit.text })));
+    return input;
+  });
+  return withWarnings({ element: frame.element, path: spec.path, follow: () => inputs.forEach((input) => input.follow()) }, frame);
+}
+
+// A unit vector, as the angle from the x axis, counterclockwise.
+export function directionField(editor, spec) {
+  const frame = fieldFrame(editor, spec);
+  const angle = () => {
+    const [x, y] = editor.at(spec.path) ?? [0, 1];
+    return Math.atan2(y, x);
+  };
+  const input = numberInput(editor, frame, spec, {
+    id: frame.ids.control,
+    name: `${spec.label}, degrees`,
+    unit: "rad",
+    limits: { min: -Math.PI, max: Math.PI, integer: false, linear: true },
+    typical: Math.PI,
+    slider: true,
+    get: angle,
+    patch: (value) => editor.patch(spec.path, unitVector(value)),
+  });
+  frame.entry.append(input.text, make("span", { class: "unit", text: "°" }));
+  frame.before(input.slider);
+  return withWarnings({ element: frame.element, path: spec.path, follow: input.follow }, frame);
+}
+
+// Right angles are exact.
+export function unitVector(angle) {
+  const clean = (value) => (Math.abs(value) < 1e-15 ? 0 : Math.abs(Math.abs(value) - 1) < 1e-15 ? Math.sign(value) : value);
+  return [clean(Math.cos(angle)), clean(Math.sin(angle))];
+}

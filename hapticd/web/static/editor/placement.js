@@ -1,0 +1,106 @@
+// Where a new object goes: where there is room, within view.
+
+const REACH_M = 0.06; // of what is in view, to either side of the middle
+const STEPS = 13;
+const HAND_M = 0.008; // left free about the handle
+const ENOUGH_M = 0.02; // room about a point; more makes it no better
+const WALLS = [
+  { point_m: [0, -0.055], normal: [0, 1] },
+  { point_m: [-0.065, 0], normal: [1, 0] },
+  { point_m: [0.065, 0], normal: [-1, 0] },
+  { point_m: [0, 0.065], normal: [0, -1] },
+];
+
+const rounded = (value) => Number(value.toFixed(6));
+
+// How far a point lies outside an object, m; negative: inside. Objects that nobody can touch are far.
+export function clearance([x, y], object) {
+  const [dx, dy] = object.center_m ? [x - object.center_m[0], y - object.center_m[1]] : [0, 0];
+  switch (object.kind) {
+    case "wall":
+      return (x - object.point_m[0]) * object.normal[0] + (y - object.point_m[1]) * object.normal[1];
+    case "disc":
+      return Math.hypot(dx, dy) - object.radius_m;
+    case "box": {
+      const [cos, sin] = [Math.cos(object.angle_rad ?? 0), Math.sin(object.angle_rad ?? 0)];
+      const [u, v] = [Math.abs(dx * cos + dy * sin) - object.size_m[0] / 2, Math.abs(dy * cos - dx * sin) - object.size_m[1] / 2];
+      return Math.hypot(Math.max(u, 0), Math.max(v, 0)) + Math.min(Math.max(u, v), 0);
+    }
+    case "membrane": {
+      const [nx, ny] = object.normal;
+      return Math.hypot(Math.max(Math.abs(dx * ny - dy * nx) - object.width_m / 2, 0), dx * nx + dy * ny);
+    }
+    default:
+      return Infinity;
+  }
+}
+
+// A point with enough room around it, or else the one with most; of equals the one nearest to the middle.
+export function roomiest(objects, handle) {
+  const solids = Object.values(objects);
+  const free = (point) => Math.min(ENOUGH_M, Math.hypot(point[0] - handle[0], point[1] - handle[1]) - HAND_M, ...solids.map((object) => clearance(point, object)));
+  let best = { room: -Infinity };
+  for (let i = 0; i < STEPS; i++) {
+    for (let j = 0; j < STEPS; j++) {
+      const point = [i, j].map((step) => rounded(REACH_M * ((2 * step) / (STEPS - 1) - 1)));
+      const room = free(point);
+      const nearer = Math.hypot(...point) < Math.hypot(...(best.point ?? [9, 9]));
+      if (room > best.room + 1e-9 || (room > best.room - 1e-9 && nearer)) {
+        best = { point, room };
+      }
+    }
+  }
+  return best;
+}
+
+// A wall that leaves the handle and the middles of other objects outside; else the first.
+function freeWall(objects, handle) {
+  const points = [handle, ...Object.values(objects).flatMap((object) => (object.center_m ? [object.center_m] : []))];
+  const walls = Object.values(objects).filter(({ kind }) => kind === "wall");
+  const parallel = (wall) => walls.some(({ normal }) => normal[0] * wall.normal[0] + normal[1] * wall.normal[1] > 0.99);
+  const outside = (wall) => points.every((point) => clearance(point, { kind: "wall", ...wall }) > 0);
+  return WALLS.find((wall) => !parallel(wall) && outside(wall)) ?? WALLS.find(outside) ?? WALLS[0];
+}
+
+// A new object of a kind, of a material where it has one.
+export function newObject(kind, { objects, handle, material }) {
+  const { point, room } = roomiest(objects, handle);
+  const size = rounded(Math.min(Math.max(0.6 * room, 0.003), 0.012));
+  switch (kind) {
+    case "wall":
+      return { kind, ...structuredClone(freeWall(objects, handle)), material };
+    case "box":
+      return { kind, center_m: point, size_m: [rounded(1.4 * size), size], angle_rad: 0, material };
+    case "disc":
+      return { kind, center_m: point, radius_m: size, material };
+    case "membrane":
+      return { kind, center_m: point, normal: [0, 1], width_m: rounded(2 * size), material };
+    case "spring":
+      return { kind, center_m: [0, 0], stiffness_n_per_m: 50, damping_n_s_per_m: 0.5 };
+    case "viscous":
+      return { kind, damping_n_s_per_m: 2 };
+    default:
+      return { kind: "constant", force_n: [0, -0.2] };
+  }
+}
+
+// A copy of an object, a little aside where it has a place.
+export function duplicate(object, objects, handle) {
+  const copy = structuredClone(object);
+  if (copy.center_m) {
+    copy.center_m = roomiest(objects, handle).point;
+  } else if (copy.point_m) {
+    copy.point_m = copy.point_m.map((value, index) => rounded(value + 0.01 * copy.normal[index]));
+  }
+  return copy;
+}
+
+// A name that nobody has: `wall`, `wall_2`, ...
+export function freeName(wanted, taken) {
+  const base = wanted.replace(/_\d+$/, "");
+  let name = taken.includes(wanted) ? `${base}_2` : wanted;
+  for (let number = 3; taken.includes(name); number++) {
+    name = `${base}_${number}`;
+  }
+  return name;
+}

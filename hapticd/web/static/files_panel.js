@@ -1,0 +1,253 @@
+// Files: shipped scenes and materials, YAML files of the person, and the scene as a file. hapticd/web/yaml_methods.py
+// checks and writes; this panel shows what it says. A file that was opened is kept here as text: what is saved goes into
+// it, so that its comments stay.
+import { make } from "./dom.js";
+import { check, options } from "./scope/elements.js";
+import { fileName, save } from "./scope/export.js";
+
+const MOST_BYTES = 1_900_000; // what a message to hapticd web holds
+const plural = (count, word) => `${count} ${word}${count === 1 ? "" : "s"}`;
+
+export function mount(app, panel) {
+  new FilesPanel(app, panel).begin(); // shown before the answers are here
+}
+
+class FilesPanel {
+  #app;
+  #opened = null; // {name, text, others}: the file that is saved into
+  #shipped = null;
+
+  constructor(app, panel) {
+    this.#app = app;
+    this.#build(panel);
+    app.link.addEventListener("open", () => this.#shipped === null && this.begin());
+  }
+
+  begin() {
+    return this.#during(async () => {
+      this.#shipped = await this.#app.link.call("web.yaml_shipped");
+      this.#say("");
+      this.#list();
+    });
+  }
+
+  #list() {
+    for (const [folder, select] of [
+      ["scenes", this.scenes],
+      ["materials", this.materials],
+    ]) {
+      options(
+        select,
+        this.#shipped[folder].map(({ name }) => [name, name]),
+        this.#shipped[folder][0]?.name,
+      );
+      this.#describe(folder);
+    }
+  }
+
+  // ---- What it looks like -----------------------------------------------------------------------------------------
+
+  #build(panel) {
+    this.scenes = make("select", { id: "shipped-scene", class: "select", on: { change: () => this.#describe("scenes") } });
+    this.materials = make("select", {
+      id: "shipped-materials",
+      class: "select",
+      on: { change: () => this.#describe("materials") },
+    });
+    this.about = { scenes: make("p", { class: "note" }), materials: make("p", { class: "note" }) };
+    this.file = make("input", {
+      id: "yaml-file",
+      class: "visually-hidden",
+      type: "file",
+      accept: ".yaml,.yml",
+      on: { change: () => this.#chosen() },
+      "aria-describedby": "files-said",
+    });
+    this.said = make("p", { id: "files-said", class: "note", role: "status" });
+    this.faults = make("div", { id: "files-faults", role: "alert", class: "files-faults" });
+    this.parts = {
+      scene: check("Scene", true, () => {}, { id: "save-scene" }),
+      materials: check("Materials that differ from the shipped ones", true, () => {}, { id: "save-materials" }),
+    };
+    this.name = make("input", { id: "yaml-name", type: "text", maxlength: "100", spellcheck: "false" });
+    this.name.value = "scene.yaml";
+    this.into = make("p", { class: "note" });
+    this.forget = make(
+      "button",
+      { type: "button", class: "button small", hidden: true, on: { click: () => this.#forget() } },
+      "Start a new file",
+    );
+    panel.append(
+      this.#card("Shipped", [
+        this.#shippedRow("scenes", "Scene", this.scenes),
+        this.about.scenes,
+        this.#shippedRow("materials", "Materials", this.materials),
+        this.about.materials,
+      ]),
+      this.#card("Open", [
+        make("p", { class: "note" }, "A YAML file with a scene, materials or both. It replaces the scene at once."),
+        make(
+          "div",
+          { class: "row" },
+          make("label", { for: "yaml-file", class: "button file-button" }, "Open a YAML file"),
+          this.file,
+        ),
+      ]),
+      this.said,
+      this.faults,
+      this.#card("Save", [
+        make("div", { class: "stack" }, ...Object.values(this.parts)),
+        make("div", { class: "field" }, make("label", { for: "yaml-name" }, "Name of the file"), this.name),
+        this.into,
+        make(
+          "div",
+          { class: "row" },
+          make(
+            "button",
+            { id: "yaml-save", type: "button", class: "button primary", on: { click: () => this.#save() } },
+            "Save as YAML",
+          ),
+          this.forget,
+        ),
+      ]),
+    );
+    this.#showInto();
+  }
+
+  #card(title, children) {
+    return make("section", { class: "card stack" }, make("h3", {}, title), ...children);
+  }
+
+  #shippedRow(folder, label, select) {
+    const button = make(
+      "button",
+      {
+        type: "button",
+        class: "button",
+        "aria-label": `Open the shipped ${folder}`,
+        on: { click: () => this.#openShipped(folder, select.value) },
+      },
+      "Open",
+    );
+    return make("div", { class: "row files-row" }, make("label", { for: select.id }, label), select, button);
+  }
+
+  #describe(folder) {
+    const chosen = (folder === "scenes" ? this.scenes : this.materials).value;
+    this.about[folder].textContent = this.#shipped[folder].find(({ name }) => name === chosen)?.shows ?? "";
+  }
+
+  #showInto() {
+    this.into.textContent =
+      this.#opened === null
+        ? "A new file."
+        : `Changes go into ${this.#opened.name}: its comments, its order and what you did not change stay.`;
+    this.forget.hidden = this.#opened === null;
+  }
+
+  #forget() {
+    this.#opened = null;
+    this.#showInto();
+    this.name.focus();
+  }
+
+  // ---- What went well and what did not ----------------------------------------------------------------------------
+
+  #say(text) {
+    this.faults.replaceChildren();
+    this.said.textContent = text;
+  }
+
+  #fail(error) {
+    this.said.textContent = "";
+    const list = Array.isArray(error.data) ? error.data : [];
+    const lines = list.map(({ line, where, problem }) => {
+      const place = [line === null ? null : `line ${line}`, where || null].filter(Boolean).join(", ");
+      return make("li", {}, place ? `${place}: ${problem}` : problem);
+    });
+    this.faults.replaceChildren(
+      make("p", { class: "error-line" }, error.message),
+      ...(lines.length > 0 ? [make("ul", { class: "error-line" }, ...lines)] : []),
+    );
+  }
+
+  // One thing at a time: the controls rest meanwhile.
+  async #during(work) {
+    try {
+      await work();
+    } catch (error) {
+      this.#fail(error);
+    }
+  }
+
+  // ---- Open and save ----------------------------------------------------------------------------------------------
+
+  #openShipped(folder, name) {
+    return this.#during(async () => {
+      const found = await this.#app.link.call("web.yaml_open_shipped", { folder, name });
+      this.#took(found, found.text);
+    });
+  }
+
+  #chosen() {
+    const [file] = this.file.files;
+    this.file.value = "";
+    if (file === undefined) {
+      return undefined;
+    }
+    return this.#during(async () => {
+      if (file.size > MOST_BYTES) {
+        throw new Error(
+          `${file.name} has ${(file.size / 1e6).toFixed(1)} MB; at most ${MOST_BYTES / 1e6} MB are taken`,
+        );
+      }
+      const bytes = await file.arrayBuffer();
+      let text;
+      try {
+        text = new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes);
+      } catch {
+        throw new Error(`${file.name} is not UTF-8 text`);
+      }
+      this.#took(await this.#app.link.call("web.yaml_open", { name: file.name, text }), text);
+    });
+  }
+
+  #took(found, text) {
+    this.#opened = { name: found.name, text, others: found.others };
+    this.name.value = found.name;
+    this.parts.scene.querySelector("input").checked = found.scene;
+    this.parts.materials.querySelector("input").checked = found.materials.length > 0 || found.scene;
+    const held = [
+      found.scene ? `a scene of ${plural(found.objects, "object")}` : null,
+      found.materials.length > 0 ? plural(found.materials.length, "material") : null,
+    ].filter(Boolean);
+    const rest = found.left_out.length > 0 ? ` Its ${found.left_out.join(" and ")} take a restart of the daemon.` : "";
+    const warned = found.warnings.map(({ where, problem }) => ` ${where}: ${problem}.`).join("");
+    this.#say(`${found.name} was opened: ${held.join(" and ")}.${rest}${warned}`);
+    this.#showInto();
+  }
+
+  #save() {
+    return this.#during(async () => {
+      const parts = Object.keys(this.parts).filter((part) => this.parts[part].querySelector("input").checked);
+      if (parts.length === 0) {
+        throw new Error("Choose what is to be saved: the scene, the materials or both");
+      }
+      const name = this.#fileName();
+      const opened = this.#opened;
+      const found = await this.#app.link.call("web.yaml_save", { parts, ...(opened === null ? {} : { opened }) });
+      save(new Blob([found.text], { type: "application/yaml" }), name);
+      if (opened !== null) {
+        this.#opened = { ...opened, name, text: found.text };
+        this.#showInto();
+      }
+      const lost = found.kept ? "" : " Its comments could not be kept.";
+      this.#say(`${name} was saved.${lost}`);
+    });
+  }
+
+  #fileName() {
+    const name = this.name.value.trim().replace(/[/\\]/g, "-") || fileName(new Date(), "yaml");
+    return /\.ya?ml$/i.test(name) ? name : `${name}.yaml`;
+  }
+}

@@ -1,0 +1,181 @@
+// Scene, materials and configuration as the daemon has them. Events: `scene`, `materials`, `config`, when they changed
+// (the scene's `display` too), `status` once a second, `state` with every newest sample, `away` when the daemon does not
+// answer and `back` when it does again.
+//
+// The topic `change` says what changed, and is applied as it comes. Everything is asked for again only where a change was
+// missed, was too large to be told, or the daemon is another one; never more than one question at a time.
+//
+// With a bridge's key that may only watch, `watches` is true: status and samples come, and nothing can be asked for. Scene,
+// materials and configuration stay empty.
+import { CallError } from "./connection.js";
+import { merged } from "./editor/merge_patch.js";
+
+const RETRY_S = 1;
+const MAY_ONLY_WATCH = -32030; // page.py
+
+export class Model extends EventTarget {
+  scene = { objects: {} };
+  materials = {};
+  config = {};
+  status = {}; // as get_status
+  state = null; // the newest sample, 60 times a second
+  revision = null;
+  away = false;
+  watches = false; // the key of hapticd web may only watch
+  #link;
+  #loading = null;
+  #again = false;
+  #during = []; // changes that came while everything was asked for
+
+  constructor(link) {
+    super();
+    this.#link = link;
+    link.addEventListener("status", (event) => this.#gotStatus(event.detail));
+    link.addEventListener("state", (event) => {
+      this.state = event.detail;
+      this.dispatchEvent(new Event("state"));
+    });
+    link.addEventListener("change", (event) => this.#changed(event.detail));
+  }
+
+  get rateHz() {
+    return this.status.rate_hz ?? this.config.servo?.rate_hz ?? 10000;
+  }
+
+  // Asks for everything. Resolves when it is here, however often that has to be tried.
+  load() {
+    if (this.#loading !== null) {
+      this.#again = true;
+      return this.#loading;
+    }
+    this.#loading = this.#loadUntilWhole().finally(() => (this.#loading = null));
+    return this.#loading;
+  }
+
+  async #loadUntilWhole() {
+    do {
+      this.#again = false;
+      this.#during = [];
+      try {
+        await this.#loadOnce();
+      } catch (error) {
+        if (!(error instanceof CallError)) {
+          throw error;
+        }
+        if (error.code === MAY_ONLY_WATCH) {
+          await this.#onlyWatch();
+          return;
+        }
+        this.#isAway(true, error.message);
+        await new Promise((resolve) => setTimeout(resolve, 1e3 * RETRY_S));
+        this.#again = true;
+      }
+    } while (this.#again);
+  }
+
+  // Resolves with the first status, which comes as telemetry alone.
+  async #onlyWatch() {
+    this.watches = true;
+    this.#during = null;
+    if (this.status.started_ns === undefined) {
+      const told = new Promise((resolve) => this.addEventListener("status", resolve, { once: true }));
+      await this.#link.subscribe(["status"]);
+      await told;
+    }
+  }
+
+  async #loadOnce() {
+    const call = (method) => this.#link.call(method);
+    const methods = ["get_status", "get_scene", "get_materials", "get_config"];
+    const [status, scene, materials, config] = await Promise.all(methods.map(call));
+    this.#isAway(false);
+    this.watches = false;
+    if (scene.revision !== materials.revision) {
+      this.#again = true; // something changed between the two
+      return;
+    }
+    // Status has histograms only where it came as telemetry.
+    this.status = { ...(this.status.started_ns === status.started_ns ? this.status : {}), ...status };
+    this.scene = scene.scene;
+    this.materials = materials.materials;
+    this.config = config.config;
+    this.revision = scene.revision;
+    for (const name of ["config", "status", "materials", "scene"]) {
+      this.dispatchEvent(new Event(name));
+    }
+    const during = this.#during;
+    this.#during = null;
+    during.forEach((change) => this.#changed(change));
+  }
+
+  #gotStatus(status) {
+    const another = this.status.started_ns !== undefined && status.started_ns !== this.status.started_ns;
+    this.status = status;
+    this.#isAway(false);
+    this.dispatchEvent(new Event("status"));
+    if (this.watches) {
+      return;
+    }
+    // A status of before the newest change is no news.
+    if (another || this.revision === null || status.revision > this.revision) {
+      this.load();
+    }
+  }
+
+  // What a call of this page changed, a merge patch over `materials`, `objects` or `scene`. The topic `change` says the same
+  // a little later, in the daemon's own form.
+  applied(target, patch, revision) {
+    const removed = target === "materials" && Object.values(patch).includes(null); // one may be there again, as shipped
+    if (this.#loading !== null || revision !== this.revision + 1 || removed) {
+      return;
+    }
+    this.revision = revision;
+    if (target === "materials") {
+      this.materials = merged(this.materials, patch);
+    } else {
+      this.scene = merged(this.scene, target === "objects" ? { objects: patch } : patch);
+    }
+    this.dispatchEvent(new Event(target === "materials" ? "materials" : "scene"));
+  }
+
+  #changed(change) {
+    if (this.#loading !== null && this.#during !== null) {
+      this.#during.push(change);
+      return;
+    }
+    if (change.revision === undefined || this.revision === null || change.revision < this.revision) {
+      return; // of a command; or it is in what was loaded
+    }
+    if (change.large || change.revision > this.revision + 1) {
+      this.load();
+      return;
+    }
+    this.revision = change.revision;
+    const merge = (target, changes) => {
+      const whole = { ...target };
+      for (const [name, value] of Object.entries(changes)) {
+        if (value === null) {
+          delete whole[name];
+        } else {
+          whole[name] = value;
+        }
+      }
+      return whole;
+    };
+    if (change.materials) {
+      this.materials = merge(this.materials, change.materials);
+      this.dispatchEvent(new Event("materials"));
+    }
+    if (change.objects || change.scene) {
+      this.scene = { ...this.scene, ...change.scene, objects: merge(this.scene.objects, change.objects ?? {}) };
+      this.dispatchEvent(new Event("scene"));
+    }
+  }
+
+  #isAway(away, problem = "") {
+    if (away !== this.away) {
+      this.away = away;
+      this.dispatchEvent(new CustomEvent(away ? "away" : "back", { detail: { problem } }));
+    }
+  }
+}

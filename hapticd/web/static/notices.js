@@ -1,0 +1,34 @@
+// Lines for the person, of any module: `app.view.dispatchEvent(new CustomEvent("notice", {detail: {text, kind}}))`, kind
+// `info` or `error`. An error stays until it is closed, anything else for 6 s; of the same text there is one.
+const SHOWN_S = 6;
+const MOST = 4;
+
+export function mount(app, element) {
+  function show({ text, kind = "info" }) {
+    for (const each of [...element.children]) {
+      if (each.dataset.text === text) {
+        each.remove();
+      }
+    }
+    const line = document.createElement("div");
+    line.className = `notice ${kind === "error" ? "bad" : ""}`;
+    line.dataset.text = text;
+    const words = document.createElement("p");
+    words.textContent = text;
+    const close = document.createElement("button");
+    close.type = "button";
+    close.className = "button quiet small";
+    close.textContent = "Close";
+    close.addEventListener("click", () => line.remove());
+    line.append(words, close);
+    element.append(line);
+    while (element.children.length > MOST) {
+      element.firstElementChild.remove();
+    }
+    if (kind !== "error") {
+      setTimeout(() => line.remove(), 1e3 * SHOWN_S);
+    }
+  }
+
+  app.view.addEventListener("notice", (event) => show(event.detail));
+}

@@ -1,0 +1,67 @@
+// What the canvas shows, in words: for whoever does not see it, and as a line of figures below it.
+
+const MOST_NAMED = 3;
+
+const mm = (metres) => (metres * 1000).toFixed(1);
+
+// "x 1.0 mm, y -2.5 mm, touching floor, 1.23 N". A minus is written as one.
+export function words(moment, touching) {
+  if (moment === null) {
+    return "No samples yet";
+  }
+  const [x, y] = moment.position.map((value) => mm(value).replace("-0.0", "0.0").replace("-", "\u2212"));
+  const named = touching.slice(0, MOST_NAMED).join(", ");
+  const more = touching.length > MOST_NAMED ? ` and ${touching.length - MOST_NAMED} more` : "";
+  const contact = touching.length === 0 ? "touching nothing" : `touching ${named}${more}`;
+  const force = Math.hypot(...moment.force).toFixed(2);
+  return `x ${x} mm, y ${y} mm, ${contact}, ${force} N`;
+}
+
+const SHOWN_MS = 100;
+const SPOKEN_MS = 5000;
+
+// Shows the words ten times a second, and says them politely to a screen reader: at once when something else is touched,
+// else at most every five seconds.
+export class Description {
+  #shown;
+  #spoken;
+  #touched = null;
+  #shownAt = -Infinity;
+  #spokenAt = -Infinity;
+  #newest = [null, []];
+  #timer = null;
+
+  // Two elements: one to be seen, one to be heard.
+  constructor(shown, spoken) {
+    this.#shown = shown;
+    this.#spoken = spoken;
+  }
+
+  update(moment, touching) {
+    this.#newest = [moment, touching];
+    clearTimeout(this.#timer); // it may be for what is said seconds later
+    this.#tell();
+  }
+
+  #tell() {
+    const now = performance.now();
+    const [moment, touching] = this.#newest;
+    const text = words(moment, touching);
+    if (text !== this.#shown.textContent && now - this.#shownAt >= SHOWN_MS) {
+      this.#shownAt = now;
+      this.#shown.textContent = text;
+    }
+    const touched = moment === null ? null : touching.join("\n");
+    if (text !== this.#spoken.textContent && (touched !== this.#touched || now - this.#spokenAt >= SPOKEN_MS)) {
+      this.#touched = touched;
+      this.#spokenAt = now;
+      this.#spoken.textContent = text;
+    }
+    const late = [[this.#shown, this.#shownAt + SHOWN_MS], [this.#spoken, this.#spokenAt + SPOKEN_MS]]
+      .filter(([element]) => element.textContent !== text)
+      .map(([, at]) => at - now);
+    if (late.length > 0) {
+      this.#timer = setTimeout(() => this.#tell(), Math.max(0, Math.min(...late)));
+    }
+  }
+}

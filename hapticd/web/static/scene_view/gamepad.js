@@ -1,0 +1,83 @@
+// A gamepad as the hand: its left stick says how fast the hand goes and where to, not where it is. So a stick that is let
+// go leaves the hand where it is, and a coarse stick still reaches every tenth of a millimetre.
+
+export const DEAD_ZONE = 0.15; // of the stick's travel: below it is rest
+const MOST_M_PER_S = 0.15; // the stick at its end
+
+// Speed of the hand for a stick at x, y (-1 to 1, y down, as the browser has it): nothing within the dead zone, from its
+// rim on the square of what is left, so that small motions are fine.
+export function speedOf(x, y) {
+  const size = Math.min(1, Math.hypot(x, y));
+  if (size <= DEAD_ZONE) {
+    return [0, 0];
+  }
+  const part = (size - DEAD_ZONE) / (1 - DEAD_ZONE);
+  const speed = MOST_M_PER_S * part * part;
+  const length = Math.hypot(x, y);
+  return [(x / length) * speed, (-y / length) * speed];
+}
+
+export class GamepadHand {
+  #hand;
+  #from; // () => where the handle is
+  #frame = null;
+  #before = 0;
+
+  // `allowed()` says whether the hand may be moved; `taking()` is called when the stick leaves its rest.
+  constructor(hand, from, allowed, taking) {
+    this.#hand = hand;
+    this.#from = from;
+    this.allowed = allowed;
+    this.taking = taking;
+    addEventListener("gamepadconnected", () => this.#watch());
+    if (this.#pad() !== null) {
+      this.#watch();
+    }
+  }
+
+  #pad() {
+    return [...navigator.getGamepads()].find((pad) => pad !== null && pad.connected) ?? null;
+  }
+
+  #watch() {
+    if (this.#frame === null) {
+      this.#before = performance.now();
+      this.#frame = requestAnimationFrame((now) => this.#look(now));
+    }
+  }
+
+  #look(now) {
+    this.#frame = null;
+    const pad = this.#pad();
+    if (pad === null) {
+      this.#rest();
+      return;
+    }
+    const dt = Math.min(0.05, Math.max(0, (now - this.#before) / 1000));
+    this.#before = now;
+    const [vx, vy] = this.allowed() ? speedOf(pad.axes[0], pad.axes[1]) : [0, 0];
+    if (vx !== 0 || vy !== 0) {
+      if (!this.#moving) {
+        this.#moving = true;
+        this.#hand.take("gamepad", this.#from());
+        this.taking();
+      }
+      const at = this.#hand.target;
+      if (at !== null) {
+        this.#hand.aimAt("gamepad", [at[0] + vx * dt, at[1] + vy * dt]);
+      }
+    } else {
+      this.#rest();
+    }
+    this.#frame = requestAnimationFrame((next) => this.#look(next));
+  }
+
+  #moving = false; // the stick is out of its rest
+
+  #rest() {
+    if (this.#moving) {
+      this.#moving = false;
+      this.#hand.release("gamepad");
+    }
+  }
+}

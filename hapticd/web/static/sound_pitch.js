@@ -1,0 +1,110 @@
+// The same vibration at another pitch, for what is below hearing: times 4, times 8.
+//
+// Grains, each a few periods long, are read `pitch` times as fast as they came and overlap by half (Hann windows), so that
+// the pitch rises and the time does not run away. Where a grain begins is searched so that it goes on as the one before it
+// would have (the largest normalised correlation over the last 15 ms): the waves of a tone stay in step, and the tone
+// comes out at exactly `pitch` times its frequency. A tap comes out higher and as long as before.
+//
+// A grain needs (pitch - 1) times its length of what came before: this is the delay that a pitch adds, on average half
+// of it and half of the search. At a pitch of 1 samples are read as they are.
+import { MASK } from "./sound_buffer.js";
+import { Interpolator } from "./sound_interpolator.js";
+
+const GRAIN_S = { 4: 0.02, 8: 0.012 };
+const SEARCH_S = 0.015;
+const COMPARED = 96; // places of two grains that are compared
+const HEARD = 0.9; // of half the output's rate
+
+class Grain {
+  constructor(begin, at) {
+    this.begin = begin; // place of its first sample
+    this.at = at; // values of it that were read
+  }
+}
+
+export class PitchReader {
+  pitch = 1;
+  #outRate;
+  #interpolator;
+  #grains = [];
+  #length = 0; // of a grain, values
+  #until = 0; // values until the next grain begins
+
+  constructor(outRate) {
+    this.#outRate = outRate;
+    this.set(1, 10000);
+  }
+
+  // `rate`: of the samples.
+  set(pitch, rate) {
+    this.pitch = pitch;
+    this.#interpolator = new Interpolator((HEARD * this.#outRate) / (pitch * rate));
+    this.#length = pitch === 1 ? 0 : 2 * Math.round((GRAIN_S[pitch] * this.#outRate) / 2);
+    this.#grains = [];
+    this.#until = 0;
+  }
+
+  // What it adds to the delay, s.
+  get delay_s() {
+    return this.pitch === 1 ? 0 : ((this.pitch - 1) * GRAIN_S[this.pitch] + SEARCH_S) / 2;
+  }
+
+  // The value at the buffer's place, [x, y] into `value`; `step`: samples from one value to the next.
+  read(buffer, step, value) {
+    if (this.pitch === 1) {
+      value[0] = this.#interpolator.at(buffer.x, MASK, buffer.place);
+      value[1] = this.#interpolator.at(buffer.y, MASK, buffer.place);
+      return;
+    }
+    if (this.#until === 0) {
+      this.#begin(buffer, step);
+      this.#until = this.#length / 2;
+    }
+    this.#until--;
+    value[0] = value[1] = 0;
+    for (const grain of this.#grains) {
+      const weight = 0.5 - 0.5 * Math.cos((2 * Math.PI * (grain.at + 0.5)) / this.#length);
+      const place = grain.begin + grain.at * step * this.pitch;
+      value[0] += weight * this.#interpolator.at(buffer.x, MASK, place);
+      value[1] += weight * this.#interpolator.at(buffer.y, MASK, place);
+      grain.at++;
+    }
+    if (this.#grains[0].at >= this.#length) {
+      this.#grains.shift();
+    }
+  }
+
+  #begin(buffer, step) {
+    // So early that its end is not read before it came.
+    const latest = buffer.place - (this.pitch - 1) * this.#length * step;
+    const before = this.#grains.at(-1);
+    let begin = latest;
+    if (before !== undefined) {
+      const goesOn = before.begin + before.at * step * this.pitch;
+      const overlap = ((this.#length / 2) * step * this.pitch) | 0;
+      begin = latest - this.#lagOf(buffer, Math.floor(goesOn), Math.floor(latest), overlap) + (goesOn % 1) - (latest % 1);
+    }
+    this.#grains.push(new Grain(begin, 0));
+  }
+
+  // How many samples before `latest` a grain begins that is most like what begins at `goesOn`.
+  #lagOf(buffer, goesOn, latest, overlap) {
+    const { x, y } = buffer;
+    const every = Math.max(1, Math.floor(overlap / COMPARED));
+    const most = Math.round(SEARCH_S * buffer.rate);
+    let [best, found] = [0, 0];
+    for (let lag = 0; lag <= most; lag++) {
+      let [product, energy] = [0, 1e-12];
+      for (let i = 0; i < overlap; i += every) {
+        const [a, b] = [(goesOn + i) & MASK, (latest - lag + i) & MASK];
+        product += x[a] * x[b] + y[a] * y[b];
+        energy += x[b] * x[b] + y[b] * y[b];
+      }
+      const likeness = product / Math.sqrt(energy);
+      if (likeness > best * (1 + 1e-6)) {
+        [best, found] = [likeness, lag];
+      }
+    }
+    return found;
+  }
+}

@@ -1,0 +1,110 @@
+// Vibration to both ears, in the browser's audio thread. Messages to it:
+//
+//   {pairs: Float32Array [x, y, ...], missing}   samples of vibration_force_n, N, and how many were lost before them
+//   {rate}                                       of the samples, a second; what was not played yet is left out
+//   {volume, muted, pitch, noise}                volume and noise from 0 to 1; pitch 1, 4 or 8
+//
+// and from it, five times a second, what sound.js shows. Left is x + y, right y - x, so that a vibration in any direction
+// is heard. One newton along an axis is a third of full scale at full volume; what is louder than 0.8 is bent, not cut.
+import { SampleBuffer } from "./sound_buffer.js";
+import { PitchReader } from "./sound_pitch.js";
+
+const PER_N = 1 / 3;
+const KNEE = 0.8;
+const SMOOTH_S = 0.02;
+const REPORT_S = 0.2;
+const NOISE_RMS = 0.25; // of full scale, at full volume
+
+function bent(value) {
+  const size = Math.abs(value);
+  return size <= KNEE ? value : Math.sign(value) * (KNEE + (1 - KNEE) * Math.tanh((size - KNEE) / (1 - KNEE)));
+}
+
+// Volumes by ear: half way is a quarter of the force.
+const gainOf = (volume) => volume * volume;
+
+class Vibration extends AudioWorkletProcessor {
+  #buffer;
+  #reader = new PitchReader(sampleRate);
+  #settings = { volume: 0.5, muted: false, pitch: 1, noise: 0 };
+  #gain = 0;
+  #noise = 0;
+  #peak = 0;
+  #silent = 0; // values since the last report
+  #writtenFill_s = null; // the fill after the last batch
+  #value = new Float64Array(2);
+
+  constructor({ processorOptions: { rate, most_s } }) {
+    super();
+    this.#buffer = new SampleBuffer(rate, most_s);
+    this.#reader.set(1, rate);
+    this.port.onmessage = ({ data }) => this.#take(data);
+  }
+
+  #take(message) {
+    if (message.pairs !== undefined) {
+      this.#buffer.write(message.pairs, message.missing);
+      this.#writtenFill_s = this.#buffer.playing ? this.#buffer.fill_s : null;
+    } else if (message.rate !== undefined) {
+      this.#buffer.restart(message.rate);
+      this.#reader.set(this.#reader.pitch, message.rate);
+    } else {
+      Object.assign(this.#settings, message);
+    }
+    if (message.answer) {
+      this.port.postMessage({ answer: message.answer });
+    }
+  }
+
+  // Another pitch begins where nothing is heard.
+  #turnToPitch() {
+    const { pitch } = this.#settings;
+    if (pitch === this.#reader.pitch) {
+      return 1;
+    }
+    if (this.#gain < 1e-3 || !this.#buffer.playing) {
+      this.#reader.set(pitch, this.#buffer.rate);
+    }
+    return 0;
+  }
+
+  process(inputs, [[left, right]]) {
+    const buffer = this.#buffer;
+    const settings = this.#settings;
+    const seconds = 1 / sampleRate;
+    buffer.follow(left.length * seconds);
+    const wanted = settings.muted ? 0 : gainOf(settings.volume) * PER_N * this.#turnToPitch();
+    const noise = gainOf(settings.noise) * NOISE_RMS * Math.sqrt(3);
+    const step = (buffer.rate / sampleRate) * (1 + buffer.correction);
+    const part = seconds / SMOOTH_S;
+    const value = this.#value;
+    for (let i = 0; i < left.length; i++) {
+      this.#gain += (wanted - this.#gain) * part;
+      this.#noise += (noise - this.#noise) * part;
+      let [x, y] = [0, 0];
+      if (buffer.step(seconds, 0)) {
+        this.#reader.read(buffer, step, value);
+        buffer.place += step;
+        [x, y] = [value[0] * buffer.fade, value[1] * buffer.fade];
+      }
+      left[i] = bent(this.#gain * (x + y) + this.#noise * (2 * Math.random() - 1));
+      right[i] = bent(this.#gain * (y - x) + this.#noise * (2 * Math.random() - 1));
+      this.#peak = Math.max(this.#peak, Math.abs(left[i]), Math.abs(right[i]));
+    }
+    this.#silent += left.length;
+    if (this.#silent >= REPORT_S * sampleRate) {
+      this.#report();
+    }
+    return true;
+  }
+
+  #report() {
+    const { playing, fill_s, target_s, correction, gaps, skips, lost, nonfinite } = this.#buffer;
+    const { pitch, delay_s } = this.#reader;
+    const heard = { peak: this.#peak, pitch, pitch_delay_s: delay_s, written_fill_s: this.#writtenFill_s };
+    this.port.postMessage({ report: { playing, fill_s, target_s, correction, gaps, skips, lost, nonfinite, ...heard } });
+    [this.#silent, this.#peak] = [0, 0];
+  }
+}
+
+registerProcessor("hapticd-vibration", Vibration);

@@ -1,0 +1,71 @@
+// Words and figures of the status bar: faults in plain words, the lateness of the last seconds.
+
+const WORDS = {
+  nonfinite: "A position or a force was not a finite number, so the force was set to zero.",
+  control: "The daemon answered no commands for 1 s, so the forces faded.",
+  lease: "The page or program that held the forces was closed, froze or lost its connection, so the forces faded.",
+  device: "The joystick does not report its position. Check its cable and power.",
+  frozen: "The joystick reported the same position for too long while it was pushed. Move the handle to see whether it reports.",
+};
+
+// One line: what happened, and what to do where there is something to do.
+export function faultText(fault, model) {
+  if (fault === "overrun") {
+    const share = model.status.overruns?.threshold;
+    const percent = share === undefined ? "too many" : `more than ${Number((100 * share).toPrecision(2))} %`;
+    return `The machine missed ${percent} of a second's periods. Close what else runs on it, or lower servo.rate_hz.`;
+  }
+  if (fault === "signs") {
+    return model.status.connection?.signs?.advice ?? "The check of the joystick's directions failed.";
+  }
+  return WORDS[fault] ?? `Fault: ${fault}.`;
+}
+
+const SECONDS = 10;
+
+function microseconds(ns) {
+  return ns < 9950 ? (ns / 1e3).toFixed(1) : Math.round(ns / 1e3).toLocaleString("en");
+}
+
+// The lateness that 99 % of the ticks of the last 10 s kept, from the status's histograms, whose edges lie 19 % apart: it
+// is the edge above. `max` is that since the daemon's start.
+export function lateness() {
+  let kept = []; // counts of the last seconds
+  let newest = null;
+  let started = null;
+
+  function add(histogram, startedNs) {
+    if (histogram === undefined) {
+      return;
+    }
+    if (startedNs !== started) {
+      [kept, started] = [[], startedNs];
+    }
+    kept.push(histogram.counts);
+    kept = kept.slice(-(SECONDS + 1));
+    newest = histogram;
+  }
+
+  function quantile(share) {
+    if (kept.length < 2) {
+      return null;
+    }
+    const counts = kept.at(-1).map((count, i) => count - kept[0][i]);
+    const wanted = share * counts.reduce((a, b) => a + b, 0);
+    let below = 0;
+    for (let i = 0; i < counts.length; i++) {
+      below += counts[i];
+      if (below >= wanted && below > 0) {
+        return Math.min(newest.edges[i] ?? newest.max, newest.max);
+      }
+    }
+    return null;
+  }
+
+  function text() {
+    const p99 = quantile(0.99);
+    return p99 === null ? "–" : `p99 ${microseconds(p99)} µs, max ${microseconds(newest.max)} µs`;
+  }
+
+  return { add, quantile, text };
+}

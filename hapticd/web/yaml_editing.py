@@ -1,0 +1,224 @@
+"""A YAML text changed in place: only the values that differ are written anew, everything else stays as it stands.
+
+Comments, order, alignment, quotes and the way numbers are written are part of a file that somebody wrote by hand.
+PyYAML says where each value stands, and what differs is replaced there. What comes out is read again by hapticd's own
+loader; if that does not give what was meant, the text is written anew.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final, cast
+
+import yaml
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.yaml_source import Json, load_text
+from hapticd.base.yaml_text import flow_text
+
+_LOADER: Final = yaml.CBaseLoader if yaml.__with_libyaml__ else yaml.BaseLoader
+_LINE_END: Final = re.compile(r"\r\n|[\n\r\x85\u2028\u2029]|\Z")
+_LONGEST_LINE: Final = 100
+"""Characters of a mapping that is added on one line; a longer one becomes a block."""
+
+
+class _IntricateError(Exception):
+    """A place where values cannot be changed one by one."""
+
+
+def same(one: Json, other: Json) -> bool:
+    """Whether two values mean the same: 800 and 800.0 do, true and 1 do not."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(same, one, other))
+    return isinstance(one, bool) == isinstance(other, bool) and one == other
+
+
+def edited(text: str, after: dict[str, Json]) -> tuple[str, bool]:
+    """The text with the values of `after` in place of its own, and whether everything else stands as before.
+
+    `text` is one that load_text takes, a mapping. False: it was too intricate, and was written anew without comments.
+    """
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    body = text.removeprefix("\ufeff")
+    before = load_text(body, "").data
+    if same(before, after):
+        return text, True
+    try:
+        node = yaml.compose(body, Loader=_LOADER)
+        found = _Edits(body)
+        found.value(cast(yaml.Node, node), before, after)
+        new = found.applied()
+        if same(load_text(new, "").data, after):
+            return mark + new, True
+    except (_IntricateError, HapticdError):
+        pass
+    return block_text(after), False
+
+
+class _Edits:
+    """Replacements in one text, found from the outside in."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self._newline = "\r\n" if "\r\n" in text else "\n"
+        self._edits: list[tuple[int, int, str]] = []
+
+    def applied(self) -> str:
+        """The text with all of them; they do not overlap."""
+        parts, at = [], 0
+        for start, end, new in sorted(self._edits, key=lambda edit: edit[:2]):
+            if start < at:
+                raise _IntricateError
+            parts += [self._text[at:start], new]
+            at = end
+        return "".join((*parts, self._text[at:]))
+
+    def value(self, node: yaml.Node, before: Json, after: Json, key: yaml.Node | None = None) -> None:
+        """Has `node`, which holds `before` and is the value of `key`, hold `after`."""
+        if same(before, after):
+            return
+        kept = len(self._edits)
+        try:
+            if isinstance(node, yaml.MappingNode) and isinstance(before, dict) and isinstance(after, dict):
+                self._mapping(node, before, after)
+            elif isinstance(node, yaml.SequenceNode) and isinstance(before, list) and isinstance(after, list):
+                self._sequence(node, before, after)
+            else:
+                raise _IntricateError
+        except _IntricateError:
+            del self._edits[kept:]
+            self._replace(node, after, key)
+
+    def _replace(self, node: yaml.Node, after: Json, key: yaml.Node | None) -> None:
+        start, end = node.start_mark.index, self._end(node)
+        new = flow_text(after)
+        if key is not None:
+            between = self._text[key.end_mark.index : start]
+            if "\n" in between or "\r" in between or start == end or not between.endswith((" ", "\t")):
+                # A block below its key, or nothing at all: what takes its place stands beside the key.
+                start = self._text.index(":", key.end_mark.index) + 1
+                end = max(start, end)
+                new = f" {new}"
+        self._edits.append((start, end, new))
+
+    def _sequence(self, node: yaml.SequenceNode, before: list[Json], after: list[Json]) -> None:
+        common = min(len(before), len(after))
+        if common == 0:
+            raise _IntricateError
+        for place in range(common):
+            self.value(node.value[place], before[place], after[place])
+        last_kept, last, added = node.value[common - 1], node.value[-1], after[common:]
+        if node.flow_style:
+            new = "".join(f", {flow_text(value)}" for value in added)
+            self._edits.append((self._end(last_kept), self._end(last), new))
+            return
+        if common < len(before):
+            first_gone = node.value[common].start_mark.index
+            line = self._line_start(first_gone)
+            if self._text[line:first_gone].strip(" ") != "-":
+                raise _IntricateError
+            self._edits.append((line, self._after_line(self._end(last)), ""))
+        if added:
+            pad = " " * node.start_mark.column
+            self._insert_lines(self._after_line(self._end(last)), [f"{pad}- {flow_text(value)}" for value in added])
+
+    def _mapping(self, node: yaml.MappingNode, before: dict[str, Json], after: dict[str, Json]) -> None:
+        entries = {cast(str, key.value): (key, value) for key, value in node.value}
+        kept = [name for name in entries if name in after]
+        if not kept:
+            raise _IntricateError
+        for name in kept:
+            key, value = entries[name]
+            self.value(value, before[name], after[name], key)
+        added = {name: value for name, value in after.items() if name not in entries}
+        gone = [name for name in entries if name not in after]
+        if node.flow_style:
+            self._flow_mapping(list(entries), entries, gone, added)
+        else:
+            self._block_mapping(entries, gone, added)
+
+    def _flow_mapping(
+        self,
+        order: list[str],
+        entries: dict[str, tuple[yaml.Node, yaml.Node]],
+        gone: list[str],
+        added: dict[str, Json],
+    ) -> None:
+        last_kept = max(place for place, name in enumerate(order) if name not in gone)
+        for place, name in enumerate(order[:last_kept]):
+            if name in gone:
+                self._edits.append((self._start(entries[name]), self._start(entries[order[place + 1]]), ""))
+        at, end = self._entry_end(entries[order[last_kept]]), self._entry_end(entries[order[-1]])
+        new = "".join(f", {flow_text(name)}: {flow_text(value)}" for name, value in added.items())
+        if at != end or new:
+            self._edits.append((at, end, new))
+
+    def _block_mapping(
+        self, entries: dict[str, tuple[yaml.Node, yaml.Node]], gone: list[str], added: dict[str, Json]
+    ) -> None:
+        for name in gone:
+            start, end = self._start(entries[name]), self._after_line(self._entry_end(entries[name]))
+            line = self._line_start(start)
+            if self._text[line:start].strip(" "):
+                raise _IntricateError
+            self._edits.append((line, end, ""))
+        if added:
+            first, last = next(iter(entries.values())), list(entries.values())[-1]
+            pad = " " * first[0].start_mark.column
+            lines = [pad + line for name, value in added.items() for line in _entry(name, value, len(pad))]
+            self._insert_lines(self._after_line(self._entry_end(last)), lines)
+
+    def _insert_lines(self, at: int, lines: list[str]) -> None:
+        break_before = "" if self._text[:at].endswith(("\n", "\r", "\x85", "\u2028", "\u2029")) else self._newline
+        self._edits.append((at, at, break_before + "".join(line + self._newline for line in lines)))
+
+    # ---- Places ----------------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def _start(entry: tuple[yaml.Node, yaml.Node]) -> int:
+        start: int = entry[0].start_mark.index
+        return start
+
+    def _end(self, node: yaml.Node) -> int:
+        """Behind the last character of a value; a block's own mark stands behind comments that follow it."""
+        while isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
+            last = node.value[-1]
+            node = last[1] if isinstance(last, tuple) else last
+        start, end = node.start_mark.index, node.end_mark.index
+        return start + len(self._text[start:end].rstrip())
+
+    def _line_start(self, at: int) -> int:
+        return max(self._text.rfind(mark, 0, at) for mark in "\n\r\x85\u2028\u2029") + 1
+
+    def _entry_end(self, entry: tuple[yaml.Node, yaml.Node]) -> int:
+        """Behind the value, or behind the key of one that has none."""
+        return max(self._end(entry[1]), entry[0].end_mark.index)
+
+    def _after_line(self, at: int) -> int:
+        """Where the next line begins."""
+        match = _LINE_END.search(self._text, at)
+        assert match is not None
+        return match.end()
+
+
+def block_text(mapping: dict[str, Json]) -> str:
+    """A text of its own: what fits on one line stands there, and the rest in blocks."""
+    return "".join(f"{line}\n" for name, value in mapping.items() for line in _entry(name, value, 0))
+
+
+def _entry(name: str, value: Json, pad: int) -> list[str]:
+    """An entry of a block mapping, as lines without their indentation."""
+    key, whole = flow_text(name), flow_text(value)
+    small = pad + len(key) + len(whole) + 2 <= _LONGEST_LINE
+    if isinstance(value, dict) and value and not (small and _is_leaf(value)):
+        return [f"{key}:", *(f"  {line}" for inner, part in value.items() for line in _entry(inner, part, pad + 2))]
+    if isinstance(value, list) and value and not small:
+        return [f"{key}:", *(f"  - {flow_text(each)}" for each in value)]
+    return [f"{key}: {whole}"]
+
+
+def _is_leaf(mapping: dict[str, Json]) -> bool:
+    """Whether a mapping holds no other one."""
+    return not any(isinstance(value, dict) for value in mapping.values())

@@ -1,0 +1,122 @@
+"""Methods of a page: what may be edited, and the files that hold it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, cast
+
+from hapticd.base import wording
+from hapticd.base.errors import HapticdError, InvalidError, Problem
+from hapticd.base.yaml_source import MAX_BYTES, one_line
+from hapticd.config.shipped_files import described, shipped
+from hapticd.protocol.calls import RemoteError
+from hapticd.protocol.messages import Code
+from hapticd.web import yaml_files
+from hapticd.web.editor_schema import editor_schema
+from hapticd.web.page import Method, Page
+from hapticd.web.yaml_files import PARTS, Opened
+
+_FOLDERS: Final = ("scenes", "materials")
+
+
+async def _schema(_: Page, params: Mapping[str, object]) -> object:
+    """web.schema: see editor_schema.py."""
+    return editor_schema()
+
+
+async def _shipped(_: Page, params: Mapping[str, object]) -> object:
+    """web.yaml_shipped: scenes and files of materials that ship, `name` and `shows` of each."""
+
+    def found() -> object:
+        return {folder: [{"name": each.name, "shows": each.shows} for each in described(folder)] for folder in _FOLDERS}
+
+    return await asyncio.to_thread(found)
+
+
+async def _open(page: Page, params: Mapping[str, object]) -> object:
+    """web.yaml_open: the `text` of a file that a person calls `name`, checked and applied as one change."""
+    return await _apply(page, params.get("name"), params.get("text"))
+
+
+async def _open_shipped(page: Page, params: Mapping[str, object]) -> object:
+    """web.yaml_open_shipped: one that ships, by `folder` (scenes, materials) and `name`; the answer has its `text`."""
+    folder, name = params.get("folder"), params.get("name")
+    if folder not in _FOLDERS:
+        raise HapticdError(f"folder: must be {' or '.join(_FOLDERS)}")
+    files = shipped(folder)
+    if not isinstance(name, str) or name not in files:
+        raise HapticdError(f"name: must be one of {', '.join(files)}")
+    text = await asyncio.to_thread(Path(files[name]).read_text, encoding="utf-8")
+    return {**await _apply(page, f"{name}.yaml", text), "text": text}
+
+
+async def _apply(page: Page, name: object, text: object) -> dict[str, object]:
+    """Has the daemon take what a text holds. Faults of the text and of the daemon are listed by line and key."""
+    given = str(name)
+    try:
+        opened = await asyncio.to_thread(_read, name, text)
+        result = await page.daemon.apply(materials=opened.change.materials, scene=opened.change.scene, wait=True)
+    except InvalidError as error:
+        raise _refused(given, error.problems) from None
+    except RemoteError as error:
+        raise _refused(given, error.problems) if error.problems else error from None
+    materials = (await page.daemon.get_materials())["materials"]
+    differing = await asyncio.to_thread(yaml_files.changed_materials, materials)
+    scene = opened.scene
+    return {
+        "name": given,
+        "revision": result["revision"],
+        "materials": sorted(opened.materials),
+        "scene": scene is not None,
+        "objects": 0 if scene is None else len(cast("Mapping[str, object]", scene["objects"])),
+        "left_out": list(opened.left_out),
+        "warnings": result.get("warnings", []),
+        "others": {each: full for each, full in differing.items() if each not in opened.materials},
+    }
+
+
+def _read(name: object, text: object) -> Opened:
+    if isinstance(text, str) and len(text) > MAX_BYTES:
+        raise HapticdError(f"the file has more than {wording.size(MAX_BYTES)}")
+    return yaml_files.read(name, text)
+
+
+def _refused(name: str, problems: tuple[Problem, ...]) -> RemoteError:
+    found = yaml_files.placed(problems, name)
+    text = f"{one_line(name)}: {wording.count(len(found), 'fault')}; nothing was changed"
+    return RemoteError(Code.INVALID_PARAMS, text, found)
+
+
+async def _save(page: Page, params: Mapping[str, object]) -> object:
+    """web.yaml_save: the daemon's scene and materials as a file's `text`. `parts`: what of them; `opened`: {name, text,
+    others}, the file that they go into, as web.yaml_open took it and with the `others` that it answered."""
+    parts = params.get("parts", list(PARTS))
+    if not isinstance(parts, list) or not parts or not all(part in PARTS for part in parts):
+        raise HapticdError(f"parts: must be a list of {' and '.join(PARTS)}")
+    given = params.get("opened")
+    if given is not None and not isinstance(given, dict):
+        raise HapticdError("opened: must be a map of name, text and others")
+    scene, materials = (await page.daemon.get_scene())["scene"], (await page.daemon.get_materials())["materials"]
+
+    def write() -> yaml_files.Saved:
+        if given is None:
+            return yaml_files.saved(scene, materials, parts)
+        others = given.get("others", {})
+        if not isinstance(others, dict):
+            raise HapticdError("others: must be a map of materials")
+        opened = _read(given.get("name"), given.get("text"))
+        return yaml_files.saved(scene, materials, parts, opened, given["text"], others)
+
+    found = await asyncio.to_thread(write)
+    return {"text": found.text, "kept": found.kept, "materials": found.materials}
+
+
+METHODS: Final[dict[str, Method]] = {
+    "web.schema": _schema,
+    "web.yaml_shipped": _shipped,
+    "web.yaml_open": _open,
+    "web.yaml_open_shipped": _open_shipped,
+    "web.yaml_save": _save,
+}

@@ -1,0 +1,156 @@
+"""The page in a real browser: Chromium as the system has it, driven by playwright, and `hapticd web --demo` for it.
+
+A test takes the fixture `page` (conftest.py): the page of a demo of this test file, open and ready. An error on its
+console and an exception that nobody caught fail the test.
+
+The page's Content-Security-Policy forbids eval: give `wait_for_function` a function, as the string "() => ...".
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import yaml
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, sync_playwright
+
+from hapticd.web.demo import CONFIG
+from tests.support.daemon_process import PATIENCE_S
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--headless",
+    "--disable-gpu",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+)
+WIDE = {"width": 1280, "height": 800}
+NARROW = {"width": 390, "height": 844}
+
+
+def executable() -> str:
+    """The browser; without one the test is skipped, or fails where HAPTICD_BROWSER=required or CI is set."""
+    found = next(filter(None, map(shutil.which, NAMES)), None)
+    if found is None:
+        missing = f"no browser: none of {', '.join(NAMES)} is on PATH (Debian: apt install chromium)"
+        if os.environ.get("HAPTICD_BROWSER") == "required" or os.environ.get("CI"):
+            pytest.fail(missing, pytrace=False)
+        pytest.skip(missing)
+    return found
+
+
+def flags() -> list[str]:
+    """What Chromium is started with."""
+    return [*FLAGS, *(("--no-sandbox",) if os.geteuid() == 0 else ())]
+
+
+@contextmanager
+def running_browser(*more: str) -> Iterator[Browser]:
+    """Chromium, as long as the context lasts."""
+    path = executable()
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=[*flags(), *more])
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Demo:
+    """`hapticd web --demo` in a process of its own, and the pages that are open of it."""
+
+    def __init__(self, folder: Path, *options: str, servo: Mapping[str, object] | None = None) -> None:
+        """`servo`: keys of the configuration's servo that differ from the shipped scene's."""
+        self._log = folder / "web.log"
+        if servo is not None:
+            changed = folder / "servo.yaml"
+            changed.write_text(yaml.safe_dump({"servo": dict(servo)}))
+            options = (*options, "-c", str(CONFIG), "-c", str(changed))
+        with open(self._log, "ab") as log:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "hapticd", "web", "--demo", "--port", "0", *options],
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                start_new_session=True,
+            )
+        assert self.process.stdout is not None
+        found = None
+        while found is None:
+            line = self.process.stdout.readline()
+            assert line, f"hapticd web ended: {self.said()}"
+            found = re.search(r"http://\S+/\?token=\S+", line)
+        self.link = found[0]
+        self.address = self.link.partition("?")[0]
+
+    def said(self) -> str:
+        return self._log.read_text()
+
+    def stop(self) -> int:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+        code = self.process.wait(PATIENCE_S)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+        return code
+
+
+@contextmanager
+def running_demo(folder: Path, *options: str, servo: Mapping[str, object] | None = None) -> Iterator[Demo]:
+    """A Demo that must end well."""
+    running = Demo(folder, *options, servo=servo)
+    try:
+        yield running
+    finally:
+        assert running.stop() == 0
+
+
+class Pages:
+    """Opens pages of a demo, and keeps what went wrong in them."""
+
+    def __init__(self, context: BrowserContext, demo: Demo) -> None:
+        self.demo = demo
+        self.context = context
+        self.errors: list[str] = []
+        context.set_default_timeout(1e3 * PATIENCE_S)
+        # The token becomes the cookie of all pages of this context.
+        assert context.request.get(demo.link).status == 200
+
+    def open(self) -> Page:
+        """A page that is ready: connected, every module in its place."""
+        page = self.context.new_page()
+        self.watch(page)
+        page.goto(self.demo.address)
+        ready(page)
+        return page
+
+    def watch(self, page: Page) -> None:
+        def said(message: ConsoleMessage) -> None:
+            if message.type == "error":
+                self.errors.append(f"console: {message.text} ({message.location.get('url', '')})")
+
+        page.on("pageerror", lambda error: self.errors.append(f"thrown: {error.stack or error.message}"))
+        page.on("console", said)
+
+    def close_all(self) -> None:
+        for page in self.context.pages:
+            page.close()
+
+    def take_errors(self) -> list[str]:
+        """What went wrong since the last call."""
+        errors, self.errors[:] = list(self.errors), []
+        return errors
+
+
+def ready(page: Page) -> None:
+    page.wait_for_function("() => document.body.dataset.ready === 'true'")

@@ -1,0 +1,198 @@
+"""The tab of the recordings: made, listed, downloaded, looked through and left with its own controls.
+
+What the page draws from while it plays is tested in test_playback_in_browser.py, the files in test_recorder.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Browser, Locator, Page
+
+import hapticd
+from tests.web.browser import Demo, running_demo
+
+pytestmark = pytest.mark.slow
+
+TAP = {"kind": "tap", "object": "floor", "at_m": 0.0, "speed_m_per_s": 0.2}
+SHOWN = """() => {
+  const { scope, playback, scene } = hapticd, { source } = scope, at = (source.rows - 1) % source.capacity;
+  const { columns } = playback.store;
+  return { row: source.rows - 1, same: source.store === playback.store, tick: source.store.ticks[at],
+           force: source.track("force_y").column[at], right: scope.view.right - source.newest,
+           position: scene.moments.newest.position, sceneTick: scene.moments.newest.tick };
+}"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("recordings")
+
+
+@pytest.fixture(scope="module")
+def demo(browser: Browser, folder: Path) -> Iterator[Demo]:
+    with running_demo(folder, "--recordings", str(folder)) as running:
+        yield running
+
+
+@pytest.fixture
+def panel(page: Page) -> Locator:
+    """The tab, on a page whose samples come and whose forces are on."""
+    page.wait_for_function("() => hapticd.samples.rows > 100 && hapticd.safety.forces === 'on'")
+    page.get_by_role("tab", name="Recordings").click()
+    return page.locator("#recordings-panel")
+
+
+def record(panel: Locator, stem: str, ending: str, note: str = "") -> None:
+    """A tap and half a second after it, with the controls of the page."""
+    page = panel.page
+    panel.get_by_label("Name", exact=True).fill(stem)
+    panel.get_by_label("Format").select_option(ending)
+    panel.get_by_label("Notes, kept in the file").fill(note)
+    panel.get_by_role("button", name="Record", exact=True).click()
+    panel.get_by_role("button", name="Stop recording").wait_for()
+    page.evaluate("(gesture) => hapticd.link.call('set_operator', { gesture })", TAP)
+    rows = page.evaluate("() => hapticd.samples.rows")
+    page.wait_for_function(f"() => hapticd.samples.rows > {rows + 10_000}")
+    panel.get_by_role("button", name="Stop recording").click()
+    panel.get_by_role("status").filter(has_text=f"{stem}{ending}: ").wait_for()
+
+
+def look_through(panel: Locator, name: str) -> None:
+    panel.get_by_role("button", name=f"Look through {name}").click()
+    panel.get_by_role("heading", name=name).wait_for()
+
+
+def seek(panel: Locator, row: int) -> None:
+    """Moves the slider to a row, and waits until it is shown."""
+    panel.get_by_role("slider", name="Moment").fill(str(row))
+    panel.page.wait_for_function(
+        "(row) => hapticd.playback.row === row && hapticd.scope.source.rows === row + 1", arg=row
+    )
+
+
+@pytest.mark.parametrize("ending", [".npz", ".mcap"])
+def test_what_is_recorded_is_listed_and_its_download_is_the_recording(
+    panel: Locator, folder: Path, tmp_path: Path, ending: str
+) -> None:
+    name = f"made by hand{ending}"
+    record(panel, "made by hand", ending, "a tap on the floor")
+    kept = hapticd.load(folder / name)
+    assert panel.get_by_role("status").inner_text().startswith(f"{name}: {len(kept.samples):,} ticks")
+    assert panel.get_by_role("rowheader", name=name).is_visible()
+    with panel.page.expect_download() as downloading:
+        panel.get_by_role("link", name=f"Download {name}").click()
+    assert downloading.value.suggested_filename == name
+    downloading.value.save_as(tmp_path / name)
+    loaded = hapticd.load(tmp_path / name)
+    assert np.array_equal(loaded.samples, kept.samples) and len(loaded.samples) > 5000
+    assert loaded.notes == {"note": "a tap on the floor"}
+    assert "contact" in [event["event"] for event in loaded.events]
+
+
+@pytest.mark.parametrize("ending", [".npz", ".mcap"])
+def test_a_recording_is_looked_through_moment_by_moment_and_left(panel: Locator, folder: Path, ending: str) -> None:
+    page, name = panel.page, f"looked through{ending}"
+    record(panel, "looked through", ending)
+    recording = hapticd.load(folder / name)
+    samples = recording.samples
+    look_through(panel, name)
+    slider = panel.get_by_role("slider", name="Moment")
+    assert page.evaluate("() => document.activeElement.id") == slider.get_attribute("id") == "recording-moment"
+    assert slider.get_attribute("max") == str(len(samples) - 1)
+    # The moment at which the floor pushes most, and one before the tap.
+    pushed = int(np.argmax(samples["contact_force_n"][:, 1]))
+    assert samples["contact_force_n"][pushed, 1] > 0.1
+    for row in (pushed, 5):
+        seek(panel, row)
+        shown = page.evaluate(SHOWN)
+        sample = samples[row]
+        assert shown["same"] and shown["row"] == row
+        assert shown["tick"] == shown["sceneTick"] == sample["tick"]
+        assert shown["force"] == np.float32(sample["force_n"][1])
+        assert shown["position"] == sample["position_m"].astype("f4").tolist()
+        assert shown["right"] == pytest.approx(0.0, abs=1e-9)  # the scope's picture ends at the moment
+        time_s = (int(sample["time_ns"]) - int(samples[0]["time_ns"])) * 1e-9
+        assert slider.get_attribute("aria-valuetext") == f"{time_s:.4f} s"
+    assert page.locator("#scope .scope-state").inner_text().startswith("Recording.")
+    slider.press("Shift+ArrowRight")
+    page.wait_for_function("() => hapticd.playback.row === 6")
+    slider.press("ArrowRight")
+    page.wait_for_function("(row) => hapticd.playback.row === row", arg=6 + round(0.01 * recording.rate_hz))
+    panel.get_by_role("button", name="Back to now").click()
+    page.wait_for_function("() => !hapticd.playback.active && hapticd.scope.source.store === hapticd.samples")
+    assert slider.is_hidden()
+    assert page.evaluate("() => hapticd.scene.moments.playback") is None
+    rows = page.evaluate("() => hapticd.samples.rows")
+    page.wait_for_function(f"() => hapticd.scope.source.rows > {rows}")
+
+
+def test_a_click_on_the_outline_goes_there_and_play_goes_on_to_the_end(panel: Locator, folder: Path) -> None:
+    page, name = panel.page, "clicked.npz"
+    record(panel, "clicked", ".npz")
+    rows = len(hapticd.load(folder / name).samples)
+    look_through(panel, name)
+    box = panel.get_by_role("img", name="Force over time").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.75 * box["width"], box["y"] + box["height"] / 2)
+    page.wait_for_function("(row) => Math.abs(hapticd.playback.row - row) < 0.02 * row", arg=0.75 * rows)
+    panel.get_by_role("button", name="Play").click()
+    page.wait_for_function("(last) => hapticd.playback.row === last && !hapticd.playback.playing", arg=rows - 1)
+    assert panel.get_by_role("button", name="Play").is_visible()
+
+
+def damaged(folder: Path, kind: str) -> tuple[str, bytes]:
+    """A file that is no recording any more, or never was: name and content."""
+    whole = next(folder.glob(f"*{kind.partition(' ')[2]}")).read_bytes()
+    start, ending = kind.split(" ")
+    return f"damaged{ending}", {"empty": b"", "foreign": b"no recording\n" * 50, "cut": whole[: len(whole) // 2]}[start]
+
+
+@pytest.mark.parametrize(
+    "kind", [f"{how} {ending}" for how in ("empty", "foreign", "cut") for ending in (".npz", ".mcap")]
+)
+def test_a_damaged_file_gets_one_line_that_names_it(panel: Locator, folder: Path, kind: str) -> None:
+    page, ending = panel.page, kind.partition(" ")[2]
+    if not list(folder.glob(f"*{ending}")):
+        record(panel, "whole", ending)
+    intact = next(folder.glob(f"*{ending}")).name
+    look_through(panel, intact)
+    name, content = damaged(folder, kind)
+    panel.get_by_label("Open a file of yours").set_input_files(
+        {"name": name, "mimeType": "application/octet-stream", "buffer": content}
+    )
+    line = panel.get_by_role("alert").filter(has_text=name)
+    line.wait_for()
+    said = line.inner_text()
+    assert said.count(name) == 1 and "\n" not in said and "Traceback" not in said and "/" not in said
+    # The page is at the present, not in a recording that hapticd web has closed; another one can be opened.
+    page.wait_for_function("() => !hapticd.playback.active")
+    assert panel.get_by_role("status").inner_text() == ""
+    look_through(panel, intact)
+    assert line.count() == 0
+
+
+def test_a_whole_file_of_the_person_s_is_opened(panel: Locator, folder: Path, tmp_path: Path) -> None:
+    record(panel, "sent", ".npz")
+    copy = tmp_path / "from elsewhere.npz"
+    copy.write_bytes((folder / "sent.npz").read_bytes())
+    panel.get_by_label("Open a file of yours").set_input_files(copy)
+    panel.get_by_role("heading", name=copy.name).wait_for()
+    rows = len(hapticd.load(copy).samples)
+    assert panel.page.evaluate("() => hapticd.playback.facts.rows") == rows
+    assert panel.get_by_role("rowheader", name=copy.name).count() == 0  # it is not put among those that are kept
+
+
+def test_a_recording_is_deleted_after_a_second_question(panel: Locator, folder: Path) -> None:
+    record(panel, "deleted", ".npz")
+    panel.get_by_role("button", name="Delete deleted.npz").click()
+    panel.get_by_role("button", name="Keep it").click()
+    assert (folder / "deleted.npz").exists()
+    panel.get_by_role("button", name="Delete deleted.npz").click()
+    panel.get_by_role("button", name="Delete for good").click()
+    panel.get_by_role("status").filter(has_text="deleted.npz was deleted.").wait_for()
+    assert panel.get_by_role("rowheader", name="deleted.npz").count() == 0
+    assert not (folder / "deleted.npz").exists()
