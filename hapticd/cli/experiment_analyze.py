@@ -1,0 +1,85 @@
+"""`hapticd experiment analyze`: the statistics of sessions, as tables, CSV and a page."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.partial_files import check_new, write_whole
+from hapticd.cli.common import json_option, note, overwrite_option, print_json
+
+if TYPE_CHECKING:
+    from hapticd.experiment.analyze import Analysis
+
+_WIDEST = 500
+"""Characters of a table that is to be read."""
+
+
+@click.command("analyze", short_help="Statistics of sessions, and a report.")
+@click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FOLDER...")
+@click.option("-o", "--output", type=click.Path(), metavar="FILE.html", help="Write a report with pictures there.")
+@click.option("--csv", "csv_folder", type=click.Path(), metavar="DIR", help="Write each table there, as CSV.")
+@overwrite_option
+@json_option
+def analyze_command(
+    folders: tuple[Path, ...], output: str | None, csv_folder: str | None, overwrite: bool, as_json: bool
+) -> None:
+    """Statistics of the sessions below each FOLDER: of a session, a participant, or a whole data set.
+
+    Percent correct against chance, pairs, scales, confusions, psychometric functions and measures of the motion,
+    whichever the study has. Where it names published results, they stand beside its own.
+    """
+    from hapticd.experiment import report
+    from hapticd.experiment.analyze import analyze
+
+    if output is not None:
+        if not output.lower().endswith(".html"):
+            raise HapticdError(f"{output}: is no kind of report: must end in .html")
+        report.require()
+        check_new(output, overwrite)
+    if csv_folder is not None and not Path(csv_folder).is_dir():
+        raise HapticdError(f"{csv_folder}: there is no such folder; make it, or give another one")
+    found = analyze(folders)
+    files = report.texts(found.tables) if csv_folder is not None else {}
+    for name in files:
+        check_new(str(Path(csv_folder or "") / name), overwrite)
+    if output is not None:
+        write_whole(output, report.page(found), overwrite)
+    for name, text in files.items():
+        write_whole(str(Path(csv_folder or "") / name), text, overwrite)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        _tell(found)
+
+
+def _tell(found: Analysis) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(soft_wrap=False)
+    width = console.width
+    console.print(f"{found.title}\n{found.summary}", markup=False, highlight=False)
+    for each in found.tables:
+        rows = each.text()
+        table = Table(title=each.title, title_justify="left", box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0))
+        for place, (head, is_text) in enumerate(zip(each.columns, each.of_text(), strict=True)):
+            # A head is as wide as the cells, or as its longest word.
+            widest = max((len(text) for text in (*head.split(), *(row[place] for row in rows))), default=1)
+            lines = textwrap.wrap(head, max(1, widest), break_long_words=False)
+            table.add_column("\n".join(lines), justify="left" if is_text else "right", no_wrap=True)
+        for row in rows:
+            table.add_row(*row)
+        # A table that is wider than the terminal is easier to read than one whose words are broken.
+        console.width = max(width, console.measure(table, options=console.options.update(max_width=_WIDEST)).maximum)
+        console.print()
+        console.print(table)
+        if each.note:
+            console.print(each.note, markup=False, highlight=False)
+    for line in found.notes:
+        note(line)

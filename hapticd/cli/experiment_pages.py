@@ -1,0 +1,87 @@
+"""A session in the browser: the options of `hapticd experiment run` and `resume` for its two pages."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+import click
+
+from hapticd.base.errors import HapticdError
+from hapticd.cli.common import place_words
+from hapticd.cli.listening import Listening, listening_options, refuse_another_daemon
+
+if TYPE_CHECKING:
+    from hapticd.experiment.daemon_stage import DaemonStage
+    from hapticd.experiment.pages.pages_front import PagesFront
+    from hapticd.experiment.plan import Plan
+    from hapticd.experiment.stage import Stage
+    from hapticd.protocol.places import Place
+
+PORT = 8766
+
+pages_options = listening_options(
+    "both pages",
+    PORT,
+    "The port of the participant's page; the experimenter's is the next one. 0 takes free ones.",
+    last_port=65534,
+)
+demo_option = click.option(
+    "--demo", is_flag=True, help="Start a daemon with the simulated joystick, and end it afterwards."
+)
+
+
+@contextmanager
+def place_of_session(ctx: click.Context, demo: bool) -> Iterator[Place]:
+    """Where the daemon of a session is; with `demo` one of its own, as long as the context lasts."""
+    from hapticd.protocol.places import place_of
+
+    if not demo:
+        yield place_of(*place_words(ctx))
+        return
+    refuse_another_daemon(ctx)
+    from hapticd.web.demo import DemoDaemon
+
+    with DemoDaemon() as daemon:
+        yield daemon.place
+
+
+@contextmanager
+def live_stage(place: Place, lsl: bool) -> Iterator[DaemonStage]:
+    """The daemon at `place` as a stage; with `lsl` what happens goes to Lab Streaming Layer, too."""
+    from hapticd.client.blocking import Client
+    from hapticd.experiment.daemon_stage import DaemonStage
+    from hapticd.protocol.calls import TIMEOUT_S
+
+    with ExitStack() as stack:
+        client = stack.enter_context(Client.at(place, TIMEOUT_S))
+        if lsl:
+            from hapticd.experiment.lsl import streaming
+
+            stack.enter_context(streaming(client))
+        yield stack.enter_context(DaemonStage(client))
+
+
+def run_on_pages(
+    place: Place, listening: Listening, made: Plan, lsl: bool, session: Callable[[Stage, PagesFront], int]
+) -> int:
+    """Shows both pages while `session` runs on the daemon at `place`; returns what it returns."""
+    if importlib.util.find_spec("aiohttp") is None:
+        raise HapticdError("the pages of a session need aiohttp: pip install 'hapticd[experiment,web]'")
+    from hapticd.client.blocking import Client
+    from hapticd.experiment.pages.pages_front import PagesFront
+    from hapticd.experiment.pages.process import News, Options, run
+    from hapticd.protocol.calls import TIMEOUT_S
+
+    with Client.at(place, TIMEOUT_S) as client:
+        simulated = client.get_status()["device"] == "sim"
+    news = News()
+    front = PagesFront(made, news)
+
+    def on_stage() -> int:
+        with live_stage(place, lsl) as stage:
+            return session(stage, front)
+
+    return run(Options(place=place, simulated=simulated, **listening), front, news, on_stage)

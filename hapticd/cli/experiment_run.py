@@ -1,0 +1,289 @@
+"""`hapticd experiment run` and `resume`: a session with a participant."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import click
+
+from hapticd.base.errors import HapticdError, quoted
+from hapticd.cli.common import note
+from hapticd.cli.engine import Where, engine_options
+from hapticd.cli.experiment_pages import demo_option, live_stage, pages_options, place_of_session, run_on_pages
+from hapticd.cli.listening import Listening
+
+if TYPE_CHECKING:
+    from hapticd.base.yaml_source import Json
+    from hapticd.experiment.front import Front
+    from hapticd.experiment.pages.pages_front import PagesFront
+    from hapticd.experiment.plan import Plan
+    from hapticd.experiment.session_folder import SessionFolder
+    from hapticd.experiment.session_log import SessionLog
+    from hapticd.experiment.stage import Stage
+
+_SIMULATED = "simulated:"
+_OPEN: TypeAlias = "Callable[[Stage], tuple[SessionFolder, SessionLog]]"
+"""Makes or opens the folder and the log of a session on a stage."""
+
+_lsl_option = click.option(
+    "--lsl", is_flag=True, help="Samples and event codes as outlets of Lab Streaming Layer, as `hapticd lsl`."
+)
+
+
+@click.command("run", short_help="Run a session with a participant.")
+@click.argument("study", metavar="STUDY")
+@click.option(
+    "--participant",
+    "participants",
+    required=True,
+    multiple=True,
+    metavar="LABEL",
+    help="Letters and digits, or simulated:NAME for a simulated one. With --offline several may be given.",
+)
+@click.option(
+    "--count",
+    type=click.IntRange(1, 999_999),
+    help="With --offline: so many participants of a simulated NAME, NAME000001 and on, side by side.",
+)
+@engine_options("participants")
+@click.option("--session", type=click.IntRange(1, 99), default=1, show_default=True, help="Number of the session.")
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), help="Seed of the order [default: the study's].")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("."),
+    metavar="DIR",
+    help="Folder of the data set, which gets sub-LABEL/ses-NN [default: this one].",
+)
+@click.option("--text", is_flag=True, help="At this terminal, without pages.")
+@click.option("--offline", is_flag=True, help="A simulated participant without a daemon, faster than real time.")
+@_lsl_option
+@click.option("--telemetry/--no-telemetry", default=None, help="Whether --offline keeps a .mcap of each trial.")
+@demo_option
+@pages_options
+@click.pass_context
+def run_command(
+    ctx: click.Context,
+    /,
+    study: str,
+    participants: tuple[str, ...],
+    count: int | None,
+    session: int,
+    seed: int | None,
+    output: Path,
+    text: bool,
+    offline: bool,
+    lsl: bool,
+    telemetry: bool | None,
+    demo: bool,
+    listening: Listening,
+    **where: Any,
+) -> int:
+    """Run STUDY (a YAML file, or the name of a shipped study) with a participant, trial by trial.
+
+    Prints the addresses of two pages: the participant's, and the experimenter's, who lets the forces on. Each answer is
+    on disk before the next trial begins. Whatever ends the session, `hapticd experiment resume` goes on.
+
+    With --count, --workers, --threads or --scheduler simulated participants are computed side by side. The same command
+    goes on where it was interrupted.
+    """
+    from hapticd.config.shipped_files import file_of
+    from hapticd.experiment.plan import plan
+    from hapticd.experiment.session import begin
+    from hapticd.experiment.session_folder import numbered
+    from hapticd.experiment.study import load_study
+
+    labels = [_participant(each) for each in participants]
+    everyone_simulated = all(simulated for _, simulated in labels)
+    if offline and not everyone_simulated:
+        raise click.UsageError("--offline is for a simulated participant: --participant simulated:NAME", ctx)
+    if len(labels) > 1 and not offline:
+        raise click.UsageError("several participants are for --offline; on a daemon run them one after the other", ctx)
+    if offline and demo:
+        raise click.UsageError("--offline takes no daemon, and --demo starts one: give one of them", ctx)
+    if telemetry is not None and not offline:
+        raise click.UsageError("--telemetry and --no-telemetry are for --offline; a daemon's is always kept", ctx)
+    if lsl and offline:
+        raise click.UsageError("--lsl is for a daemon, in real time: leave --offline out", ctx)
+    engine = Where(**where)
+    side_by_side = count is not None or engine != Where(None, False, None, False)
+    if side_by_side and not offline:
+        raise click.UsageError(
+            "--count, --workers, --threads, --scheduler and --again are for simulated participants with --offline", ctx
+        )
+    if side_by_side and telemetry:
+        raise click.UsageError(
+            "--telemetry is for participants one after the other: leave --count and --workers out", ctx
+        )
+    if count is not None and len(labels) > 1:
+        raise click.UsageError("--count is of one --participant simulated:NAME", ctx)
+    found = load_study(study)
+    source = Path(file_of(study, "experiments")).read_bytes()
+    if side_by_side:
+        from hapticd.cli.experiment_bulk import run_bulk
+
+        people = tuple(dict.fromkeys(label for label, _ in labels)) if count is None else numbered(labels[0][0], count)
+        return run_bulk(found, source, people, session, found.order.seed if seed is None else seed, output, engine)
+
+    def run_one(label: str, simulated: bool) -> int:
+        made = plan(found, label, session, found.order.seed if seed is None else seed)
+        return _with_stage(
+            ctx,
+            made,
+            lambda stage: begin(output, source, made, _about(stage, simulated, offline, telemetry)),
+            pages=None if text or simulated else listening,
+            demo=demo,
+            offline=offline,
+            lsl=lsl,
+            telemetry=bool(telemetry),
+        )
+
+    return max(run_one(*each) for each in labels)
+
+
+@click.command("resume", short_help="Go on with a session.")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path))
+@click.option("--text", is_flag=True, help="At this terminal, without pages.")
+@_lsl_option
+@demo_option
+@pages_options
+@click.pass_context
+def resume_command(ctx: click.Context, folder: Path, text: bool, lsl: bool, demo: bool, listening: Listening) -> int:
+    """Go on with the session in FOLDER (sub-LABEL/ses-NN): the same order, after the last answer."""
+    from hapticd.experiment.session import plan_of
+    from hapticd.experiment.session_folder import SessionFolder
+
+    opened = SessionFolder.open(folder)
+    stage_was = opened.about["stage"]
+    assert isinstance(stage_was, dict)
+    simulated, offline = bool(stage_was.get("simulated")), stage_was.get("kind") == "offline"
+    if lsl and offline:
+        raise click.UsageError("--lsl is for a daemon, in real time: this session is an offline one", ctx)
+    return _with_stage(
+        ctx,
+        plan_of(opened),
+        lambda stage: (opened, opened.log()),
+        pages=None if text or simulated else listening,
+        demo=demo,
+        offline=offline,
+        lsl=lsl,
+        telemetry=bool(stage_was.get("telemetry")),
+    )
+
+
+def _participant(given: str) -> tuple[str, bool]:
+    """The label of a participant, and whether it is a simulated one."""
+    from hapticd.experiment.session_folder import participant_label
+
+    simulated = given.startswith(_SIMULATED)
+    name = given.removeprefix(_SIMULATED)
+    if simulated and not name.isalnum():
+        raise HapticdError(f"--participant {quoted(given)}: a simulated one is simulated:NAME, letters and digits")
+    return participant_label(f"sim{name}" if simulated else name), simulated
+
+
+def _about(stage: Stage, simulated: bool, offline: bool, telemetry: bool | None) -> dict[str, Json]:
+    return {**stage.describe(), "simulated": simulated, "telemetry": bool(telemetry) or not offline}
+
+
+def _with_stage(
+    ctx: click.Context,
+    made: Plan,
+    opens: _OPEN,
+    *,
+    pages: Listening | None,
+    demo: bool,
+    offline: bool,
+    lsl: bool,
+    telemetry: bool,
+) -> int:
+    """Runs the session that `opens` gives of a stage: offline, at the terminal, or with pages."""
+    from hapticd.experiment.offline_stage import OfflineStage
+
+    if offline:
+        stage = OfflineStage(telemetry)
+        folder, log = opens(stage)
+        return _run(stage, folder, log, made, _front(folder, made), keep=telemetry, clock=stage.now_s)
+    with place_of_session(ctx, demo) as place:
+        if pages is not None:
+            return run_on_pages(place, pages, made, lsl, lambda stage, front: _run_shown(stage, front, opens, made))
+        with live_stage(place, lsl) as live:
+            folder, log = opens(live)
+            return _run(live, folder, log, made, _front(folder, made))
+
+
+def _run_shown(stage: Stage, front: PagesFront, opens: _OPEN, made: Plan) -> int:
+    """As `_run`; the pages say how it ended."""
+    thanks = "# Thank you\n\nThis was all. You can take your hand off the handle."
+    stopped = "# The session has stopped\n\nThe forces are off. You can take your hand off the handle."
+    try:
+        folder, log = opens(stage)
+        front.opened(log.records)
+        code = _run(stage, folder, log, made, front)
+    except HapticdError as error:
+        # Whether the forces went is not known: the daemon may be gone.
+        front.over(str(error), "# The session has stopped\n\nLet go of the handle, and wait for the experimenter.")
+        raise
+    ended = code == 0
+    told = "complete" if ended else f"stopped; go on with `hapticd experiment resume {folder.path}`"
+    front.over(told, thanks if ended else stopped)
+    return code
+
+
+def _run(
+    stage: Stage,
+    folder: SessionFolder,
+    log: SessionLog,
+    made: Plan,
+    front: Front,
+    keep: bool = True,
+    clock: Callable[[], float] | None = None,
+) -> int:
+    import time
+
+    from hapticd.experiment.bids import write_tables
+    from hapticd.experiment.runner import Session
+    from hapticd.experiment.session import procedure_of
+    from hapticd.experiment.stimuli import at_level
+
+    if log.dropped is not None:
+        note(log.dropped)
+    session = Session(
+        folder,
+        log,
+        made,
+        stage,
+        front,
+        procedures=partial(procedure_of, made.study),
+        at_level=partial(at_level, made.study),
+        keep_telemetry=keep,
+        monotonic_s=clock or time.monotonic,
+    )
+    try:
+        ending = session.run()
+    finally:
+        # Also of a session that stopped: the tables hold what is in its log.
+        write_tables(folder)
+    unneeded = len(session.done) - session.answered
+    most, besides = ("at most ", f" ({unneeded} were not needed)") if unneeded else ("", "")
+    done = f"{folder.path}: {session.answered} of {most}{session.total} trials"
+    if ending == "ended":
+        click.echo(f"{done}, complete{besides}")
+        return 0
+    click.echo(f"{done}{besides}; go on with `hapticd experiment resume {folder.path}`")
+    return 1
+
+
+def _front(folder: SessionFolder, made: Plan) -> Front:
+    """The one at the terminal, or the simulated participant of the session."""
+    from hapticd.experiment.participants.simulated import SimulatedFront, task_of
+    from hapticd.experiment.text_front import TextFront
+
+    stage = folder.about["stage"]
+    if isinstance(stage, dict) and stage.get("simulated"):
+        return SimulatedFront(made.seed, f"{made.participant}/{made.session}", task_of(made))
+    return TextFront()

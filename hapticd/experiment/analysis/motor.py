@@ -1,0 +1,77 @@
+"""Two conditions compared by a measure of the motion, each participant in both: difference, test, and effect size."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.statistics import LEVEL, Estimate, FitError, student_t
+
+
+@dataclass(frozen=True, slots=True)
+class PairedComparison:
+    """One less other; in the measure's unit, but for the effect size and the tests."""
+
+    participants: int
+    difference: Estimate
+    """Mean, with Student's interval."""
+    standard_deviation: float
+    """Of the differences."""
+    effect_size: Estimate
+    """Cohen's d_z, mean over standard deviation of the differences, with the interval of the noncentral t
+    distribution."""
+    t: float
+    p_value: float
+    """Of the paired t test, two-sided."""
+    wilcoxon_p: float
+    """Of Wilcoxon's signed ranks, two-sided; 1 where no difference is other than 0."""
+
+
+def paired(one: npt.ArrayLike, other: npt.ArrayLike, level: float = LEVEL) -> PairedComparison:
+    """Compares values (n,), a participant's in the same place of both. Raises FitError for fewer than two participants,
+    and where all differences are alike."""
+    first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
+    if first.ndim != 1 or first.shape != second.shape or len(first) < 2:
+        raise FitError(f"a paired comparison needs two values of each of two participants or more, has {first.size}")
+    differences = first - second
+    if not np.isfinite(differences).all():
+        raise FitError("a paired comparison needs finite values")
+    count, mean = len(differences), float(differences.mean())
+    deviation = float(differences.std(ddof=1))
+    if not deviation > 1e-12 * float(np.abs(first).max() + np.abs(second).max()):
+        raise FitError("all differences are alike: they have neither an interval nor an effect size")
+    from scipy.stats import ttest_rel, wilcoxon
+
+    test = ttest_rel(first, second)
+    half = student_t(count - 1, level) * deviation / math.sqrt(count)
+    ends = noncentrality(float(test.statistic), count - 1, level)
+    return PairedComparison(
+        count,
+        Estimate(mean, mean - half, mean + half),
+        deviation,
+        Estimate(mean / deviation, ends[0] / math.sqrt(count), ends[1] / math.sqrt(count)),
+        float(test.statistic),
+        float(test.pvalue),
+        float(wilcoxon(first, second).pvalue) if differences.any() else 1.0,
+    )
+
+
+def noncentrality(t: float, freedom: int, level: float = LEVEL) -> tuple[float, float]:
+    """The interval of the noncentrality parameter of a t statistic (Steiger and Fouladi, 1997)."""
+    from scipy.optimize import brentq
+    from scipy.special import nctdtr
+
+    if t < 0:  # by symmetry; nctdtr has no value for some of these
+        low, high = noncentrality(-t, freedom, level)
+        return -high, -low
+    rest = 0.5 * (1.0 - level)
+
+    def end(part: float) -> float:
+        reach = 6.0 * math.sqrt(1.0 + 0.5 * t**2 / freedom)
+        low = max(t - reach, -4.0)  # where less than 4e-5 of the distribution is above 0
+        return float(brentq(lambda each: nctdtr(freedom, each, t) - part, low, t + reach, xtol=1e-10))
+
+    return end(1.0 - rest), end(rest)

@@ -1,0 +1,220 @@
+"""Psychometric functions fitted to answers: threshold, PSE, JND and Weber fraction with bootstrap intervals.
+
+Fits are of greatest likelihood, with a weak prior on a lapse or guess that is estimated (`likelihood_search`).
+Intervals are of a parametric bootstrap (Wichmann and Hill, "The psychometric function: II", Perception & Psychophysics
+63, 2001): answers are drawn from the fitted function and fitted again, and the interval's ends are percentiles.
+
+Figures, in the unit of the level where nothing else is said:
+
+    threshold         where F(0) is reached: 1/2 of the way from guess to 1 - lapse, of a Weibull function 1 - 1/e
+    pse               point of subjective equality: F = 1/2
+    jnd               just noticeable difference: half the distance between F = 1/4 and F = 3/4
+    weber_fraction    jnd over the standard, or over the PSE where no standard is given; a ratio
+    slope             as in psychometric_shapes, 1 over the unit of the axis
+    guess, lapse      probabilities
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.statistics import LEVEL, Estimate, FitError
+from hapticd.experiment.analysis.likelihood_search import (
+    GUESS,
+    LAPSE,
+    NEAR_OF_RESAMPLES,
+    ROUNDS_OF_RESAMPLES,
+    SLOPE,
+    THRESHOLD,
+    Box,
+    log_likelihood,
+    modelled,
+    most_probable,
+)
+from hapticd.experiment.analysis.psychometric_shapes import (
+    SHAPES,
+    Floats,
+    Shape,
+    axis,
+    inverse,
+    is_logarithmic,
+    level,
+    probability,
+)
+
+FIGURES: Final = ("threshold", "pse", "jnd", "weber_fraction", "slope", "guess", "lapse")
+RESAMPLES: Final = 2000
+
+
+@dataclass(frozen=True, slots=True)
+class PsychometricFit:
+    """A fitted function and the answers that it was fitted to."""
+
+    shape: Shape
+    logarithmic: bool
+    rising: bool
+    levels: Floats
+    """(k,)"""
+    positive: Floats
+    """(k,) positive answers."""
+    trials: Floats
+    """(k,) answers."""
+    parameters: Floats
+    """(4,) of likelihood_search."""
+    box: Box
+    standard: float | None
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Values of FIGURES."""
+        return {name: float(value[0]) for name, value in figures_of(self, self.parameters[None]).items()}
+
+    @property
+    def deviance(self) -> float:
+        """Twice the log likelihood by which the answers' own proportions exceed the function."""
+        return float(_deviance(self, self.positive[None], self.parameters[None])[0])
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether threshold or slope is held by the bounds that the levels give: the answers do not determine it."""
+        own, box = self.parameters[:GUESS], self.box
+        return bool(((own <= box.low[:GUESS]) | (own >= box.high[:GUESS])).any())
+
+    def probability(self, levels: Floats) -> Floats:
+        """Of a positive answer, at levels of any shape."""
+        threshold = level(self.parameters[THRESHOLD], self.logarithmic)
+        slope = np.exp(self.parameters[SLOPE]) * (1.0 if self.rising else -1.0)
+        guess, lapse = self.parameters[GUESS], self.parameters[LAPSE]
+        return probability(self.shape, levels, threshold, slope, guess, lapse, self.logarithmic)
+
+
+def fit(
+    levels: npt.ArrayLike,
+    positive: npt.ArrayLike,
+    trials: npt.ArrayLike,
+    shape: Shape = "logistic",
+    *,
+    guess: float | None = 0.0,
+    lapse: float | None = None,
+    logarithmic: bool = False,
+    rising: bool = True,
+    standard: float | None = None,
+) -> PsychometricFit:
+    """Fits `positive` (k,) of `trials` (k,) answers at levels (k,), in any order.
+
+    `guess` and `lapse` are fixed, or estimated where they are None. Raises FitError for answers of fewer than two
+    levels, for counts that are none, and where all answers are alike.
+    """
+    if shape not in SHAPES:
+        raise FitError(f"unknown psychometric function {shape!r}; known: {', '.join(SHAPES)}")
+    x, right, of = (np.asarray(each, dtype=float) for each in (levels, positive, trials))
+    if not (x.ndim == 1 and x.shape == right.shape == of.shape):
+        raise FitError(f"levels, positive answers and trials must be as many: are {x.size}, {right.size} and {of.size}")
+    if not (np.isfinite(x).all() and (right >= 0).all() and (right <= of).all()):
+        raise FitError("levels must be finite, and positive answers between 0 and the number of trials")
+    x, right, of = x[of > 0], right[of > 0], of[of > 0]
+    if len(np.unique(x)) < 2:
+        raise FitError(f"answers at {len(np.unique(x))} level: a psychometric function needs two levels or more")
+    if right.sum() in (0.0, of.sum()):
+        raise FitError("all answers are alike: levels must be easier or harder for a threshold between them")
+    if (guess or 0.0) + (lapse or 0.0) >= 1:
+        raise FitError("guess and lapse must together be less than 1")
+    on_log = is_logarithmic(shape, logarithmic)
+    if on_log and not (x > 0).all():
+        raise FitError(
+            f"level {x.min():g} is not positive: a {shape} function on a logarithmic axis needs positive ones"
+        )
+    places = axis(x, on_log)
+    box = Box.around(places, guess, lapse)
+    found = most_probable(shape, places, right[None], of[None], box, 1.0 if rising else -1.0)[0]
+    return PsychometricFit(shape, on_log, rising, x, right, of, found, box, standard)
+
+
+def bootstrap(
+    found: PsychometricFit, resamples: int = RESAMPLES, seed: int = 0, level: float = LEVEL
+) -> dict[str, Estimate]:
+    """FIGURES with their intervals. The same seed gives the same intervals."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    _, refitted = _resampled(found, generator, resamples)
+    values, spread = figures_of(found, found.parameters[None]), figures_of(found, refitted)
+    estimates = {}
+    for name in FIGURES:
+        low, high = percentiles(spread[name], level)
+        estimates[name] = Estimate(float(values[name][0]), low, high)
+    return estimates
+
+
+def goodness_of_fit(found: PsychometricFit, resamples: int = RESAMPLES, seed: int = 0) -> float:
+    """The chance of a deviance as large as the fit's, if the function is true (parametric bootstrap)."""
+    generator = np.random.Generator(np.random.PCG64(seed))
+    drawn, refitted = _resampled(found, generator, resamples)
+    as_large = np.count_nonzero(_deviance(found, drawn, refitted) >= found.deviance)
+    return (1.0 + float(as_large)) / (1.0 + resamples)
+
+
+def percentiles(spread: Floats, level: float = LEVEL) -> tuple[float, float]:
+    """Ends of the interval that holds `level` of resampled values (n,): their order statistics at (n + 1) times
+    shares."""
+    rest = 0.5 * (1.0 - level)
+    low, high = np.quantile(spread, (rest, 1.0 - rest), method="weibull")
+    return float(low), float(high)
+
+
+def figures_of(found: PsychometricFit, parameters: Floats) -> dict[str, Floats]:
+    """FIGURES (b,) of parameters (b, 4), for functions of the shape and axis of `found`."""
+    sign, slope = _sign(found), np.exp(parameters[:, SLOPE])
+
+    def at(share: float) -> Floats:
+        place = parameters[:, THRESHOLD] + sign * inverse(found.shape, share) / slope
+        return level(place, found.logarithmic)
+
+    pse, jnd = at(0.5), 0.5 * np.abs(at(0.75) - at(0.25))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weber = jnd / np.abs(pse if found.standard is None else found.standard)
+    return {
+        "threshold": level(parameters[:, THRESHOLD], found.logarithmic),
+        "pse": pse,
+        "jnd": jnd,
+        "weber_fraction": weber,
+        "slope": slope,
+        "guess": parameters[:, GUESS],
+        "lapse": parameters[:, LAPSE],
+    }
+
+
+def _places(found: PsychometricFit) -> Floats:
+    return axis(found.levels, found.logarithmic)
+
+
+def _sign(found: PsychometricFit) -> float:
+    return 1.0 if found.rising else -1.0
+
+
+def _resampled(found: PsychometricFit, generator: np.random.Generator, count: int) -> tuple[Floats, Floats]:
+    """Positive answers (count, k) as the function gives them, and their parameters (count, 4)."""
+    chances = np.clip(modelled(found.shape, _places(found), found.parameters[None], _sign(found)), 0.0, 1.0)[0]
+    drawn = generator.binomial(found.trials.astype(np.int64), chances, (count, len(chances))).astype(float)
+    starts = np.repeat(found.parameters[None], count, axis=0)
+    trials = np.broadcast_to(found.trials, drawn.shape)
+    return drawn, most_probable(
+        found.shape,
+        _places(found),
+        drawn,
+        trials,
+        found.box,
+        _sign(found),
+        starts,
+        NEAR_OF_RESAMPLES,
+        ROUNDS_OF_RESAMPLES,
+    )
+
+
+def _deviance(found: PsychometricFit, positive: Floats, parameters: Floats) -> Floats:
+    """(b,) of answers (b, k)."""
+    of = np.broadcast_to(found.trials, positive.shape)
+    own = log_likelihood(positive, of, positive / of)
+    return 2.0 * (own - log_likelihood(positive, of, modelled(found.shape, _places(found), parameters, _sign(found))))

@@ -1,0 +1,96 @@
+"""Psychometric functions: the probability of an answer over the level of a stimulus.
+
+    P(x) = guess + (1 - guess - lapse) F((u(x) - u(threshold)) slope)
+
+`F` is one of SHAPES; `u` is the level itself, or its natural logarithm on a logarithmic axis. The threshold has the
+unit of the level. The slope is 1 over the unit of u: 1/s of a logistic function, 1/standard deviation of a cumulative
+normal, the exponent (beta) of a Weibull function. F(0) is 1/2, of a Weibull function 1 - 1/e. (Wichmann and Hill, "The
+psychometric function: I", Perception & Psychophysics 63, 2001.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Shape: TypeAlias = Literal["logistic", "weibull", "cumulative_normal"]
+SHAPES: Final[tuple[Shape, ...]] = ("logistic", "weibull", "cumulative_normal")
+_LARGEST: Final = 700.0
+"""exp of it is finite."""
+
+
+def axis(levels: Floats, logarithmic: bool) -> Floats:
+    """Levels on the axis on which a function is a shift and a scale: themselves, or their natural logarithm.
+
+    Raises ValueError for levels that are not positive on a logarithmic axis.
+    """
+    given = np.asarray(levels, dtype=float)
+    if not logarithmic:
+        return given
+    if not (given > 0).all():
+        raise ValueError("levels on a logarithmic axis must be positive")
+    return np.asarray(np.log(given))
+
+
+def level(place: Floats, logarithmic: bool) -> Floats:
+    """The inverse of `axis`."""
+    given = np.asarray(place, dtype=float)
+    return np.exp(np.minimum(given, _LARGEST)) if logarithmic else given
+
+
+def is_logarithmic(shape: Shape, logarithmic: bool) -> bool:
+    """A Weibull function has a logarithmic axis always."""
+    return logarithmic or shape == "weibull"
+
+
+def rise(shape: Shape, z: Floats) -> Floats:
+    """F(z), between 0 and 1."""
+    if shape == "logistic":
+        return np.asarray(0.5 * (1.0 + np.tanh(0.5 * z)))
+    if shape == "weibull":
+        return np.asarray(-np.expm1(-np.exp(np.minimum(z, _LARGEST))))
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr(z))
+
+
+def density(shape: Shape, z: Floats) -> Floats:
+    """dF/dz."""
+    if shape == "logistic":
+        return np.asarray(0.25 / np.cosh(np.clip(0.5 * z, -350, 350)) ** 2)
+    if shape == "weibull":
+        bounded = np.minimum(z, 50.0)
+        return np.asarray(np.exp(bounded - np.exp(bounded)))
+    return np.asarray(np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi))
+
+
+def inverse(shape: Shape, proportion: Floats | float) -> Floats:
+    """z with F(z) = proportion; infinite for 0 and 1, nan beyond."""
+    p = np.asarray(proportion, dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if shape == "logistic":
+            return np.asarray(np.log(p) - np.log1p(-p))
+        if shape == "weibull":
+            return np.asarray(np.log(-np.log1p(-p)))
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(p))
+
+
+def probability(
+    shape: Shape,
+    levels: Floats,
+    threshold: Floats | float,
+    slope: Floats | float,
+    guess: Floats | float = 0.0,
+    lapse: Floats | float = 0.0,
+    logarithmic: bool = False,
+) -> Floats:
+    """P at levels; all arguments are broadcast against one another. A negative slope makes a function that falls."""
+    on_axis = is_logarithmic(shape, logarithmic)
+    z = (axis(levels, on_axis) - axis(np.asarray(threshold, dtype=float), on_axis)) * slope
+    return np.asarray(guess + (1.0 - np.asarray(guess) - lapse) * rise(shape, z))

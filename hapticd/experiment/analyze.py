@@ -1,0 +1,134 @@
+"""All that is reported of the sessions of one study.
+
+Only trials of the test with an answer are used; how many are left out is reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.yaml_source import Json
+from hapticd.experiment import answer_sections, measure_sections
+from hapticd.experiment.behaviour import MEASURES, Behaviour, Row, read_behaviour
+from hapticd.experiment.published_tables import PublishedResults, published_results
+from hapticd.experiment.results import ResultTable, Section
+
+POSITIONS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+"""Words of rankings and of what an answer means."""
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What is reported; `files` are the tables of answers that it was made from."""
+
+    title: str
+    summary: str
+    sections: tuple[Section, ...]
+    files: tuple[Path, ...]
+    published: str | None
+
+    @property
+    def tables(self) -> tuple[ResultTable, ...]:
+        return tuple(table for section in self.sections for table in section.tables)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What could not be computed, and why."""
+        return tuple(note for section in self.sections for note in section.notes)
+
+    def to_dict(self) -> dict[str, Json]:
+        tables: dict[str, Json] = {table.name: table.to_dict() for table in self.tables}
+        return {
+            "title": self.title,
+            "summary": self.summary,
+            "published": self.published,
+            "tables": tables,
+            "notes": list(self.notes),
+            "files": [str(file) for file in self.files],
+        }
+
+
+def require() -> None:
+    """Raises HapticdError (one line) where scipy is missing."""
+    try:
+        import scipy  # noqa: F401
+    except ImportError:
+        raise HapticdError("the analysis of experiments needs scipy: pip install 'hapticd[experiment]'") from None
+
+
+def analyze(folders: Sequence[Path]) -> Analysis:
+    """Analyses every session below the folders. Raises HapticdError: see behaviour, and where no trial can be used."""
+    require()
+    return analysis_of(read_behaviour(folders))
+
+
+def analysis_of(behaviour: Behaviour) -> Analysis:
+    """Of rows that were read. Raises HapticdError where no trial can be used."""
+    facts = behaviour.facts
+    tested = [row for row in behaviour.rows if row["phase"] == "test"]
+    answered = [row for row in tested if row.get("response") is not None]
+    used = answered or [row for row in tested if any(row.get(name) is not None for name in MEASURES)]
+    if not used:
+        raise HapticdError(
+            f"none of {len(behaviour.rows)} trials is one of the test with an answer: nothing to analyze"
+        )
+    published = published_results(facts.published) if facts.published else PublishedResults()
+    places = {name: place for place, name in enumerate(facts.conditions)}
+    used.sort(key=lambda row: places.get(row["condition"], len(places)))
+    sections = _sections(used, behaviour, published)
+    people = len({row["participant"] for row in used})
+    left = len(tested) - len(used)
+    counts = (_count(people, "participant"), _count(len(behaviour.files), "session"), _count(len(used), "trial"))
+    summary = (
+        f"{', '.join(counts)} of the test; {len(behaviour.rows) - len(tested)} of practice or training and {left} "
+        "without an answer are left out"
+    )
+    return Analysis(
+        facts.title,
+        summary,
+        tuple(section for section in sections if section.tables or section.notes),
+        behaviour.files,
+        facts.published,
+    )
+
+
+def _sections(used: Sequence[Row], behaviour: Behaviour, published: PublishedResults) -> list[Section]:
+    facts, found = behaviour.facts, []
+    judged = [row for row in used if row.right is not None]
+    if judged:
+        found.append(answer_sections.conditions(judged, facts, published))
+    adaptive = [row for row in judged if row.get("level") is not None]
+    if adaptive:
+        found.append(measure_sections.psychometric(adaptive, facts))
+    answers = [row for row in used if row.get("response") is not None]
+    fixed = [row for row in answers if row.get("level") is None]
+    if facts.trial_type == "paired_comparison":
+        found.append(answer_sections.pairs(fixed, facts, published))
+        found.append(answer_sections.scales(fixed, facts))
+    if facts.trial_type == "identification":
+        found.append(answer_sections.confusions(fixed, facts))
+    if facts.trial_type == "ranking":
+        found.append(measure_sections.rankings([row for row in fixed if _is_ranking(row)], POSITIONS))
+    if facts.trial_type == "rating":
+        found.append(measure_sections.ratings(answers))
+    found.append(measure_sections.motions(used, published))
+    fixed_judged = [row for row in judged if row.get("level") is None]
+    if fixed_judged:
+        found.append(answer_sections.cells(fixed_judged, facts))
+    return found
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'s' * (number != 1)}"
+
+
+def _is_ranking(row: Row) -> bool:
+    words = row["response"].split(">")
+    right = len(words) == len(row.stimuli) and set(words) == set(POSITIONS[: len(words)])
+    if not right:
+        raise HapticdError(f"{row.where}: response {row['response']!r} is no ranking of {len(row.stimuli)} stimuli")
+    return True

@@ -1,0 +1,197 @@
+"""Rows of answers, as the folders of sessions have them: `*_beh.tsv`, and what the study beside them says of answers.
+
+A row is a trial; `n/a` stands for what it does not have (BIDS). The study is read for what an analysis needs alone:
+type of trial, chance level, published table, the meaning of answers, and the order of levels.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from hapticd.base.errors import HapticdError, quoted
+from hapticd.base.yaml_source import Json, load_path
+
+MISSING: Final = "n/a"
+NEEDED: Final = ("participant", "phase", "condition", "cell", "response", "correct")
+MEASURES: Final = ("overtravel_m", "peak_force_n", "completion_s", "path_m", "response_time")
+"""Columns of measures of the motion; what has no unit in its name is in s."""
+_TASK: Final = re.compile(r"_task-([^_]+)_beh\.tsv$")
+_ABOVE: Final = 3
+"""Folders above a table in which its study may be: beh/, the session's, the participant's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A trial's cells by column; what it does not have is absent."""
+
+    cells: Mapping[str, str]
+    where: str
+    """File and line."""
+
+    def __getitem__(self, name: str) -> str:
+        found = self.cells.get(name)
+        if found is None:
+            raise HapticdError(f"{self.where}: has no {name}")
+        return found
+
+    def get(self, name: str) -> str | None:
+        return self.cells.get(name)
+
+    def number(self, name: str) -> float | None:
+        """None where the trial does not have it. Raises HapticdError for what is no number."""
+        text = self.cells.get(name)
+        if text is None:
+            return None
+        try:
+            return float(text)
+        except ValueError:
+            raise HapticdError(f"{self.where}: {name} must be a number or {MISSING}, is {quoted(text)}") from None
+
+    @property
+    def stimuli(self) -> tuple[str, ...]:
+        """Names, in the order of presentation."""
+        found: list[str] = []
+        while (name := self.cells.get(f"stimulus_{len(found) + 1}")) is not None:
+            found.append(name)
+        return tuple(found)
+
+    @property
+    def right(self) -> bool | None:
+        """Whether the answer was correct; None where there is no correct one."""
+        text = self.cells.get("correct")
+        if text not in (None, "0", "1"):
+            raise HapticdError(f"{self.where}: correct must be 1, 0 or {MISSING}, is {quoted(text)}")
+        return None if text is None else text == "1"
+
+
+@dataclass(frozen=True, slots=True)
+class StudyFacts:
+    """What an analysis is told by the study."""
+
+    title: str
+    trial_type: str | None = None
+    chance: float | None = None
+    published: str | None = None
+    logarithmic: bool = False
+    """Whether the levels of its procedures are on a logarithmic axis."""
+    variable: str | None = None
+    """The key whose level its procedures vary; its unit stands at its end."""
+    reference: float | None = None
+    """What the levels of its procedures are added to; None where they are not."""
+    conditions: tuple[str, ...] = ()
+    """In the order of the study."""
+    items: tuple[str, ...] = ()
+    """Levels of its factors, in their order."""
+    meanings: Mapping[str, str] = field(default_factory=dict)
+    """What answers mean: first, second, ..., same."""
+    levels: Mapping[str, str] = field(default_factory=dict)
+    """The level that an answer names."""
+
+
+@dataclass(frozen=True, slots=True)
+class Behaviour:
+    """All sessions of one study."""
+
+    facts: StudyFacts
+    rows: tuple[Row, ...]
+    files: tuple[Path, ...]
+    columns: tuple[str, ...]
+
+
+def read_behaviour(folders: Sequence[Path]) -> Behaviour:
+    """Reads every session below the folders. Raises HapticdError: no table, several studies, a row that is none."""
+    files = sorted({file.resolve(): file for folder in folders for file in _tables(folder)}.values())
+    tasks = sorted({match[1] if (match := _TASK.search(file.name)) else file.name for file in files})
+    if len(tasks) > 1:
+        raise HapticdError(f"tables of {len(tasks)} studies ({', '.join(tasks)}): analyze the folders of one at a time")
+    rows = [row for file in files for row in _rows(file)]
+    columns = tuple(dict.fromkeys(name for row in rows for name in row.cells))
+    return Behaviour(_facts(files, tasks[0]), tuple(rows), tuple(files), columns)
+
+
+def _tables(folder: Path) -> list[Path]:
+    if folder.is_file():
+        return [folder]
+    if not folder.is_dir():
+        raise HapticdError(f"{folder}: there is no such folder; give that of a session, a participant or a data set")
+    found = sorted(folder.rglob("*_beh.tsv"))
+    if not found:
+        raise HapticdError(f"{folder}: holds no *_beh.tsv; give the folder of a session, a participant or a data set")
+    return found
+
+
+def _rows(file: Path) -> Iterator[Row]:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise HapticdError(f"{file}: cannot be read: {error}") from None
+    lines = csv.reader(io.StringIO(text), delimiter="\t", quoting=csv.QUOTE_NONE)
+    head = next(lines, [])
+    lacking = [name for name in NEEDED if name not in head]
+    if lacking:
+        raise HapticdError(f"{file}:1: has no column {', '.join(lacking)}: is no table of answers")
+    for number, cells in enumerate(lines, 2):
+        if len(cells) != len(head):
+            raise HapticdError(f"{file}:{number}: has {len(cells)} cells, the head has {len(head)}")
+        present = {name: cell for name, cell in zip(head, cells, strict=True) if cell != MISSING}
+        row = Row(present, f"{file}:{number}")
+        for name in ("participant", "phase", "condition", "cell"):
+            row[name]
+        yield row
+
+
+def _facts(files: Sequence[Path], task: str) -> StudyFacts:
+    for file in files:
+        for folder in list(file.resolve().parents)[:_ABOVE]:
+            if (folder / "study.yaml").is_file():
+                data = load_path(folder / "study.yaml").data
+                return facts_of(data if isinstance(data, dict) else {}, task)
+    return facts_of({}, task)
+
+
+def facts_of(study: Mapping[str, Json], task: str) -> StudyFacts:
+    """Of a study's YAML; what it does not say is left out."""
+    trial, analysis, questions = (_mapping(study.get(key)) for key in ("trial", "analysis", "questions"))
+    asked = _mapping(questions.get(str(trial.get("question")), next(iter(questions.values()), None)))
+    answers = asked.get("answers")
+    listed = [_mapping(each) for each in answers] if isinstance(answers, list) else []
+    meanings = {str(each["name"]): str(each["means"]) for each in listed if "name" in each and "means" in each}
+    named = {str(each["name"]): _text(each["level"]) for each in listed if "name" in each and "level" in each}
+    methods = [_mapping(_mapping(each).get("method")) for each in _mapping(trial.get("procedures")).values()]
+    variables = [_mapping(_mapping(each).get("variable")) for each in _mapping(trial.get("procedures")).values()]
+    named_variables = {str(each["name"]) for each in variables if "name" in each}
+    references = {each.get("reference") if each.get("level") == "added" else None for each in variables}
+    reference = references.pop() if len(references) == 1 else None
+    items = []
+    for factor in _mapping(study.get("factors")).values():
+        levels = _mapping(factor).get("levels", _mapping(factor).get("variants"))
+        items += [_text(each) for each in levels] if isinstance(levels, list | dict) else []
+    chance, title, kind = analysis.get("chance"), study.get("title"), trial.get("type")
+    published = analysis.get("published")
+    return StudyFacts(
+        title=title if isinstance(title, str) else task,
+        trial_type=kind if isinstance(kind, str) else None,
+        chance=float(chance) if isinstance(chance, int | float) else None,
+        published=published if isinstance(published, str) else None,
+        logarithmic=any(each.get("axis") == "logarithmic" for each in methods),
+        variable=named_variables.pop() if len(named_variables) == 1 else None,
+        reference=float(reference) if isinstance(reference, int | float) else None,
+        conditions=tuple(_mapping(study.get("conditions"))),
+        items=tuple(items),
+        meanings=meanings,
+        levels=named,
+    )
+
+
+def _mapping(value: object) -> dict[str, Json]:
+    return value if isinstance(value, dict) else {}
+
+
+def _text(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

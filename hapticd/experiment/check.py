@@ -1,0 +1,220 @@
+"""What of a study can be shown on a device, how long a session takes, how many trials each cell gets, and its power.
+
+Nothing is displayed and no force is made: each stimulus is checked as `hapticd check` checks a configuration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Final
+
+from hapticd.analysis.check import check as check_config
+from hapticd.base.errors import HapticdError, Problem
+from hapticd.base.wording import listed
+from hapticd.config.configuration import Config
+from hapticd.experiment.cells import Cell, cells_of, typed
+from hapticd.experiment.keys import ChoiceQuestion, ProportionEffect, RankingQuestion, Study
+from hapticd.experiment.plan import Plan, plan
+from hapticd.experiment.power import Power, power_of_difference, power_of_proportion
+from hapticd.experiment.stimuli import (
+    Stimulus,
+    config_with,
+    level_text,
+    levels_text,
+    place_of,
+    stimulus_of,
+    value_of,
+)
+
+_MOST_NAMED: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class CellCount:
+    """Trials of the test in one cell; of a procedure the most."""
+
+    condition: str
+    cell: str
+    trials: int
+
+
+@dataclass(frozen=True, slots=True)
+class StudyReport:
+    """What was found."""
+
+    title: str
+    device: str
+    practice_trials: int
+    training_trials: int
+    test_trials: int
+    at_most: bool
+    """Whether the test may have fewer, as procedures end by themselves."""
+    cells: tuple[CellCount, ...]
+    breaks: int
+    minutes: float
+    """Trials at expected_s each, and the shortest breaks."""
+    expected_s: float
+    correct: str | None
+    """Which answer is correct, in words; None: no answer is."""
+    chance: float | None
+    """Probability of a correct answer by guessing, as the study names it; None: it names none, and there is no test."""
+    power: Power | None
+    undisplayable: tuple[Problem, ...]
+    """What the device cannot display, or not as meant, each once, and of which stimuli."""
+    told: tuple[Problem, ...]
+    """Where names that participants see tell levels or conditions apart."""
+
+    @property
+    def faults(self) -> int:
+        """How much cannot be shown as it is meant."""
+        return len(self.undisplayable)
+
+    def to_dict(self) -> dict[str, object]:
+        """As JSON."""
+        return {**asdict(self), "can_be_shown": self.faults == 0}
+
+
+def check_study(study: Study, rig: Config) -> StudyReport:
+    """Checks a study for the device and servo of `rig`.
+
+    Raises HapticdError where the power needs scipy and it is not installed, and where the effect is a proportion and
+    the study names no level of chance; nothing for what cannot be shown: that is what is reported.
+    """
+    sample, cells = plan(study, "", 1, study.order.seed), cells_of(study)
+    phases = [trial.phase for trial in sample.trials]
+    breaks = breaks_of(sample)
+    device, undisplayable = _displayed(study, cells, rig)
+    correct = correct_words(study) if any(trial.correct is not None for trial in sample.trials) else None
+    seconds = len(phases) * study.trial.expected_s + breaks * study.breaks.least_s
+    return StudyReport(
+        title=study.title,
+        device=device,
+        practice_trials=phases.count("practice"),
+        training_trials=phases.count("training"),
+        test_trials=phases.count("test"),
+        at_most=study.may_end_early,
+        cells=tuple(_counts(cells)),
+        breaks=breaks,
+        minutes=seconds / 60,
+        expected_s=study.trial.expected_s,
+        correct=correct,
+        chance=study.analysis.chance,
+        power=_power(study, len(cells), phases.count("test")),
+        undisplayable=undisplayable,
+        told=tuple(_told(study)),
+    )
+
+
+def breaks_of(plan: Plan) -> int:
+    """How many breaks a session has: after every so many trials, and before each block but the first."""
+    breaks = plan.study.breaks
+    return sum(
+        (breaks.every_trials is not None and trial.index % breaks.every_trials == 0)
+        or (breaks.between_blocks and trial.block != before.block)
+        for before, trial in zip(plan.trials, plan.trials[1:], strict=False)
+    )
+
+
+def correct_words(study: Study) -> str:
+    """Which answer is correct, in words, of a study where one is."""
+    question = study.asked
+    if any(each.correct is not None for each in study.trial.list or ()):
+        return "as trial.list says"
+    asks = question.asks if isinstance(question, ChoiceQuestion | RankingQuestion) else None
+    if isinstance(question, RankingQuestion) and asks is not None:
+        return f"the order that begins with the {asks.which} {asks.factor}"
+    if study.trial.type == "identification":
+        return "the answer whose level is that of the stimulus"
+    if asks is None or study.trial.procedures is not None:
+        return "the answer that names the target"
+    return f"the answer that names the stimulus with the {asks.which} {asks.factor}, in the order of its levels"
+
+
+def _counts(cells: Sequence[Cell]) -> Iterator[CellCount]:
+    counts: dict[tuple[str, str], int] = {}
+    for cell in cells:
+        key = cell.condition, cell.procedure or cell.name
+        counts[key] = counts.get(key, 0) + cell.count
+    for (condition, name), trials in counts.items():
+        yield CellCount(condition, name, trials)
+
+
+def _power(study: Study, cells: int, trials: int) -> Power | None:
+    effect = study.analysis.effect
+    if effect is None:
+        return None
+    if isinstance(effect, ProportionEffect):
+        chance = study.analysis.chance
+        if chance is None:
+            raise HapticdError(
+                "analysis.effect: a proportion is tested against analysis.chance, which the study must name"
+            )
+        return power_of_proportion(effect, chance, max(1, trials // len(study.conditions)))
+    groups = len(study.conditions) if len(study.conditions) > 1 else cells
+    return power_of_difference(effect, max(1, trials // groups))
+
+
+def _displayed(study: Study, cells: Sequence[Cell], rig: Config) -> tuple[str, tuple[Problem, ...]]:
+    """The device, and each problem once with the stimuli that have it."""
+    found: dict[tuple[str, str], list[str]] = {}
+    device = ""
+    for name, stimulus in _stimuli(study, cells):
+        report = check_config(config_with(study, (stimulus,), rig))
+        device = report.device
+        for problem in (*report.refused, *report.undisplayable, *report.warnings, *report.stability.problems()):
+            names = found.setdefault((problem.where, problem.problem), [])
+            if name not in names:
+                names.append(name)
+    return device, tuple(Problem(where, f"{text} ({_names(names)})") for (where, text), names in found.items())
+
+
+def _names(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more if more else listed(names)
+
+
+def _stimuli(study: Study, cells: Sequence[Cell]) -> Iterator[tuple[str, Stimulus]]:
+    """Each stimulus once, at the first place, of a procedure at the ends of what it may show; with its name."""
+    seen: set[str] = set()
+    known: set[Hashable] = set()
+    place = place_of(study, 0)
+    for cell in cells:
+        variants = list(cell.levels)
+        variable = None
+        if cell.procedure is not None:
+            adaptive = study.adaptive(cell.procedure)
+            variable = adaptive.variable
+            ends = [value_of(variable, level) for level in adaptive.ends]
+            variants = [cell.levels[1], *({**cell.levels[0], variable.name: end} for end in ends)]
+        for levels in variants:
+            # A long list repeats few levels: their names are made once.
+            same = cell.condition, typed(levels)
+            if same in known:
+                continue
+            known.add(same)
+            key = f"{cell.condition}: {levels_text(levels)}"
+            if key not in seen:
+                seen.add(key)
+                name = levels_text(levels) if len(study.conditions) == 1 else key
+                yield name, stimulus_of(study, cell.condition, levels, place, variable)
+
+
+def _told(study: Study) -> Iterator[Problem]:
+    """Names of levels and conditions among what the participant sees: labels, names of answers and of objects."""
+    hidden = {level_text(level).casefold() for factor in study.factors.values() for level in factor.names}
+    hidden |= {name.casefold() for name in study.conditions}
+    question = study.asked
+    if isinstance(question, ChoiceQuestion):
+        for index, answer in enumerate(question.answers):
+            for key, text in (("name", answer.name), ("label", answer.label)):
+                if text.casefold() in hidden:
+                    where = f"questions.{study.trial.question}.answers[{index}].{key}"
+                    yield Problem(where, f"the participant sees {text}, the name of a level or of a condition")
+    scene = study.base.get("scene")
+    objects = scene.get("objects") if isinstance(scene, Mapping) else None
+    for id in objects if isinstance(objects, Mapping) else ():
+        if id.casefold() in hidden:
+            yield Problem(
+                f"base.scene.objects.{id}", "is the name of a level or of a condition, which the page may hold"
+            )

@@ -1,0 +1,137 @@
+"""Who answers and who watches: what the runner shows, and what it is told.
+
+`Shown` is all that the participant's side gets. It holds places and answers, and no name of a stimulus, a material, a
+factor or a condition.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+from hapticd.base.yaml_source import Json
+from hapticd.experiment.stage import Stage
+
+CommandKind: TypeAlias = Literal["pause", "repeat", "abort", "note"]
+QuestionKind: TypeAlias = Literal["choice", "ranking", "slider", "number", "text", "measure"]
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A surface as the participant sees it: where it is and which way it faces."""
+
+    point_m: tuple[float, float]
+    normal: tuple[float, float]
+    half_m: float
+    """How far it goes either way from its point."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One of the answers that are offered."""
+
+    name: str
+    label: str
+    key: str | None
+    means: str | None
+    """The position that it names: first, second, ..., or same."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A trial as the participant gets it."""
+
+    number: int
+    """Counted from 1 over the session."""
+    total: int
+    at_most: bool
+    """Whether the session may end before so many: a procedure has found what it looks for."""
+    phase: str
+    stimuli: int
+    """How many stimuli there are, side by side or one after the other."""
+    in_places: bool
+    """Whether they are side by side."""
+    surfaces: tuple[Seen, ...]
+    """Where each of them is, in the order of presentation."""
+    text: str
+    kind: QuestionKind
+    answers: tuple[Choice, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    step: float | None = None
+    """Between two values of a slider."""
+    ends: tuple[str | None, str | None] = (None, None)
+    """What stands at the left and the right end of a slider."""
+    most_characters: int | None = None
+    time_limit_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """A trial as the experimenter sees it."""
+
+    index: int
+    attempt: int
+    condition: str
+    cell: str
+    stimuli: tuple[str, ...]
+    correct: str | None
+    level: float | None
+    answered: int
+    right: int
+    """Correct answers so far."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """What the participant answered: the answer's name, positions in order, a number or a text; None: the motion
+    itself is the answer, or time was up."""
+
+    answer: str | float | None
+    timed_out: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What the experimenter wants."""
+
+    kind: CommandKind
+    text: str = ""
+
+
+class Front(Protocol):
+    """The participant and the experimenter."""
+
+    def begin(self, title: str, instructions: str, done: int, total: int, at_most: bool) -> Command | None:
+        """Before the first trial of a run: title, instructions, and how much is done already. `at_most`: fewer trials
+        than `total` may be needed."""
+
+    def phase(self, phase: str, instructions: str | None) -> Command | None:
+        """Before the first trial of a phase."""
+
+    def ready(self, shown: Shown, watched: Watched) -> Command | None:
+        """The trial is armed; returns when the experimenter lets the forces on."""
+
+    def may_enable(self) -> Command | None:
+        """Asked just before the forces are switched on, and just after: what speaks against it, or None."""
+
+    def explore(self, shown: Shown, interval: int, stage: Stage) -> Command | None:
+        """An interval that is not the last, counted from 1; returns when the participant goes on to the next."""
+
+    def ask(self, shown: Shown, stage: Stage) -> Reply | Command:
+        """The last interval and the question. Calls `stage.check` while it waits."""
+
+    def feedback(self, shown: Shown, correct: bool | None, right: str | None, measure: float | None) -> None:
+        """What the participant is told after a trial: whether it was correct, which answer was, what was measured."""
+
+    def answered(self, watched: Watched, answer: Json, correct: bool | None, response_s: float) -> None:
+        """An answer is on disk. `response_s`: from the beginning of the last interval to the answer."""
+
+    def rest(self, text: str | None, least_s: float) -> Command | None:
+        """A break; returns when the participant goes on."""
+
+    def paused(self) -> Command | None:
+        """The experimenter paused; returns when it goes on."""
+
+    def tell(self, line: str) -> None:
+        """One line for the experimenter."""

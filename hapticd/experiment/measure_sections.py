@@ -1,0 +1,272 @@
+"""Sections of an analysis that are about numbers: psychometric functions, ratings, rankings, measures of the motion."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from hapticd.analysis.statistics import Estimate, FitError
+from hapticd.config.schema import unit_of
+from hapticd.experiment.analysis.motor import paired
+from hapticd.experiment.analysis.participants import mean_of_each, mean_ranks, quartiles
+from hapticd.experiment.analysis.proportions import proportion
+from hapticd.experiment.analysis.psychometric import PsychometricFit, bootstrap, fit, goodness_of_fit
+from hapticd.experiment.analysis.psychometric_shapes import SHAPES
+from hapticd.experiment.answer_sections import by_condition
+from hapticd.experiment.behaviour import MEASURES, Row, StudyFacts
+from hapticd.experiment.published_tables import PublishedResults
+from hapticd.experiment.results import Cell, Dots, Fitted, PairedValues, ResultTable, Section
+
+RESAMPLES: Final = 1000
+_CURVE: Final = 200
+_AXIS_UNITS: Final = {True: "1 per unit of log level", False: "1 per unit of level"}
+
+
+def psychometric(rows: Sequence[Row], facts: StudyFacts) -> Section:
+    """A psychometric function of correct answers for each condition, by all participants and by each of them."""
+    listed: list[tuple[Cell, ...]] = []
+    pictures, notes = [], []
+    for condition, own in by_condition(rows).items():
+        judged = [row for row in own if row.right is not None and row.number("level") is not None]
+        if not judged:
+            continue
+        people = sorted({row["participant"] for row in judged})
+        groups = [("all", judged)]
+        if len(people) > 1:
+            groups += [(person, [row for row in judged if row["participant"] == person]) for person in people]
+        for who, group in groups:
+            try:
+                found = _best(group, facts)
+            except FitError as error:
+                notes.append(f"psychometric function, {condition}, {who}: {error}")
+                continue
+            if found.at_bound:
+                notes.append(
+                    f"psychometric function, {condition}, {who}: the levels do not determine threshold and slope"
+                )
+            estimates = bootstrap(found, RESAMPLES)
+            fitness = goodness_of_fit(found, RESAMPLES)
+            listed += [
+                (condition, who, found.shape, len(group), name, unit, each.value, each.low, each.high, fitness)
+                for name, unit, each in _figures(found, estimates, facts)
+            ]
+            if who == "all":
+                ends = estimates["threshold"]
+                pictures.append(_picture(condition, found, (ends.value, ends.low, ends.high), _level_unit(facts)))
+    if not listed:
+        return Section((), (), tuple(notes))
+    head = (
+        "condition",
+        "participant",
+        "function",
+        "trials",
+        "figure",
+        "unit",
+        "value",
+        "low 95 %",
+        "high 95 %",
+        "p of the fit",
+    )
+    note = (
+        "The threshold is the level at half of the way from chance to certainty (Weibull: 63 % of it); where the level "
+        "is a difference from a reference, threshold over reference is the Weber fraction. Intervals and p of the "
+        "deviance are of a parametric bootstrap. The function is the one of greatest likelihood."
+    )
+    return Section(
+        (ResultTable("psychometric", "Psychometric functions", head, tuple(listed), note),),
+        tuple(pictures),
+        tuple(notes),
+    )
+
+
+def ratings(rows: Sequence[Row]) -> Section:
+    """Numeric answers: median and quartiles over participants of each one's mean."""
+    listed: list[tuple[Cell, ...]] = []
+    pictures = []
+    for condition, own in by_condition(rows).items():
+        values: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+        for row in own:
+            number = row.number("response")
+            assert number is not None
+            values[row["cell"]][row["participant"]].append(number)
+        found = {cell: quartiles(list(mean_of_each(each).values())) for cell, each in values.items()}
+        listed += [
+            (condition, cell, sum(map(len, values[cell].values())), each.participants, each.median, each.low, each.high)
+            for cell, each in found.items()
+        ]
+        columns = np.array([(each.median, each.low, each.high) for each in found.values()]).T
+        series = (("median and quartiles", columns[0], columns[1], columns[2]),)
+        pictures.append(Dots(f"Ratings, {condition}", tuple(found), series, "rating, points of the scale"))
+    head = ("condition", "cell", "trials", "participants", "median", "Q1", "Q3")
+    note = "In points of the scale. Each participant counts once, with the mean of the answers."
+    return Section((ResultTable("ratings", "Ratings over participants", head, tuple(listed), note),), tuple(pictures))
+
+
+def rankings(rows: Sequence[Row], positions: Sequence[str]) -> Section:
+    """Answers such as second>first>third: mean ranks of the stimuli of each cell, and how far its rankings agree."""
+    listed: list[tuple[Cell, ...]] = []
+    notes = []
+    for condition, own in by_condition(rows).items():
+        sets: dict[str, list[list[str]]] = defaultdict(list)
+        for row in own:
+            sets[row["cell"]].append([row.stimuli[positions.index(word)] for word in row["response"].split(">")])
+        for cell, ranked in sets.items():
+            try:
+                ranks, concordance = mean_ranks(ranked)
+            except FitError as error:
+                notes.append(f"ranks, {condition}, {cell}: {error}")
+                continue
+            by_rank = sorted(ranks.items(), key=lambda each: each[1])
+            listed += [(condition, cell, item, len(ranked), rank, concordance) for item, rank in by_rank]
+    head = ("condition", "cell", "item", "rankings", "mean rank", "Kendall's W")
+    note = (
+        "Rank 1 is the first of a ranking. W is 1 where all rankings of a cell are the same, 0 where they have nothing "
+        "in common."
+    )
+    return Section((ResultTable("rankings", "Ranks", head, tuple(listed), note),), (), tuple(notes))
+
+
+def motions(rows: Sequence[Row], published: PublishedResults) -> Section:
+    """Measures of the motion: over participants, and each two conditions compared."""
+    summary: list[tuple[Cell, ...]] = []
+    compared: list[tuple[Cell, ...]] = []
+    effects: list[tuple[Cell, ...]] = []
+    pictures, notes = [], []
+    for measure in MEASURES:
+        means: dict[str, dict[str, float]] = {}
+        for condition, own in by_condition(rows).items():
+            values: dict[str, list[float]] = defaultdict(list)
+            for row in own:
+                number = row.number(measure)
+                if number is not None:
+                    values[row["participant"]].append(number)
+            if values:
+                means[condition] = mean_of_each(values)
+                found = quartiles(list(means[condition].values()))
+                trials = sum(map(len, values.values()))
+                summary.append(
+                    (
+                        measure,
+                        _unit(measure),
+                        condition,
+                        trials,
+                        found.participants,
+                        found.median,
+                        found.low,
+                        found.high,
+                    )
+                )
+        for one, other in combinations(means, 2):
+            both = sorted(set(means[one]) & set(means[other]))
+            try:
+                each = paired([means[one][who] for who in both], [means[other][who] for who in both])
+            except FitError as error:
+                notes.append(f"{measure}, {one} less {other}: {error}")
+                continue
+            difference, effect = each.difference, each.effect_size
+            paper = published.difference if published.difference and published.difference[0] == measure else None
+            compared.append(
+                (
+                    *(measure, _unit(measure), f"{one} less {other}", each.participants),
+                    *(difference.value, difference.low, difference.high, each.standard_deviation),
+                    *(((paper[1], paper[2]) if paper else (None, None)) if published.difference else ()),
+                )
+            )
+            effects.append(
+                (
+                    *(measure, f"{one} less {other}", each.participants),
+                    *(effect.value, effect.low, effect.high, each.t, each.p_value, each.wilcoxon_p),
+                )
+            )
+        if len(means) > 1:
+            people = sorted(set.intersection(*(set(each) for each in means.values())))
+            if people:
+                values_of = np.array([[each[who] for each in means.values()] for who in people])
+                pictures.append(
+                    PairedValues(
+                        f"{measure} of each participant", tuple(means), values_of, f"{measure}, {_unit(measure)}"
+                    )
+                )
+    return _motion_section(summary, compared, effects, bool(published.difference), pictures, notes)
+
+
+def _motion_section(
+    summary: list[tuple[Cell, ...]],
+    compared: list[tuple[Cell, ...]],
+    effects: list[tuple[Cell, ...]],
+    with_paper: bool,
+    pictures: list[PairedValues],
+    notes: list[str],
+) -> Section:
+    tables = []
+    if summary:
+        head: tuple[str, ...] = ("measure", "unit", "condition", "trials", "participants", "median", "Q1", "Q3")
+        tables.append(ResultTable("measures", "Measures of motion and time over participants", head, tuple(summary)))
+    if compared:
+        head = (
+            *("measure", "unit", "comparison", "participants", "difference", "low 95 %", "high 95 %", "SD"),
+            *(("published difference", "published SD") if with_paper else ()),
+        )
+        note = "Differences of the participants' means, with Student's interval."
+        tables.append(ResultTable("comparisons", "Conditions compared", head, tuple(compared), note))
+        head = (
+            *("measure", "comparison", "participants", "effect size d_z", "low 95 %", "high 95 %"),
+            *("t", "p (t)", "p (Wilcoxon)"),
+        )
+        note = "d_z, without unit, is the mean difference over its standard deviation, with noncentral t's interval."
+        tables.append(ResultTable("effects", "Size of the effects, and tests", head, tuple(effects), note))
+    return Section(tuple(tables), tuple(pictures), tuple(notes))
+
+
+def _unit(measure: str) -> str:
+    return unit_of(measure) or "s"
+
+
+def _figures(
+    found: PsychometricFit, estimates: Mapping[str, Estimate], facts: StudyFacts
+) -> list[tuple[str, str, Estimate]]:
+    """Names, units and values."""
+    threshold = estimates["threshold"]
+    listed = [("threshold", _level_unit(facts), threshold)]
+    if facts.reference:
+        listed.append(("weber_fraction", "ratio", threshold.mapped(lambda level: level / abs(facts.reference or 1.0))))
+    slope_unit = _AXIS_UNITS[found.logarithmic]
+    return [*listed, ("slope", slope_unit, estimates["slope"]), ("lapse", "probability", estimates["lapse"])]
+
+
+def _level_unit(facts: StudyFacts) -> str:
+    return (unit_of(facts.variable) if facts.variable else None) or "unit of the study's variable"
+
+
+def _best(rows: Sequence[Row], facts: StudyFacts) -> PsychometricFit:
+    """The shape of greatest likelihood."""
+    levels = np.array([row.number("level") for row in rows], dtype=float)
+    right = np.array([row.right for row in rows], dtype=float)
+    places, at = np.unique(levels, return_inverse=True)
+    on_log = facts.logarithmic and bool((places > 0).all())
+    shapes = [shape for shape in SHAPES if shape != "weibull" or on_log]
+    counts, trials = np.bincount(at, right), np.bincount(at)
+    fits = [fit(places, counts, trials, shape, guess=facts.chance or 0.0, logarithmic=on_log) for shape in shapes]
+    return min(fits, key=lambda each: each.deviance)
+
+
+def _picture(condition: str, found: PsychometricFit, threshold: tuple[float, float, float], unit: str) -> Fitted:
+    shown = [proportion(int(right), int(of)) for right, of in zip(found.positive, found.trials, strict=True)]
+    space = np.geomspace if found.logarithmic else np.linspace
+    levels = np.asarray(space(found.levels.min(), found.levels.max(), _CURVE))
+    return Fitted(
+        f"Psychometric function, {condition}, {found.shape}",
+        found.levels,
+        np.array([100 * each.value for each in shown]),
+        np.array([100 * each.low for each in shown]),
+        np.array([100 * each.high for each in shown]),
+        levels,
+        100 * found.probability(levels),
+        threshold,
+        f"level, {unit}",
+        found.logarithmic,
+    )

@@ -1,0 +1,88 @@
+"""What the experimenter's page shows of a session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final, Literal, TypeAlias, cast
+
+from hapticd.base.yaml_source import Json
+from hapticd.experiment.front import Watched
+from hapticd.experiment.plan import PlannedTrial
+from hapticd.experiment.session_log import Record
+
+Doing: TypeAlias = Literal["begins", "reads", "armed", "felt", "rests", "paused", "over"]
+MOST_LINES: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """An answer that is on disk."""
+
+    trial: int
+    """Index of the trial in the plan, from 0."""
+    condition: str
+    cell: str
+    stimuli: tuple[str, ...]
+    answer: Json
+    correct: bool | None
+    response_s: float
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(slots=True)
+class Console:
+    """The state of a session, as its experimenter sees it."""
+
+    title: str
+    participant: str
+    session: int
+    total: int
+    at_most: bool
+    """Whether the session may need fewer trials than `total`."""
+    done: int = 0
+    doing: Doing = "begins"
+    screen: int = 0
+    """Number of the participant's screen."""
+    goes_on: str | None = None
+    """What the button says that goes on; none: there is nothing to go on to."""
+    trial: Watched | None = None
+    phase: str = ""
+    asked: str = ""
+    """The question, as the participant reads it."""
+    here: dict[str, bool] = field(default_factory=lambda: {"participant": False, "experimenter": False})
+    auto: bool = False
+    """Whether trials begin by themselves."""
+    lines: list[str] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    def say(self, line: str) -> None:
+        self.lines = [*self.lines, line][-MOST_LINES:]
+
+
+def rows_of(records: Sequence[Record], trials: Sequence[PlannedTrial]) -> list[Row]:
+    """The answers in a session's log."""
+    started: dict[object, Mapping[str, Json]] = {}
+    rows = []
+    for record in records:
+        if record["kind"] == "trial_started":
+            started[record["trial"]] = record
+        elif record["kind"] == "answer":
+            index, correct = cast(int, record["trial"]), record["correct"]
+            stimuli = cast("list[dict[str, str]]", started[index]["stimuli"])
+            rows.append(
+                Row(
+                    index,
+                    trials[index].condition,
+                    trials[index].cell,
+                    tuple(each["name"] for each in stimuli),
+                    record["answer"],
+                    None if correct is None else bool(correct),
+                    cast(float, record["response_time_s"]),
+                )
+            )
+    return rows

@@ -1,0 +1,194 @@
+"""The life of a session in the browser: two ports, the session in a thread, and the end of both."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import threading
+from collections.abc import Callable
+from contextlib import AsyncExitStack, ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import click
+
+from hapticd.base.tasks import ended
+from hapticd.client.asynchronous import Client
+from hapticd.experiment.front import Command
+from hapticd.experiment.pages import experimenter_page, participant_page
+from hapticd.experiment.pages.pages_front import PagesFront, Who
+from hapticd.experiment.pages.participant_page import MOVES, STOPS, StylusTaker
+from hapticd.experiment.pages.presence import Presence
+from hapticd.protocol.places import Place
+from hapticd.web import application, opening
+from hapticd.web.application import Pages, Site
+from hapticd.web.connections import Connections
+from hapticd.web.http_server import serving
+from hapticd.web.listening import Listening, listen
+from hapticd.web.sessions import Sessions
+from hapticd.web.telemetry_hub import TelemetryHub
+
+STATIC: Final = Path(__file__).parent / "static"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Those of the command."""
+
+    place: Place
+    simulated: bool
+    """Whether the daemon has the simulated joystick."""
+    host: str
+    port: int
+    """The participant's; the experimenter's is the next one. 0: any free ports."""
+    open_browser: bool
+    tls_cert: str | None = None
+    tls_key: str | None = None
+    password_file: str | None = None
+
+
+def run(options: Options, front: PagesFront, news: News, session: Callable[[], int]) -> int:
+    """Shows the pages while `session` runs in a thread; returns what it returns.
+
+    SIGINT and SIGTERM end the session, as the experimenter would. Raises HapticdError where a port cannot be had, and
+    what the session raised.
+    """
+    with ExitStack() as stack:
+        at = []
+        for number in (0, 1):
+            port = options.port + number if options.port else 0
+            found = listen(options.host, port, options.tls_cert, options.tls_key, options.password_file)
+            stack.callback(found.socket.close)
+            at.append(found)
+        return asyncio.run(_Life(options, front, news, at[0], at[1]).run(session))
+
+
+class News:
+    """Tells the event loop, from any thread, that pages show something else. The front's `changed`."""
+
+    def __init__(self) -> None:
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._event: asyncio.Event | None = None
+
+    def __call__(self) -> None:
+        if self._loop is not None and self._event is not None:
+            self._loop.call_soon_threadsafe(self._event.set)
+
+    async def listened(self, tell: Callable[[], None]) -> None:
+        """Calls `tell` after each change, or once after several. Until cancelled."""
+        self._loop, self._event = asyncio.get_running_loop(), asyncio.Event()
+        try:
+            while True:
+                tell()
+                await self._event.wait()
+                self._event.clear()
+        finally:
+            self._loop = None
+
+
+class _Life:
+    def __init__(
+        self, options: Options, front: PagesFront, news: News, participant: Listening, experimenter: Listening
+    ) -> None:
+        self._options, self._front, self._changes = options, front, news
+        self._at: dict[Who, Listening] = {"participant": participant, "experimenter": experimenter}
+        self._screen, self._notice = -1, ""
+
+    async def run(self, session: Callable[[], int]) -> int:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._front.command, Command("abort", signal.Signals(number).name))
+        async with AsyncExitStack() as stack:
+            control = Client(self._options.place)
+            stack.push_async_callback(control.close)
+            hub = TelemetryHub(self._options.place)
+            running = [asyncio.create_task(hub.run(), name="telemetry")]
+            pages = await self._serve(stack, running, hub, control)
+            hub.subscribe(StylusTaker(self._front, lambda: tuple(pages["participant"].open)), frozenset(("state",)))
+            running.append(asyncio.create_task(self._changes.listened(partial(self._tell, pages)), name="news"))
+            for task in running:
+                stack.push_async_callback(ended, task)
+            for each in pages.values():
+                stack.push_async_callback(each.close)  # before the telemetry that they have ends
+            done = _in_thread(loop, session)
+            waiting: list[asyncio.Future[Any]] = [done, *running]
+            first, _ = await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+            if done not in first:
+                # One of ours failed: the forces do not stay on.
+                self._front.command(Command("abort", "a part of the pages failed"))
+                await asyncio.wait((done,))
+                for part in first:
+                    part.result()
+            self._tell(pages)  # the last screen; close() sends it before it lets go
+            return done.result()
+
+    async def _serve(
+        self, stack: AsyncExitStack, running: list[asyncio.Task[Any]], hub: TelemetryHub, control: Client
+    ) -> dict[Who, Pages]:
+        """Both sites; prints their addresses."""
+        made: dict[Who, Pages] = {}
+        addresses = []
+        for who, at in self._at.items():
+            presence = Presence(partial(self._front.here, who), swept=self._front.server_runs)
+            sessions, connections = Sessions(), Connections()
+            pages = Pages(self._options.place, hub, control, False, partial(_address, at, sessions))
+            if who == "participant":
+                passes = STOPS | MOVES if self._options.simulated else STOPS
+                own = participant_page.methods(self._front, presence, self._options.simulated)
+                pages = replace(pages, methods=own, passes=passes)
+            else:
+                own = experimenter_page.methods(self._front, presence)
+                pages = replace(pages, methods={**application.METHODS, **own})
+            site = Site(STATIC / f"{who}.html", partial(_add_routes, pages))
+            await stack.enter_async_context(serving(at, sessions, site, connections))
+            running += [asyncio.create_task(each.run(), name=f"{who}-{each}") for each in (presence, connections)]
+            made[who] = pages
+            addresses.append(_address(at, sessions))
+            click.echo(f"{who}: {addresses[-1]}")
+        if self._options.open_browser:
+            task = asyncio.create_task(opening.open_in_browser(addresses), name="browser")
+            stack.push_async_callback(ended, task)
+        return made
+
+    def _tell(self, pages: dict[Who, Pages]) -> None:
+        screen = self._front.screen
+        if screen["screen"] != self._screen:
+            self._screen = int(str(screen["screen"]))
+            pages["participant"].tell({"screen": screen})
+        if (notice := self._front.notice) != self._notice:
+            self._notice = notice
+            pages["participant"].tell({"notice": notice})
+        pages["experimenter"].tell(experimenter_page.news(self._front))
+
+
+def _add_routes(pages: Pages, app: Any) -> None:
+    pages.add_routes(app)
+    app.router.add_static("/experiment/", STATIC, follow_symlinks=False)
+
+
+def _address(at: Listening, sessions: Sessions) -> str:
+    return f"{at.url}/?token={sessions.new_token()}"
+
+
+def _in_thread(loop: asyncio.AbstractEventLoop, session: Callable[[], int]) -> asyncio.Future[int]:
+    """A thread of its own, not of a pool: it lives as long as the session."""
+    done: asyncio.Future[int] = loop.create_future()
+
+    def settle(code: int | None, error: BaseException | None) -> None:
+        if error is not None:
+            done.set_exception(error)
+        else:
+            done.set_result(code if code is not None else 1)
+
+    def work() -> None:
+        try:
+            code = session()
+        except BaseException as error:
+            loop.call_soon_threadsafe(settle, None, error)
+        else:
+            loop.call_soon_threadsafe(settle, code, None)
+
+    threading.Thread(target=work, name="hapticd-session").start()
+    return done

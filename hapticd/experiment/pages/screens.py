@@ -1,0 +1,96 @@
+"""What the participant's page shows: screens, made of what a participant may know.
+
+A screen is a map with `kind` and `screen`, its number, which what the page says of it carries:
+
+    read    html, go_on (label of the button, or none), least_s: a text; it may be left after so long
+    wait    html: the experimenter is waited for
+    trial   number, total, at_most, phase, surfaces, stimuli, in_places, interval; felt: whether the forces are on;
+            question, where it is asked: kind, html, answers, low, high, step, ends, most_characters, left_s
+    over    html: the session is over
+
+Answers are numbered, and have a label and a key. No screen has a name of a stimulus, a factor, a level, a condition, a
+cell, or an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Final, TypeAlias
+
+from markdown_it import MarkdownIt
+
+from hapticd.experiment.front import Seen, Shown
+
+Screen: TypeAlias = "dict[str, object]"
+MEASURED: Final = "Done"
+"""The button where the motion itself is the answer."""
+
+
+@cache
+def _markdown() -> MarkdownIt:
+    # HTML in a text is shown as text, and links lead nowhere that runs a script.
+    return MarkdownIt("commonmark", {"html": False, "typographer": False}).enable("table")
+
+
+def html(markdown: str) -> str:
+    """Markdown as HTML without scripts."""
+    return str(_markdown().render(markdown.strip()))
+
+
+def read(markdown: str, go_on: str | None, least_s: float = 0.0) -> Screen:
+    return {"kind": "read", "html": html(markdown), "go_on": go_on, "least_s": least_s}
+
+
+def wait(markdown: str) -> Screen:
+    return {"kind": "wait", "html": html(markdown)}
+
+
+def over(markdown: str) -> Screen:
+    return {"kind": "over", "html": html(markdown)}
+
+
+def trial(
+    shown: Shown, *, interval: int, felt: bool, asks: bool, left_s: float | None = None, told: str = ""
+) -> Screen:
+    """A trial. `interval`: counted from 1; `left_s`: of the time limit; `told`: of the trial before."""
+    return {
+        "kind": "trial",
+        "number": shown.number,
+        "total": shown.total,
+        "at_most": shown.at_most,
+        "phase": shown.phase,
+        "stimuli": shown.stimuli,
+        "in_places": shown.in_places,
+        "interval": interval,
+        "surfaces": [
+            {"point_m": list(each.point_m), "normal": list(each.normal), "half_m": each.half_m}
+            for each in surfaces_of(shown, interval)
+        ],
+        "felt": felt,
+        "told": told,
+        "question": _question(shown, left_s) if asks else None,
+    }
+
+
+def surfaces_of(shown: Shown, interval: int) -> Sequence[Seen]:
+    """All of them side by side; else that of an interval, counted from 1."""
+    return shown.surfaces if shown.in_places else shown.surfaces[interval - 1 : interval]
+
+
+def _question(shown: Shown, left_s: float | None) -> dict[str, object]:
+    taken = {each.key for each in shown.answers}
+    # An answer without a key has its number, where that is not another one's key.
+    keys = [each.key or ("" if str(number) in taken else str(number)) for number, each in enumerate(shown.answers, 1)]
+    return {
+        "kind": shown.kind,
+        "html": html(shown.text),
+        "answers": [{"label": each.label, "key": key} for each, key in zip(shown.answers, keys, strict=True)],
+        "low": shown.low,
+        "high": shown.high,
+        "step": shown.step,
+        "ends": list(shown.ends),
+        "most_characters": shown.most_characters,
+        "left_s": left_s,
+        "done": MEASURED,
+    }

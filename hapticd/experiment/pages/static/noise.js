@@ -1,0 +1,55 @@
+// White noise through the headphones, which masks the sound of the motors. It begins with a press: browsers want one.
+import { button, make } from "/static/dom.js";
+
+const SECONDS = 4; // of noise, repeated
+const LOUDEST = 0.3;
+
+export class Noise {
+  running = false;
+  #context = null;
+  #gain = null;
+  #level = 0.3;
+  #button;
+
+  constructor(element) {
+    this.#button = button("White noise", "small", () => this.toggle(), { "aria-pressed": "false", id: "noise-button" });
+    const level = make("input", { type: "range", min: 0, max: 1, step: 0.01, value: this.#level, "aria-label": "Loudness of the noise" });
+    level.addEventListener("input", () => this.#set(Number(level.value)));
+    element.append(this.#button, level);
+  }
+
+  async toggle() {
+    this.running = !this.running;
+    this.#button.setAttribute("aria-pressed", String(this.running));
+    this.#button.blur(); // Enter is for the screen
+    if (!this.running) {
+      await this.#context.suspend();
+      return;
+    }
+    if (this.#context === null) {
+      this.#begin();
+    }
+    await this.#context.resume();
+  }
+
+  #begin() {
+    this.#context = new AudioContext();
+    const { sampleRate } = this.#context;
+    const buffer = this.#context.createBuffer(1, SECONDS * sampleRate, sampleRate);
+    const samples = buffer.getChannelData(0);
+    for (let i = 0; i < samples.length; i++) {
+      samples[i] = 2 * Math.random() - 1;
+    }
+    const source = new AudioBufferSourceNode(this.#context, { buffer, loop: true });
+    this.#gain = new GainNode(this.#context, { gain: LOUDEST * this.#level });
+    source.connect(this.#gain).connect(this.#context.destination);
+    source.start();
+  }
+
+  #set(level) {
+    this.#level = level;
+    if (this.#gain !== null) {
+      this.#gain.gain.value = LOUDEST * level;
+    }
+  }
+}

@@ -1,0 +1,139 @@
+"""Where a simulated hand goes: taps, strokes and presses of varied speed and depth, with tremor.
+
+A hand sees surfaces and nothing of their materials. Its waypoints are where it wants to be; grip and handle of the
+simulated joystick are between that and where the handle is, so the force moves the handle in a closed loop.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from hapticd.experiment.front import Seen
+from hapticd.experiment.stage import Waypoints
+
+STEP_S: Final = 0.005
+"""Between two waypoints."""
+HEIGHT_M: Final = 0.008
+"""Above a surface, before it is touched."""
+TREMOR_HZ: Final = (8.0, 12.0)
+"""Physiological tremor of the hand: Elble and Koller, Tremor, 1990."""
+
+
+@dataclass(frozen=True, slots=True)
+class HandParameters:
+    """How a hand moves. Medians of a lognormal spread; the values are choices of this library."""
+
+    tap_speed_m_per_s: float = 0.12
+    stroke_speed_m_per_s: float = 0.06
+    press_speed_m_per_s: float = 0.03
+    depth_m: float = 0.006
+    """How far below a surface it aims."""
+    spread: float = 0.2
+    """Standard deviation of the logarithm of speeds and depths."""
+    tremor_m: float = 40e-6
+    """Root mean square of the tremor, per axis."""
+    reaction_s: float = 0.16
+    """Median time from something felt to the begin of a movement."""
+
+
+class Hand:
+    """One hand with its own chance."""
+
+    def __init__(self, chance: np.random.Generator, parameters: HandParameters | None = None) -> None:
+        self._chance = chance
+        self.parameters = parameters or HandParameters()
+
+    def taps(self, surface: Seen, count: int = 3) -> Waypoints:
+        """Taps near the middle of a surface, (n, 3)."""
+        given = self.parameters
+        points: list[tuple[float, float, float]] = [(0.2, 0.0, HEIGHT_M)]
+        for _ in range(count):
+            at = self._near(surface)
+            speed, depth = self._varied(given.tap_speed_m_per_s), self._varied(given.depth_m)
+            points += [
+                (0.15, at, HEIGHT_M),
+                ((HEIGHT_M + depth) / speed, at, -depth),
+                (0.08, at, -depth),
+                (0.15, at, HEIGHT_M),
+            ]
+        return self._way(surface, points)
+
+    def strokes(self, surface: Seen, count: int = 2) -> Waypoints:
+        """Strokes to and fro over a surface, (n, 3)."""
+        given = self.parameters
+        reach = 0.8 * min(surface.half_m, 0.03)
+        points: list[tuple[float, float, float]] = [(0.2, -reach, HEIGHT_M)]
+        side = -1.0
+        depth = self._varied(given.depth_m)
+        points.append((0.2, -reach, -depth))
+        for _ in range(count):
+            side = -side
+            speed, depth = self._varied(given.stroke_speed_m_per_s), self._varied(given.depth_m)
+            points.append((2.0 * reach / speed, side * reach, -depth))
+        points.append((0.15, side * reach, HEIGHT_M))
+        return self._way(surface, points)
+
+    def press(self, surface: Seen) -> Waypoints:
+        """Slowly into a surface, far beyond it, (n, 3)."""
+        speed = self._varied(self.parameters.press_speed_m_per_s)
+        deep = 0.05
+        return self._way(surface, [(0.2, 0.0, HEIGHT_M), ((HEIGHT_M + deep) / speed, 0.0, -deep)], smooth=False)
+
+    def withdrawal(self, surface: Seen, pressed: Waypoints, at_s: float) -> Waypoints:
+        """From where the reference of a press is at `at_s`: stop, and back out."""
+        here = np.array([np.interp(at_s, pressed[:, 0], pressed[:, axis]) for axis in (1, 2)])
+        (x, y), (n_x, n_y) = surface.point_m, surface.normal
+        out = np.array([x + HEIGHT_M * n_x, y + HEIGHT_M * n_y])
+        times = np.arange(STEP_S, 0.4, STEP_S)
+        share = _smooth(times / times[-1])[:, None]
+        return np.column_stack((at_s + times, here + share * (out - here)))
+
+    def reaction_s(self) -> float:
+        """Time from something felt to the movement that answers it."""
+        return self._varied(self.parameters.reaction_s)
+
+    def _varied(self, median: float) -> float:
+        return median * math.exp(self.parameters.spread * float(self._chance.standard_normal()))
+
+    def _near(self, surface: Seen) -> float:
+        return float(self._chance.uniform(-1.0, 1.0)) * 0.3 * min(surface.half_m, 0.02)
+
+    def _way(self, surface: Seen, points: Sequence[tuple[float, float, float]], smooth: bool = True) -> Waypoints:
+        """Waypoints through points [duration, along, height], each reached after its duration; it begins above the
+        middle. Between two points the speed rises and falls smoothly, or is constant."""
+        at = (0.0, HEIGHT_M)
+        parts, begun = [], 0.0
+        for duration, along, height in points:
+            steps = max(1, round(duration / STEP_S))
+            times = np.arange(1, steps + 1) / steps
+            # A fall onto a surface keeps its speed until there: a hand does not brake before a tap.
+            share = _smooth(times) if smooth and height >= at[1] else times
+            parts.append(
+                np.column_stack(
+                    (begun + duration * times, at[0] + share * (along - at[0]), at[1] + share * (height - at[1]))
+                )
+            )
+            at, begun = (along, height), begun + duration
+        way = np.vstack(([[0.0, 0.0, HEIGHT_M]], *parts))
+        way[:, 1:] += self._tremor(way[:, 0])
+        (x, y), (n_x, n_y) = surface.point_m, surface.normal
+        return np.column_stack(
+            (way[:, 0], x + way[:, 1] * n_y + way[:, 2] * n_x, y - way[:, 1] * n_x + way[:, 2] * n_y)
+        )
+
+    def _tremor(self, times_s: Waypoints) -> Waypoints:
+        """Eight sinusoids of random frequency and phase, an axis each, (n, 2)."""
+        frequency = self._chance.uniform(*TREMOR_HZ, (8, 2))
+        phase = self._chance.uniform(0.0, 2.0 * math.pi, (8, 2))
+        angle = 2.0 * math.pi * frequency * times_s[:, None, None] + phase
+        return np.asarray(self.parameters.tremor_m * 0.5 * np.sin(angle).sum(axis=1))
+
+
+def _smooth(share: Waypoints) -> Waypoints:
+    """Minimum jerk: Flash and Hogan, J. Neurosci. 5, 1985."""
+    return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)

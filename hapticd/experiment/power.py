@@ -1,0 +1,87 @@
+"""The power of a study to find the effect that it states, by simulated experiments.
+
+A proportion of correct answers is tested against chance by the exact binomial test of all answers of all participants.
+A difference of a measure is tested by Student's t of the participants' mean differences against 0. Both are two-sided.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.errors import HapticdError
+from hapticd.experiment.keys import DifferenceEffect, ProportionEffect
+
+EXPERIMENTS: Final = 4000
+"""Simulated ones: the power's standard error is at most 0.8 %."""
+_SEED: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Power:
+    """How often simulated experiments find the effect."""
+
+    power: float
+    """Share of the experiments in which the test rejects chance, or no difference, in the right direction."""
+    standard_error: float
+    """Of that share, by the number of experiments."""
+    participants: int
+    trials: int
+    """Of each participant: answers, or pairs of trials whose difference is taken."""
+    test: str
+
+
+def power_of_proportion(effect: ProportionEffect, chance: float, trials: int, seed: int = _SEED) -> Power:
+    """The power to tell a proportion of correct answers from chance, with `trials` answers of each participant.
+
+    A participant's own probability is normal about the mean with the standard deviation `between`, cut to 0..1.
+    """
+    generator = np.random.default_rng(seed)
+    size = (EXPERIMENTS, effect.participants)
+    own = np.clip(generator.normal(effect.correct, effect.between, size), 0.0, 1.0)
+    right = generator.binomial(trials, own).sum(axis=1)
+    total = trials * effect.participants
+    low, high = critical_counts(total, chance, effect.significance)
+    found = right >= high if effect.correct > chance else right <= low
+    return _power(found, effect.participants, trials, f"exact binomial test of {total} answers")
+
+
+def critical_counts(total: int, chance: float, significance: float) -> tuple[int, int]:
+    """The largest count that is too small to be chance, and the smallest that is too large: each tail has at most half
+    of the significance. -1 and total + 1 where no count is."""
+    counts = np.arange(total + 1)
+    lgamma = np.array([math.lgamma(count + 1) for count in range(total + 1)])
+    log_density = lgamma[-1] - lgamma - lgamma[::-1] + counts * math.log(chance) + counts[::-1] * math.log1p(-chance)
+    density = np.exp(log_density)
+    below, above = np.cumsum(density), np.cumsum(density[::-1])[::-1]
+    low = np.flatnonzero(below <= significance / 2)
+    high = np.flatnonzero(above <= significance / 2)
+    return (int(low[-1]) if len(low) else -1), (int(high[0]) if len(high) else total + 1)
+
+
+def power_of_difference(effect: DifferenceEffect, pairs: int, seed: int = _SEED) -> Power:
+    """The power to find a difference, with `pairs` pairs of trials of each participant.
+
+    Raises HapticdError where scipy is not installed.
+    """
+    try:
+        from scipy.special import stdtrit
+    except ImportError:
+        raise HapticdError("the power of a difference needs scipy: pip install 'hapticd[experiment]'") from None
+    generator = np.random.default_rng(seed)
+    size = (EXPERIMENTS, effect.participants)
+    deviation = math.hypot(effect.between, effect.standard_deviation / math.sqrt(pairs))
+    means = generator.normal(effect.mean, deviation, size)
+    t = means.mean(axis=1) / (means.std(axis=1, ddof=1) / math.sqrt(effect.participants))
+    critical = float(stdtrit(effect.participants - 1, 1 - effect.significance / 2))
+    found = np.sign(effect.mean) * t > critical
+    return _power(found, effect.participants, pairs, f"t test of {effect.participants} mean differences")
+
+
+def _power(found: npt.NDArray[np.bool_], participants: int, trials: int, test: str) -> Power:
+    power = float(found.mean())
+    return Power(power, math.sqrt(power * (1 - power) / len(found)), participants, trials, test)

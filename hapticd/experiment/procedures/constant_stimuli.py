@@ -1,0 +1,96 @@
+"""The method of constant stimuli: each of some levels equally often, in random order.
+
+The order is one of blocks: each level once, shuffled, as often as asked, so that practice and fatigue meet all levels
+alike.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from hapticd.base.model import CheckedTogether
+from hapticd.experiment.analysis.psychometric import bootstrap, fit
+from hapticd.experiment.analysis.psychometric_shapes import Shape, is_logarithmic
+from hapticd.experiment.procedures.procedure import (
+    Answer,
+    Estimate,
+    Kept,
+    Level,
+    Outcomes,
+    ProcedureError,
+    Proportion,
+)
+
+
+class ConstantStimuliParameters(CheckedTogether):
+    """Constant stimuli, as a study's YAML has them."""
+
+    kind: Literal["constant_stimuli"] = "constant_stimuli"
+    levels: Annotated[tuple[Level, ...], Field(min_length=2, max_length=1000, strict=False)]
+    repetitions: Annotated[int, Field(ge=1, le=10000)]
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    guess: Proportion = 0.0
+    lapse: Annotated[float, Field(ge=0, lt=0.5)] | None = None
+    """Estimated where it is not given."""
+    rising: bool = True
+    """Whether positive answers become more with the level."""
+    shape: Shape = "logistic"
+    axis: Literal["linear", "logarithmic"] = "linear"
+    outcomes: Outcomes = Outcomes()
+
+    def cross_faults(self) -> list[str]:
+        faults = []
+        if len(set(self.levels)) < len(self.levels):
+            faults.append("levels must differ from one another")
+        if self.logarithmic and min(self.levels) <= 0:
+            faults.append("levels must be more than 0 on a logarithmic axis")
+        if self.guess + (self.lapse or 0.0) >= 1:
+            faults.append("guess and lapse must together be less than 1")
+        return faults
+
+    @property
+    def logarithmic(self) -> bool:
+        return is_logarithmic(self.shape, self.axis == "logarithmic")
+
+
+class ConstantStimuli(Kept[ConstantStimuliParameters]):
+    """One run; see `procedure.Procedure`."""
+
+    PARAMETERS = ConstantStimuliParameters
+
+    def __init__(self, parameters: ConstantStimuliParameters) -> None:
+        super().__init__(parameters)
+        generator = np.random.Generator(np.random.PCG64(parameters.seed))
+        blocks = [generator.permutation(parameters.levels) for _ in range(parameters.repetitions)]
+        self.order: list[float] = [float(each) for block in blocks for each in block]
+
+    def level(self) -> float | None:
+        """The next level of the order; None at its end."""
+        return self.order[len(self.answers)] if len(self.answers) < len(self.order) else None
+
+    def estimate(self) -> Estimate:
+        """Threshold of the fitted function with its bootstrap interval. Raises ProcedureError, or FitError where the
+        answers support none."""
+        if not self.answers:
+            raise ProcedureError("constant stimuli have no answers: nothing can be estimated")
+        given = self.parameters
+        levels, at = np.unique([each.level for each in self.answers], return_inverse=True)
+        positive = np.bincount(at, [each.positive for each in self.answers])
+        found = fit(
+            levels,
+            positive,
+            np.bincount(at),
+            given.shape,
+            guess=given.guess,
+            lapse=given.lapse,
+            logarithmic=given.logarithmic,
+            rising=given.rising,
+        )
+        interval = bootstrap(found, seed=given.seed)["threshold"]
+        return Estimate(interval.value, interval.low, interval.high)
+
+    def _take(self, shown: float, positive: bool) -> None:
+        self.answers.append(Answer(shown, positive))

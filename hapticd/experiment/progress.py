@@ -1,0 +1,81 @@
+"""How far a session is, from its log alone.
+
+Kinds of records, beside those that only tell (`session_started`, `session_resumed`, `forces`, `note`, `paused`,
+`continued`, `break`, `line_dropped`, `stage_lost`):
+
+    trial_started   an attempt at a trial began: trial, attempt, file, stimuli, level
+    answer          the trial is over: answer, correct, times, measures, and the state of its procedure after it
+    trial_given_up  the attempt does not count: repeated, paused or aborted
+    trial_skipped   the trial is not needed: its procedure has ended
+    ended           the plan is through; aborted: the experimenter ended the session
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import cast
+
+from hapticd.base.yaml_source import Json
+from hapticd.experiment.session_log import Record
+
+
+@dataclass(slots=True)
+class Progress:
+    """What is done of a session."""
+
+    done: set[int] = field(default_factory=set)
+    """Indices of trials that were answered or skipped."""
+    attempts: dict[int, int] = field(default_factory=dict)
+    """Attempts that began, by trial."""
+    procedures: dict[str, Json] = field(default_factory=dict)
+    """The newest state of each adaptive procedure."""
+    elapsed_s: float = 0.0
+    """Time on the session's clock of the last record that has one."""
+    correct: int = 0
+    answered: int = 0
+    wrong_in_a_row: int = 0
+    """Wrong answers of the test since the last one that was not."""
+    test_began_s: float | None = None
+    """When the first trial of the test that was answered began, on the session's clock."""
+    began: bool = False
+    """Whether a session was started."""
+    ended: str | None = None
+    """Why it is over; None: it is not."""
+
+    def take(self, record: Record) -> None:
+        """Goes on by one record."""
+        kind = record["kind"]
+        if "at_s" in record:
+            self.elapsed_s = max(self.elapsed_s, cast(float, record["at_s"]))
+        if kind == "trial_started":
+            trial = cast(int, record["trial"])
+            self.attempts[trial] = self.attempts.get(trial, 0) + 1
+        elif kind in ("answer", "trial_skipped"):
+            self.done.add(cast(int, record["trial"]))
+            procedure = record.get("procedure")
+            if isinstance(procedure, str):
+                self.procedures[procedure] = record["procedure_state"]
+            if kind == "answer":
+                self.answered += 1
+                self.correct += record.get("correct") == 1
+                self._take_answer(record)
+        elif kind == "session_started":
+            self.began = True
+        elif kind == "ended":
+            self.ended = str(record["because"])
+
+    def _take_answer(self, answer: Record) -> None:
+        """What the stop rules ask for."""
+        if answer.get("phase") == "test":
+            if self.test_began_s is None:
+                self.test_began_s = cast(float, answer["onset_s"])
+            self.wrong_in_a_row = self.wrong_in_a_row + 1 if answer.get("correct") == 0 else 0
+
+
+def progress_of(records: Iterable[Record]) -> Progress:
+    """How far a session with these records is."""
+    progress = Progress()
+    for record in records:
+        progress.take(record)
+    return progress

@@ -1,0 +1,48 @@
+"""Published results that a study's own are set beside, as data of the package."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+
+from hapticd.base.errors import HapticdError, known_names, quoted
+from hapticd.base.yaml_source import Json, load_bytes
+
+
+def published(name: str) -> dict[str, Json]:
+    """A table by its name, `okamura1998.tapping`: the file, and the section in it. Raises HapticdError."""
+    faults = published_faults(name)
+    if faults:
+        raise HapticdError(f"published results {quoted(name)}: {faults[0]}")
+    file, _, section = name.partition(".")
+    found = _files()[file][section]
+    assert isinstance(found, dict)
+    return found
+
+
+def published_faults(name: str) -> list[str]:
+    """What is wrong with a name: nothing, or one sentence."""
+    known = published_names()
+    return [] if name in known else [f"no published results are called {quoted(name)}; {known_names(name, known)}"]
+
+
+def published_names() -> list[str]:
+    """All tables, as FILE.SECTION."""
+    return [
+        f"{file}.{section}"
+        for file, sections in _files().items()
+        for section, found in sections.items()
+        if isinstance(found, dict) and "task" in found
+    ]
+
+
+@cache
+def _files() -> dict[str, dict[str, Json]]:
+    folder = resources.files("hapticd.experiment").joinpath("published")
+    found: dict[str, dict[str, Json]] = {}
+    for file in sorted(folder.iterdir(), key=lambda file: file.name):
+        if file.name.endswith(".yaml"):
+            data = load_bytes(file.read_bytes(), f"hapticd/experiment/published/{file.name}").data
+            assert isinstance(data, dict)
+            found[file.name.removesuffix(".yaml")] = data
+    return found

@@ -1,0 +1,51 @@
+"""What a participant typed or set, as the answer that the data have."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from hapticd.experiment.front import Shown
+from hapticd.experiment.keys import POSITIONS
+
+
+def typed_reply(shown: Shown, text: str) -> str | float:
+    """The answer to a ranking, a slider, a number or a text. Raises ValueError: what is wrong, what would be right."""
+    return _TAKEN[shown.kind](shown, text)
+
+
+def _number(shown: Shown, text: str) -> float:
+    low, high = shown.low, shown.high
+    wanted = f"a number from {low:g} to {high:g}" if low is not None and high is not None else "a number"
+    try:
+        value = float(text)
+    except ValueError:
+        raise ValueError(f"{text}: must be {wanted}") from None
+    if not math.isfinite(value) or (low is not None and value < low) or (high is not None and value > high):
+        raise ValueError(f"{text}: must be {wanted}")
+    return value
+
+
+def _ranking(shown: Shown, text: str) -> str:
+    """`2 1 3` as second>first>third."""
+    words = text.replace(">", " ").replace(",", " ").split()
+    wanted = [str(number) for number in range(1, shown.stimuli + 1)]
+    if sorted(words) != wanted:
+        raise ValueError(f"{text}: must name each of {', '.join(wanted)} once, such as {' '.join(reversed(wanted))}")
+    return ">".join(POSITIONS[int(word) - 1] for word in words)
+
+
+def _text(shown: Shown, text: str) -> str:
+    most = shown.most_characters
+    if most is not None and len(text) > most:
+        raise ValueError(f"the text has {len(text)} characters, and must have at most {most}")
+    return text
+
+
+_TAKEN: Final[dict[str, Callable[[Shown, str], str | float]]] = {
+    "ranking": _ranking,
+    "slider": _number,
+    "number": _number,
+    "text": _text,
+}

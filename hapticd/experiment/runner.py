@@ -1,0 +1,474 @@
+"""A session as it runs: trial after trial of a plan, on a stage, with a front.
+
+A trial is over when its answer is in the log, on disk. Only then does the next one begin. Whatever ends the process,
+`Session` goes on from the log: same order, same adaptive procedures, nothing twice.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final, Literal, NoReturn, TypeAlias, cast
+
+from hapticd._version import __version__
+from hapticd.base import clock
+from hapticd.base.errors import HapticdError
+from hapticd.base.yaml_source import Json
+from hapticd.config.configuration import Config
+from hapticd.experiment.event_codes import EventCode
+from hapticd.experiment.front import Choice, Command, Front, Reply, Shown, Watched
+from hapticd.experiment.keys import ChoiceQuestion, MeasureQuestion, NumberQuestion, SliderQuestion, TextQuestion
+from hapticd.experiment.measures import measures_of, planes_of
+from hapticd.experiment.plan import Plan, PlannedTrial
+from hapticd.experiment.procedures.procedure import Procedure
+from hapticd.experiment.progress import progress_of
+from hapticd.experiment.session_folder import SessionFolder
+from hapticd.experiment.session_log import Log, Record
+from hapticd.experiment.stage import ForcesLost, ForcesStopped, Stage
+from hapticd.experiment.stimuli import Stimulus
+from hapticd.experiment.trial_scenes import configurations, seen
+
+MOST_FAULTS: Final = 3
+"""Attempts in a row that a fault may end before the session does."""
+
+Ending: TypeAlias = Literal["ended", "aborted"]
+Procedures: TypeAlias = "Callable[[str, Json], Procedure]"
+"""Makes the adaptive procedure of a name, new (None) or from its state."""
+AtLevel: TypeAlias = Callable[[PlannedTrial, float], tuple[Stimulus, ...]]
+"""The stimuli of an adaptive trial at a level."""
+
+
+class _Aborted(Exception):
+    """The experimenter ended the session."""
+
+
+class _Again(Exception):
+    """The attempt does not count; the trial begins again, after a pause where `paused` says so."""
+
+    def __init__(self, paused: bool = False) -> None:
+        super().__init__()
+        self.paused = paused
+
+
+@dataclass(frozen=True, slots=True)
+class _Armed:
+    """A trial with its level, stimuli and scenes."""
+
+    trial: PlannedTrial
+    level: float | None
+    stimuli: tuple[Stimulus, ...]
+    configs: tuple[Config, ...]
+    shown: Shown
+
+
+class Session:
+    """One run of a session, from its beginning or from where its log ends."""
+
+    def __init__(
+        self,
+        folder: SessionFolder,
+        log: Log,
+        plan: Plan,
+        stage: Stage,
+        front: Front,
+        *,
+        procedures: Procedures,
+        at_level: AtLevel,
+        keep_telemetry: bool = True,
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`monotonic_s`: the clock of response times, which is the simulated hand's where nothing is in real time."""
+        self._folder, self._log, self._plan = folder, log, plan
+        self._stage, self._front = stage, front
+        self._new_procedure, self._at_level = procedures, at_level
+        self._keep = keep_telemetry
+        self._now_s = monotonic_s
+        self._progress = progress_of(log.records)
+        self._procedures: dict[str, Procedure] = {}
+        self._origin_s = monotonic_s() - self._progress.elapsed_s
+        self._faults = 0
+
+    @property
+    def total(self) -> int:
+        return len(self._plan.trials)
+
+    @property
+    def done(self) -> frozenset[int]:
+        """Indices of the trials that are over."""
+        return frozenset(self._progress.done)
+
+    @property
+    def answered(self) -> int:
+        """How many of them have an answer; the others were not needed, as their procedure had ended."""
+        return self._progress.answered
+
+    def run(self) -> Ending:
+        """Runs what is left, once, and closes the log.
+
+        Raises HapticdError where the stage is lost or something cannot be written. The log is sound then, and another
+        Session goes on.
+        """
+        if self._progress.ended is not None:
+            raise HapticdError(f"{self._folder.path}: this session is over ({self._progress.ended}); nothing is left")
+        resumed = self._begin()
+        try:
+            self._stage.fade()
+            study, done = self._plan.study, len(self._progress.done)
+            self._obey(
+                lambda: self._front.begin(study.title, study.instructions, done, self.total, study.may_end_early)
+            )
+            self._mark(EventCode.SESSION_RESUMED if resumed else EventCode.SESSION_BEGIN)
+            self._run_trials()
+        except _Aborted:
+            self._stage.fade()
+            self._record("aborted")
+            self._mark(EventCode.SESSION_ABORTED)
+            return "aborted"
+        except HapticdError as error:
+            self._leave()
+            with suppress(HapticdError):
+                self._record("stage_lost", because=str(error))
+            raise
+        except BaseException:
+            self._leave()
+            raise
+        finally:
+            self._log.close()
+        return "ended"
+
+    # ---- The session ----------------------------------------------------------------------------------------
+
+    def _begin(self) -> bool:
+        """Whether the session was begun before, and goes on."""
+        moment = clock.read()
+        resumed = self._progress.began
+        self._record(
+            "session_resumed" if resumed else "session_started",
+            participant=self._plan.participant,
+            session=self._plan.session,
+            seed=self._plan.seed,
+            version=__version__,
+            stage=self._stage.describe(),
+            clock={"monotonic_ns": moment.monotonic_ns, "realtime_ns": moment.realtime_ns},
+        )
+        if self._log.dropped is not None:
+            self._front.tell(self._log.dropped)
+        return resumed
+
+    def _leave(self) -> None:
+        """After an error, which says what is wrong; another one in here does not."""
+        with suppress(HapticdError):
+            self._stage.fade()
+            self._mark(EventCode.SESSION_ABORTED)
+
+    def _run_trials(self) -> None:
+        left = [trial for trial in self._plan.trials if trial.index not in self._progress.done]
+        before: PlannedTrial | None = None
+        # A break comes before a trial that is the first of this run only where the run goes on in the middle.
+        ran = len(self._progress.done)
+        for trial in left:
+            because = self._stops()
+            if because is not None:
+                self._end(because)
+                return
+            self._between(before, trial, ran)
+            if self._run_trial(trial):
+                ran += 1
+            before = trial
+        self._end("all trials are done")
+
+    def _end(self, because: str) -> None:
+        self._stage.fade()
+        self._record("ended", because=because)
+        self._mark(EventCode.SESSION_END)
+
+    def _stops(self) -> str | None:
+        """Why the study's stop rules end the test now."""
+        stop = self._plan.study.stop
+        begun = self._progress.test_began_s
+        if stop.after_s is not None and begun is not None and self._elapsed_s() - begun >= stop.after_s:
+            return f"no trial begins {stop.after_s:g} s after the first one"
+        wrong = stop.wrong_in_a_row
+        if wrong is not None and self._progress.wrong_in_a_row >= wrong:
+            return f"{wrong} wrong answers in a row"
+        return None
+
+    def _between(self, before: PlannedTrial | None, trial: PlannedTrial, ran: int) -> None:
+        """Instructions of a new phase, and breaks."""
+        study = self._plan.study
+        if before is None or before.phase != trial.phase:
+            warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)
+            self._obey(lambda: self._front.phase(trial.phase, warmup.instructions if warmup else None))
+        if before is None or trial.phase != "test":
+            return
+        breaks = study.breaks
+        every = breaks.every_trials
+        new_block = breaks.between_blocks and before.phase == "test" and before.block != trial.block
+        if new_block or (every is not None and ran > 0 and ran % every == 0):
+            self._record("break", before_trial=trial.index)
+            self._mark(EventCode.BREAK_BEGIN)
+            self._obey(lambda: self._front.rest(breaks.text, breaks.least_s))
+            self._mark(EventCode.BREAK_END)
+
+    # ---- A trial --------------------------------------------------------------------------------------------
+
+    def _run_trial(self, trial: PlannedTrial) -> bool:
+        """Until it is answered; False where its procedure does not need it."""
+        while True:
+            armed = self._armed(trial)
+            if armed is None:
+                self._record("trial_skipped", trial=trial.index, because="its procedure has ended")
+                return False
+            attempt = self._progress.attempts.get(trial.index, 0) + 1
+            try:
+                self._attempt(armed, attempt)
+                return True
+            except _Again as again:
+                if again.paused:
+                    self._pause()
+            except _Aborted:
+                self._record("trial_given_up", trial=trial.index, attempt=attempt, because="aborted")
+                raise
+
+    def _armed(self, trial: PlannedTrial) -> _Armed | None:
+        level, stimuli = None, trial.stimuli
+        if trial.procedure is not None:
+            level = self._procedure(trial.procedure).level()
+            if level is None:
+                return None
+            stimuli = self._at_level(trial, level)
+        configs = configurations(self._plan.study, stimuli)
+        return _Armed(trial, level, stimuli, configs, self._shown(trial, stimuli, configs))
+
+    def _attempt(self, armed: _Armed, attempt: int) -> None:
+        trial, stage = armed.trial, self._stage
+        target = self._folder.trial_file(trial.index, attempt)
+        notes: dict[str, Json] = {"trial": trial.index, "attempt": attempt, "participant": self._plan.participant}
+        self._record(
+            "trial_started",
+            trial=trial.index,
+            attempt=attempt,
+            file=target.name if self._keep else None,
+            level=armed.level,
+            stimuli=[{"name": each.name, "levels": dict(each.levels)} for each in armed.stimuli],
+        )
+        try:
+            with stage.recording(target, notes):
+                reply, onset_s, asked_s = self._felt(armed, attempt)
+        except (ForcesLost, ForcesStopped) as lost:
+            stage.fade()
+            self._begin_again(trial, attempt, lost)
+        answered_s = self._answered_s
+        self._check_faults(trial, attempt)
+        self._answer(armed, attempt, reply, onset_s, asked_s, answered_s)
+        self._mark(EventCode.TRIAL_END, trial=trial.index, attempt=attempt)
+
+    def _felt(self, armed: _Armed, attempt: int) -> tuple[Reply, float, float]:
+        """The intervals one after the other, and the reply; when the forces came on, and when the last interval did."""
+        stage, shown = self._stage, armed.shown
+        mark = partial(self._mark, trial=armed.trial.index, attempt=attempt)
+        onset_s = asked_s = 0.0
+        for number, config in enumerate(armed.configs, 1):
+            stage.arm(config)
+            if number == 1:
+                mark(EventCode.TRIAL_ARMED)
+                self._heed(armed, attempt, lambda: self._front.ready(shown, self._watched(armed, attempt)))
+            # What was said while the scene was put in force is heard before they are on, what came then at once.
+            self._heed(armed, attempt, self._front.may_enable)
+            stage.enable()
+            self._heed(armed, attempt, self._front.may_enable)
+            mark(EventCode.INTERVAL, interval=number)
+            asked_s = self._elapsed_s()
+            onset_s = onset_s or asked_s
+            if number < len(armed.configs):
+                self._heed(armed, attempt, partial(self._front.explore, shown, number, stage))
+                stage.fade()
+                mark(EventCode.FORCES_OFF, interval=number)
+        reply = self._heed(armed, attempt, lambda: self._front.ask(shown, stage))
+        self._answered_s = self._elapsed_s()
+        assert isinstance(reply, Reply)
+        stage.check()
+        mark(EventCode.ANSWER)
+        stage.fade()
+        mark(EventCode.FORCES_OFF, interval=len(armed.configs))
+        return reply, onset_s, asked_s
+
+    def _answer(
+        self, armed: _Armed, attempt: int, reply: Reply, onset_s: float, asked_s: float, answered_s: float
+    ) -> None:
+        """Puts the answer on disk, with the state of its procedure after it, in one record."""
+        trial = armed.trial
+        measures = self._measures(armed)
+        question = self._plan.study.questions[trial.question]
+        answer: Json = reply.answer
+        if isinstance(question, MeasureQuestion):
+            answer = measures[question.measure]
+        right = None if trial.correct is None else reply.answer == trial.correct
+        state: dict[str, Json] = {"procedure": None}
+        if trial.procedure is not None:
+            assert armed.level is not None
+            procedure = self._procedure(trial.procedure)
+            procedure.answer(armed.level, "correct" if right else "wrong")
+            state = {"procedure": trial.procedure, "procedure_state": procedure.state()}
+        self._record(
+            "answer",
+            trial=trial.index,
+            attempt=attempt,
+            phase=trial.phase,
+            answer=answer,
+            timed_out=reply.timed_out,
+            correct=None if right is None else int(right),
+            onset_s=onset_s,
+            duration_s=answered_s - onset_s,
+            response_time_s=answered_s - asked_s,
+            level=armed.level,
+            measures=dict(measures),
+            **state,
+        )
+        self._front.answered(self._watched(armed, attempt), answer, right, answered_s - asked_s)
+        self._tell_feedback(armed, right, answer)
+
+    def _tell_feedback(self, armed: _Armed, right: bool | None, answer: Json) -> None:
+        study, trial = self._plan.study, armed.trial
+        warmup = {"practice": study.practice, "training": study.training}.get(trial.phase)
+        wanted = study.feedback if warmup is None else "correctness" if warmup.feedback else "none"
+        measured = isinstance(study.questions[trial.question], MeasureQuestion)
+        if wanted == "none" or (wanted == "measure" and not measured):
+            return
+        measure = answer if measured and isinstance(answer, float) else None
+        self._front.feedback(armed.shown, right, trial.correct, measure)
+
+    def _measures(self, armed: _Armed) -> Mapping[str, float | None]:
+        """What the study asks to be measured, from the telemetry of the trial."""
+        study = self._plan.study
+        question = study.questions[armed.trial.question]
+        wanted = list(study.trial.measures)
+        if isinstance(question, MeasureQuestion) and question.measure not in wanted:
+            wanted.append(question.measure)
+        if not wanted:
+            return {}
+        told = self._stage.telemetry()
+        scene = armed.configs[-1].scene.to_dict()
+        found = measures_of(told.samples, told.events, planes_of(cast("dict[str, Json]", scene["objects"])))
+        return {name: found[name] for name in wanted}
+
+    def _check_faults(self, trial: PlannedTrial, attempt: int) -> None:
+        """An attempt during which the forces were lost does not count. Raises _Again, or HapticdError after some."""
+        try:
+            self._stage.check()
+        except HapticdError as error:
+            self._begin_again(trial, attempt, error)
+        self._faults = 0
+
+    def _begin_again(self, trial: PlannedTrial, attempt: int, because: HapticdError) -> NoReturn:
+        """Raises _Again, after a pause where somebody stopped the forces; after some in a row the fault itself."""
+        self._faults += 1
+        self._give_up(trial, attempt, because=str(because))
+        if self._faults >= MOST_FAULTS:
+            raise because
+        self._front.tell(f"trial {trial.index} begins again: {because}")
+        raise _Again(paused=isinstance(because, ForcesStopped)) from None
+
+    # ---- What the front is told, and tells ------------------------------------------------------------------
+
+    def _heed(self, armed: _Armed, attempt: int, ask: Callable[[], Reply | Command | None]) -> Reply | None:
+        """Asks the front within an attempt. A pause or a repetition ends the attempt: times stay true."""
+        while True:
+            said = ask()
+            if not isinstance(said, Command):
+                return said
+            if said.kind == "note":
+                self._record("note", text=said.text, trial=armed.trial.index)
+                continue
+            self._stage.fade()
+            if said.kind == "abort":
+                raise _Aborted
+            self._give_up(armed.trial, attempt, because=said.kind)
+            raise _Again(paused=said.kind == "pause")
+
+    def _obey(self, ask: Callable[[], Command | None]) -> None:
+        """Asks the front between trials."""
+        while (said := ask()) is not None:
+            if said.kind == "abort":
+                raise _Aborted
+            if said.kind == "note":
+                self._record("note", text=said.text)
+            elif said.kind == "pause":
+                self._pause()
+            else:
+                self._front.tell("no trial is under way that could be repeated")
+
+    def _pause(self) -> None:
+        self._record("paused")
+        self._mark(EventCode.PAUSE_BEGIN)
+        self._obey(self._front.paused)
+        self._record("continued")
+        self._mark(EventCode.PAUSE_END)
+
+    def _watched(self, armed: _Armed, attempt: int) -> Watched:
+        trial, progress = armed.trial, self._progress
+        return Watched(
+            index=trial.index,
+            attempt=attempt,
+            condition=trial.condition,
+            cell=trial.cell,
+            stimuli=tuple(each.name for each in armed.stimuli),
+            correct=trial.correct,
+            level=armed.level,
+            answered=progress.answered,
+            right=progress.correct,
+        )
+
+    def _shown(self, trial: PlannedTrial, stimuli: Sequence[Stimulus], configs: Sequence[Config]) -> Shown:
+        study = self._plan.study
+        question = study.questions[trial.question]
+        shown = Shown(
+            number=len(self._progress.done) + 1,
+            total=self.total,
+            at_most=study.may_end_early,
+            phase=trial.phase,
+            stimuli=len(stimuli),
+            in_places=study.trial.presentation == "places",
+            surfaces=seen(study, configs, len(stimuli)),
+            text=question.text,
+            kind=question.kind,
+            time_limit_s=study.time_limit_s,
+        )
+        if isinstance(question, ChoiceQuestion):
+            answers = tuple(Choice(each.name, each.label, each.key, each.means) for each in question.answers)
+            return replace(shown, answers=answers)
+        if isinstance(question, SliderQuestion):
+            ends = (question.low_label, question.high_label)
+            return replace(shown, low=question.low, high=question.high, step=question.step, ends=ends)
+        if isinstance(question, NumberQuestion):
+            return replace(shown, low=question.low, high=question.high)
+        if isinstance(question, TextQuestion):
+            return replace(shown, most_characters=question.most_characters)
+        return shown
+
+    # ---- Bookkeeping ----------------------------------------------------------------------------------------
+
+    def _procedure(self, name: str) -> Procedure:
+        if name not in self._procedures:
+            self._procedures[name] = self._new_procedure(name, self._progress.procedures.get(name))
+        return self._procedures[name]
+
+    def _elapsed_s(self) -> float:
+        """Time on the session's clock; it stands still while no process runs the session."""
+        return self._now_s() - self._origin_s
+
+    def _give_up(self, trial: PlannedTrial, attempt: int, because: str) -> None:
+        self._record("trial_given_up", trial=trial.index, attempt=attempt, because=because)
+        self._mark(EventCode.TRIAL_GIVEN_UP, trial=trial.index, attempt=attempt)
+
+    def _mark(self, code: EventCode, **members: Json) -> None:
+        """Tells other programs. Numbers alone: names of stimuli and conditions are for the experimenter."""
+        self._stage.mark(code.text, {"code": int(code), **members})
+
+    def _record(self, kind: str, **members: Json) -> Record:
+        record = self._log.append(kind, at_s=self._elapsed_s(), **members)
+        self._progress.take(record)
+        return record

@@ -1,0 +1,102 @@
+"""Beginning a session, and going on with one: the plan as a file, and the adaptive procedures of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, cast
+
+from hapticd._version import __version__
+from hapticd.base import clock
+from hapticd.base.errors import HapticdError, known_names, quoted
+from hapticd.base.yaml_source import Json
+from hapticd.experiment.keys import Study
+from hapticd.experiment.plan import Plan, PlannedTrial
+from hapticd.experiment.procedures.constant_stimuli import ConstantStimuli, ConstantStimuliParameters
+from hapticd.experiment.procedures.procedure import Procedure
+from hapticd.experiment.procedures.quest_plus import QuestPlus, QuestPlusParameters
+from hapticd.experiment.procedures.staircase import Staircase, StaircaseParameters
+from hapticd.experiment.session_folder import SessionFolder
+from hapticd.experiment.session_log import SessionLog
+from hapticd.experiment.stimuli import Stimulus
+
+_PROCEDURES: Final[dict[str, tuple[Any, Any]]] = {
+    "staircase": (Staircase, StaircaseParameters),
+    "quest_plus": (QuestPlus, QuestPlusParameters),
+    "constant_stimuli": (ConstantStimuli, ConstantStimuliParameters),
+}
+
+
+def begin(root: Path, source: bytes, plan: Plan, stage: Mapping[str, Json]) -> tuple[SessionFolder, SessionLog]:
+    """Makes the folder of a new session. `source` is the study's YAML as it was read, `stage` what describes the stage.
+
+    Raises HapticdError where the session exists, or cannot be written.
+    """
+    return SessionFolder.create(root, source, plan_document(plan), about_of(plan, stage, clock.read()))
+
+
+def about_of(plan: Plan, stage: Mapping[str, Json], moment: clock.Moment) -> dict[str, Json]:
+    """What session.json says of a session that begins at a moment."""
+    return {
+        "participant": plan.participant,
+        "session": plan.session,
+        "seed": plan.seed,
+        "title": plan.study.title,
+        "version": __version__,
+        "stage": dict(stage),
+        "clock": {"monotonic_ns": moment.monotonic_ns, "realtime_ns": moment.realtime_ns},
+    }
+
+
+def plan_document(plan: Plan) -> dict[str, Json]:
+    """A plan as plain data; the study is in it with everything that its file took from elsewhere."""
+    return {
+        "study": plan.study.to_dict(),
+        "participant": plan.participant,
+        "session": plan.session,
+        "seed": plan.seed,
+        "trials": [_trial_document(trial) for trial in plan.trials],
+    }
+
+
+def _trial_document(trial: PlannedTrial) -> dict[str, Json]:
+    return {
+        "index": trial.index,
+        "phase": trial.phase,
+        "block": trial.block,
+        "condition": trial.condition,
+        "cell": trial.cell,
+        "repetition": trial.repetition,
+        "stimuli": [
+            {"name": each.name, "levels": dict(each.levels), "changes": dict(each.changes)} for each in trial.stimuli
+        ],
+        "question": trial.question,
+        "correct": trial.correct,
+        "procedure": trial.procedure,
+    }
+
+
+def plan_of(folder: SessionFolder) -> Plan:
+    """The plan of a session, from its file: another version might plan otherwise. Raises HapticdError."""
+    document = cast("dict[str, Any]", folder.plan)
+    try:
+        trials = tuple(
+            PlannedTrial(**{**each, "stimuli": tuple(Stimulus(**stimulus) for stimulus in each["stimuli"])})
+            for each in document["trials"]
+        )
+        study = Study.model_validate(document["study"])
+        return Plan(study, document["participant"], document["session"], document["seed"], trials)
+    except (KeyError, TypeError) as error:
+        raise HapticdError(f"{folder.path}/plan.json: is no plan of this version ({error})") from None
+
+
+def procedure_of(study: Study, name: str, state: Json) -> Procedure:
+    """The adaptive procedure of a name: new, or from its state. Raises HapticdError."""
+    method = dict(study.adaptive(name).method)
+    kind = str(method.get("kind", ""))
+    if kind not in _PROCEDURES:
+        known = known_names(kind, _PROCEDURES)
+        raise HapticdError(f"trial.procedures.{name}.method.kind: {quoted(kind)} is no procedure; {known}")
+    made, parameters = _PROCEDURES[kind]
+    found = made(parameters.model_validate(method)) if state is None else made.restored(state)
+    return cast(Procedure, found)

@@ -1,0 +1,238 @@
+"""The command with its two pages, on a daemon with the simulated joystick; a script plays the pages."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import msgpack
+import pytest
+
+from hapticd.base.core import Flag
+from hapticd.config.materials import shipped_materials
+from hapticd.experiment.plan import plan
+from hapticd.experiment.study import load_study
+from tests.experiment.scripted_pages import SERVO, SESSION, Running, Script, answered, log_of, page, run_study
+from tests.support.daemon_process import Daemon, connect, running_daemon
+
+PAPER = ("okamura1998_tapping", "okamura1998_texture", "okamura1998_puncture")
+
+
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    path = tmp_path_factory.mktemp("daemon") / "servo.yaml"
+    path.write_text(SERVO)
+    with running_daemon("-c", str(path)) as running:
+        yield running
+
+
+@pytest.fixture
+def start(daemon: Daemon) -> Iterator[Callable[..., Running]]:
+    """Starts `hapticd` with words on the daemon; what still runs after the test is killed."""
+    started: list[Running] = []
+
+    def begin(*words: str) -> Running:
+        started.append(Running("--runtime-dir", str(daemon.directory), *words))
+        return started[-1]
+
+    yield begin
+    for each in started:
+        each.stop()
+
+
+def _numbers(value: object) -> Iterator[float]:
+    """Every number in a message."""
+    if isinstance(value, dict):
+        for each in value.values():
+            yield from _numbers(each)
+    elif isinstance(value, list):
+        for each in value:
+            yield from _numbers(each)
+    elif isinstance(value, float):
+        yield value
+
+
+def _secrets(study: str) -> tuple[set[str], set[float]]:
+    """The names of materials, conditions, factors, levels and cells of a study, and the numbers of its materials."""
+    made = plan(load_study(study), "P07", 1, 1)
+    names = {*shipped_materials(), *made.study.factors, *made.study.conditions} - {"all"}
+    for trial in made.trials:
+        names |= {each.name for each in trial.stimuli} | {trial.cell}
+    numbers: set[float] = set()
+    for material in shipped_materials().values():
+        numbers |= {each for each in _numbers(material.to_dict()) if each not in (0.0, 1.0)}
+    for trial in made.trials:
+        for stimulus in trial.stimuli:
+            numbers |= set(_numbers(dict(stimulus.changes)))
+    return {name for name in names if len(name) > 3}, numbers
+
+
+@pytest.mark.parametrize("study", PAPER)
+def test_the_participant_is_sent_no_name_and_no_number_of_a_material(
+    study: str, tmp_path: Path, start: Callable[..., Running]
+) -> None:
+    running, script = start(*run_study(tmp_path, study)), Script(most=4)
+    asyncio.run(script.play(running.links))
+    code, out, _ = running.ended()
+    assert code == 1 and "go on with" in out
+    assert len(answered(tmp_path)) == 4
+    assert script.participant is not None
+    names, numbers = _secrets(study)
+    assert len(names) > 8 and len(numbers) > 20
+    instructions = load_study(study).instructions + "".join(each.text for each in load_study(study).questions.values())
+    # What every trial has alike (where the surfaces are, the time limit) tells no material from another.
+    trials = [set(_numbers(screen)) for screen in script.screens if screen.get("question")]
+    numbers -= set.intersection(*trials)
+    for message in script.participant.messages:
+        text = message.decode("utf-8", "replace")
+        # What the study itself tells the participant is no secret.
+        found = [name for name in names if name in text and name not in instructions]
+        assert not found, text
+        assert not set(_numbers(msgpack.unpackb(message))) & numbers
+
+
+@pytest.mark.slow
+def test_a_demo_has_a_daemon_of_its_own_and_ends_it(tmp_path: Path) -> None:
+    running, script = Running(*run_study(tmp_path, PAPER[2], "--demo")), Script(most=1)
+    try:
+        asyncio.run(script.play(running.links))
+        code, out, _ = running.ended()
+    finally:
+        running.stop()
+    assert code == 1 and "1 of 24 trials; go on with" in out
+    about = json.loads((tmp_path / SESSION / "session.json").read_text())
+    assert about["stage"]["device"] == "sim"
+
+
+def test_the_participants_address_lets_nobody_into_the_experimenters_page(
+    tmp_path: Path, start: Callable[..., Running]
+) -> None:
+    running = start(*run_study(tmp_path, PAPER[0]))
+    token = running.links["participant"].partition("=")[2]
+    other = running.links["experimenter"].partition("?")[0]
+
+    async def look() -> None:
+        jar = aiohttp.CookieJar(unsafe=True)
+        async with aiohttp.ClientSession(cookie_jar=jar) as session:
+            async with session.get(running.links["participant"]) as response:
+                assert response.status == 200
+            # Cookies do not know ports: this session's go to the other port, too.
+            async with session.get(other) as response:
+                assert response.status == 403
+            async with session.get(f"{other}?token={token}") as response:
+                assert response.status == 403
+            async with session.get(f"{other}socket", headers={"Origin": other.rstrip("/")}) as response:
+                assert response.status == 403
+
+    asyncio.run(look())
+
+
+REFUSED: dict[str, dict[str, Any]] = {
+    "get_scene": {},
+    "get_materials": {},
+    "get_status": {},
+    "lease": {"duration_s": 1},
+    "web.subscribe": {"topics": ["samples"]},
+    "experiment.watch": {"since": 0},
+    "web.new_address": {},
+}
+
+
+def test_the_participants_page_may_ask_for_nothing_of_the_scene(tmp_path: Path, start: Callable[..., Running]) -> None:
+    running, told = start(*run_study(tmp_path, PAPER[0])), []
+
+    async def heard(_: object, message: Any) -> None:
+        raise AssertionError(message)
+
+    async def ask() -> None:
+        async with page(running.links["participant"], heard) as participant:
+            for method, params in REFUSED.items():
+                await participant.call(method, **params)
+            async for message in participant.socket:
+                answer = msgpack.unpackb(message.data)
+                if isinstance(answer, dict):
+                    told.append(answer["error"]["message"])
+                    if len(told) == len(REFUSED):
+                        return
+
+    asyncio.run(ask())
+    assert told == [f"no method {method!r} for a page" for method in REFUSED]
+
+
+def test_a_session_that_was_stopped_goes_on_to_its_end_with_the_pages(
+    tmp_path: Path, start: Callable[..., Running]
+) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text(SHORT)
+    running = start(*run_study(tmp_path, str(study)))
+    asyncio.run(Script(most=2).play(running.links))
+    assert running.ended()[0] == 1
+    again, script = start("experiment", "resume", str(tmp_path / SESSION), "--port", "0"), Script()
+    asyncio.run(script.play(again.links))
+    code, out, said = again.ended()
+    assert (code, said) == (0, "") and "complete" in out
+    assert sorted(answered(tmp_path)) == list(range(5))
+    assert script.screens[-1]["kind"] == "over"
+    kinds = {screen["question"]["kind"] for screen in script.screens if screen.get("question")}
+    assert kinds == {"slider"}
+    rows = script.consoles[-1]
+    assert rows["doing"] == "over" and rows["done"] == 5
+
+
+def test_a_participant_whose_page_dies_feels_nothing_and_the_trial_begins_again(
+    daemon: Daemon, tmp_path: Path, start: Callable[..., Running]
+) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text(SHORT)
+    running = start(*run_study(tmp_path, str(study)))
+
+    script = Script()
+
+    async def both() -> None:
+        # The third answer is never said: the page goes script.
+        original = script._participant
+
+        async def goes(page: Any, told: Any) -> None:
+            screen = told[1].get("screen") if isinstance(told, list) and told[0] == "web" else None
+            if script.answers == 2 and screen and screen["kind"] == "trial" and screen["felt"]:
+                await page.socket.close()
+                return
+            await original(page, told)
+
+        script._participant = goes  # type: ignore[method-assign]
+        playing = asyncio.create_task(script.play(running.links))
+        with connect(daemon.directory) as client:
+            while not (script.consoles and script.consoles[-1]["doing"] == "paused"):
+                await asyncio.sleep(0.01)
+            with client.states(newest=True) as states:
+                state = await asyncio.to_thread(states.receive, 30.0)
+        assert state is not None and not state["flags"] & Flag.FORCES_ON and state["force_n"] == [0.0, 0.0]
+        running.process.send_signal(signal.SIGTERM)
+        await playing
+
+    asyncio.run(both())
+    assert running.ended()[0] == 1
+    assert len(answered(tmp_path)) == 2
+    assert [each["because"] for each in log_of(tmp_path) if each["kind"] == "trial_given_up"] == ["pause"]
+
+
+SHORT = """\
+experiment: 1
+title: How rough?
+instructions: Stroke it.
+base:
+  materials: {surface: wood}
+  scene:
+    objects:
+      floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: surface}
+factors:
+  material: {at: materials.surface, levels: [wood, delrin, glass, steel, acrylic]}
+trial: {type: rating, cross: [material], question: rough}
+questions:
+  rough: {kind: slider, text: How rough?, low: 0, high: 10}
+"""

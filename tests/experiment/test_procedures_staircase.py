@@ -1,0 +1,193 @@
+"""Staircases: where they converge, what they estimate, and that a stored one goes on as it was."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from hapticd.base.errors import HapticdError, InvalidError
+from hapticd.experiment.procedures.procedure import ProcedureError
+from hapticd.experiment.procedures.staircase import Rule, Staircase, StaircaseParameters
+
+Floats = npt.NDArray[np.float64]
+OBSERVERS = 1000
+TARGETS: dict[Rule, float] = {"1-up-1-down": 0.5, "1-up-2-down": math.sqrt(0.5), "1-up-3-down": 0.5 ** (1 / 3)}
+
+
+def logistic(level: float, threshold: float, spread: float, guess: float) -> float:
+    """Written out here: the reference shares nothing with what is tested."""
+    return guess + (1 - guess) / (1 + math.exp(-(level - threshold) / spread))
+
+
+def level_of(proportion: float, threshold: float, spread: float, guess: float) -> float:
+    share = (proportion - guess) / (1 - guess)
+    return threshold + spread * math.log(share / (1 - share))
+
+
+def run(staircase: Staircase, threshold: float, spread: float, guess: float, generator: np.random.Generator) -> None:
+    while (level := staircase.level()) is not None:
+        right = generator.random() < logistic(level, threshold, spread, guess)
+        staircase.answer(level, "correct" if right else "wrong")
+
+
+def parameters(rule: Rule, guess: float, **more: object) -> StaircaseParameters:
+    given: dict[str, object] = {
+        "rule": rule,
+        "guess": guess,
+        "start": 130.0,
+        "least": 20.0,
+        "most": 200.0,
+        "steps": [16.0, 8.0, 4.0],
+        "reversals": 1000,
+        "trials": 90,
+    }
+    return StaircaseParameters(**{**given, **more})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "rule, guess, target",
+    [
+        ("1-up-1-down", 0.0, 0.5),
+        ("1-up-2-down", 0.5, math.sqrt(0.5)),
+        ("1-up-3-down", 0.5, 0.5 ** (1 / 3)),
+        ("weighted", 0.5, 0.75),
+    ],
+)
+def test_a_thousand_observers(rule: Rule, guess: float, target: float) -> None:
+    """The estimate's bias is at most 5 %, 95 % intervals cover 93 to 97 %; reversals are where they should be."""
+    generator = np.random.Generator(np.random.PCG64(20))
+    given = parameters(rule, guess, target=0.75 if rule == "weighted" else None)
+    errors, covered, proportions = [], 0, []
+    for _ in range(OBSERVERS):
+        threshold, spread = 100 * math.exp(generator.normal(0, 0.08)), 10 * math.exp(generator.normal(0, 0.3))
+        staircase = Staircase(given)
+        run(staircase, threshold, spread, guess, generator)
+        found, truth = staircase.estimate(), level_of(target, threshold, spread, guess)
+        errors.append(found.threshold / truth - 1)
+        covered += found.low <= truth <= found.high
+        mean = staircase.reversal_mean()
+        assert mean is not None
+        proportions.append(logistic(mean, threshold, spread, guess))
+    assert abs(np.mean(errors)) < 0.05
+    assert 0.93 <= covered / OBSERVERS <= 0.97
+    assert np.mean(proportions) == pytest.approx(target, abs=0.025)
+
+
+@pytest.mark.parametrize("rule", TARGETS)
+def test_levels_converge_at_the_rules_proportion(rule: Rule) -> None:
+    """Small steps and many trials: positive answers at the levels visited become the target proportion (Levitt, 1971).
+    The reference is the stationary distribution of the rule's Markov chain over its levels."""
+    spread, step, in_a_row = 10.0, 2.0, {"1-up-1-down": 1, "1-up-2-down": 2, "1-up-3-down": 3}[rule]
+    levels = np.arange(20.0, 201.0, step)
+    chances = np.array([logistic(level, 100, spread, 0) for level in levels])
+    size = len(levels)
+    chain = np.zeros((size * in_a_row, size * in_a_row))
+    for place in range(size):
+        for row in range(in_a_row):
+            here = place * in_a_row + row
+            harder = max(place - 1, 0) * in_a_row if row == in_a_row - 1 else here + 1
+            chain[here, harder] += chances[place]
+            chain[here, min(place + 1, size - 1) * in_a_row] += 1 - chances[place]
+    values, vectors = np.linalg.eig(chain.T)
+    stationary = np.real(vectors[:, np.argmax(np.real(values))])
+    mean_level = float(np.sum(stationary / stationary.sum() * np.repeat(levels, in_a_row)))
+    assert logistic(mean_level, 100, spread, 0) == pytest.approx(TARGETS[rule], abs=0.02)
+
+    generator = np.random.Generator(np.random.PCG64(3))
+    staircase = Staircase(parameters(rule, 0.0, steps=[step], start=100.0, reversals=1000, trials=6000))
+    run(staircase, 100, spread, 0, generator)
+    visited = [each.level for each in staircase.answers]
+    assert np.mean(visited) == pytest.approx(mean_level, abs=1.5)
+    assert staircase.parameters.proportion == pytest.approx(TARGETS[rule])
+
+
+def test_a_weighted_staircase_steps_by_the_odds() -> None:
+    staircase = Staircase(parameters("weighted", 0.0, target=0.75, steps=[4.0]))
+    staircase.answer(130.0, "correct")
+    assert staircase.level() == 126.0
+    staircase.answer(126.0, "wrong")
+    assert staircase.level() == 138.0  # 3 steps back: 0.75 / 0.25
+
+
+def test_the_rule_is_followed_step_by_step() -> None:
+    """1-up-2-down by hand: steps become smaller after each reversal."""
+    staircase = Staircase(parameters("1-up-2-down", 0.5, trials=8))
+    visited = []
+    for answer in ("correct", "correct", "correct", "wrong", "correct", "correct", "wrong", "wrong"):
+        level = staircase.level()
+        assert level is not None
+        visited.append(level)
+        staircase.answer(level, answer)
+    assert visited == [130, 130, 114, 114, 122, 122, 118, 122]
+    assert staircase.reversals == [114, 122, 118]
+    assert staircase.level() is None
+    with pytest.raises(ProcedureError, match="has ended"):
+        staircase.answer(126.0, "wrong")
+
+
+def test_factors_on_a_logarithmic_axis_and_harder_upwards() -> None:
+    given = parameters(
+        "1-up-1-down", 0.0, axis="logarithmic", steps=[2.0], start=40.0, least=10.0, most=100.0, harder="higher"
+    )
+    staircase = Staircase(given)
+    for answer, level in (("correct", 80.0), ("correct", 100.0), ("wrong", 50.0)):
+        now = staircase.level()
+        assert now is not None
+        staircase.answer(now, answer)
+        assert staircase.level() == level
+
+
+def test_a_stored_staircase_goes_on_as_it_was() -> None:
+    generator = np.random.Generator(np.random.PCG64(5))
+    one = Staircase(parameters("1-up-3-down", 0.5, axis="logarithmic", steps=[1.5, 1.2, 1.1]))
+    while (level := one.level()) is not None:
+        other = Staircase.restored(json.loads(json.dumps(one.state())))
+        assert other.level() == level
+        assert (other.reversals, other.answers) == (one.reversals, one.answers)
+        one.answer(level, "correct" if generator.random() < 0.8 else "wrong")
+    assert Staircase.restored(one.state()).estimate() == one.estimate()
+
+
+def test_answers_by_name() -> None:
+    staircase = Staircase(
+        parameters("1-up-1-down", 0.0, outcomes={"positive": ["first"], "negative": ["second", "same"]})
+    )
+    staircase.answer(130.0, "same")
+    assert staircase.level() == 146.0
+    with pytest.raises(ProcedureError, match='answer "frist" is none of the procedure\'s; did you mean first'):
+        staircase.answer(146.0, "frist")
+
+
+def test_an_answer_to_another_level_is_refused() -> None:
+    staircase = Staircase(parameters("1-up-1-down", 0.0))
+    with pytest.raises(ProcedureError, match="level 99, but 130 was due"):
+        staircase.answer(99.0, "wrong")
+
+
+@pytest.mark.parametrize(
+    "wrong, text",
+    [
+        ({"rule": "weighted"}, "target is needed by the rule weighted"),
+        ({"target": 0.6}, "belongs to it alone"),
+        ({"guess": 0.8}, "converges at 70.7 % positive answers, which must be more than guess"),
+        ({"start": 300.0}, "start .300. must lie between"),
+        ({"axis": "logarithmic", "steps": [0.5]}, "each must be more than 1"),
+        ({"reversals": 4}, "discard .4. must leave 2 of the 4 reversals"),
+        ({"steps": []}, "at least 1 entry"),
+        ({"shape": "weibull"}, "needs axis: logarithmic"),
+    ],
+)
+def test_bad_parameters(wrong: dict[str, object], text: str) -> None:
+    with pytest.raises(InvalidError, match=text):
+        parameters(**{"rule": "1-up-2-down", "guess": 0.5, **wrong})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("state", [None, {"parameters": {}}, {"parameters": {}, "answers": [[1.0]]}, {"answers": []}])
+def test_a_state_that_is_none(state: object) -> None:
+    with pytest.raises(HapticdError):
+        Staircase.restored(state)  # type: ignore[arg-type]

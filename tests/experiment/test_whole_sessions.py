@@ -1,0 +1,126 @@
+"""Sessions from the study to the analysis, by the commands: simulated participants, offline."""
+
+from __future__ import annotations
+
+import csv
+from collections import defaultdict
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from hapticd.cli import cli
+from hapticd.experiment.analyze import analyze
+from hapticd.experiment.behaviour import read_behaviour
+
+RANKING = """\
+experiment: 1
+title: Put them in order
+instructions: Tap all.
+base:
+  materials: {surface: wood}
+  scene:
+    objects:
+      floor: {kind: wall, point_m: [0, 0], normal: [0, 1], material: surface}
+factors:
+  material:
+    at: materials.surface
+    levels: [wood, delrin, glass, steel]
+conditions:
+  both: {}
+  vibration_only: {changes: {scene: {display: {force: false}}}}
+trial: {type: ranking, alternatives: 3, cross: [material], question: order}
+practice: {trials: 1}
+repetitions: 2
+questions:
+  order: {kind: ranking, text: From hard to soft?, asks: {factor: material, which: highest}}
+"""
+PEOPLE = ("A", "B", "C")
+
+
+def _run(study: Path, root: Path, *more: str, people: tuple[str, ...] = PEOPLE) -> Result:
+    given = [word for name in people for word in ("--participant", f"simulated:{name}")]
+    return CliRunner().invoke(cli, ["experiment", "run", str(study), *given, "-o", str(root), *more])
+
+
+@pytest.fixture(scope="module")
+def ranked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The data set of a ranking study with three simulated participants."""
+    root = tmp_path_factory.mktemp("ranking")
+    study = root / "ranking.yaml"
+    study.write_text(RANKING)
+    result = _run(study, root / "data", "--offline")
+    assert result.exit_code == 0, result.output
+    assert result.output.count("complete") == len(PEOPLE)
+    return root / "data"
+
+
+def _by_hand(root: Path) -> dict[tuple[str, str], list[list[str]]]:
+    """The stimuli of each condition and cell in the order of each answer, from the files alone."""
+    found: dict[tuple[str, str], list[list[str]]] = defaultdict(list)
+    words = ("first", "second", "third")
+    for file in root.rglob("*_beh.tsv"):
+        with file.open(encoding="utf-8", newline="") as lines:
+            for row in csv.DictReader(lines, delimiter="\t"):
+                if row["phase"] == "test":
+                    shown = [row[f"stimulus_{number}"] for number in (1, 2, 3)]
+                    answer = [shown[words.index(word)] for word in row["response"].split(">")]
+                    found[row["condition"], row["cell"]].append(answer)
+    return found
+
+
+def test_rankings_from_the_hand_to_the_analysis(ranked: Path) -> None:
+    """Mean ranks and Kendall's W (by its definition from the sums of squares of ranks) of each cell of four sets."""
+    listed = next(each for each in analyze([ranked]).tables if each.name == "rankings")
+    assert listed.columns == ("condition", "cell", "item", "rankings", "mean rank", "Kendall's W")
+    by_hand = _by_hand(ranked)
+    assert len(by_hand) == 2 * 4
+    assert {row[:2] for row in listed.rows} == set(by_hand)
+    assert len(listed.rows) == 3 * len(by_hand)
+    for condition, cell, item, count, mean, agreement in listed.rows:
+        rankings = by_hand[str(condition), str(cell)]
+        assert count == len(rankings) == len(PEOPLE) * 2
+        assert mean == pytest.approx(sum(each.index(str(item)) + 1 for each in rankings) / len(rankings))
+        sums = [sum(each.index(name) + 1 for each in rankings) for name in set(rankings[0])]
+        spread = sum((each - 2 * len(rankings)) ** 2 for each in sums)
+        most = sum((rank * len(rankings) - 2 * len(rankings)) ** 2 for rank in (1, 2, 3))
+        assert agreement == pytest.approx(spread / most)
+
+
+def test_simulated_participants_rank_by_what_they_feel(ranked: Path) -> None:
+    """Wood is felt as softer than steel by nearly seven times the noise: it is never before it."""
+    every = [each for rankings in _by_hand(ranked).values() for each in rankings]
+    with_both = [each for each in every if {"wood", "steel"} <= set(each)]
+    assert len(with_both) == 2 * 2 * len(PEOPLE) * 2
+    assert all(each.index("steel") < each.index("wood") for each in with_both)
+
+
+def test_the_correct_ranking_is_what_the_study_says(ranked: Path) -> None:
+    """From the hardest to the softest, in the order of the factor's levels."""
+    order = ["steel", "glass", "delrin", "wood"]
+    by_hand = _by_hand(ranked)
+    right = sum(each == sorted(each, key=order.index) for rankings in by_hand.values() for each in rankings)
+    counted = sum(1 for row in read_behaviour([ranked]).rows if row["phase"] == "test" and row.right)
+    assert counted == right > 0
+
+
+def test_several_participants_are_simulated_ones_offline(tmp_path: Path) -> None:
+    study = tmp_path / "ranking.yaml"
+    study.write_text(RANKING)
+    for more, text in (((), "several participants are for --offline"), (("--text",), "several participants")):
+        result = _run(study, tmp_path / "data", *more)
+        assert result.exit_code == 2
+        assert text in result.output
+    assert not (tmp_path / "data").exists()
+
+
+def test_no_trial_begins_after_the_time_of_the_test(tmp_path: Path) -> None:
+    """On the simulated hand's clock, on which a trial of three intervals takes several seconds."""
+    study = tmp_path / "ranking.yaml"
+    study.write_text(RANKING + "stop: {after_s: 20}\n")
+    assert _run(study, tmp_path / "data", "--offline", people=("A",)).exit_code == 0
+    rows = [row for row in read_behaviour([tmp_path / "data"]).rows if row["phase"] == "test"]
+    onsets = [float(row["onset"]) for row in rows]
+    assert 1 < len(onsets) < 16
+    assert onsets[-1] < onsets[0] + 20
+    assert onsets[-1] + float(rows[-1]["duration"]) >= onsets[0] + 20
