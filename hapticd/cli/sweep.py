@@ -1,0 +1,76 @@
+"""`hapticd sweep list | run | show`: studies of many points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hapticd.base import wording
+from hapticd.cli import names
+from hapticd.cli.common import json_option, note, print_json
+from hapticd.cli.engine import Where, computed, engine_options, outcome_dict, outcome_text, require_engine
+from hapticd.cli.sweep_show import show_command
+
+
+@click.group("sweep", no_args_is_help=False, short_help="Studies of many points: stability, error, designs.")
+def sweep_command() -> None:
+    """Studies of many points: each is a configuration that is simulated and measured, on all processors or a cluster.
+
+    Results are rows of Parquet in a folder; what it holds is not computed again.
+    """
+
+
+@click.command("run", short_help="Compute the points of a study.")
+@click.argument("study", type=click.Path(), metavar="STUDY.yaml", shell_complete=names.sweeps)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Folder of the results [default: the study's name without .yaml].",
+)
+@engine_options("points")
+@json_option
+def run_command(study: str, output: Path | None, as_json: bool, **where: Any) -> int:
+    """Compute the points of STUDY.yaml, or of a sweep that ships, that the folder of results does not hold.
+
+    Ctrl-C keeps what is done; the same command goes on. A point that cannot be computed is a row with its reason. The
+    exit code is 0 if every point has a result, otherwise 1.
+    """
+    from hapticd.sweeps.study import load_sweep
+
+    engine = Where(**where)
+    require_engine(engine)
+    plan = load_sweep(study)
+    folder = Path(Path(study).stem) if output is None else output
+    outcome, store = computed(plan, folder, engine, "point")
+    digest = store.digest()
+    if as_json:
+        print_json(outcome_dict(outcome, folder, digest, "points"))
+    else:
+        click.echo(outcome_text(outcome, "point"))
+        click.echo(f"rows: {folder}/pieces/*.parquet, sha256 {digest[:16]}; see: hapticd sweep show {folder}")
+    if outcome.failed:
+        note(f"{wording.count(outcome.failed, 'point')} could not be computed: the column error says why")
+    return 1 if outcome.failed else 0
+
+
+@click.command("list", short_help="List the sweeps that ship with hapticd.")
+@json_option
+def list_command(as_json: bool) -> None:
+    """List the sweeps that ship with hapticd: `hapticd sweep run` takes each by its name."""
+    from hapticd.config.shipped_files import described
+
+    studies = described("sweeps")
+    if as_json:
+        print_json([{"name": each.name, "asks": each.shows, "file": each.file} for each in studies])
+        return
+    width = max(len(each.name) for each in studies)
+    for each in studies:
+        click.echo(f"{each.name:<{width}}  {each.shows}")
+
+
+for _command in (list_command, run_command, show_command):
+    sweep_command.add_command(_command)

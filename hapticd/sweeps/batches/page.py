@@ -1,0 +1,185 @@
+"""The page of a batch: materials ranked by verdict, their figures beside one another, and each fit with its picture."""
+
+from __future__ import annotations
+
+import html
+import math
+import os
+import urllib.parse
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from hapticd.analysis.statistics import Estimate
+from hapticd.base import html_page, wording
+from hapticd.base.partial_files import write_whole
+from hapticd.config.schema import unit_of
+from hapticd.fit.provenance import Kind
+from hapticd.fit.report import (
+    Curve,
+    Floats,
+    Panel,
+    fit_page,
+    html_figures,
+    html_picture,
+    html_warnings,
+)
+from hapticd.sweeps.batches.batch import Quality
+from hapticd.sweeps.batches.ranking import FitResult, MaterialResult, counts
+from hapticd.sweeps.worker_check import code_version
+
+PAGE: Final = "report.html"
+COMPARED: Final[Mapping[Kind, tuple[str, ...]]] = {
+    "tap": ("frequency_hz", "decay_time_s", "first_peak_slope_per_s"),
+    "grooves": ("spacing_m", "frequency_hz", "velocity_gain_per_s"),
+    "texture": ("peak_hz", "mean_hz", "velocity_gain_per_s"),
+    "puncture": ("stiffness_n_per_m", "force_n", "frequency_hz"),
+}
+"""Figures of which those of all materials are drawn."""
+COLORS: Final[Mapping[Quality, str]] = {"good": "C2", "fair": "C1", "poor": "C3", "refused": "C7"}
+BEYOND: Final = 1.5
+"""Intervals are drawn up to so many times the largest value."""
+
+
+def write_page(
+    title: str,
+    results: Sequence[MaterialResult],
+    files: Mapping[str, str],
+    folder: Path,
+    drawn: bool,
+    note: Callable[[str], None],
+) -> None:
+    """Writes the page, with pictures where they can be `drawn`; `files` are those of the materials. A page of the same
+    content is kept: to draw a hundred pictures takes longer than all else of a batch that is done already.
+
+    `note` is called with a line when drawing begins. Raises HapticdError.
+    """
+    path = folder / PAGE
+    content = repr([title, results, files, drawn, COMPARED]) + code_version()
+    mark = f"<!-- {sha256(content.encode(errors='backslashreplace')).hexdigest()} -->\n"
+    with suppress(OSError), path.open("rb") as file:  # without one, or with a shorter one, it is written
+        file.seek(-len(mark), os.SEEK_END)
+        if file.read() == mark.encode():
+            return
+    count = sum(bool(fit.panels) for each in results for fit in each.fits)
+    if drawn and count:
+        note(f"drawing {wording.count(count, 'fit')} into {path}")
+    write_whole(str(path), page(title, results, files, folder, drawn) + mark, overwrite=True)
+
+
+def page(title: str, results: Sequence[MaterialResult], files: Mapping[str, str], folder: Path, drawn: bool) -> str:
+    """The page that stands in a folder."""
+    rows = [
+        (
+            str(rank),
+            f'<a href="#{_anchor(rank)}">{html.escape(each.name)}</a>',
+            each.quality,
+            ", ".join(fit.kind for fit in each.fits),
+            str(sum(len(fit.asked.files) for fit in each.fits)),
+            f'<span class="prose">{html.escape(each.shown_reasons)}</span>',
+        )
+        for rank, each in enumerate(results, 1)
+    ]
+    overview = "\n".join(html_picture(row) for row in _compared(results)) if drawn else ""
+    sections = "\n".join(_section(rank, each, files, folder, drawn) for rank, each in enumerate(results, 1))
+    heads = ("rank", "material", "verdict", "fits", "recordings", "reasons")
+    ranking = html_page.table_of_html(heads, rows, (False, True, True, True, False, True))
+    return fit_page(
+        title,
+        f"""<p><b>{summary(results)}</b></p>
+{ranking}
+{overview}
+{sections}""",
+    )
+
+
+def summary(results: Sequence[MaterialResult]) -> str:
+    """How many materials have which verdict."""
+    parts = ", ".join(f"{count} {quality}" for quality, count in counts(results).items() if count)
+    return f"{wording.count(len(results), 'material')}: {parts}"
+
+
+def _anchor(rank: int) -> str:
+    return f"material-{rank}"
+
+
+def _section(rank: int, result: MaterialResult, files: Mapping[str, str], folder: Path, drawn: bool) -> str:
+    """One material; a good one is closed until it is asked for."""
+    file = files.get(result.name)
+    link = ""
+    if file is not None:
+        there = os.path.relpath(file, folder)
+        link = f'<p><a href="{urllib.parse.quote(there)}">{html.escape(there)}</a></p>'
+    fits = "\n".join(_fit(fit, drawn) for fit in result.fits)
+    return f"""<details{"" if result.quality == "good" else " open"}>
+<summary><b>{rank}. {html.escape(result.name)}</b>: {result.quality}</summary>
+<div id="{_anchor(rank)}">
+{fits}
+{html_warnings(result.notes)}
+{link}
+</div>
+</details>"""
+
+
+def _fit(fit: FitResult, drawn: bool) -> str:
+    panels = [_panel(each) for each in fit.panels]
+    picture = html_picture(panels) if drawn and panels else ""
+    figures = "" if fit.estimates is None else html_figures(fit.estimates, fit.plain or {})
+    return f"""<h3>{fit.kind}</h3>
+<p><b>{html.escape(fit.verdict)}</b></p>
+{html_warnings(fit.warnings)}
+{picture}
+{figures}"""
+
+
+def _panel(data: Mapping[str, Any]) -> Panel:
+    """A picture from plain data."""
+    return Panel(**{**data, "curves": tuple(map(_curve, data["curves"]))})
+
+
+def _curve(data: Mapping[str, Any]) -> Curve:
+    fields: dict[str, Any] = {key: _array(value) if isinstance(value, list) else value for key, value in data.items()}
+    return Curve(**fields)
+
+
+def _array(values: Sequence[float | None]) -> Floats:
+    return np.array([math.nan if value is None else value for value in values], dtype=np.float64)
+
+
+def _compared(results: Sequence[MaterialResult]) -> Iterator[tuple[Panel, ...]]:
+    """Of each kind of fit, figures of all materials over their ranks."""
+    for kind, names in COMPARED.items():
+        fits = [(rank, fit) for rank, each in enumerate(results, 1) for fit in each.fits if fit.kind == kind]
+        panels = tuple(panel for name in names if (panel := _over_ranks(kind, name, fits)) is not None)
+        if panels:
+            yield panels
+
+
+def _over_ranks(kind: Kind, name: str, fits: Sequence[tuple[int, FitResult]]) -> Panel | None:
+    found = [
+        (rank, fit.quality, each)
+        for rank, fit in fits
+        if (each := (fit.estimates or {}).get(name)) is not None and math.isfinite(each.value)
+    ]
+    if len(found) < 2:
+        return None
+    most = BEYOND * max(abs(each.value) for _, _, each in found)
+    curves = tuple(
+        _dots(quality, [(rank, each) for rank, its, each in found if its == quality], most)
+        for quality in COLORS
+        if any(its == quality for _, its, _ in found)
+    )
+    return Panel(f"{kind}: {name}", "rank", unit_of(name) or "", curves, counted=True)
+
+
+def _dots(quality: Quality, found: Sequence[tuple[int, Estimate]], most: float) -> Curve:
+    ranks = np.array([rank for rank, _ in found], dtype=np.float64)
+    values, low, high = (
+        np.array([getattr(each, name) for _, each in found], dtype=np.float64) for name in ("value", "low", "high")
+    )
+    ends = (np.clip(np.nan_to_num(low, nan=-most), -most, most), np.clip(np.nan_to_num(high, nan=most), -most, most))
+    return Curve(quality, ranks, values, points=True, color=COLORS[quality], low=ends[0], high=ends[1])

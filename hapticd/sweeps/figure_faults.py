@@ -1,0 +1,125 @@
+"""What is wrong between the figures of a study and its columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+from hapticd.base.errors import Path, known_names, shown
+from hapticd.sweeps.axes import Axis, shown_value
+from hapticd.sweeps.columns import Column, Value
+from hapticd.sweeps.figure_keys import SweepFigure
+from hapticd.sweeps.keys import SweepStudy
+
+MOST_LINES: Final = 10
+"""Lines in one figure, and panels of one map: more are not told apart."""
+_DRAWN_AS_NUMBERS: Final = ("number", "integer", "boolean")
+
+
+def figure_faults(study: SweepStudy, columns: Sequence[Column], axes: Sequence[Axis]) -> list[tuple[Path, str]]:
+    """Of `figures` and `labels`, each with its place in the study."""
+    known = {column.name: column for column in columns}
+    values = {axis.name: [shown_value(value, axis.kind) for value in axis.plain_values] for axis in axes}
+    faults: list[tuple[Path, str]] = [
+        (("labels", name), f"the study has no column {name}; {known_names(name, list(known))}")
+        for name in study.labels
+        if name not in known
+    ]
+    for index, figure in enumerate(study.figures or ()):
+        found = _Figure(figure, known, values, study.combine == "crossed").faults()
+        faults += [(("figures", index, *path), text) for path, text in found]
+    return faults
+
+
+class _Figure:
+    """One figure, and what it may draw."""
+
+    def __init__(
+        self,
+        figure: SweepFigure,
+        columns: Mapping[str, Column],
+        values: Mapping[str, Sequence[Value]],
+        crossed: bool,
+    ) -> None:
+        self._figure, self._columns, self._values, self._crossed = figure, columns, values, crossed
+
+    def faults(self) -> list[tuple[Path, str]]:
+        """With paths relative to the figure."""
+        figure = self._figure
+        faults = list(self._where_faults())
+        if figure.kind == "table":
+            return faults + list(self._table_faults())
+        assert figure.x is not None and figure.y is not None
+        keys = {"x": figure.x, **({"y": figure.y[0]} if figure.kind == "map" else {})}
+        if figure.by is not None:
+            keys["by"] = figure.by
+        faults += [
+            ((place,), f"no key {name} is varied; {known_names(name, list(self._values))}")
+            for place, name in keys.items()
+            if name not in self._values
+        ]
+        measured = {"color": figure.color} if figure.kind == "map" else {"y": figure.y}
+        for place, names in {**measured, "overlay": figure.overlay}.items():
+            faults += self._measured_faults(place, names or (), texts=place == "color")
+        if faults:
+            return faults
+        faults += [
+            (("overlay",), f"{name} is in {self._unit(name)}, y in {self._unit(figure.y[0])}")
+            for name in figure.overlay or ()
+            if self._columns[name].unit != self._columns[figure.y[0]].unit
+        ]
+        return [*faults, *self._key_faults(keys)]
+
+    def _table_faults(self) -> Iterator[tuple[Path, str]]:
+        for place, names in (("columns", self._figure.columns or ()), ("best", tuple(self._figure.best or ()))):
+            for name in names:
+                if name not in self._columns:
+                    yield (place,), f"the study has no column {name}; {known_names(name, list(self._columns))}"
+                elif place == "best" and self._columns[name].kind == "text":
+                    yield (place, name), f"{name} is a text: neither more nor less of it is better"
+
+    def _unit(self, name: str) -> str:
+        return self._columns[name].unit or "no unit"
+
+    def _measured_faults(self, place: str, names: Sequence[str], texts: bool) -> list[tuple[Path, str]]:
+        """Columns that are not measured or cannot be drawn; `texts`: a text can be."""
+        measured = [name for name, column in self._columns.items() if column.role == "measured"]
+        for name in names:
+            if name not in measured:
+                return [((place,), f"nothing that is measured is called {name}; {known_names(name, measured)}")]
+            kind = self._columns[name].kind
+            if kind not in _DRAWN_AS_NUMBERS and not (texts and len(names) == 1):
+                return [((place,), f"{name} is a text: only a map of that column alone draws it")]
+        units = {self._columns[name].unit for name in names}
+        if len(units) > 1:
+            listed = ", ".join(f"{name} ({self._unit(name)})" for name in names)
+            return [((place,), f"columns of one figure need one unit, have {listed}")]
+        return []
+
+    def _where_faults(self) -> list[tuple[Path, str]]:
+        known = self._columns if self._figure.kind == "table" else self._values
+        faults: list[tuple[Path, str]] = []
+        for name, value in self._figure.where.items():
+            if name not in known:
+                what = "the study has no column" if self._figure.kind == "table" else "no key is varied that is called"
+                faults.append((("where", name), f"{what} {name}; {known_names(name, list(known))}"))
+            elif name in self._values and value not in self._values[name]:
+                have = ", ".join(map(str, self._values[name][:MOST_LINES]))
+                faults.append((("where", name), f"no point has {shown(value)}; has: {have}"))
+        return faults
+
+    def _key_faults(self, keys: Mapping[str, str]) -> list[tuple[Path, str]]:
+        """Keys that are named twice, that have too many values, or that nothing in the figure tells apart."""
+        faults: list[tuple[Path, str]] = []
+        names = [*keys.values(), *self._figure.where]
+        faults += [((), f"{name} is named twice") for name in dict.fromkeys(names) if names.count(name) > 1]
+        by = self._figure.by
+        if by is not None and len(self._values[by]) > MOST_LINES:
+            faults.append((("by",), f"{by} has {len(self._values[by])} values; at most {MOST_LINES} are told apart"))
+        if self._crossed:  # Of drawn or zipped points the figure is a view along the other keys.
+            faults += [
+                ((), f"{name} is varied, too: name one of its values in where, or draw by it")
+                for name, values in self._values.items()
+                if name not in names and len(values) > 1
+            ]
+        return faults

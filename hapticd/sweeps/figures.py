@@ -1,0 +1,101 @@
+"""The figures of a sweep: what each draws, and how it becomes a PNG or an element of a page."""
+
+from __future__ import annotations
+
+import io
+import re
+import textwrap
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from hapticd.analysis.drawing import drawing, literal, svg_element
+from hapticd.sweeps.axis_scales import key_scale, shown
+from hapticd.sweeps.default_figures import default_figures
+from hapticd.sweeps.figure_keys import SweepFigure
+from hapticd.sweeps.line_figure import draw_lines
+from hapticd.sweeps.map_figure import draw_map
+from hapticd.sweeps.results import Results
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DPI: Final = 150
+_STYLE: Final = {"font.size": 9, "axes.titlesize": 9, "axes.linewidth": 0.6, "legend.fontsize": 8}
+_LONGEST_NAME: Final = 60
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One figure that can be drawn."""
+
+    title: str
+    caption: str
+    """What stays the same in it; may be empty."""
+    keys: SweepFigure
+    results: Results
+
+    def draw(self) -> Figure:
+        """As a figure of matplotlib, with the settings that are in force. Raises HapticdError."""
+        from matplotlib.figure import Figure
+
+        draw: Callable[[Figure, Results, SweepFigure], None] = draw_map if self.keys.kind == "map" else draw_lines
+        figure = Figure(layout="constrained")
+        draw(figure, self.results, self.keys)
+        figure.suptitle(literal(self.title if not self.caption else f"{self.title}\n{self.caption}"), fontsize=10)
+        return figure
+
+    def png(self) -> bytes:
+        """On white."""
+        content = io.BytesIO()
+        with drawing(_STYLE, self.title):
+            self.draw().savefig(content, format="png", dpi=_DPI)
+        return content.getvalue()
+
+    def svg(self) -> str:
+        """An element of a page, in the page's colors."""
+        with drawing(_STYLE, self.title, page_colors=True):
+            return svg_element(self.draw(), self.title)
+
+
+def drawings_of(results: Results) -> list[Drawing]:
+    """The maps and lines that the study names, or else those that suit it."""
+    named = results.study.figures
+    keys = default_figures(results) if named is None else [each for each in named if each.kind != "table"]
+    return [Drawing(title_of(results, each), _caption(results, each), each, results) for each in keys]
+
+
+def file_names(drawings: Sequence[Drawing]) -> list[str]:
+    """A name for each PNG: its number and what it shows."""
+    words = [re.sub(r"[^a-z0-9]+", " ", each.title.lower()).strip() for each in drawings]
+    kept = [textwrap.wrap(text, _LONGEST_NAME)[0] if text else "figure" for text in words]
+    return [f"{number}-{text.replace(' ', '-')}.png" for number, text in enumerate(kept, 1)]
+
+
+def title_of(results: Results, figure: SweepFigure) -> str:
+    """The study's own title for it, or what is drawn over what."""
+    if figure.title is not None:
+        return figure.title
+    if figure.kind == "table":
+        return f"Points with {_listed(results, figure)}" if figure.where else "Points"
+    assert figure.x is not None and figure.y is not None
+    words = results.words
+    drawn = figure.color if figure.kind == "map" else figure.y
+    over = [figure.x, *(figure.y if figure.kind == "map" else ())]
+    what = figure.axis_label or ", ".join(words(name) for name in drawn or ())
+    text = f"{what} over {' and '.join(words(name) for name in over)}"
+    return text[0].upper() + text[1:]
+
+
+def _caption(results: Results, figure: SweepFigure) -> str:
+    return _listed(results, figure) if figure.where else ""
+
+
+def _listed(results: Results, figure: SweepFigure) -> str:
+    """The values that are kept, with their units: `handle mass: 40 g`."""
+    found = []
+    for name, value in figure.where.items():
+        column = results.column(name)
+        text = key_scale(results, name).text(value) if column.role == "varied" else f"{shown(value)} {column.unit}"
+        found.append(f"{results.words(name)}: {text}".rstrip())
+    return ", ".join(found)

@@ -1,0 +1,266 @@
+"""A measured column as a color over two varied keys; several columns, or the values of a third key, in panels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.analysis.drawing import literal
+from hapticd.base.errors import HapticdError
+from hapticd.sweeps.axis_scales import Scale, key_scale, measured_scale, shown
+from hapticd.sweeps.columns import Row, Value
+from hapticd.sweeps.figure_keys import SweepFigure
+from hapticd.sweeps.line_figure import NO_RESULT
+from hapticd.sweeps.results import Results, with_values
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_ACROSS: Final = 4
+"""Panels in a row."""
+_PANEL: Final = (2.5, 2.3)
+"""Inches of one of several."""
+_ALONE: Final = (5.4, 3.9)
+_MARGINS: Final = (1.6, 1.3)
+_BETWEEN: Final = 0.1
+"""Inches beside each panel, so that the numbers of two do not meet."""
+MOST_TEXTS: Final = 8
+"""Different texts in a map."""
+_CATEGORIES: Final = ("#4477aa", "#88ccee", "#ddaa33", "#cc4455", "#aa77aa", "#777777", "#228833", "#663333")
+"""Colors of texts, of yes and no: told apart by whoever sees few colors, too."""
+_YES: Final = ("#cc6644", "#4477aa")
+"""No and yes."""
+_MOST_STEPS: Final = 12
+"""Of whole numbers that have a color each."""
+_MOST_SHAPES: Final = 5000
+"""More cells or dots than this are one image in a page."""
+_ALIKE: Final = 1e-9
+"""Relative: values of an overlay at one x that differ by more are not the same."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Panel:
+    """One pair of axes."""
+
+    title: str
+    column: str
+    rows: Sequence[Row]
+
+
+@dataclass(frozen=True, slots=True)
+class _Colors:
+    """What colors stand for."""
+
+    scale: Scale | None
+    """Of numbers."""
+    categories: tuple[Value, ...]
+    """Of texts, and of yes and no."""
+    keywords: dict[str, Any]
+    """For matplotlib."""
+    endless: bool = False
+    """Whether a number is infinite."""
+
+    @property
+    def largest(self) -> float:
+        """The number that has the last color."""
+        return float(self.keywords["norm"].vmax)
+
+    def at(self, values: Sequence[Value]) -> npt.NDArray[np.float64]:
+        """Numbers for the color map; NaN without a value."""
+        if self.scale is not None:
+            numbers = self.scale.at(values)
+            # matplotlib leaves out what is infinite; beyond the largest number it has that one's color.
+            return np.where(np.isposinf(numbers), self.largest + abs(self.largest) + 1.0, numbers)
+        return np.array([math.nan if value is None else float(self.categories.index(value)) for value in values])
+
+
+def draw_map(figure: Figure, results: Results, keys: SweepFigure) -> None:
+    """Panels with one scale of colors. A point without a result is a cross; a cell that is not computed is empty. What
+    is infinite has the color of the largest number, and the bar of colors an arrow.
+
+    Raises HapticdError for an overlay that has several values at one x, and for a column of more than MOST_TEXTS texts.
+    """
+    assert keys.x is not None and keys.y is not None and keys.color is not None
+    panels = _panels(results, keys, with_values(results.rows, keys.where))
+    x, y = key_scale(results, keys.x), key_scale(results, keys.y[0])
+    colors = _colors(results, keys, panels)
+    across = min(_ACROSS, len(panels))
+    down = math.ceil(len(panels) / across)
+    size = _ALONE if len(panels) == 1 else _PANEL
+    engine = figure.get_layout_engine()
+    if engine is not None and len(panels) > 1:
+        engine.set(w_pad=_BETWEEN)  # type: ignore[call-arg]
+    figure.set_size_inches(_MARGINS[0] + across * size[0], _MARGINS[1] + down * size[1])
+    grid: npt.NDArray[Any] = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    places = list(grid.flat)
+    drawn = None
+    for axes, panel in zip(places, panels, strict=False):
+        x.prepare(axes, "x")
+        y.prepare(axes, "y")
+        drawn = _draw_cells(axes, results, panel, keys, x, y, colors) or drawn
+        if len(panels) > 1:
+            axes.set_title(literal(panel.title))
+    for place, axes in enumerate(places):
+        if place >= len(panels):
+            axes.set_axis_off()
+            continue
+        x.label_ticks(axes, "x")
+        y.label_ticks(axes, "y")
+        if place + across >= len(panels):
+            axes.xaxis.set_tick_params(labelbottom=True)
+            axes.set_xlabel(literal(x.label))
+        if place % across == 0:
+            axes.set_ylabel(literal(y.label))
+    _explain(figure, places[: len(panels)], places, results, keys, colors, drawn)
+
+
+def _panels(results: Results, keys: SweepFigure, rows: Sequence[Row]) -> list[_Panel]:
+    assert keys.color is not None
+    if keys.by is None:
+        return [_Panel(results.words(name), name, rows) for name in keys.color]
+    scale, found = key_scale(results, keys.by), []
+    for value in results.values(keys.by):
+        text = scale.text(value) if scale.spacing == "categories" else f"{results.words(keys.by)} {scale.text(value)}"
+        found.append(_Panel(text, keys.color[0], [row for row in rows if row[keys.by] == value]))
+    return found
+
+
+def _colors(results: Results, keys: SweepFigure, panels: Sequence[_Panel]) -> _Colors:
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap, LogNorm, Normalize
+
+    assert keys.color is not None
+    column = results.column(keys.color[0])
+    values = [row[panel.column] for panel in panels for row in panel.rows]
+    if column.kind in ("text", "boolean"):
+        found = {value for value in values if value is not None}
+        listed = [text for text in keys.legend or () if text in found]
+        categories: tuple[Value, ...] = (*listed, *sorted(found - set(listed), key=str))
+        if column.kind == "boolean":
+            categories = (False, True)
+        if len(categories) > MOST_TEXTS:
+            raise HapticdError(
+                f"figures: {column.name} has {len(categories)} different texts; a map tells {MOST_TEXTS} apart"
+            )
+        palette = _YES if column.kind == "boolean" else _CATEGORIES[: max(1, len(categories))]
+        limits = {"vmin": -0.5, "vmax": max(1, len(categories)) - 0.5}
+        return _Colors(None, categories, {"cmap": ListedColormap(palette), **limits})
+    scale = measured_scale(results, keys.color, keys.axis_label, values)
+    numbers = scale.at(values)
+    finite = numbers[np.isfinite(numbers)]
+    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
+    if column.kind == "integer" and high - low < _MOST_STEPS:
+        # A color for each number.
+        count = round(high - low) + 1
+        steps = colormaps["viridis"].resampled(count)
+        return _Colors(scale, (), {"cmap": steps, "norm": Normalize(low - 0.5, high + 0.5)})
+    if low == high:
+        low, high = low - 0.5 * (abs(low) or 1.0), high + 0.5 * (abs(high) or 1.0)
+    norm = LogNorm(low, high) if scale.spacing == "logarithmic" else Normalize(low, high)
+    return _Colors(scale, (), {"cmap": "viridis", "norm": norm}, bool(np.isposinf(numbers).any()))
+
+
+def _draw_cells(
+    axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale, colors: _Colors
+) -> Any:
+    """Cells of a crossed study, dots of any other; what a bar of colors is made of."""
+    assert keys.x is not None and keys.y is not None
+    at_x = x.at([row[keys.x] for row in panel.rows])
+    at_y = y.at([row[keys.y[0]] for row in panel.rows])
+    values = colors.at([row[panel.column] for row in panel.rows])
+    if results.study.combine == "crossed":
+        columns, lines = np.unique(x.at(results.values(keys.x))), np.unique(y.at(results.values(keys.y[0])))
+        cells = np.full((len(lines), len(columns)), math.nan)
+        cells[np.searchsorted(lines, at_y), np.searchsorted(columns, at_x)] = values
+        shown_cells = np.ma.masked_where(np.isnan(cells), cells)
+        places = x.edges(columns), y.edges(lines)
+        is_image = cells.size > _MOST_SHAPES
+        drawn: Any = axes.pcolormesh(
+            *places, shown_cells, edgecolors="face", lw=0.8, rasterized=is_image, **colors.keywords
+        )
+        limits = axes.get_ylim()
+    else:
+        known = ~np.isnan(values)
+        is_image = len(values) > _MOST_SHAPES
+        drawn = axes.scatter(at_x[known], at_y[known], c=values[known], s=16, rasterized=is_image, **colors.keywords)
+        limits = axes.get_ylim()
+    missing = np.isnan(values)
+    if missing.any():
+        size = 5.0 if missing.sum() <= 200 else 2.5
+        ink = axes.xaxis.label.get_color()
+        axes.plot(at_x[missing], at_y[missing], "x", ms=size, mew=1.0, color=ink, label=NO_RESULT)
+    _draw_overlays(axes, results, panel, keys, x, y)
+    axes.set_ylim(limits)
+    return drawn
+
+
+def _draw_overlays(axes: Axes, results: Results, panel: _Panel, keys: SweepFigure, x: Scale, y: Scale) -> None:
+    """Dashed, black on a white border: seen on every color, and in a legend on light and dark."""
+    from matplotlib.patheffects import withStroke
+
+    assert keys.x is not None
+    for number, name in enumerate(keys.overlay or ()):
+        found: dict[Value, float] = {}
+        for row in panel.rows:
+            value = row[name]
+            if value is None:
+                continue
+            known = found.setdefault(row[keys.x], float(value))
+            if abs(known - float(value)) > _ALIKE * abs(known):
+                raise HapticdError(
+                    f"figures: overlay {name} has more than one value at {keys.x} {shown(row[keys.x])}: a line over "
+                    f"{keys.x} cannot be drawn of it"
+                )
+        axes.plot(
+            x.at(list(found)),
+            y.at(list(found.values())),
+            ("--", ":", "-.")[number % 3],
+            color="black",
+            lw=1.5,
+            path_effects=[withStroke(linewidth=3.2, foreground="white")],
+            label=literal(results.words(name)),
+            zorder=5,
+        )
+
+
+def _explain(
+    figure: Figure,
+    used: Sequence[Axes],
+    all_axes: Sequence[Axes],
+    results: Results,
+    keys: SweepFigure,
+    colors: _Colors,
+    drawn: Any,
+) -> None:
+    """A bar of colors for numbers; a legend for texts, lines and crosses."""
+    from matplotlib.patches import Patch
+
+    assert keys.color is not None
+    handles: dict[str, Any] = {}
+    if colors.scale is None:
+        palette = colors.keywords["cmap"]
+        words = results.words(keys.color[0])
+        for place, value in enumerate(colors.categories):
+            text = (keys.legend or {}).get(str(value), shown(value))
+            if isinstance(value, bool):
+                text = f"{words}: {shown(value)}"
+            handles[literal(text)] = Patch(color=palette(place))
+    elif drawn is not None:
+        bar = figure.colorbar(
+            drawn, ax=list(all_axes), label=literal(colors.scale.label), extend="max" if colors.endless else "neither"
+        )
+        bar.outline.set_linewidth(0.6)
+        colors.scale.label_ticks(bar.ax, "y")
+    for axes in used:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if handles:
+        figure.legend(
+            list(handles.values()), list(handles), loc="outside lower center", ncols=min(5, len(handles)), frameon=False
+        )

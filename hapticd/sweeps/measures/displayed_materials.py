@@ -1,0 +1,122 @@
+"""Which of some materials a design of a joystick displays, without a run: the question of whoever chooses its parts."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field, Strict
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.model import Model, Name
+from hapticd.config.configuration import Config
+from hapticd.config.materials import Material
+from hapticd.config.modes import Mode
+from hapticd.config.scene import Scene, Wall
+from hapticd.rendering.device_output import Output, output_of
+from hapticd.rendering.displayability import strike_error, struck_shapes, touched_by
+from hapticd.rendering.scene_stability import sets_of
+from hapticd.sweeps.columns import Column, Row
+from hapticd.sweeps.point import Point
+
+
+class DisplayedMaterialsOptions(Model):
+    """Which materials, and what counts as displayed."""
+
+    materials: Annotated[tuple[Name, ...], Strict(False), Field(min_length=1, max_length=100)] = Field(
+        description="Materials with a tap of one mode."
+    )
+    error_at_most: Annotated[float, Field(gt=0, le=10)] = Field(
+        default=0.2, description="A tap's displayed error is at most this; 0.2 is 20 %."
+    )
+    speed_m_per_s: Annotated[float, Field(gt=0, le=10)] = Field(
+        default=0.1, description="Speed of a tap that is not to reach the force limit."
+    )
+
+
+class DisplayedMaterials:
+    """A material is displayed if a wall of it comes to rest in every hand (docs/stability.md), the rate carries its
+    tap, the tap's displayed error (docs/accuracy.md) is small enough, and device.max_force_n is not reached by the
+    vibration of a tap at the given speed. `suffices` is true where all materials are displayed; `not_displayed` says
+    of each other one the first reason."""
+
+    columns = (
+        Column("suffices", "boolean", "measured", "", "Whether every material is displayed."),
+        Column("displayed", "integer", "measured", "", "How many of the materials are displayed."),
+        Column("worst_error", "number", "measured", "", "Largest displayed error of those taps that the rate carries."),
+        Column("needed_force_n", "number", "measured", "N", "Largest force of the taps that the rate carries."),
+        Column("not_displayed", "text", "measured", "", "Materials that are not displayed, each with its reason."),
+    )
+    needs_run = False
+
+    def __init__(self, options: DisplayedMaterialsOptions) -> None:
+        self._options = options
+
+    def of(self, point: Point) -> Row:
+        """With the configured handle, hand, rate, encoder, actuator, force limit and compensation.
+
+        Raises HapticdError for a material without such a tap, and for a device whose handle is not known.
+        """
+        config = point.config
+        output = output_of(config, config.servo.rate_hz)
+        if output.dynamics is None:
+            raise HapticdError("what is displayed is not known for a real joystick without device.handle")
+        errors: list[float] = []
+        forces: list[float] = []
+        missing: dict[str, list[str]] = {}
+        walls: dict[str, bool] = {}
+        """Whether a wall is stable, by its material without the tap: many differ in their tap alone."""
+        for name in self._options.materials:
+            material = config.materials.get(name)
+            mode = None if material is None or material.tap is None else material.tap.one_mode
+            if material is None or mode is None:
+                raise HapticdError(f"{name} is no material with a tap of one mode")
+            shown = _shown(material, mode, output, self._options.speed_m_per_s)
+            if shown is not None:
+                errors.append(shown[0])
+                forces.append(shown[1])
+            surface = material.model_copy(update={"tap": None}).model_dump_json()
+            if surface not in walls:
+                walls[surface] = _is_stable(config, name)
+            fault = self._fault(config.device.max_force_n, walls[surface], shown)
+            if fault is not None:
+                missing.setdefault(fault[0], []).append(f"{name}{fault[1]}")
+        count = sum(map(len, missing.values()))
+        return {
+            "suffices": count == 0,
+            "displayed": len(self._options.materials) - count,
+            "worst_error": max(errors, default=None),
+            "needed_force_n": max(forces, default=None),
+            "not_displayed": "; ".join(f"{reason}: {', '.join(names)}" for reason, names in missing.items()) or None,
+        }
+
+    def _fault(self, max_force_n: float, is_stable: bool, shown: tuple[float, float] | None) -> tuple[str, str] | None:
+        """Why a material is not displayed: reason and figure; None: it is."""
+        if not is_stable:
+            return "may oscillate", ""
+        if shown is None:
+            return "rate too low", ""
+        error, force_n = shown
+        if error > self._options.error_at_most:
+            return "error", f" {100 * error:.0f} %"
+        return ("force", f" {force_n:.2g} N") if force_n > max_force_n else None
+
+
+def _shown(material: Material, mode: Mode, output: Output, speed_m_per_s: float) -> tuple[float, float] | None:
+    """Displayed error of a tap and its largest force in N; None where the rate does not carry it."""
+    error = strike_error(mode, output)
+    if error is None:
+        return None
+    assert material.tap is not None and output.dynamics is not None
+    amplitude = material.tap.coefficient(material.tap.amplitude_m_per_s2(speed_m_per_s))
+    shapes = struck_shapes(mode, output, touched_by(material, "tap"))
+    if shapes is None:
+        return error, output.effective_mass_kg * amplitude * mode.peak
+    return error, float(output.dynamics.mass_kg * amplitude * max(shape.peak for shape in shapes))
+
+
+def _is_stable(config: Config, name: str) -> bool:
+    """Whether a wall of a material comes to rest in every hand."""
+    wall = Wall(kind="wall", point_m=(0.0, 0.0), normal=(0.0, 1.0), material=name)
+    sets = sets_of(config.model_copy(update={"scene": Scene(objects={"wall": wall})}))
+    assert sets is not None  # the handle is known
+    return bool((sets.factor >= 1.0).all())

@@ -1,0 +1,52 @@
+"""Where a user's function comes from: the source of its module, beside the study or on Python's path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final
+
+from hapticd.base.errors import HapticdError, on_one_line
+
+_LARGEST: Final = 4 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class FunctionSource:
+    """A module as text, so that it can go to a worker that does not have it."""
+
+    file: str
+    text: str
+
+
+def source_of(module: str, folder: str) -> FunctionSource:
+    """The source of a module: of the file in `folder`, else of what Python would import under this name.
+
+    Raises HapticdError (one line).
+    """
+    path = Path(folder, *module.split("."))
+    for file in (path.with_name(f"{path.name}.py"), path / "__init__.py"):
+        if file.is_file():
+            return _read(str(file))
+    try:
+        spec = find_spec(module)
+    except Exception as error:  # the packages around it are imported, which may raise anything
+        raise HapticdError(f"{module} cannot be found: {on_one_line(f'{type(error).__name__}: {error}')}") from None
+    if spec is None:
+        raise HapticdError(f"there is no module {module}, neither as {module}.py in {folder} nor on Python's path")
+    if spec.origin is None or not spec.origin.endswith(".py"):
+        raise HapticdError(f"{module} is no Python file, whose source could go to workers")
+    return _read(spec.origin)
+
+
+def _read(file: str) -> FunctionSource:
+    try:
+        content = Path(file).read_bytes()
+        if len(content) > _LARGEST:
+            raise HapticdError(f"{file} is larger than {_LARGEST >> 20} MiB")
+        return FunctionSource(file, content.decode())
+    except OSError as error:
+        raise HapticdError(f"{file} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise HapticdError(f"{file} is not UTF-8") from None

@@ -1,0 +1,115 @@
+"""How far the time that is told of a touch is from the touch itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.core import EventKind, lib
+from hapticd.base.errors import HapticdError
+from hapticd.config.scene import SURFACES, Box, Disc, SceneObject, Wall
+from hapticd.sweeps.columns import Column, Row
+from hapticd.sweeps.measures.measure import NoOptions
+from hapticd.sweeps.point import Point
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Way: TypeAlias = Callable[[Floats], Floats]
+"""Positions (n, 2) at times (n,)."""
+_HALVINGS: Final = 60
+
+
+class OnsetError:
+    """The time of a touch as its event tells it, less the time at which the probe crosses the surface.
+
+    In the open loop the crossing is the root of the hand's way. In the closed loop it is that of the handle's own
+    motion, a cubic between two ticks through its positions and speeds. A touch is compared with the crossing of the
+    same object that is nearest in time.
+    """
+
+    columns = (
+        Column(
+            "onset_error_s",
+            "number",
+            "measured",
+            "s",
+            "Told time of a touch less that of the crossing, of the touch where it is largest; above 0: told late.",
+        ),
+        Column("onsets", "integer", "measured", "", "Touches that were told."),
+    )
+    needs_run = True
+
+    def __init__(self, _: NoOptions) -> None: ...
+
+    def of(self, point: Point) -> Row:
+        """Over all touches of the run; None: there was none. Raises HapticdError for a touch without a crossing."""
+        run, objects = point.run, point.config.scene.objects
+        touched = run.events[run.events["kind"] == EventKind.CONTACT]
+        told = touched[(touched["code"] & lib.HD_CONTACT_SILENT) == 0]
+        time_s = np.arange(len(run.samples)) / run.rate_hz
+        way: Way = point.hand_at if run.truth is None else _cubic(run.truth, run.rate_hz)
+        positions = way(time_s) if run.truth is None else run.truth[:, :2]
+        crossings: dict[str, Floats] = {}
+        errors = []
+        for event in told:
+            name = run.objects[int(event["slot"]), int(event["generation"])]
+            if name not in crossings:
+                crossings[name] = _crossings(objects[name], time_s, positions, way)
+            if not len(crossings[name]):
+                raise HapticdError(f"a touch of {name} is told, and nothing crosses its surface")
+            away = float(event["tick"]) / run.rate_hz - float(event["before_tick_s"]) - crossings[name]
+            errors.append(float(away[np.argmin(np.abs(away))]))
+        return {"onset_error_s": max(errors, key=abs, default=None), "onsets": len(errors)}
+
+
+def _crossings(item: SceneObject, time_s: Floats, positions: Floats, way: Way) -> Floats:
+    """When the probe goes into an object, s: between two ticks of which the second alone is inside."""
+    height = _height_of(item, positions)
+    into = np.flatnonzero((height[:-1] > 0.0) & (height[1:] <= 0.0))
+    low, high = time_s[into], time_s[into + 1]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        above = _height_of(item, way(middle)) > 0.0
+        low, high = np.where(above, middle, low), np.where(above, high, middle)
+    return high
+
+
+def _height_of(item: SceneObject, position: Floats) -> Floats:
+    """Above the surface, below 0 inside, (n,); of a box the larger of the two distances of its faces."""
+    if not isinstance(item, SURFACES):
+        raise HapticdError(f"onset_error: a {item.kind} has no surface")
+    if isinstance(item, Wall):
+        return np.asarray((position - item.point_m) @ np.array(item.normal))
+    away = position - np.array(item.center_m)
+    if isinstance(item, Disc):
+        return np.asarray(np.hypot(*away.T) - item.radius_m)
+    if isinstance(item, Box):
+        turn = np.array(
+            [
+                [math.cos(item.angle_rad), -math.sin(item.angle_rad)],
+                [math.sin(item.angle_rad), math.cos(item.angle_rad)],
+            ]
+        )
+        return np.asarray((np.abs(away @ turn) - 0.5 * np.array(item.size_m)).max(axis=1))
+    raise HapticdError("onset_error is of walls, discs and boxes: a membrane is met from both sides")
+
+
+def _cubic(truth: Floats, rate_hz: float) -> Way:
+    """The cubic through positions and speeds (n, 4) at ticks."""
+
+    def at(time_s: Floats) -> Floats:
+        index = np.clip((time_s * rate_hz).astype(np.int64), 0, len(truth) - 2)
+        s = (time_s * rate_hz - index)[:, np.newaxis]
+        (begin, end), period_s = (truth[index], truth[index + 1]), 1.0 / rate_hz
+        h = s * s * (3.0 - 2.0 * s)
+        found: Floats = (
+            begin[:, :2]
+            + (end - begin)[:, :2] * h
+            + period_s * (begin[:, 2:] * s * (1.0 - s) ** 2 - end[:, 2:] * s * s * (1.0 - s))
+        )
+        return found
+
+    return at

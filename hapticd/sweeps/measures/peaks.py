@@ -1,0 +1,37 @@
+"""The largest force and the largest speed of a run."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hapticd.sweeps.columns import Column, Row
+from hapticd.sweeps.measures.measure import NoOptions
+from hapticd.sweeps.point import Point
+
+
+class PeakForce:
+    """The largest magnitude of the commanded force, max |f|, N."""
+
+    columns = (Column("peak_force_n", "number", "measured", "N", "Largest magnitude of the commanded force."),)
+    needs_run = True
+
+    def __init__(self, _: NoOptions) -> None: ...
+
+    def of(self, point: Point) -> Row:
+        """Of all ticks of the run."""
+        return {"peak_force_n": float(np.hypot(*point.run.samples["force_n"].T).max())}
+
+
+class PeakSpeed:
+    """The largest speed of the handle, max |v|, m/s: its own in the closed loop, as it is estimated in the open one."""
+
+    columns = (Column("peak_speed_m_per_s", "number", "measured", "m/s", "Largest speed of the handle."),)
+    needs_run = True
+
+    def __init__(self, _: NoOptions) -> None: ...
+
+    def of(self, point: Point) -> Row:
+        """Of all ticks of the run."""
+        run = point.run
+        velocity = run.samples["velocity_m_per_s"] if run.truth is None else run.truth[:, 2:]
+        return {"peak_speed_m_per_s": float(np.hypot(*velocity.T).max())}

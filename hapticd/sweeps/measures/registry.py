@@ -1,0 +1,74 @@
+"""Measures by the names that a study's `measure` takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from hapticd.base.errors import InvalidError, Problem, known_names, path_text
+from hapticd.base.model import Model, faults_of
+from hapticd.base.yaml_source import Json
+from hapticd.sweeps.measures.display import DisplayedError, DisplayedErrorOptions
+from hapticd.sweeps.measures.displayed_materials import DisplayedMaterials, DisplayedMaterialsOptions
+from hapticd.sweeps.measures.energy import EnergyGiven
+from hapticd.sweeps.measures.loop import LoopError
+from hapticd.sweeps.measures.margin import StabilityFactor
+from hapticd.sweeps.measures.measure import Measure, NoOptions
+from hapticd.sweeps.measures.onset import OnsetError
+from hapticd.sweeps.measures.passive_limit import PassiveLimit, PassiveLimitOptions
+from hapticd.sweeps.measures.peaks import PeakForce, PeakSpeed
+from hapticd.sweeps.measures.quantile import Quantile, QuantileOptions
+from hapticd.sweeps.measures.rest import Rest, RestOptions
+from hapticd.sweeps.measures.user_function import FUNCTION, FunctionOptions, UserFunction, known_by
+
+_KNOWN: Final[Mapping[str, tuple[type[Model], Callable[[Any], Measure]]]] = {
+    "end": (RestOptions, Rest),
+    "peak_force_n": (NoOptions, PeakForce),
+    "peak_speed_m_per_s": (NoOptions, PeakSpeed),
+    "quantile": (QuantileOptions, Quantile),
+    "stability_factor": (NoOptions, StabilityFactor),
+    "energy_given": (NoOptions, EnergyGiven),
+    "loop_error": (NoOptions, LoopError),
+    "onset_error": (NoOptions, OnsetError),
+    "displayed_error": (DisplayedErrorOptions, DisplayedError),
+    "passive_limit": (PassiveLimitOptions, PassiveLimit),
+    "displayed_materials": (DisplayedMaterialsOptions, DisplayedMaterials),
+    FUNCTION: (FunctionOptions, UserFunction),
+}
+
+
+def known_measures() -> tuple[str, ...]:
+    """The names."""
+    return tuple(_KNOWN)
+
+
+def parse_measure(given: str | Mapping[str, Json]) -> Measure:
+    """A measure by its name, or from `{name: options}`. Raises InvalidError, with paths relative to the measure."""
+    if isinstance(given, str):
+        name, options = given, {}
+    elif len(given) == 1:
+        name, found = next(iter(given.items()))
+        if not isinstance(found, dict):
+            raise InvalidError([Problem(path_text((name,)), "must be a mapping of options")])
+        options = found
+    else:
+        raise InvalidError([Problem("", f"must be a name, or one name with its options, has {len(given)} keys")])
+    if name not in _KNOWN:
+        raise InvalidError([Problem("", f"nothing that can be measured is called {name}; {known_names(name, _KNOWN)}")])
+    model, made = _KNOWN[name]
+    try:
+        return made(model.parsed(options))
+    except ValidationError as error:
+        raise InvalidError(Problem(path_text((name, *path)), text) for path, text in faults_of(error)) from None
+
+
+def identity_of(given: str | Mapping[str, Json]) -> Json:
+    """What of a measure a result depends on: a function's source, not where it was found."""
+    if isinstance(given, str):
+        return given
+    return {
+        name: known_by(options) if name == FUNCTION and isinstance(options, dict) else options
+        for name, options in given.items()
+    }

@@ -1,0 +1,106 @@
+"""The participants of a study as the engine takes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.errors import HapticdError, on_one_line
+from hapticd.base.yaml_source import Json
+from hapticd.experiment.keys import Study
+from hapticd.sweeps.columns import ERROR, POINT, Column, Row
+from hapticd.sweeps.identity import sum_of, sums_at
+from hapticd.sweeps.participants.one_session import COLUMNS, row_of
+from hapticd.sweeps.work import ID_DTYPE
+from hapticd.sweeps.worker_check import code_version
+
+PARTICIPANT: Final = Column("participant", "text", "varied", description="Label of the participant.")
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """The sessions of some participants: a piece."""
+
+    study: Study
+    session: int
+    seed: int
+    ids: tuple[str, ...]
+    labels: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def rows(self) -> list[Row]:
+        """One row a participant."""
+        return [self._row(point, label) for point, label in zip(self.ids, self.labels, strict=True)]
+
+    def _row(self, point: str, label: str) -> Row:
+        row: Row = {POINT.name: point, PARTICIPANT.name: label, **dict.fromkeys(column.name for column in COLUMNS)}
+        row[ERROR.name] = None
+        try:
+            row |= row_of(self.study, label, self.session, self.seed)
+        except (HapticdError, MemoryError, ArithmeticError) as error:
+            row[ERROR.name] = on_one_line(str(error)) or type(error).__name__
+        return row
+
+
+@dataclass(frozen=True)
+class Participants:
+    """Simulated participants, each with one session of the same study."""
+
+    study: Study
+    session: int
+    seed: int
+    labels: tuple[str, ...]
+    """Each different."""
+    ids: npt.NDArray[np.void] = field(init=False, repr=False)
+    """(n,) ID_DTYPE."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ids", _ids(self.study, self.session, self.seed, self.labels))
+
+    @property
+    def title(self) -> str:
+        """The study's."""
+        return self.study.title
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Of every row, in order."""
+        return (POINT, PARTICIPANT, *COLUMNS, ERROR)
+
+    @property
+    def points(self) -> dict[str, str]:
+        """The identity of each participant as hexadecimal digits, by label."""
+        return {label: each.tobytes().hex() for label, each in zip(self.labels, self.ids, strict=True)}
+
+    def piece(self, indices: npt.NDArray[np.int64]) -> Sessions:
+        """The participants with these indices."""
+        ids = tuple(each.tobytes().hex() for each in self.ids[indices])
+        labels = tuple(self.labels[index] for index in indices.tolist())
+        return Sessions(self.study, self.session, self.seed, ids, labels)
+
+    def manifest(self) -> dict[str, Json]:
+        """What study.json says besides title and columns."""
+        return {
+            "kind": "participants",
+            "study": self.study.to_dict(),
+            "session": self.session,
+            "seed": self.seed,
+        }
+
+
+def _ids(study: Study, session: int, seed: int, labels: Sequence[str]) -> npt.NDArray[np.void]:
+    shared: dict[str, Json] = {
+        "kind": "participants",
+        "study": study.to_dict(),
+        "session": session,
+        "seed": seed,
+        "code": code_version(),
+    }
+    sums = sum_of(shared) + sums_at((PARTICIPANT.name,), labels)
+    return np.ascontiguousarray(sums).view(ID_DTYPE).reshape(-1)

@@ -1,0 +1,92 @@
+"""Rows of simulated participants as session folders, which `hapticd experiment analyze` reads.
+
+To wait for the disk after each of some ten files of a session would take longer than all else. So it is waited for once
+in AT_ONCE sessions, and WRITTEN names those that are on disk: after a loss of power the others are written again, from
+their rows.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Final
+
+from hapticd.base import clock
+from hapticd.base.errors import HapticdError
+from hapticd.experiment.bids import write_data_set, write_session_tables
+from hapticd.experiment.plan import plan
+from hapticd.experiment.session import about_of, plan_document
+from hapticd.experiment.session_folder import LOG, SessionFolder, folder_of, write_synced
+from hapticd.experiment.session_log import lines_of
+from hapticd.sweeps.columns import ERROR, POINT, Row
+from hapticd.sweeps.participants.bulk import PARTICIPANT, Participants
+from hapticd.sweeps.participants.one_session import CLOCK, records_of, stage_of
+
+WRITTEN: Final = "written.txt"
+"""Beside the rows: the identities of the participants whose folders are on disk, a line each."""
+AT_ONCE: Final = 500
+
+
+class SessionFolders:
+    """The folders of a bulk in a data set."""
+
+    def __init__(self, root: Path, rows_folder: Path, source: bytes, work: Participants) -> None:
+        """`source` is the study's YAML. Raises HapticdError where the data set has another session under the label and
+        number of one of these."""
+        self._root, self._work, self._source = root, work, source
+        self._file = rows_folder / WRITTEN
+        self._on_disk = set(self._file.read_text().split()) if self._file.exists() else set()
+        self.present = frozenset(label for label, point in work.points.items() if self._has(label, point))
+        """Labels whose folders are there."""
+
+    def _has(self, label: str, point: str) -> bool:
+        path = folder_of(self._root, label, self._work.session)
+        if not (path / LOG).exists() or not self._is_of(path, point):
+            return False
+        return point in self._on_disk and any((path / "beh").glob("*_events.json"))
+
+    def _is_of(self, path: Path, point: str) -> bool:
+        stage = SessionFolder.open(path).about.get("stage")
+        if isinstance(stage, Mapping) and stage.get("point") == point:
+            return True
+        raise HapticdError(
+            f"{path}: is of another study, seed or version: give another --output, --session or name, or remove it"
+        )
+
+    def write(self, rows: Iterable[Row]) -> int:
+        """Writes the folders of rows without an error that are not there; how many. Raises HapticdError."""
+        fresh: list[str] = []
+        count = 0
+        for row in rows:
+            if row[ERROR.name] is None and row[PARTICIPANT.name] not in self.present:
+                self._write(row)
+                fresh.append(str(row[POINT.name]))
+                count += 1
+            if len(fresh) == AT_ONCE:
+                self._settle(fresh)
+        self._settle(fresh)
+        if count or self.present:
+            write_data_set(self._root, self._work.title)
+        return count
+
+    def _write(self, row: Row) -> None:
+        work, label = self._work, str(row[PARTICIPANT.name])
+        made = plan(work.study, label, work.session, work.seed)
+        about = about_of(made, stage_of(str(row[POINT.name])), clock.read())
+        folder = SessionFolder(folder_of(self._root, label, work.session), self._source, plan_document(made), about)
+        first, *others = records_of(row)
+        folder.write_with(lines_of([{**first, CLOCK: about[CLOCK]}, *others]))
+        write_session_tables(folder, Path.write_bytes)
+
+    def _settle(self, fresh: list[str]) -> None:
+        """What was written is on disk, and is known to be."""
+        if not fresh:
+            return
+        os.sync()
+        self._on_disk.update(fresh)
+        fresh.clear()
+        try:
+            write_synced(self._file, "".join(f"{each}\n" for each in sorted(self._on_disk)).encode())
+        except OSError as error:
+            raise HapticdError(f"{self._file}: cannot be written: {error.strerror}") from None

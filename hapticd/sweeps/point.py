@@ -1,0 +1,115 @@
+"""One point of a sweep: configuration, operator and run, each made when it is first needed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from hapticd.base.errors import HapticdError
+from hapticd.base.yaml_source import Json
+from hapticd.config.configuration import Config, load_config
+from hapticd.config.operator import Operator, parse_operator
+from hapticd.rendering.joystick import way_of
+from hapticd.rendering.offline import Run, render_run, simulate_run
+from hapticd.sweeps.keys import Run as RunKind
+
+OPERATOR: Final = "operator"
+PARAMETERS: Final = "parameters"
+DURATION: Final = "duration_s"
+BESIDE: Final = (OPERATOR, PARAMETERS, DURATION)
+"""Members of a point's document that are none of the configuration."""
+
+
+class Point:
+    """A point, by its document: the keys of a configuration, and `operator`, `parameters`, `duration_s`."""
+
+    def __init__(self, document: Mapping[str, Json], run: RunKind) -> None:
+        self.run_kind = run
+        self._document = document
+
+    @cached_property
+    def source(self) -> dict[str, Json]:
+        """The configuration as plain data, before it is validated."""
+        return {key: value for key, value in self._document.items() if key not in BESIDE}
+
+    @cached_property
+    def config(self) -> Config:
+        """The validated configuration. Raises InvalidError."""
+        return load_config(self.source)
+
+    @property
+    def operator_source(self) -> dict[str, Json] | None:
+        """What the hand does, as plain data."""
+        given = self._document.get(OPERATOR)
+        return given if isinstance(given, dict) else None
+
+    @property
+    def parameters(self) -> dict[str, Json]:
+        """Values that no configuration has."""
+        given = self._document.get(PARAMETERS)
+        return given if isinstance(given, dict) else {}
+
+    @cached_property
+    def operator(self) -> Operator | None:
+        """What the hand does. Raises InvalidError."""
+        given: Any = self._document.get(OPERATOR)
+        return None if given is None else parse_operator(given)
+
+    @property
+    def rate_hz(self) -> float:
+        """Ticks per second."""
+        return self.config.servo.rate_hz
+
+    @property
+    def duration_s(self) -> float | None:
+        """How long is run; None: as long as the operator's way."""
+        found = self._document.get(DURATION)
+        return float(found) if isinstance(found, int | float) else None
+
+    @cached_property
+    def waypoints(self) -> npt.NDArray[np.float64]:
+        """The way of the hand, rows [t_s, x_m, y_m], shape (n, 3). Raises InvalidError, HapticdError."""
+        operator = self.operator
+        if operator is None:
+            raise HapticdError("nothing is run without an operator, what the hand does")
+        return way_of(operator, self.config)
+
+    @cached_property
+    def run(self) -> Run:
+        """The closed loop with the simulated joystick; of `render`, the tick along the way of the hand, open loop.
+
+        Raises InvalidError, HapticdError.
+        """
+        operator = self.operator
+        if operator is None or self.run_kind == "none":
+            raise HapticdError("nothing is run: the study needs an operator, and run: simulate or render")
+        if self.run_kind == "render":
+            return render_run(self.config, self._positions())
+        return simulate_run(
+            self.config,
+            self.waypoints,
+            self.duration_s,
+            interpolation=operator.interpolation,
+            check_stability=False,
+        )
+
+    def _positions(self) -> npt.NDArray[np.float64]:
+        """Where the hand wants to be at each tick, (n, 2)."""
+        duration_s = float(self.waypoints[-1, 0]) if self.duration_s is None else self.duration_s
+        return self.hand_at(np.arange(max(1, round(duration_s * self.rate_hz))) / self.rate_hz)
+
+    def hand_at(self, at_s: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Where the hand wants to be at times (n,), shape (n, 2). Raises InvalidError, HapticdError."""
+        way = self.waypoints
+        if self.operator is not None and self.operator.interpolation == "minimum_jerk":
+            # 10 s^3 - 15 s^4 + 6 s^5 between two waypoints (Flash and Hogan 1985), as the simulated hand.
+            segment = np.clip(np.searchsorted(way[:, 0], at_s, side="right") - 1, 0, max(0, len(way) - 2))
+            start, end = way[segment], way[np.minimum(segment + 1, len(way) - 1)]
+            lasting = np.maximum(end[:, 0] - start[:, 0], 1e-300)
+            part = np.clip((at_s - start[:, 0]) / lasting, 0.0, 1.0)[:, np.newaxis]
+            return start[:, 1:] + (end - start)[:, 1:] * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+        return np.column_stack([np.interp(at_s, way[:, 0], way[:, axis]) for axis in (1, 2)])

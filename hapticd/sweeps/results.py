@@ -1,0 +1,141 @@
+"""The results of a sweep as figures and pages draw them: rows in the order of what is varied, columns with words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from pydantic import ValidationError
+
+from hapticd.base.errors import HapticdError
+from hapticd.config.schema import unit_suffix_of
+from hapticd.sweeps.axes import axes_of, shown_value
+from hapticd.sweeps.columns import Column, Row, Value
+from hapticd.sweeps.keys import SweepStudy
+from hapticd.sweeps.store import STUDY, Store
+
+_SWEEP: Final = "sweep"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a folder holds of a study."""
+
+    study: SweepStudy
+    source: str | None
+    """The study's file as it was read; None: it was no file."""
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    points: int
+    """How many points the study has; those without a row are not computed yet."""
+    versions: Mapping[str, str]
+
+    def column(self, name: str) -> Column:
+        """The column of that name."""
+        return next(column for column in self.columns if column.name == name)
+
+    def named(self, role: str) -> list[str]:
+        """The columns of a role, in order."""
+        return [column.name for column in self.columns if column.role == role]
+
+    @cached_property
+    def _words(self) -> dict[str, str]:
+        refine, labels = self.study.refine, dict(self.study.labels)
+        if refine is not None:
+            labels.setdefault("boundary", f"{_plain(refine.key.rpartition('.')[2])} at the boundary")
+        return words_of(self.columns, labels)
+
+    def words(self, name: str) -> str:
+        """What a column is called in a figure, without its unit: `handle mass`."""
+        return self._words[name]
+
+    @cached_property
+    def _planned(self) -> dict[str, list[Value]]:
+        """The different values of each axis, computed or not."""
+        return {
+            axis.name: list(dict.fromkeys(shown_value(value, axis.kind) for value in axis.plain_values))
+            for axis in axes_of(self.study)
+        }
+
+    def values(self, name: str) -> list[Value]:
+        """The different values that a varied column has, not computed points among them: numbers in their order, texts
+        as the study lists them."""
+        found = self._planned[name]
+        if self.column(name).kind == "text":
+            return list(found)
+        return sorted(found, key=lambda value: (value is None, value))
+
+
+def words_of(columns: Sequence[Column], labels: Mapping[str, str]) -> dict[str, str]:
+    """By column: the study's own words, or the end of its name without the unit, with what stands before if two end
+    alike."""
+    parts = {column.name: [_plain(part) for part in column.name.split(".")] for column in columns}
+    found: dict[str, str] = {}
+    for name, own in parts.items():
+        most = next(
+            (
+                count
+                for count in range(1, len(own))
+                if sum(other[-count:] == own[-count:] for other in parts.values()) == 1
+            ),
+            len(own),
+        )
+        found[name] = labels.get(name, " ".join(own[-most:]))
+    return found
+
+
+def _plain(part: str) -> str:
+    return part.removesuffix(unit_suffix_of(part)).replace("_", " ")
+
+
+def load_results(store: Store) -> Results:
+    """What is in a folder. Raises HapticdError, also for results that are of no sweep."""
+    manifest: dict[str, Any] = store.manifest()
+    if manifest.get("kind") != _SWEEP:
+        raise HapticdError(f"{store.folder}: holds no results of a sweep; figures are drawn of sweeps alone")
+    try:
+        study = SweepStudy.parsed(manifest["study"])
+    except ValidationError:
+        raise HapticdError(
+            f"{store.folder}/{STUDY}: was written by another version of hapticd: run the study again"
+        ) from None
+    columns = store.columns()
+    rows: list[Row] = store.table().to_pylist()
+    if not rows:
+        raise HapticdError(f"{store.folder}: no point has been computed yet: hapticd sweep run goes on")
+    return Results(
+        study,
+        manifest.get("source"),
+        columns,
+        tuple(in_order(rows, columns)),
+        len(store.points()),
+        manifest["versions"],
+    )
+
+
+def in_order(rows: Sequence[Row], columns: Sequence[Column]) -> list[Row]:
+    """Rows in the order of what is varied, not of identities."""
+    varied = [column.name for column in columns if column.role == "varied"]
+    return sorted(rows, key=lambda row: [(row[name] is None, row[name]) for name in varied])
+
+
+def with_values(rows: Sequence[Row], where: Mapping[str, Value]) -> list[Row]:
+    """The rows that have these values."""
+    return [row for row in rows if all(row[name] == value for name, value in where.items())]
+
+
+def best_of(rows: Sequence[Row], better: Mapping[str, str]) -> list[Row]:
+    """The rows that no other row beats: as good in every one of these columns and better in one (Pareto's). `better`
+    says of each whether `least` or `most` is better. A row without a value in one of them is left out."""
+    known = [row for row in rows if all(row[name] is not None for name in better)]
+    if not known:
+        return []
+    signs = [1.0 if way == "least" else -1.0 for way in better.values()]
+    values = np.array(
+        [[sign * float(row[name] or 0) for name, sign in zip(better, signs, strict=True)] for row in known]
+    )
+    beaten = [((values <= own).all(axis=1) & (values < own).any(axis=1)).any() for own in values]
+    return [row for row, is_beaten in zip(known, beaten, strict=True) if not is_beaten]

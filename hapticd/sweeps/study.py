@@ -1,0 +1,286 @@
+"""Reads a sweep: a YAML file or a mapping, with every fault at its line, before anything is computed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path as FilePath
+from typing import Final
+
+from pydantic import ValidationError
+
+from hapticd.base.errors import HapticdError, InvalidError, Path, Problem, known_names, shown
+from hapticd.base.model import faults_of, plain
+from hapticd.base.yaml_source import MAX_BYTES, Document, Json, load_bytes, load_path, read_file
+from hapticd.config.configuration import Config, load_config
+from hapticd.config.document_kinds import likely_kind_of, refuse_other_kinds
+from hapticd.config.key_paths import expanded, path_of, with_value
+from hapticd.config.operator import Operator, load_operator, parse_operator
+from hapticd.config.shipped_files import file_of
+from hapticd.sweeps.axes import Axis
+from hapticd.sweeps.columns import Value
+from hapticd.sweeps.figure_faults import figure_faults
+from hapticd.sweeps.keys import SweepCondition, SweepStudy
+from hapticd.sweeps.measures.registry import parse_measure
+from hapticd.sweeps.measures.user_function import FUNCTION, with_source
+from hapticd.sweeps.plan import Job, Plan, plan
+from hapticd.sweeps.point import BESIDE, OPERATOR, PARAMETERS
+
+_BASE: Final = "base"
+_MOST_CHECKED: Final = 200
+"""So many values of each axis are validated before the study begins; a fault of another one is a row."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """What a study was read from, and the file of its base if that is another one."""
+
+    study: Document
+    base: Document | None
+
+    def invalid(self, faults: list[tuple[Path, str]]) -> InvalidError:
+        return InvalidError(
+            self.base.problem(path[1:], text)
+            if self.base is not None and path[:1] == (_BASE,) and len(path) > 1
+            else self.study.problem(path, text)
+            for path, text in faults
+        )
+
+
+def load_sweep(source: Mapping[str, object] | str | os.PathLike[str]) -> Plan:
+    """The points of a study, from a YAML file, by the name of a study that ships, or from a mapping; paths in it are
+    relative to the file, or to the current folder.
+
+    Raises InvalidError, which names every fault with file, line, key and what would be right; HapticdError for a file
+    that cannot be read.
+    """
+    if isinstance(source, Mapping):
+        return _load(Document(plain(source)), os.getcwd())
+    file = file_of(os.fspath(source), "sweeps")
+    content = read_file(file, MAX_BYTES)
+    document = load_bytes(content, file)
+    refuse_other_kinds(document, "sweep")
+    return replace(_load(document, str(FilePath(file).resolve().parent)), source=content.decode())
+
+
+def _load(document: Document, folder: str) -> Plan:
+    data = document.data
+    if not isinstance(data, dict):
+        text = "is empty" if data is None else "must be a mapping"
+        raise InvalidError([Problem(document.where(()), f"{text}; known keys: {', '.join(SweepStudy.model_fields)}")])
+    data = dict(data)
+    base = _with_base(document, data, folder)
+    _with_operator(document, data, folder)
+    _with_functions(document, data, folder)
+    source = _Source(document, base)
+    try:
+        study = SweepStudy.parsed(data)
+    except ValidationError as error:
+        raise source.invalid(faults_of(error)) from None
+    faults = [*_measure_faults(study), *_key_faults(study)]
+    if faults:
+        raise source.invalid(faults)
+    try:
+        found = plan(study)
+    except InvalidError as error:
+        raise source.invalid([(tuple(each.where.split(".")), each.problem) for each in error.problems]) from None
+    faults = [*_value_faults(found.job, found.axes), *_column_faults(found)]
+    faults += figure_faults(study, found.columns, found.axes)
+    if faults:
+        raise source.invalid(faults)
+    return found
+
+
+# ---- Other files -----------------------------------------------------------------------------------------------------
+
+
+def _with_base(document: Document, data: dict[str, Json], folder: str) -> Document | None:
+    """Puts the configuration in the place of its name; what it was read from, if that is another file."""
+    given = data.get(_BASE, {})
+    source: Document | None = None
+    if isinstance(given, str):
+        source = _file(given, folder, "scenes")
+        refuse_other_kinds(source, "configuration", "change", "scene", "bare scene", "materials")
+        if likely_kind_of(source.data) == "bare scene":
+            source = source.below("scene")
+        given = source.data
+    if not isinstance(given, dict):
+        text = f"must be a configuration, or the name of a file or of a shipped scene, is {shown(given)}"
+        raise InvalidError([document.problem((_BASE,), text)])
+    try:
+        data[_BASE] = expanded(given)
+    except InvalidError as error:
+        faults: list[tuple[Path, str]] = [((_BASE, *each.where.split(".", 1)), each.problem) for each in error.problems]
+        raise _Source(document, source).invalid(faults) from None
+    return source
+
+
+def _file(name: str, folder: str, shipped: str) -> Document:
+    beside = FilePath(folder, name)
+    return load_path(beside if beside.is_file() else file_of(name, shipped))  # type: ignore[arg-type]
+
+
+def _with_operator(document: Document, data: dict[str, Json], folder: str) -> None:
+    """Puts the operator in the place of its name."""
+    given = data.get(OPERATOR)
+    if isinstance(given, str):
+        beside = FilePath(folder, given)
+        data[OPERATOR] = _plain_operator(load_operator(beside if beside.is_file() else file_of(given, "operators")))
+    elif isinstance(given, dict):
+        try:
+            parse_operator(given)
+        except InvalidError as error:
+            raise InvalidError(
+                document.problem((OPERATOR, *_elements(each.where)), each.problem) for each in error.problems
+            ) from None
+
+
+def _with_functions(document: Document, data: dict[str, Json], folder: str) -> None:
+    """Puts the source of each function of the user's beside its name."""
+    measures = data.get("measure")
+    if not isinstance(measures, list):
+        return
+    measures = data["measure"] = list(measures)
+    problems: list[Problem] = []
+    for index, each in enumerate(measures):
+        options = each.get(FUNCTION) if isinstance(each, dict) and len(each) == 1 else None
+        if isinstance(options, dict):
+            try:
+                measures[index] = {FUNCTION: with_source(options, folder)}
+            except InvalidError as error:
+                problems += [
+                    document.problem(("measure", index, FUNCTION, *_elements(each.where)), each.problem)
+                    for each in error.problems
+                ]
+    if problems:
+        raise InvalidError(problems)
+
+
+def _plain_operator(operator: Operator) -> dict[str, Json]:
+    if operator.gesture is not None:
+        return {"gesture": operator.gesture.to_dict()}
+    assert operator.waypoints is not None
+    return {"waypoints": [list(each) for each in operator.waypoints], "interpolation": operator.interpolation}
+
+
+def _elements(where: str) -> Path:
+    """A path as a problem writes it."""
+    try:
+        return path_of(where)
+    except ValueError:
+        return ()
+
+
+# ---- Faults between keys ---------------------------------------------------------------------------------------------
+
+
+def _measure_faults(study: SweepStudy) -> list[tuple[Path, str]]:
+    faults: list[tuple[Path, str]] = []
+    names: set[str] = set()
+    for index, given in enumerate(study.measure):
+        try:
+            measure = parse_measure(given)
+        except InvalidError as error:
+            faults += [(("measure", index, *_elements(each.where)), each.problem) for each in error.problems]
+            continue
+        for column in measure.columns:
+            if column.name in names or column.name in study.vary:
+                faults.append((("measure", index), f"there are two columns {column.name}: give one another name"))
+            names.add(column.name)
+        if measure.needs_run and (study.run == "none" or study.operator is None):
+            faults.append((("measure", index), "measures a run: the study needs an operator, and run: simulate"))
+    return faults
+
+
+def _key_faults(study: SweepStudy) -> list[tuple[Path, str]]:
+    """Keys that nothing has."""
+    faults: list[tuple[Path, str]] = []
+    keys: list[tuple[Path, str]] = []
+    for name, axis in study.vary.items():
+        if axis.levels is None:
+            keys.append((("vary", name), name))
+        for level, settings in (axis.levels or {}).items():
+            keys += [(("vary", name, "levels", level, key), key) for key in settings]
+    if study.refine is not None:
+        keys.append((("refine", "key"), study.refine.key))
+    known = (*Config.model_fields, *BESIDE)
+    for place, key in keys:
+        try:
+            path = path_of(key)
+        except ValueError as error:
+            faults.append((place, str(error)))
+            continue
+        if path[0] not in known:
+            hint = f"{known_names(str(path[0]), known)}; what no configuration has stands below {PARAMETERS}"
+            faults.append((place, f"nothing has a key {path[0]}; {hint}"))
+    return faults
+
+
+def _value_faults(job: Job, axes: Sequence[Axis]) -> list[tuple[Path, str]]:
+    """Values of single axes that the configuration refuses, the others at their first."""
+    values = [axis.plain_values[:_MOST_CHECKED] for axis in axes]
+    first = [each[0] for each in values]
+    faults = _faults_with(job, first, "")
+    if faults:
+        return faults
+    for index, name in enumerate(job.names):
+        for value in values[index][1:]:
+            found = _faults_with(job, [*first[:index], value, *first[index + 1 :]], name)
+            if found:
+                faults += found
+                break
+    refine = job.study.refine
+    if refine is not None and not faults:
+        for key in ("start", "end"):
+            document = with_value(job.document(first), path_of(refine.key), getattr(refine, key), make=True)
+            faults += [(("refine", key), text) for _, text in _config_faults(document)]
+    return faults
+
+
+def _faults_with(job: Job, values: Sequence[Value], name: str) -> list[tuple[Path, str]]:
+    """The configuration's faults at a point; those of a key that is varied at its axis, others at the base."""
+    try:
+        document = job.document(values)
+    except InvalidError as error:
+        return [(("vary", name) if name else ("vary",), str(error))]
+    owners = {
+        path: axis for axis, value in zip(job.names, values, strict=True) for path, _ in job.settings(axis, value)
+    }
+    found: list[tuple[Path, str]] = []
+    for path, text in _config_faults(document):
+        owner = next((axis for key, axis in owners.items() if path[: len(key)] == key), None)
+        if owner is not None:
+            found.append((("vary", owner), text))
+        elif name:
+            found.append((("vary", name), f"{'.'.join(map(str, path))}: {text}" if path else text))
+        else:
+            found.append(((path if path[:1] == (OPERATOR,) else (_BASE, *path)), text))
+    return found
+
+
+def _config_faults(document: Mapping[str, Json]) -> list[tuple[Path, str]]:
+    source = {key: value for key, value in document.items() if key not in BESIDE}
+    try:
+        load_config(source)
+        operator = document.get(OPERATOR)
+        if isinstance(operator, dict):
+            parse_operator(operator)
+    except InvalidError as error:
+        return [(_elements(each.where), each.problem) for each in error.problems]
+    except HapticdError as error:
+        return [((), str(error))]
+    return []
+
+
+def _column_faults(found: Plan) -> list[tuple[Path, str]]:
+    """Names of columns that are none."""
+    study, names = found.job.study, [column.name for column in found.columns if column.role == "measured"]
+    if study.refine is None:
+        return []
+    holds = study.refine.holds
+    column = holds.column if isinstance(holds, SweepCondition) else holds
+    if column in names:
+        return []
+    place = ("refine", "holds", "column") if isinstance(holds, SweepCondition) else ("refine", "holds")
+    return [(place, f"nothing that is measured is called {column}; {known_names(column, names)}")]
